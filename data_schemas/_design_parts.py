@@ -287,7 +287,7 @@ class TactileCamera(Model):
         """Return the field of view where a calibration tells it."""
         if self.calibration is None:
             return {}
-        return {"field_of_view_deg": "camera.calibration tells where each pixel looks; leave one of them out"}
+        return {"field_of_view_deg": "camera.calibration states where each pixel looks; leave one of them out"}
 
 
 class Enclosure(Model):

@@ -107,7 +107,7 @@ class CameraBelow(Model):
         """Return the field of view where a calibration tells it."""
         if self.calibration is None:
             return {}
-        return {"field_of_view_deg": "camera.calibration tells where each pixel looks; leave one of them out"}
+        return {"field_of_view_deg": "camera.calibration states where each pixel looks; leave one of them out"}
 
 
 class TranslucentLayer(Model):
@@ -165,7 +165,7 @@ class SensorCoat(Coating):
             idle["diffuse_reflectance_rgb"] = "coating.translucent has its own reflectance; leave one of them out"
         if layer or self.diffuse_reflectance_rgb is not None:
             other = "translucent" if layer else "diffuse_reflectance_rgb"
-            idle["diffuse_reflectance"] = f"coating.{other} tells the reflectance; leave one of them out"
+            idle["diffuse_reflectance"] = f"coating.{other} states the reflectance; leave one of them out"
         if self.diffuse_share == 1.0:
             idle["roughness_alpha"] = "a coat of diffuse_share = 1 holds no metal; leave it out, or lower the share"
         return idle
@@ -270,7 +270,7 @@ class PlainSensor(Record):
         """Return also what a surface, clear walls or an ideal camera leaves without effect."""
         idle = super().idle_fields()
         if self.surface is not None:
-            idle["indenter"] = "[surface] tells the shape of the pressed coat; leave one of them out"
+            idle["indenter"] = "[surface] states the shape of the pressed coat; leave one of them out"
         if self.walls == "clear":
             idle["wall_reflectance"] = 'walls = "clear" have none; leave it out'
         return idle

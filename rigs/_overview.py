@@ -117,7 +117,7 @@ def _laser(rig: RigFile, folder: Path) -> Lines:
 def _lamp(rig: RigFile, folder: Path) -> Lines:
     if rig.lamp.driver == "manual":
         yield "switched by hand; nobody is asked here, so that its state is unknown"
-        yield Warned("see that the lamp is off: nothing can tell whether the camera's frame below was dark")
+        yield Warned("see that the lamp is off: nothing shows whether the camera's frame below was dark")
         return
     with lone_lamp(rig, folder, TerminalOperator()) as light:
         yield from _light(light)

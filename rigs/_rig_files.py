@@ -326,7 +326,7 @@ def _outside_layer_toml(layer: OutsideLayer | None) -> str:
     """Return the table of what switches the laser off outside the computer; a comment where none is declared."""
     head = f"""\
 # [laser.outside_layer] declares hardware that switches the laser off when the computer cannot, and its last test with
-# the laser on, which holds for {TEST_HOLDS_DAYS} days. A laser of class 3R or above goes on only with such a layer; the
+# the laser on, which holds for {TEST_HOLDS_DAYS} days. A laser of class 3R or above is lit only with such a layer; the
 # firmware behind driver arduino is one, and every session tests it.
 """
     if layer is None:

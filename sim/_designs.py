@@ -303,7 +303,7 @@ def _require_tables(path: Path, written: Mapping[str, Any], model: type[BaseMode
     if missing:
         raise RecordError(
             f"{path}: a finger without {', '.join(f'[{name}]' for name in missing)}; write what is missing (finray "
-            'design init writes a whole finger), or let it come from a ready-made one: preset = "flat-70x35" above the '
+            'design init writes a complete finger), or take it from a ready-made one: preset = "flat-70x35" above the '
             "first table ('finray design list' lists them)"
         )
 

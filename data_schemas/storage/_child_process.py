@@ -383,12 +383,12 @@ def _cause(status: int, killed_for_memory: bool) -> str:
         plain = _IN_PLAIN_WORDS.get(number)
         return f"was ended by {number.name}" + (f" ({plain})" if plain else "")
     if killed_for_memory:
-        return "was killed (SIGKILL) by the system for want of memory"
-    return "was killed (SIGKILL) from outside: by somebody, or by the system for want of memory"
+        return "was killed (SIGKILL) by the system for lack of memory"
+    return "was killed (SIGKILL) from outside: by somebody, or by the system for lack of memory"
 
 
 def _kills_for_want_of_memory() -> int:
-    """Return how many processes this system has killed for want of memory since it started; 0 where unknown."""
+    """Return how many processes this system has killed for lack of memory since it started; 0 where unknown."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         for line in Path("/proc/vmstat").read_text(encoding="ascii").splitlines():
             if line.startswith("oom_kill "):

@@ -346,7 +346,7 @@ def read_csv(
         )
     twice = next((name for name in header if name and header.count(name) > 1), None)
     if twice is not None:
-        raise error(f"{path}: the column {twice!r} stands twice in the header; remove one")
+        raise error(f"{path}: the column {twice!r} occurs twice in the header; remove one")
     return header, rows[1:]
 
 
@@ -418,7 +418,7 @@ def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         seen: set[str] = set()
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {twice[:80]!r} stands twice in one object; keep one")
+        raise ValueError(f"the key {twice[:80]!r} occurs twice in one object; keep one")
     return found
 
 

@@ -340,7 +340,7 @@ class ProductSet:
         """
         sha256 = hashlib.sha256(content).hexdigest()
         if any(added.path == path for added in self._added):
-            raise RecordError(f"{path}: is to hold two products of one command; give each a name of its own")
+            raise RecordError(f"{path}: two products of one command would have this name; give each its own")
         if path.exists() or path.is_symlink():
             if same_serves and path.is_file() and sha256_of(path) == sha256:
                 return path
@@ -397,7 +397,8 @@ class ProductSet:
             except FileExistsError:
                 raise RecordError(
                     f"{path}: another process is writing it now; wait until it ends. If there is none, delete "
-                    f"{set_file}, which was left where leftovers cannot be told from work (no file locks)"
+                    f"{set_file}, which an ended process left: without file locks, finray cannot distinguish it from "
+                    f"work in progress"
                 ) from None
             if is_ours(handle):
                 break

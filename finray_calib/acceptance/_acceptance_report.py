@@ -98,7 +98,7 @@ def judge_handshakes(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, .
 
 def _handshake(hand: Handshake, plan: CheckPlan) -> CheckResult:
     """Judge one device."""
-    name, what = f"{hand.role} answers", f"slowest answer of the {hand.role} to who it is and how it stands"
+    name, what = f"{hand.role} answers", f"slowest answer of the {hand.role} to questions about identity and state"
     if hand.error is not None or hand.identity is None or not hand.durations_s:
         return unmeasured("handshake", name, what, "ERROR", hand.error or "it was not asked")
     said = hand.identity
@@ -110,7 +110,7 @@ def _handshake(hand: Handshake, plan: CheckPlan) -> CheckResult:
             "handshake", name, what, "FAIL", f"a {said.role} behind driver '{said.driver}' answers", hand.driver
         )
     if not words:
-        return unmeasured("handshake", name, what, "UNDECIDED", "it answers and does not say what it is")
+        return unmeasured("handshake", name, what, "UNDECIDED", "it answers but does not identify itself")
     evidence = f"{', '.join(words)}; {len(hand.durations_s)} times asked"
     return measured(
         "handshake",

@@ -214,7 +214,9 @@ def watch(values: Sequence[float], rules: ChartRules, cleared: int = 0) -> Chart
         raise FinrayError(f"series of {series.size} values: it needs the {count} of its reference, all finite numbers")
     mean, sd = float(series[:count].mean()), float(series[:count].std(ddof=1))
     if not sd > 0.0:
-        raise FinrayError("the sessions of the reference are all alike, so nothing says how much they may differ")
+        raise FinrayError(
+            "the sessions of the reference are all alike, so that it is not known how much they may differ"
+        )
     weighted, alarms, z = np.full(series.size, mean), [], 0.0
     for place in range(max(count, cleared), series.size):
         x = (series[place] - mean) / sd

@@ -129,7 +129,7 @@ class GaugeStudy:
             told.append(f"the interaction was pooled with the repeats: its p is above {POOLED_ABOVE:g} (AIAG)")
         if self.sessions < FEWEST_SESSIONS:
             told.append(
-                f"{self.sessions} sessions say little of how sessions differ, and the interval is wide: measure in "
+                f"{self.sessions} sessions say little about how sessions differ, and the interval is wide: measure in "
                 f"{FEWEST_SESSIONS} or more"
             )
         return tuple(told)

@@ -134,7 +134,7 @@ def _captures(folder: Path) -> "dict[str, TactileCapture]":
     known = {n: c for n, c in read.items() if c.contact_circle is not None or c.contact_outline is not None}
     if len(known) < 2:
         raise CompareError(
-            f"{folder}: holds {len(known)} captures that tell where their contact is; at least 2 are needed: import a "
+            f"{folder}: holds {len(known)} captures that state where their contact is; at least 2 are needed: import a "
             "set with 'finray import captures'"
         )
     return known

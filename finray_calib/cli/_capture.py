@@ -67,7 +67,9 @@ def run_capture(arguments: argparse.Namespace) -> None:
         if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:
             raise CaptureError("--resume takes plan, rig and folder from the session; leave out PLAN, --rig and --out")
         if arguments.dry_run:
-            raise CaptureError("--resume goes on at once, and --dry-run is for a session that is to begin; give one")
+            raise CaptureError(
+                "--resume continues a session, and --dry-run describes one that has not begun; give only one of them"
+            )
         with interruptible(arguments.resume):
             resume(arguments.resume, arguments.like)
         return

@@ -55,7 +55,7 @@ def add_certificate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]"
     )
     parser.add_argument(
         "--out", type=Path, metavar="PATH",
-        help="page to write (default: PAINT.certificate.html); the PDF goes beside it; both must be new",
+        help="page to write (default: PAINT.certificate.html); the PDF is written beside it; both must be new",
     )  # fmt: skip
     parser.set_defaults(run=run_certificate)
 
@@ -71,7 +71,7 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     stem = path.name.removesuffix(".json").removesuffix(".paint")
     page = arguments.out or path.with_name(f"{stem}.certificate.html")
     if page.suffix != ".html":
-        raise FinrayError(f"{page}: is to be a page; choose an --out that ends in .html, the PDF goes beside it")
+        raise FinrayError(f"{page}: must be a page: choose an --out that ends in .html; the PDF is written beside it")
     require_new(page)
     pdf = require_new(page.with_suffix(".pdf"))
     paint = read_record(path, PaintCalibration)

@@ -17,8 +17,8 @@ from finray_calib.cli._run import (
 HELP = "compare simulated presses with tactile captures"
 DESCRIPTION = """\
 Compare a simulated press with a tactile capture over the contact patch and over the patch dilated to twice
-its half-width. Every number stands beside doing nothing (the no-contact image as the simulation) and the floor
-(what a repeat of the no-contact image costs). The headline is the skill score: 0 is doing nothing, 1 is perfect.
+its half-width. Every number is printed beside that of doing nothing (the no-contact image as the simulation) and
+the floor (a repeat of the no-contact image). The headline is the skill score: 0 is doing nothing, 1 is perfect.
 The noise of linear captures with a repeat is taken out of the simulation's score but not of the floor, so that the
 score may lie above it; with encoded values both hold the noise, and scores above the floor row are not meaningful.
 
@@ -169,7 +169,9 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
 
     out = require_new(arguments.out or Path(DEFAULT_OUT))
     if out.suffix != ".json":
-        raise CompareError(f"{out}: is to be a record; choose an --out that ends in .json, the figure goes beside it")
+        raise CompareError(
+            f"{out}: must be a record: choose an --out that ends in .json; the figure is written beside it"
+        )
     picture = require_new(out.with_suffix(".png"))
     press = read_record(records[0], PressMechanics)
     other = None if arguments.other_mesh is None else read_record(arguments.other_mesh, PressMechanics)

@@ -85,7 +85,7 @@ def _where_to_go_on(path: Path, settings: Mapping[str, Any]) -> Path:
     return last if can_go_on(last, settings) else free
 
 
-DOCTOR_HELP = "list what this machine lacks, each with the command that mends it"
+DOCTOR_HELP = "list what this machine lacks, each with the command that repairs it"
 DOCTOR_DESCRIPTION = """\
 Look at Python, processor, renderer, contact library, solver, compiler, memory, disk, caches and serial ports, each by
 using it in a process of its own, in at most 15 s. Every line is good; or a note: the demo runs without it, slower or

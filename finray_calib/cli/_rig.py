@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 RIG_HELP = "write a rig file, find devices, and show what the devices of a rig report"
 INIT_HELP = "write a commented rig file to start from"
 INIT_DESCRIPTION = """\
-Write a rig file with a comment on every value, made after a preset.
+Write a rig file with a comment on every value, based on a preset.
 
-"paper": the paper's set-up. On a terminal the devices that are found are offered; otherwise the preset's own are
-written, and what to fill in is said.
+"paper": the paper's set-up. On a terminal you choose among the devices that are found; otherwise the preset's own
+are written. The command lists what is left to fill in.
 
 "simulated", "simulated-green": a rig to practise on without any device, with a red or a green paint under its lens:
-the commands of the how-to pages run on it, and its file says what the paint truly is."""
+the commands of the how-to pages run on it, and its file states the true spectrum of the paint."""
 DETECT_HELP = "list the cameras, filter wheels and lights that can be found"
 DETECT_DESCRIPTION = """\
 Ask every driver what it can find, and print driver and address as a rig file names them. Serial ports behind USB are
@@ -64,8 +64,8 @@ def run_init(arguments: argparse.Namespace) -> None:
     out = require_new(arguments.out or Path("rig.toml"))
     if (paint := PRACTICE_PAINTS.get(arguments.preset)) is not None:
         wrote(write_rig(simulated_rig(paint), out), "rig file")
-        say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; what the paint truly is")
-        say("  stands in [simulated.paint]")
+        say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; the true spectrum")
+        say("  of the paint is in [simulated.paint]")
         give(rig=str(out), to_fill_in=[])
         go_on_with("finray rig show", out)
         return

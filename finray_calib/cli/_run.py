@@ -186,7 +186,9 @@ def require_new_session(path: Path) -> Path:
 def new_page_beside(record: Path) -> Path:
     """Return the name of the page beside a record, FILE.html for FILE.json, if nothing is there yet."""
     if record.suffix == ".html":
-        raise RecordError(f"{record}: is to be a record; choose an --out that ends in .json, the page goes beside it")
+        raise RecordError(
+            f"{record}: must be a record: choose an --out that ends in .json; the page is written beside it"
+        )
     return require_new(record.with_suffix(".html"))
 
 
@@ -220,7 +222,7 @@ def interruptible(out: Path) -> Iterator[None]:
             yield
         except (KeyboardInterrupt, FinrayError, OSError):
             if (out / JOURNAL_NAME).exists() and (not (out / SESSION_NAME).exists() or lacks_manifest(out)):
-                warn(f"{out}: holds what was captured so far; go on with: finray capture --resume {out}")
+                warn(f"{out}: holds what was captured so far; continue with: finray capture --resume {out}")
             raise
 
 

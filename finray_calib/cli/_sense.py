@@ -41,8 +41,8 @@ def add_sense(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 PIXEL_SCALE_HELP = "calibrate the camera and measure millimetres per pixel on the pad, with a ChArUco board"
 PIXEL_SCALE_DESCRIPTION = """\
 Calibrate the lens and measure how many millimetres a pixel spans on the pad, along rows and along columns,
-with standard uncertainty. Needed are one picture of a ChArUco board that lies where the coat of the pad is,
-and four or more (ten are good) with the board turned and tilted, all with the camera as it stands in the
+with standard uncertainty. It needs one picture of a ChArUco board that lies where the coat of the pad is, and
+four or more (ten are good) with the board turned and tilted, all with the camera as it stands in the
 finger. Pictures through the mirror are recognised. Writes the record, and beside it the lens (FILE.lens.yaml)
 for 'camera.calibration' of a design."""
 
@@ -144,7 +144,7 @@ def board_pictures(arguments: argparse.Namespace) -> "tuple[CharucoBoard, Path, 
     files: list[Path] = arguments.lens
     if len(files) == 1 and files[0].is_dir():
         if any(value is not None for value in (arguments.pad, arguments.plan, arguments.squares)):
-            raise CompareError(f"{files[0]}: a session knows its pictures and its board; leave the other options out")
+            raise CompareError(f"{files[0]}: a session holds its pictures and its board; leave the other options out")
         return _session_pictures(files[0])
     if arguments.pad is None:
         raise CompareError("--pad: missing; give the picture of the board where the coat of the pad is")

@@ -168,7 +168,7 @@ def run_press(arguments: argparse.Namespace) -> None:
         )
     files = mechanics_paths(out, resume, goes_on)
     if goes_on:
-        where = "begins again" if resume is None else f"goes on after increment {resume.stem}"
+        where = "begins again" if resume is None else f"continues after increment {resume.stem}"
         warn(f"{files['increments']}: this press was interrupted; it {where}")
     if resume is not None:
         read_bytes(resume, "a stored increment of a press (.json)")
@@ -357,7 +357,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--resume", type=Path, metavar="INCREMENT",
-        help="go on from a stored increment, or the last one in a folder NAME.increments",
+        help="continue from a stored increment, or from the last one in a folder NAME.increments",
     )  # fmt: skip
     parser.add_argument(
         "--budget", type=_budget, metavar="SECONDS",
@@ -384,7 +384,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def _long_press(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
-    kept = "Finished increments are kept: the same command goes on after the last one"
+    kept = "Finished increments are kept: the same command continues after the last one"
     if arguments.force is not None or arguments.engine == "calculix":
         kept = "Nothing is stored before its end: the same command begins again"
     return LongWork("the press by finite elements", kept, arguments.out)
@@ -428,7 +428,9 @@ def _require_one_way(arguments: argparse.Namespace) -> None:
             "--sensitivities, --contact barrier and --engine"
         )
     if arguments.sensitivities and (calculix or resumes):
-        raise SimulateError("--sensitivities need a whole press by the elements here; leave out --resume and --engine")
+        raise SimulateError(
+            "--sensitivities need a complete press by finray's own finite elements; leave out --resume and --engine"
+        )
     if arguments.budget is not None and (calculix or arguments.sensitivities):
         raise SimulateError(
             "--budget is of one press by the elements here; leave it out, or --engine calculix and --sensitivities"

@@ -89,7 +89,7 @@ def _long_work(arguments: argparse.Namespace) -> "LongWork":
 
     kept = "Nothing is stored before its end: the same command begins again"
     if arguments.study == "run":
-        return LongWork("the design study", "Finished points are kept: the same command goes on with the others")
+        return LongWork("the design study", "Finished points are kept: the same command continues with the others")
     return LongWork(f"the study {arguments.study}", kept, getattr(arguments, "out", None))
 
 

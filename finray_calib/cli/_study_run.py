@@ -30,7 +30,7 @@ RUN_HELP = "run a design study by its plan: change a finger, and press, render a
 RUN_DESCRIPTION = """\
 Change one finger as a plan (TOML) says, and compute every variant: press, images, colours, evenness, how the touch
 shows, force. Points are computed by worker processes, as many as cores and memory allow; what points share is computed
-once. Each point is stored as soon as it is finished: an interrupted study goes on with the same command. A point that
+once. Each point is stored as soon as it is finished: an interrupted study continues with the same command. A point that
 fails leaves its reason and stops no other.
 
 Writes into the folder of the study: points/ (a record each), table.csv (one row a point), study.json, study.html.

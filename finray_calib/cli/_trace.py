@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
 TRACE_HELP = "show what a record was made from, down to the frames, and check all of it"
 TRACE_DESCRIPTION = """\
-Show the tree of files that a record was made from, down to the captured frames, and hash all of them again. What is
-missing, was changed, or was made anew since ("stale") is named. Inputs are looked for by their recorded names, from the
-record's folder, the folders above it and the working directory, and by their SHA-256 beside the record.
+Show the tree of files that a record was made from, down to the captured frames, and hash all of them again. The command
+names files that are missing, were changed, or were made again since ("stale"). It searches for inputs by their recorded
+names, from the record's folder, the folders above it and the working directory, and by their SHA-256 beside the record.
 
 With --replay the command that made the record is run again into a temporary folder, and its numbers are compared.
 
 The checksums detect accidents and edits, not forgery: whoever changes a file on purpose can compute them anew.
 
-Exit status: 0 where all is whole, 1 where something is not, 2 for mistakes."""
-NOT_WHOLE = 1
+Exit status: 0 where every file is unchanged, 1 where one is not, 2 for mistakes."""
+NOT_AS_WRITTEN = 1
 COLUMNS = 80
 
 
@@ -43,16 +43,16 @@ def run_trace(arguments: argparse.Namespace) -> int:
     print_tree(tree)
     faults = findings(tree)
     print_faults(faults)
-    give(whole=not faults, files=len(tracer.digests), faults=_faults(faults), replay=None)
+    give(unchanged=not faults, files=len(tracer.digests), faults=_faults(faults), replay=None)
     frames = sum(part.frames for part in tree.all() if not part.is_repeated)
     dirty = sum(part.is_dirty for part in tree.all())
     if dirty:
         say(f"note: {dirty} of the records were made by sources that differed from the commit that they name")
     if not faults:
-        say(f"whole: {len(tracer.digests)} files hashed, {frames} of them frames")
+        say(f"unchanged: {len(tracer.digests)} files hashed, {frames} of them frames")
     if arguments.replay and not faults:
         return _replay(tree)
-    return NOT_WHOLE if faults else 0
+    return NOT_AS_WRITTEN if faults else 0
 
 
 def print_tree(tree: "Traced") -> None:
@@ -75,16 +75,16 @@ def print_tree(tree: "Traced") -> None:
 
 
 def print_faults(faults: "tuple[FileFault, ...]") -> None:
-    """Print what is not whole, one line each."""
+    """Print what is not as it was written, one line each."""
     if not faults:
         return
-    say(f"\nNOT WHOLE: {len(faults)} finding{'s' if len(faults) > 1 else ''}")
+    say(f"\nNOT AS WRITTEN: {len(faults)} finding{'s' if len(faults) > 1 else ''}")
     for fault in faults:
         say(f"{fault.state}: {fault.path}: {fault.text}")
 
 
 def _faults(faults: "tuple[FileFault, ...]") -> list[dict[str, str]]:
-    """Return what is not whole, for a program."""
+    """Return what is not as it was written, for a program."""
     return [{"state": fault.state, "path": str(fault.path), "text": fault.text} for fault in faults]
 
 
@@ -97,7 +97,7 @@ def _plain(part: "Traced", depth: int) -> list[str]:
 def _lines(part: "Traced") -> list[str]:
     """Return what is said of one file: its name, kind and state, then its notes."""
     states = sorted({fault.state.upper() for fault in part.faults})
-    state = ", ".join(states) if states else "whole"
+    state = ", ".join(states) if states else "unchanged"
     kind = "" if part.kind == "file" else f"  {part.kind}"
     frames = f", {part.frames} frames" if part.frames else ""
     above = ", inputs as above" if part.is_repeated else ""
@@ -113,18 +113,19 @@ def _replay(tree: "Traced") -> int:
     give(replay={"agrees": outcome.agrees, "sentence": outcome.sentence, "differences": outcome.differences})
     for difference in outcome.differences:
         say(f"  {difference}")
-    return 0 if outcome.agrees else NOT_WHOLE
+    return 0 if outcome.agrees else NOT_AS_WRITTEN
 
 
 VERIFY_HELP = "check that a session or a folder of products is as it was written"
 VERIFY_DESCRIPTION = """\
-Hash every file of a folder again that a record, a session or checksums speak of, and name what is missing, was changed,
-or was made anew since something was made from it ("stale"). In a session, record, journal, checksums and frames are
-compared with each other as well; of records, also the inputs that lie elsewhere are looked for (see 'finray trace').
+Hash again every file of a folder that a record, a session or a list of checksums names. The command names files that
+are missing, were changed, or were made again after something was made from them ("stale"). In a session it also
+compares record, journal, checksums and frames with each other. It also searches for inputs of records that lie
+elsewhere (see 'finray trace').
 
 The checksums detect accidents and edits, not forgery: whoever changes a file on purpose can compute them anew.
 
-Exit status: 0 where all is whole, 1 where something is not, 2 for mistakes."""
+Exit status: 0 where every file is unchanged, 1 where one is not, 2 for mistakes."""
 MOST_NOTES = 10
 
 
@@ -140,13 +141,13 @@ def run_verify(arguments: argparse.Namespace) -> int:
     from finray_calib.lineage import verify_folder
 
     check = verify_folder(arguments.folder)
-    give(whole=not check.faults, files=check.hashed, records=len(check.records), faults=_faults(check.faults))
+    give(unchanged=not check.faults, files=check.hashed, records=len(check.records), faults=_faults(check.faults))
     for note in check.notes[:MOST_NOTES]:
         say(f"note: {note}")
     if len(check.notes) > MOST_NOTES:
         say(f"note: and {len(check.notes) - MOST_NOTES} more notes; 'finray trace RECORD' shows those of a record")
     print_faults(check.faults)
     if check.faults:
-        return NOT_WHOLE
-    say(f"{arguments.folder}: whole: {check.hashed} files, {len(check.records)} records among them")
+        return NOT_AS_WRITTEN
+    say(f"{arguments.folder}: unchanged: {check.hashed} files, {len(check.records)} records among them")
     return 0

@@ -58,8 +58,8 @@ from finray_calib.sensing import full_scale_dn, patch_scale, rgb_image, scale_fi
 #: How the finding begins that says that the camera stands where the render has it.
 NO_DRIFT = "no drift of the camera to speak of"
 _ONE_PICTURE = (
-    "a drift of the camera cannot be told: the prediction begins from the capture's own image without contact, so that "
-    "both stand alike whatever the camera did"
+    "a drift of the camera cannot be measured: the prediction begins from the capture's own image without contact, "
+    "so that both agree whatever the camera did"
 )
 _WHAT_TO_DO = (
     "Check that the render has the camera, the design and the light angle of the capture, or calibrate the camera with "
@@ -163,7 +163,7 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
     except CompareError as error:
         if registered:
             raise CompareError(f"{error}. {_WHAT_TO_DO}, or compare without --register") from None
-        return press, [f"whether the camera stands where the render has it cannot be told: {error}. {_WHAT_TO_DO}"]
+        return press, [f"it is not known whether the camera stands where the render assumes it: {error}. {_WHAT_TO_DO}"]
     if not found.significant:
         return press, [f"{NO_DRIFT}, by the images with {state}: {found}"]
     if not registered:
@@ -369,7 +369,7 @@ COVERS_INPUTS = (
     "the inputs of the budget leave open, with 95 % probability; noise is taken out of every error"
 )
 _PARTS: Final = (
-    "how much a number depends on which pixels of this press are looked at (square tiles of the region, drawn with "
+    "how much a number depends on which pixels of this press are evaluated (square tiles of the region, drawn with "
     "replacement), and are no 95 % intervals"
 )
 _NOT_PRESSES: Final = (
@@ -458,7 +458,7 @@ def notes_of(
         notes.append(_CURVE_CANNOT_KNOW)
     if nuisances is not None and nuisances.gain is None:
         notes.append(
-            "whether exposure or white balance changed between the captures cannot be told: fewer than 8 blocks of "
+            "it is not known whether exposure or white balance changed between the captures: fewer than 8 blocks of "
             "pixels lie beyond 3 half-widths from the contact with light in a channel"
         )
     if block_px > 1:
@@ -469,8 +469,8 @@ def notes_of(
     if capture.repeat_no_contact is None:
         notes.append("no repeat of the no-contact image: neither the floor nor the camera's noise is known")
         notes.append(
-            "that there is a touch was told from noise as neighbouring pixels show it: noise that they share (JPEG, "
-            "interpolated colours) can pass for a touch"
+            "the touch was detected against the noise between neighbouring pixels: noise that they share (JPEG, "
+            "interpolated colours) can look like a touch"
         )
     elif not linear:
         notes.append("the noise of encoded images is not known: it stays in their errors")

@@ -68,7 +68,7 @@ def capture_noise(first: Floats, second: Floats) -> CaptureNoise:
     if whole.sum() < _LEAST_PIXELS:
         raise CompareError(
             f"only {int(whole.sum())} pixels of the two no-contact images can be compared; at least {_LEAST_PIXELS} "
-            "are needed to tell the camera's noise: capture with a shorter exposure"
+            "are needed to measure the camera's noise: capture with a shorter exposure"
         )
     fits = [_fit(*_squares(first[..., c], second[..., c], finite, whole)) for c in range(first.shape[2])]
     offset, slope = np.array(fits).T

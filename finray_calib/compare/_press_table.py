@@ -154,7 +154,7 @@ def _distance(capture: TactileCapture) -> Floats:
     distance = contact_distance(capture)
     if distance is None:
         raise CompareError(
-            f"{capture.name}: does not tell where its contact is; import it with a circle, an outline or a search"
+            f"{capture.name}: does not state where its contact is; import it with a circle, an outline or a search"
         )
     return distance
 

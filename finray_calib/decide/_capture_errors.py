@@ -127,7 +127,7 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
     if report.forced_mismatch:
         raise DecideError(
             f"the report on {report.captured} was made despite a mismatch, so its brightness error says nothing about "
-            f"the simulation ({'; '.join(report.findings)}): mend the capture and compare again, or leave it out"
+            f"the simulation ({'; '.join(report.findings)}): correct the capture and compare again, or leave it out"
         )
     if report.objective_error is None and (report.values == "linear light" or report.tone_curve is not None):
         raise DecideError(
@@ -376,12 +376,12 @@ def _sweep_of(sweeps: Sequence[LightAngleSweep], report: PhotometricErrorReport)
     if report.finger is None:
         return 0, [
             f"the report on {report.captured} does not say which finger was rendered (it is of an older "
-            f"version, or of a press without a design): whether it is '{first.name}' is taken on trust"
+            f"version, or of a press without a design): whether it is '{first.name}' is not checked"
         ]
     if report.finger.version != first.version:
         return 0, [
             f"the report on {report.captured} names its finger '{report.finger.name}' as another version of finray "
-            f"does: whether it is '{first.name}' is taken on trust; compare again to know"
+            f"does: whether it is '{first.name}' is not checked; compare again to have it checked"
         ]
     others = [report.finger.differs_in(own) for own in owns]
     pushed_mm = report.finger.depth_mm

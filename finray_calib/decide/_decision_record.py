@@ -282,8 +282,8 @@ def _notes(
     ]
     if on.aim == "normal":
         notes.append(
-            "the error of the sensed normal is that of facets of the undeformed pad, by a map taught at other places; "
-            "that its inverse is as far from the finger's as a brightness would be, is assumed"
+            "the error of the sensed normal is that of facets of the undeformed pad, by a map fitted at other "
+            "places; it is assumed that its inverse is as far from the finger's as a brightness would be"
         )
     exposed = next((swept.constraints for swept in sweeps if swept.constraints is not None), None)
     if exposed is not None:
@@ -308,17 +308,19 @@ def _note_on_error(captures: CaptureErrors) -> str:
         return (
             "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
             f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are the mean over such "
-            "errors: for a finger that has one kind of them they are mostly too low, and only captures tell"
+            "errors: for a finger that has one kind of them they are mostly too low, and only captures can show it"
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "
-        "not seen; they are taken to see next to nothing with a probability of 1/2, else any share, and never decide"
+        "not seen; it is assumed that they see next to nothing of it with a probability of 1/2, else any share, and "
+        "they never decide"
         if captures.scale_of is None
         else "by exposure and LED current, up to one unknown scale for each rig"
     )
     return (
         f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is "
-        f"{_ERROR_CURVE}, of a size (prior: {_ASSUMED_SIZE}) that the captures tell; they see the image beside the "
+        f"{_ERROR_CURVE}, of a size (prior: {_ASSUMED_SIZE}) that the captures determine; they see the image beside "
+        f"the "
         "indenter, the sweep its probe points"
     )
 
@@ -475,7 +477,8 @@ def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
     low_rel, amplitude_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
     if not captures_deg.size:
         return (
-            "So says the simulation; no capture has checked it, and it is not decided before one does. Assumed is that "
+            "This is the simulation's answer; no capture has checked it, and it is not decided before one does. It "
+            "is assumed that "
             f"the finger's curve may be moved by some {MOVED_SD_DEG:g} deg and be off by {percent(amplitude_rel)} "
             f"(95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle."
         )

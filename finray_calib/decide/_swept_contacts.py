@@ -89,7 +89,7 @@ def decided_on(
     if aim == "normal" and (captured or weights is not None):
         raise DecideError(
             f"the error of the normal was asked for, and {'reports on captures' if captured else 'weights'}: "
-            f"{'reports tell of the brightness' if captured else 'weights are of touches, the error is of places'}. "
+            f"{'reports measure the brightness' if captured else 'weights are of touches, the error is of places'}. "
             "Leave them out, or decide on the brightness (--aim brightness)"
         )
     if aim == "normal" and normal is None:

@@ -367,7 +367,7 @@ def compare_section(results: DemoResults) -> Content:
         "unchanged (do nothing), and repeating the capture (floor)."
     )
     if results.mechanics is not None:
-        lead += " Both have the shape that finite elements gave: the score says nothing of the mechanics."
+        lead += " Both have the shape that finite elements gave: the score says nothing about the mechanics."
     remarks = [display_remark(results.press), f"Values: {report.values}. SSIM settings: {report.ssim_settings}."]
     if results.report_level_a is not None:
         remarks.insert(0, level_a_sentence(report, results.report_level_a))

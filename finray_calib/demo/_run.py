@@ -382,7 +382,7 @@ def run_demo(
     with held(out, settings), contextlib.ExitStack() as stack:
         whole = whole_stages(out, stages)
         if whole:
-            say(f"{out}: goes on after {len(whole)} of {len(stages)} stages, which are whole")
+            say(f"{out}: continues after {len(whole)} of {len(stages)} stages, which are complete")
         left = [stage for number, stage in enumerate(stages) if number not in whole]
         processes = _Processes(stack)
         for stage, following in zip(left, [*left[1:], report], strict=True):
@@ -423,7 +423,7 @@ class _Processes:
             )
         except DiedError as died:
             raise DiedError(
-                f"{stage.words} {died}. Its log is {log}. What is finished is kept: the same command goes on there; "
+                f"{stage.words} {died}. Its log is {log}. Finished work is kept: the same command continues there; "
                 "if that fails again, 'finray doctor' lists what this machine lacks"
             ) from None
         if following is None or following.process != stage.process:

@@ -212,7 +212,7 @@ repeats = {REPEATS}                      # of each press, the indenter taken awa
 led_current_ma = {_LED_CURRENT_MA:.1f}            # MEASURE
 light_angle_deg = {_float(angle_deg)}           # MEASURE: the panel's normal from the pad plane
 light_angle_uncertainty_deg = {_ANGLE_U_DEG}  # MEASURE: standard uncertainty
-mm_per_px = {_float(view.mm_per_px)}  # MEASURE: 'finray sense scale' says it and the next line
+mm_per_px = {_float(view.mm_per_px)}  # MEASURE: 'finray sense scale' prints it and the next line
 mm_per_px_u_rel = {_float(view.mm_per_px_u_rel)}  # MEASURE: relative standard uncertainty
 
 [indenter]
@@ -355,9 +355,9 @@ plans, correct the lines marked MEASURE:
 
 {listed}
 
-Check a plan first with `--dry-run`: it says how many frames and how much disk. Send `pixel-scale.json` and the session
-folders whole: `session.json`, `journal`, `frames/` and `press-*.json`, one for each contact. For the ball add
-`circles.csv`, with a line for each file (press 1 is {_files(1)}), all {files} of them: its contact
+Check a plan first with `--dry-run`: it says how many frames and how much disk. Send `pixel-scale.json` and the
+complete session folders: `session.json`, `journal`, `frames/` and `press-*.json`, one for each contact. For the ball
+add `circles.csv`, with a line for each file (press 1 is {_files(1)}), all {files} of them: its contact
 circle in raw pixels, drawn by hand on the picture.
 
     image,column_px,row_px,radius_px

@@ -60,8 +60,9 @@ HOLD_SHARE = 0.9
 FAR_HALF_WIDTHS = 1.6
 _SURFACE_DEGREE = 3
 _BITS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
-_MEDIAN_LOSES = "the median of the presses stands for it; they shine through by some DN: small errors are not seen"
-_SURFACE_LOSES = "a smooth surface through far pixels stands for it; texture of the gel counts as contact"
+_MEDIAN_LOSES = "the median of the presses stands in for it; the presses remain in it by some DN: small errors are "
+"not seen"
+_SURFACE_LOSES = "a smooth surface through far pixels stands in for it; texture of the gel counts as contact"
 
 
 @dataclass(frozen=True, slots=True)
@@ -506,11 +507,11 @@ class _Folder:
         common = source.file is not None and PRESS not in source.file
         lacks = (
             (capture.repeat_no_contact is None, "a second image without contact", "no floor: what noise explains"),
-            (common, "an image without contact of each press", "drift and wear of the gel are not told apart"),
+            (common, "an image without contact of each press", "drift and wear of the gel cannot be separated"),
             (source.median_of_presses, "an image without contact", _MEDIAN_LOSES),
             (source.far_pixels, "an image without contact", _SURFACE_LOSES),
             (capture.contact_told_by == "search", "a drawn contact", "searched for: its size is known to 20 %"),
-            (capture.contact_told_by is None, "where the contact is", "the simulated side must tell the region"),
+            (capture.contact_told_by is None, "where the contact is", "the simulated side must give the region"),
             (capture.indenter.radius_mm is None, "the indenter's size", "slopes and depth have no scale"),
             (capture.mm_per_px is None, "the scale, mm per px", "depth has no scale"),
             (capture.indenter.depth_mm is None, "the depth of the press", "simulate to the contact's size instead"),
@@ -607,7 +608,7 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
     distance = contact_distance(capture)
     if distance is None:
-        raise LeftOutError("where its contact is, is not known, so no pixels can be told to be far from it")
+        raise LeftOutError("the place of its contact is not known, so that no pixels are known to be far from it")
     rows, columns = distance.shape
     y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
     powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]

@@ -241,8 +241,8 @@ _ONE_LIGHT = (
     "the yield under further lights to learn the rest"
 )
 _SEVERAL_LIGHTS = (
-    "yields under lights at {lights} nm constrain the absorption between them; beyond, and for the Stokes shift as far "
-    "as no light lies near the edge of the absorption, the prior speaks"
+    "yields under lights at {lights} nm constrain the absorption between them; elsewhere, and for the Stokes shift "
+    "where no light lies near the edge of the absorption, the values come from the prior"
 )
 _BOUNDED = "; the reflectance only bounds the absorption from above"
 _FEW_SHAPES = "; the yields contradict the prior (only {shapes} absorption shapes fit): trust the curve near the lights"

@@ -251,7 +251,7 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
             f"because {best} does not predict left-out bands clearly better ({left_out})"
         )
     return DEFAULT_FAMILY, (
-        f"{DEFAULT_FAMILY}: the default, because the bands do not clearly tell the families apart (probabilities "
+        f"{DEFAULT_FAMILY}: the default, because the bands do not clearly distinguish the families (probabilities "
         f"{told}; {left_out})"
     )
 

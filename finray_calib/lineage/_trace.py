@@ -232,7 +232,7 @@ class Tracer:
         made = _created(path) if own.kind in KINDS else None
         used = None if consumer is None else _time(consumer.created_utc)
         if made is not None and used is not None and made >= used:
-            text = f"was made anew at {made.isoformat()}, after what was made from it: make that again"
+            text = f"was made again at {made.isoformat()}, after what was made from it: make that again"
             return (FileFault(path, "stale", text),)
         return (FileFault(path, "changed", "is not the file that was read: its SHA-256 is another"),)
 

@@ -231,11 +231,11 @@ def _verdict(batch: ComparisonBatch) -> str:
             return f"Skill {fixed(skill.estimate, 2)}; {_count(skill.units, skill.unit)} give no interval"
         if skill.low95 > 0.0:
             return "Better than no simulation"
-        return "Worse than no simulation" if skill.high95 < 0.0 else "Not told apart from no simulation"
+        return "Worse than no simulation" if skill.high95 < 0.0 else "Not distinguishable from no simulation"
     next_one = next((d for d in batch.differences if {d.first, d.second} == {s.simulator for s, _ in ranked[:2]}), None)
     if next_one is None or next_one.low95 is None:
-        return f"{_simulator(score)} scores highest; too few presses to tell it from the next"
-    return f"{_simulator(score)} is best" if next_one.low95 > 0.0 else "The best two are not told apart"
+        return f"{_simulator(score)} scores highest; too few presses to distinguish it from the next"
+    return f"{_simulator(score)} is best" if next_one.low95 > 0.0 else "The best two cannot be distinguished"
 
 
 def _sentences(batch: ComparisonBatch) -> Iterator[str]:
@@ -333,9 +333,9 @@ def _ranking_picture(batch: ComparisonBatch) -> Picture:
     return drawing(
         ranking_figure(batch),
         " ".join(_sentences(batch)),
-        "Large mark with bar: skill of all presses together with its 95 % interval; small marks: single presses. What "
-        "to see: intervals that do not overlap are told apart; where they do overlap, look at the differences, which "
-        "are taken press by press.",
+        "Large mark with bar: skill of all presses together with its 95 % interval; small marks: single presses. "
+        "What to see: simulators whose intervals do not overlap differ; where intervals overlap, look at the "
+        "differences, which are taken press by press.",
     )
 
 

@@ -25,9 +25,10 @@ from data_schemas import (
     package_version,
 )
 from finray_calib.acceptance import NO_REFERENCE, Budget, CertifiedResult
+from finray_calib.reports._fit_figures import emission_readings
 from finray_calib.reports._page import KeyNumber, Light, ReportTable, drawing, one_group, render_page
 from finray_calib.reports._plain_text import NO_VALUE, decimals_for, fixed, plain, probability, unbroken
-from finray_calib.reports._style import BLUE, HAIRLINE, MUTED, SKY, new_figure, styled, svg_text
+from finray_calib.reports._style import BLUE, HAIRLINE, MUTED, SKY, ReadableFigure, new_figure, readable, styled
 
 TEMPLATE: Final = "certificate.html.j2"
 NOT_RECORDED: Final = "not recorded"
@@ -340,11 +341,12 @@ def _limits(paint: PaintCalibration) -> str:
 
 
 @styled()
-def _spectrum_svg(paint: PaintCalibration) -> str:
+def _spectrum(paint: PaintCalibration) -> ReadableFigure:
     """Draw the spectrum for the page."""
     figure = new_figure(6.6, 2.3)
-    _draw_spectrum(figure.subplots(), paint)
-    return svg_text(figure)
+    axes = figure.subplots()
+    _draw_spectrum(axes, paint)
+    return readable(figure, axes, emission_readings(paint))
 
 
 def _draw_spectrum(axes: Axes, paint: PaintCalibration) -> None:
@@ -389,7 +391,7 @@ def certificate_page(certificate: Certificate, paint: PaintCalibration) -> str:
             "light": certificate.light,
             "sentence": f"{certificate.traceability[:1].upper()}{certificate.traceability[1:]}.",
             "picture": drawing(
-                _spectrum_svg(paint),
+                _spectrum(paint),
                 f"Emission spectrum of {paint.paint_name} with its 95 % bands",
                 "Emission of the paint; filters: what the camera saw it through.",
             ),

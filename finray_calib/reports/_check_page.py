@@ -35,8 +35,10 @@ from finray_calib.reports._style import (
     MUTED,
     ORANGE,
     VERMILLION,
+    ReadableFigure,
     legend_above,
     new_figure,
+    readable,
     styled,
     svg_text,
 )
@@ -98,10 +100,10 @@ def _check_numbers(report: AcceptanceReport) -> tuple[KeyNumber, ...]:
     return (
         KeyNumber("Passed", f"{count['PASS']} of {total}", "inside the limit with 95 % confidence",
                   light_of(count["PASS"] == total), "all of them" if count["PASS"] == total else "not all"),
-        KeyNumber("Failed or broken off", str(broken),
+        KeyNumber("Failed or ended early", str(broken),
                   f"{count['FAIL']} outside the limit with 95 % confidence, {count['ERROR']} with a device's error",
                   light_of(broken == 0, is_bad=broken > 0), "some" if broken else "none"),
-        KeyNumber("Undecided", str(unsure), "too close to tell, or not to be seen here",
+        KeyNumber("Undecided", str(unsure), "too close to the limit, or not visible on this rig",
                   light_of(unsure == 0), "some" if unsure else "none"),
     )  # fmt: skip
 
@@ -295,7 +297,7 @@ def _picture(one: Watched) -> Picture:
 
 
 @styled()
-def chart_figure(one: Watched) -> str:
+def chart_figure(one: Watched) -> ReadableFigure:
     """Draw one quantity over its sessions, with limits and alarms."""
     chart, count = one.chart, one.chart.rules.reference or 0
     figure = new_figure(3.6, 2.3)
@@ -315,7 +317,17 @@ def chart_figure(one: Watched) -> str:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel="session", title=one.quantity)
     axes.title.set_fontsize(9)
-    return svg_text(figure)
+    return readable(figure, axes, chart_readings(one))
+
+
+def chart_readings(one: Watched) -> dict[float, str]:
+    """Return in words, by the number of the session, its value and how far it is from the reference."""
+    chart, alarmed = one.chart, {alarm.place for alarm in one.chart.alarms}
+    return {
+        k + 1.0: f"session {k + 1}, {session}: {value:.5g}, {(value - chart.mean) / chart.sd:+.1f} sd from the "
+        f"reference{'; alarm' if k in alarmed else ''}"
+        for k, (session, value) in enumerate(zip(one.sessions, chart.values, strict=True))
+    }
 
 
 def _table(shown: Sequence[Watched]) -> ReportTable:
@@ -349,6 +361,6 @@ def _ledger(history: History) -> Part:
     )
     lead = (
         "The dose counts all laser light while the sample was in view, as each session recorded it; light outside of "
-        "sessions is not in it. Samples are told apart by the name of the paint in their plans."
+        "sessions is not in it. Samples are distinguished by the name of the paint in their plans."
     )
     return Part("Light on the samples", Content(lead=lead, tables=(table,)))

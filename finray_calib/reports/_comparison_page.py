@@ -254,7 +254,7 @@ def _metrics(report: PhotometricErrorReport) -> Part:
         Content(
             lead="Every number stands beside doing nothing (the untouched image in place of the simulation) and the "
             "floor (a second capture without contact in place of the first). A metric that rates doing nothing nearly "
-            f"as good as the simulation cannot tell them apart. Square brackets: {_BRACKETS[interval_name(report)]}.",
+            f"as good as the simulation cannot distinguish them. Square brackets: {_BRACKETS[interval_name(report)]}.",
             tables=tuple(metric_table(report, region) for region in report.regions),
             remarks=(f"SSIM: {report.ssim_settings}.",),
             has_wide_tables=True,

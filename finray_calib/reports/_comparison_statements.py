@@ -36,9 +36,9 @@ from finray_calib.reports._plain_text import (
 )
 
 Verdict = Literal[
-    "As good as this capture can tell",
+    "As good as this capture can show",
     "Better than no simulation",
-    "Not told apart from no simulation",
+    "Not distinguishable from no simulation",
     "Worse than no simulation",
 ]
 WELL_KNOWN = 0.9
@@ -49,7 +49,7 @@ _PART_ROWS, _PART_COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "rig
 def judged_skill(low: float | None, high: float | None) -> tuple[Light, str]:
     """Return the light of a skill by its 95 % interval, and the reason."""
     if low is None or high is None:
-        return "care", "one or two presses do not tell how others would score"
+        return "care", "one or two presses do not show how others would score"
     well = f"{WELL_KNOWN:g}"
     if low >= WELL_KNOWN:
         return "good", f"its interval lies above {well}; 1 is perfect"
@@ -88,9 +88,9 @@ def comparison_verdict(report: PhotometricErrorReport) -> Verdict:
     if skill.high95 < 0:
         return "Worse than no simulation"
     if skill.low95 <= 0:
-        return "Not told apart from no simulation"
+        return "Not distinguishable from no simulation"
     if floor is not None and skill.high95 >= floor.skill.low95 and skill.low95 >= WELL_KNOWN:
-        return "As good as this capture can tell"
+        return "As good as this capture can show"
     return "Better than no simulation"
 
 
@@ -101,14 +101,15 @@ def verdict_meaning(report: PhotometricErrorReport) -> str:
     wide = ""
     if floor is not None and skill.high95 >= floor.skill.low95:
         wide = (
-            f" The interval is wide: it may be as good as the capture can tell, or explain only {percent(skill.low95)}."
+            f" The interval is wide: it may be as good as the capture can show, or explain only {percent(skill.low95)}."
         )
     meaning: dict[Verdict, str] = {
-        "As good as this capture can tell": "No difference between render and capture is shown beyond that of two "
-        "captures of the same thing. A better simulation could not be told from this one with this capture.",
+        "As good as this capture can show": "No difference between render and capture is shown beyond that of two "
+        "captures of the same thing. This capture could not distinguish a better simulation from this one.",
         "Better than no simulation": f"The simulation predicts what the touch changes, but not all of it: {left} of "
         f"the squared change is left over. The error map shows where.{wide}",
-        "Not told apart from no simulation": "This capture gives no reason to prefer the simulation to an image of the "
+        "Not distinguishable from no simulation": "This capture gives no reason to prefer the simulation to an image "
+        "of the "
         "untouched pad. Do not rely on the simulated touch; look at the findings, the pose and the light first.",
         "Worse than no simulation": "An image of the untouched pad is nearer to the capture than the simulated touch. "
         "Do not rely on it; look at the findings, the pose and the light first.",
@@ -125,7 +126,7 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
     if skill.high95 < 0:
         meaning = f"The simulated touch is worse than leaving the image unchanged: skill {score}"
     elif skill.low95 <= 0:
-        meaning = f"The simulated touch cannot be told from leaving the image unchanged: skill {score}"
+        meaning = f"The simulated touch is not distinguishable from an unchanged image: skill {score}"
     else:
         # with the noise taken out an estimate may lie above 1
         share = "all" if skill.estimate >= 1 else percent(skill.estimate)
@@ -224,8 +225,9 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
     skills = (report.headline_skill, *(row.skill for region in report.regions for row in region.rows))
     if any(skill.low95 > 1 for skill in skills):
         told.append(
-            "An interval of a skill that lies above 1 altogether says that model and noise disagree: less is left of "
-            "the difference than the noise that was taken out, so that this noise is too large, or the capture was "
+            "An interval of a skill that lies entirely above 1 means that model and noise disagree: the difference "
+            "that is left is smaller than the noise that was subtracted, so that this noise is too large, or the "
+            "capture was "
             "used to make the render."
         )
     if any(skill.high95 > 1 >= skill.low95 for skill in skills):
@@ -287,7 +289,7 @@ def white_balance_sentence(drift: WhiteBalanceDrift) -> str:
     """Say which channel changed most between the captured images, and whether that was taken out."""
     known = [c for c in range(3) if drift.blocks[c] > 0]
     if not known:
-        return "Whether the white balance changed between the captured images cannot be told."
+        return "It is not known whether the white balance changed between the captured images."
     worst = max(known, key=lambda c: abs(drift.gains[c] / drift.expected_gains[c] - 1.0))
     gain, expected = drift.gains[worst], drift.expected_gains[worst]
     done = "It was not taken out."
@@ -620,8 +622,8 @@ def causes_remarks(found: ErrorAttribution) -> tuple[str, ...]:
     told = ["The parts add up; a part may be below 0 where causes work against each other."]
     if any(cause.like for cause in found.causes):
         told.append(
-            "Causes that look like another are not told apart by one image alone: the size of their sum is known, the "
-            "share of each is not. Presses at other depths and places tell them apart."
+            "One image alone does not separate causes that look alike: the size of their sum is known, the share of "
+            "each is not. Presses at other depths and places separate them."
         )
     if found.skill_lost > 0.0 and found.remainder_skill > 0.5 * found.skill_lost:
         told.append("More than half is explained by none of the causes: look at the error map.")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, LightAngleDecision, LightAngleSweep, SimulateError
 from finray_calib.reports._finger_views import FingerOutline, draw_body, finger_outline
+from finray_calib.reports._plain_text import interval_words
 from finray_calib.reports._style import (
     BLUE,
     GREEN,
@@ -19,8 +20,10 @@ from finray_calib.reports._style import (
     ORANGE,
     SKY,
     VERMILLION,
+    ReadableFigure,
     legend_above,
     new_figure,
+    readable,
     styled,
     svg_text,
 )
@@ -47,7 +50,7 @@ def true_value(true_sweeps: Sequence[LightAngleSweep]) -> Floats:
 @styled()
 def angle_figure(
     decision: LightAngleDecision, sweep: LightAngleSweep, true_sweeps: Sequence[LightAngleSweep] = ()
-) -> str:
+) -> ReadableFigure:
     """Draw the objective relative to the best of the mean curve, over the angle of the light.
 
     The curve of the real finger with its band, the one of the renders alone (dashed where captures moved the former),
@@ -90,7 +93,22 @@ def angle_figure(
     axes.set_xlim(float(grid[0]), float(grid[-1]))
     axes.xaxis.set_major_locator(MultipleLocator(10 if np.ptp(grid) <= 130 else 30))
     legend_above(figure, axes, 3)
-    return svg_text(figure)
+    return readable(figure, axes, angle_readings(decision))
+
+
+def angle_readings(decision: LightAngleDecision) -> dict[float, str]:
+    """Return the objective in words by angle (deg): the curve and the widest band that the figure shows."""
+    middle = decision.mean if decision.validated else decision.mean_simulation_only
+    low, high, source = decision.low95_simulation_only, decision.high95_simulation_only, "the renders alone"
+    if decision.discrepancy_rel is not None:
+        low, high = decision.low95, decision.high95
+        source = "with captures" if decision.validated else "with the assumed error"
+    best = float(decision.mean.max())
+    return {
+        float(angle): f"{angle:g} deg: {interval_words(value / best, least / best, most / best)} of the best "
+        f"(95 %, {source})"
+        for angle, value, least, most in zip(decision.grid_deg, middle, low, high, strict=True)
+    }
 
 
 def _mark_captures(axes: Axes, decision: LightAngleDecision, best: float) -> None:

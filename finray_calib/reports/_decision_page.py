@@ -627,7 +627,7 @@ def limits(decision: LightAngleDecision) -> tuple[str, ...]:
     """Return what the decision rests on."""
     return (
         f"The angle is best for one objective: {decision.objective.rstrip('.')}. {_others_unknown(decision)}".strip(),
-        "It holds for the place and size of the panel and the mirror of the finger named below; move them and the "
-        "angle must be decided anew.",
+        "It holds for the place and size of the panel and the mirror of the finger named below; if they move, decide "
+        "again.",
         *(() if (sentence := discrepancy_sentence(decision)) is None else (sentence,)),
     )

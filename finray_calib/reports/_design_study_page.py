@@ -95,8 +95,8 @@ def design_study_page(
 
 
 _LIMITS = (
-    "Intervals (95 %) of what images show come from independent renders of each point: they know the noise of the "
-    "renders, and nothing of assumed materials, dimensions or camera response, which all points share.",
+    "Intervals (95 %) of what images show come from independent renders of each point: they include the noise of the "
+    "renders, and leave out assumed materials, dimensions and camera response, which all points share.",
     "All points share their random numbers, so that the difference of two points is surer than each of them.",
     "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
     "Their limits say what the mesh leaves open.",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from data_schemas import MappedQuantity, Optics, PaintCalibration, PaintMap, PaintSpot, PaintWithoutEmission
 from finray_calib.reports._fit_statements import parameter_words
 from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth
+from finray_calib.reports._plain_text import interval_words
 from finray_calib.reports._style import (
     BLUE,
     CHANNELS,
@@ -22,8 +23,10 @@ from finray_calib.reports._style import (
     ORANGE,
     SKY,
     VERMILLION,
+    ReadableFigure,
     legend_above,
     new_figure,
+    readable,
     styled,
     svg_text,
 )
@@ -37,13 +40,13 @@ EMISSION_LABEL = "radiance factor per nm\n(10$^{-3}$ nm$^{-1}$)"
 _FAMILY_STYLES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (SKY, (0, (1, 1))), (INK, (0, (5, 1, 1, 1, 1, 1))))
 
 
-def emission_figure(paint: FittedPaint) -> str:
+def emission_figure(paint: FittedPaint) -> ReadableFigure:
     """Draw the emission of a paint, beside the truth where it is known."""
     return draw_emission(paint.fit, paint.truth)
 
 
 @styled()
-def draw_emission(fit: PaintCalibration, truth: PaintTruth | None = None) -> str:
+def draw_emission(fit: PaintCalibration, truth: PaintTruth | None = None) -> ReadableFigure:
     """Draw the emission with its 68 and 95 % bands, the paper's curve, the truth, and where the filters look."""
     figure = new_figure(5.4, 3.9)
     axes = figure.subplots()
@@ -61,14 +64,34 @@ def draw_emission(fit: PaintCalibration, truth: PaintTruth | None = None) -> str
     top = max(float(high95.max()), float(paper.max()))
     if truth is not None:
         true_x, true = truth.emission.wavelength_nm, PER_THOUSAND * truth.emission.values
-        name = "measured" if truth.is_measured else "truth"
-        axes.plot(true_x, true, color=INK, linestyle="--", linewidth=1.4, label=name)
+        axes.plot(true_x, true, color=INK, linestyle="--", linewidth=1.4, label=_truth_name(truth))
         top = max(top, PER_THOUSAND * float(truth.emission(np.arange(*SHOWN_NM)).max()))
     axes.set(xlim=SHOWN_NM, ylim=(-0.09 * top, 1.08 * top))
     _mark_filters(axes, fit.optics)
     axes.set(xlabel="wavelength (nm)", ylabel=EMISSION_LABEL)
     legend_above(figure, axes, 3)
-    return svg_text(figure)
+    return readable(figure, axes, emission_readings(fit, truth))
+
+
+def emission_readings(fit: PaintCalibration, truth: PaintTruth | None = None) -> dict[float, str]:
+    """Return the emission in words by wavelength (nm), in the unit of the figure: 1/1000 per nm."""
+    curves = (fit.emission_per_nm, fit.emission_low95_per_nm, fit.emission_high95_per_nm)
+    shown = np.flatnonzero((fit.wavelength_nm >= SHOWN_NM[0]) & (fit.wavelength_nm <= SHOWN_NM[1]))
+    known = [""] * shown.size
+    if truth is not None:
+        known = [
+            f"; {_truth_name(truth)} {PER_THOUSAND * value:.3f}" for value in truth.emission(fit.wavelength_nm[shown])
+        ]
+    return {
+        float(fit.wavelength_nm[k]): f"{fit.wavelength_nm[k]:g} nm: "
+        f"{interval_words(*(PER_THOUSAND * curve[k] for curve in curves))} x 10^-3 per nm (95 %, each wavelength){true}"
+        for k, true in zip(shown, known, strict=True)
+    }
+
+
+def _truth_name(truth: PaintTruth) -> str:
+    """Return how the known spectrum of a paint is called."""
+    return "measured" if truth.is_measured else "truth"
 
 
 def _band(axes: Axes, x: Floats, low: Floats, high: Floats, label: str, *, outlined: bool = False) -> None:
@@ -109,7 +132,7 @@ def families_figure(paint: FittedPaint) -> str:
 
 
 @styled()
-def absorption_figure(paint: FittedPaint) -> str:
+def absorption_figure(paint: FittedPaint) -> ReadableFigure:
     """Draw the absorption relative to the laser line with its 95 % band, and which lights were measured."""
     absorption = paint.fit.reradiation
     figure = new_figure(5.4, 3.5)
@@ -125,7 +148,12 @@ def absorption_figure(paint: FittedPaint) -> str:
     axes.set(xlim=EXCITATION_SHOWN_NM, ylim=(0, 1.08 * float(high.max())), xlabel="excitation wavelength (nm)")
     axes.set_ylabel(f"absorbed, relative to\n{absorption.laser_nm:g} nm (1)")
     legend_above(figure, axes, 3)
-    return svg_text(figure)
+    source = "95 %, from the prior" if absorption.prior_driven else "95 %"
+    texts = {
+        float(nm): f"{nm:g} nm: {interval_words(*values)} of the absorption at {absorption.laser_nm:g} nm ({source})"
+        for nm, *values in zip(x, absorption.absorption_rel, low, high, strict=True)
+    }
+    return readable(figure, axes, texts)
 
 
 @styled()
@@ -399,7 +427,7 @@ def caption(fitted: PaintMap) -> str:
         "Each dot is the median of its pixels; axes are pixels of the raw frame.",
         f"{spread_sentence(fitted, 'energy_yield').capitalize()}.",
         f"{spread_sentence(fitted, 'mode_nm').capitalize()}.",
-        "Noisy pixels lean on the fit of the whole region. Chi-square per band up to about 1 means that the curve "
+        "Noisy pixels are pulled towards the fit of the region. Chi-square per band up to about 1 means that the curve "
         "explains the pixel; bright patches are dirt, glare or bare ground.",
     ]
     if fitted.worst_spots:
@@ -416,7 +444,7 @@ def spread_sentence(fitted: PaintMap, quantity: MappedQuantity) -> str:
         middle = f"{spread.estimate:.3g}" + (" 1/nm" if quantity == "peak_per_nm" else "")
         sd, limit = (f"{100 * value / spread.estimate:.1f} %" for value in (spread.sd, spread.high))
     if spread.pixels == 0:
-        return f"{name}: median {middle}; the pixels are too noisy to tell how uniform the paint is"
+        return f"{name}: median {middle}; the pixels are too noisy to show how uniform the paint is"
     if not spread.resolved:
         return f"{name}: median {middle}; no differences between single pixels beyond their noise (below {limit})"
     return f"{name}: median {middle}; the paint differs by {sd} (1 sd) between pixels, noise subtracted"
@@ -426,7 +454,7 @@ def spots_note(fitted: PaintMap) -> str:
     """Say what a block shows that single pixels do not, and what else than paint it may be."""
     return (
         f"Medians of {fitted.block_px} x {fitted.block_px} px show less than the noise of one pixel hides; "
-        "the white tile's own texture counts as the paint's: a session with the tile shifted tells them apart."
+        "the white tile's own texture counts as the paint's: a session with the tile shifted separates them."
     )
 
 

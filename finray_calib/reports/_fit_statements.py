@@ -88,7 +88,7 @@ def _model_verdict(paint: FittedPaint, agreement: CurveAgreement) -> str:
     if agreement.coverage_95_rel >= GOOD_COVERAGE:
         return "the fit describes this paint within its stated uncertainty"
     if not all(band.explained for band in paint.fit.bands):
-        return "the intervals are too narrow, as the bands that are not explained have warned"
+        return "the intervals are too narrow, as the bands that are not explained show"
     return (
         "the intervals are too narrow here, and the bands alone do not reveal it: the filters leave gaps, and points "
         "along a curve err together"
@@ -114,7 +114,7 @@ def family_statement(paint: FittedPaint) -> str:
     if chance is not None and chance < IMPROBABLE:
         remark = (
             f" By these bands alone this family is unlikely (probability "
-            f"{probability(chance)}): its discrepancy had to do part of its work."
+            f"{probability(chance)}): its discrepancy had to explain part of the signals."
         )
     beside = ""
     if paint.rests_on_measured_spectra:
@@ -208,7 +208,8 @@ def sampling_statement(diagnostics: Diagnostics) -> str:
         return f"{taken}: {trust}; {_chain_text(diagnostics.chain)}; {found}." if diagnostics.chain else f"{taken}."
     own = (
         f"draws by resample-move, {trust}: importance sampling was uneven (Pareto k "
-        f"{pareto_text(diagnostics.pareto_k)}), so its draws were moved until they had forgotten where they began "
+        f"{pareto_text(diagnostics.pareto_k)}), so its draws were moved until they no longer depended on where they "
+        f"began "
         f"(correlation {diagnostics.memory:.2f}, at most {LARGEST_MEMORY:g} wanted); {found}."
         if diagnostics.memory is not None
         else f"draws by {diagnostics.method}, {trust}: Pareto k {pareto_text(diagnostics.pareto_k)} (at most "

@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from data_schemas import IndenterPose, PatchScale, Provenance, SimulatedPress, TactileCapture
 from finray_calib.reports._images import ByteImage, png_data_uri
 from finray_calib.reports._plain_text import NO_VALUE, Json, unbroken
-from finray_calib.reports._style import svg_data_uri
+from finray_calib.reports._style import ReadableFigure, Reading, svg_data_uri
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def provenance_table(origin: Provenance) -> ReportTable:
 class Picture:
     """An image inside the page; the alternative text carries its conclusion, the caption says what to see.
 
-    A row whose first picture is small holds three of them on a wide screen.
+    A row whose first picture is small holds three of them on a wide screen. The readings are values under the pointer.
     """
 
     source: str
@@ -84,6 +84,7 @@ class Picture:
     caption: str
     is_raster: bool = False
     is_small: bool = False
+    readings: tuple[Reading, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,9 +221,11 @@ def in_rows(pictures: Sequence[Picture]) -> tuple[tuple[Picture, ...], ...]:
     return tuple(tuple(pictures[a:b]) for a, b in pairwise(ends))
 
 
-def drawing(svg: str, alternative: str, caption: str, is_small: bool = False) -> Picture:
-    """Return SVG text as a picture."""
-    return Picture(svg_data_uri(svg), alternative, caption, is_small=is_small)
+def drawing(figure: str | ReadableFigure, alternative: str, caption: str, is_small: bool = False) -> Picture:
+    """Return SVG text, or a figure with values under the pointer, as a picture."""
+    if isinstance(figure, str):
+        figure = ReadableFigure(figure, ())
+    return Picture(svg_data_uri(figure.svg), alternative, caption, is_small=is_small, readings=figure.readings)
 
 
 def images_table(press: SimulatedPress, capture: TactileCapture) -> ReportTable:

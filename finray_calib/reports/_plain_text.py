@@ -256,3 +256,8 @@ def _third(third: ForceThird) -> str:
         + "".join(f"{u:{width}.3f}" for u, width in zip(uncertainties, (8, 8, 7, 7), strict=True))
         + f"  {said}"
     )
+
+
+def interval_words(estimate: float, low: float, high: float) -> str:
+    """Return an estimate with its interval in brackets, three decimals each."""
+    return f"{estimate:.3f} [{low:.3f}, {high:.3f}]"

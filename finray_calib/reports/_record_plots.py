@@ -172,7 +172,7 @@ _DRAWINGS: Mapping[type[Record], Callable[[Any], str | bytes]] = {
     LightAngleDecision: _decision,
     LightAngleIntensity: light_angle_png,
     LightAngleSweep: _sweep,
-    PaintCalibration: draw_emission,
+    PaintCalibration: lambda fit: draw_emission(fit).svg,
     PaintMap: paint_map_figure,
     PaperPaints: paper_paints_png,
     PhotometricErrorReport: score_figure,

@@ -317,8 +317,9 @@ _TITLES = (
     "What it absorbs (photons), relative to {laser:.0f} nm",
 )
 _WHY = (
-    "Why they differ: eight bands do not hold an emission between and beyond them. The paper's curve is taken for "
-    "exact, and its 95 % band is far too\nnarrow; ours lets the paint leave its curve and says by how much. 2 to 5 % "
+    "Why they differ: eight bands do not determine an emission between and beyond them. The paper's curve is taken "
+    "to be exact, and its 95 % band is far too\nnarrow; ours lets the paint leave its curve and says by how much. 2 "
+    "to 5 % "
     "is one 10 nm band, not all emitted light. Absorption is a plateau: where its\nmaximum lies, and with it the "
     "Stokes shift, is ill-defined, and one laser does not measure it (grey). Stand-ins, not the paper's own paints."
 )

@@ -5,11 +5,14 @@ Colour never stands alone: every series also has its own marker, line style or h
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import matplotlib.style
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -73,6 +76,52 @@ def svg_text(figure: Figure) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     return buffer.getvalue().decode("utf-8")
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A text under the pointer, and the strip where it shows, in shares of the figure from the left top."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReadableFigure:
+    """A figure as SVG text, and the values of its curves or points under the pointer."""
+
+    svg: str
+    readings: tuple[Reading, ...]
+
+
+def readable(figure: Figure, axes: Axes, texts: Mapping[float, str]) -> ReadableFigure:
+    """Return a figure with a strip over the plot for each place on its horizontal axis that has a text.
+
+    Strips reach half way to their neighbours; places outside the plot are left out.
+    """
+    svg = svg_text(figure)  # lays the figure out: only now the places of the plot are final
+    low, high = sorted(axes.get_xlim())
+    places = sorted(place for place in texts if low <= place <= high)
+    if not places:
+        return ReadableFigure(svg, ())
+    middles = [(one + other) / 2 for one, other in pairwise(places)]
+    edges = [low, *middles, high]
+    if middles:  # the ends reach as far out as in
+        edges[0], edges[-1] = max(low, 2 * places[0] - middles[0]), min(high, 2 * places[-1] - middles[-1])
+    to_share = axes.transData + figure.transFigure.inverted()
+    along = to_share.transform(np.column_stack([edges, np.full(len(edges), axes.get_ylim()[0])]))[:, 0]
+    plot = axes.get_position()
+    top, height = round(1 - float(plot.y1), 4), round(float(plot.height), 4)
+    return ReadableFigure(
+        svg,
+        tuple(
+            Reading(round(float(left), 5), top, round(float(right - left), 5), height, texts[place])
+            for place, left, right in zip(places, along[:-1], along[1:], strict=True)
+        ),
+    )
 
 
 def png_bytes(figure: Figure, dots_per_inch: int = 120) -> bytes:

@@ -632,7 +632,7 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
         notes.append("the uncertainty of the depth is not known: the map is of an earlier version; teach it again")
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
-            f"{shares.outside_share:.0%} of the contact's pixels change colour as no teaching press did; the map is "
+            f"{shares.outside_share:.0%} of the contact's pixels change colour as in no teaching press; the map is "
             "held at its last value there: teach with deeper presses, or at more places"
         )
     if shares.clipped_share > _CLIPPED_TOLD:
@@ -641,8 +641,8 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
             "neighbours: expose shorter"
         )
     notes.append(
-        "depth counts from the median over the frame of the picture, where the gel is taken to be untouched; how far "
-        "the whole gel has moved is not seen"
+        "depth counts from the median over the frame of the picture, where the gel is taken to be untouched; a "
+        "movement of the gel as a whole is not seen"
     )
     if capture.no_contact_from != "image":
         notes.append(

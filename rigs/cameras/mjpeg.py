@@ -165,7 +165,7 @@ class MjpegCamera:
         if online is None and self._is_ustreamer:
             raise RefusedError(
                 f"{self._name}: is a uStreamer, which serves a stand-in picture when its camera is missing; add "
-                "extra_headers=1 to the address (/stream?extra_headers=1), so that it tells"
+                "extra_headers=1 to the address (/stream?extra_headers=1), so that it reports this"
             )
         if online is not None and online.lower() != "true":
             raise BadFrameError(

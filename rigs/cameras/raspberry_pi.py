@@ -400,8 +400,8 @@ def _close(device: Any) -> None:
 def _mute(name: str, limit_s: float) -> LostError:
     """Return the error of a camera whose library hangs."""
     return LostError(
-        f"{name}: libcamera did not answer within {limit_s:.3g} s; check the ribbon cable, and restart the Pi if it "
-        "goes on"
+        f"{name}: libcamera did not answer within {limit_s:.3g} s; check the ribbon cable, and restart the Pi if "
+        f"this continues"
     )
 
 

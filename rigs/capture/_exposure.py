@@ -134,7 +134,8 @@ def under_light(
                 f"closed now, does everybody wear goggles, and may the {light} be lit again?"
             ):
                 raise LightLostError(
-                    f"{light}: was lost, is off, and is not lit anew unless a person at the terminal says that the box "
+                    f"{light}: was lost, is off, and is not lit again unless a person at the terminal says that the "
+                    f"box "
                     f"is closed ({error}); look why, close the box, then take the capture up again with --resume"
                 ) from error
 
@@ -266,8 +267,8 @@ def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
     position = opened.wheel.position()
     if position is None:
         raise LostError(
-            f"filter wheel: reads no slot {when} the exposure of {step.label}, slot {step.slot} is needed; it moves or "
-            "was connected anew: look whether it turns, and check its cable"
+            f"filter wheel: reads no slot {when} the exposure of {step.label}, slot {step.slot} is needed; it moves "
+            f"or was reconnected: see whether it turns, and check its cable"
         )
     if position != step.slot:
         raise WrongPositionError(

@@ -130,7 +130,8 @@ def judge_filters(
     if unclear:
         return FilterProof(
             verdict="cannot tell",
-            text="the frames cannot tell apart filters " + ", ".join(unclear) + "; the others are where they should be",
+            text="the frames cannot distinguish filters " + ", ".join(unclear) + "; the others are where they should "
+            "be",
         )
     return FilterProof(verdict="confirmed", text="the frames show every filter in its slot")
 

@@ -121,7 +121,7 @@ class FrameStore:
             sha256 = write_frame(self._out / file, raw.counts, f"{step.label}, {raw.exposure_s:g} s")
         except OSError as error:
             raise CaptureError(
-                f"{self._out / file}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                f"{self._out / file}: cannot be written ({error.strerror}); free space or repair the disk, then "
                 f"finray capture --resume {self._out}"
             ) from None
         frame = Frame(

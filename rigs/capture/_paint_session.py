@@ -441,7 +441,7 @@ def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig)
     if interrupted.laser_was_lost and is_hazardous(rig.laser) and not opened.operator.allows(question):
         raise LightLostError(
             "laser: was lost in this session, and is not lit again unless a person at the terminal says that the box "
-            "is closed; look why, close the box, then run the same command in a terminal"
+            "is closed; find out why, close the box, then run the same command in a terminal"
         )
 
 
@@ -453,7 +453,7 @@ def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
         return ()
     return (
         f"camera: its frames are {', '.join(mono)}, and radiometry takes them for Bayer RGGB: red, green and blue will "
-        "be one and the same response, and only the filters tell wavelengths apart; for a colour camera choose its raw "
+        "be one and the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
         "Bayer pixel format",
     )
 

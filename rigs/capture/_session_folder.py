@@ -241,7 +241,7 @@ def _session_file(folder: Path) -> Path:
     if (folder / JOURNAL_NAME).is_file():
         raise RecordError(
             f"{folder}: the capture was not finished ({SESSION_NAME} is missing); the last line of {JOURNAL_NAME} says "
-            f"why; go on with: finray capture --resume {folder}"
+            f"why; continue with: finray capture --resume {folder}"
         )
     raise RecordError(f"{folder}: holds no capture session ({SESSION_NAME}); give the folder 'finray capture' wrote")
 

@@ -77,7 +77,7 @@ def tactile_capture(
     triples = _triples(frames, contact)
     bracket_s = tuple(sorted(triples))
     if not bracket_s:
-        raise CaptureError(f"{folder}: holds no whole set of frames of contact {contact}; capture it again")
+        raise CaptureError(f"{folder}: holds no complete set of frames of contact {contact}; capture it again")
     shown, before, after = _best(triples)
     images = [_image(folder, frame) for frame in (shown, before, after)]
     raw = images[0].shape[2] == 1
@@ -447,7 +447,7 @@ class _Recorder:
             sha256 = write_frame(self._out / file, raw.counts, shot.label)
         except OSError as error:
             raise CaptureError(
-                f"{self._out / file}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                f"{self._out / file}: cannot be written ({error.strerror}); free space or repair the disk, then "
                 f"finray capture --resume {self._out}"
             ) from None
         frame = TactileFrame(

@@ -335,7 +335,7 @@ def _kill(holder: Holder, layer: LightLayer) -> bool:
             for pid in pids:
                 os.kill(pid, signal.SIGKILL)
     except ProcessLookupError:
-        raise CaptureError("laser: its guard or watch ended by itself before it was killed; look why") from None
+        raise CaptureError("laser: its guard or watch ended by itself before it was killed; find out why") from None
     return stopped_s - began_s < _AT_ONCE_S
 
 

@@ -563,7 +563,7 @@ def refusal(laser: LaserSettings, has_dead_man: bool, today: datetime.date | Non
         return None
     if layer is None:
         return (
-            f"a class {laser.laser_class} laser does not go on without a layer outside the computer that switches it "
+            f"a class {laser.laser_class} laser is not lit without a layer outside the computer that switches it "
             "off: nothing does when the computer hangs or the processes of finray are killed together. Drive it by an "
             "Arduino with our firmware, which has a dead-man, or build an interlock or a relay that opens unless it is "
             "pulsed into its supply, test it, and declare it in the rig file as [laser.outside_layer] "

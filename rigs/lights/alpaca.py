@@ -85,7 +85,8 @@ class Calibrator:
         state = self._client.get_int("calibratorstate", end_s)
         if state not in _CALIBRATOR_STATES:
             raise RefusedError(
-                f"{self._client.name}: the device cannot tell whether the lamp is on (calibratorstate {state}); look "
+                f"{self._client.name}: the device does not report whether the lamp is on (calibratorstate {state}); "
+                f"look "
                 "at the lamp, and restart its driver"
             )
         return _CALIBRATOR_STATES[state]

@@ -277,8 +277,8 @@ class ArduinoSwitch:
             if said.word == "TRIP":
                 if tell_trip:
                     raise WentOffError(
-                        f"{self._name}: the dead-man switched it off, the board had heard nothing for 0.4 s; relieve "
-                        "the computer, check the cable, and repeat what was going on"
+                        f"{self._name}: the dead-man switched it off, the board had heard nothing for 0.4 s; close "
+                        f"other programs, check the cable, and repeat the command"
                     )
                 continue
             if said.word == "LASER" and wanted != "LASER":

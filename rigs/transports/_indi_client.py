@@ -190,7 +190,9 @@ class IndiDevice:
 
     def refusal(self, what: str) -> RefusedError:
         """Return the error for an Alert, with what the driver says about it."""
-        return RefusedError(f"{self.name}: refuses to {what}{self.said()}; ask for what it can do, or mend the device")
+        return RefusedError(
+            f"{self.name}: refuses to {what}{self.said()}; ask for what it can do, or repair the device"
+        )
 
     def said(self) -> str:
         """Return what the driver said since the last request, as the end of a message."""

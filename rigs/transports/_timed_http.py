@@ -226,7 +226,8 @@ class MultipartStream:
             return Part(headers, self._body(headers), begun_s)
         except TimeoutError:
             raise TimedOutError(
-                f"{self._name}: no whole picture came in time; the camera or its server hangs, or the network is slow"
+                f"{self._name}: no complete picture came in time; the camera or its server hangs, or the network is "
+                f"slow"
             ) from None
         except (OSError, http.client.HTTPException) as error:
             if headers is not None:

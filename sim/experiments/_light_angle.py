@@ -154,7 +154,7 @@ class FacetTable:
     Attributes
     ----------
     signal_e
-        Mean signals, (angle, repeat, point, facet, 3), at an exposure set anew at each angle and repeat.
+        Mean signals, (angle, repeat, point, facet, 3), at an exposure set again at each angle and repeat.
     slopes
         (facet, 2), see :func:`facet_slopes`.
     places_mm
@@ -288,8 +288,8 @@ FRAMES: Final = 4
 WORST_TENTH: Final = 0.9
 
 _SEEN = (
-    "facets of the undeformed coat, seen through the mirror, one pixel of each colour; exposure set anew at each "
-    f"angle, as long as it clips less than {CLIPPED_LIMIT:.1%} of the pressed coat"
+    "facets of the undeformed coat, seen through the mirror, one pixel of each colour; exposure set again at each "
+    "angle, as long as it clips less than {CLIPPED_LIMIT:.1%} of the pressed coat"
 )
 
 
@@ -372,7 +372,7 @@ def objectives_of(table: FacetTable, sensor: Sensor, seed: int) -> tuple[AngleOb
         x_mm, z_mm = table.places_mm[blind[0, 2]]
         raise SimulateError(
             f"at x = {x_mm:.1f} mm, z = {z_mm:.1f} mm the colours of the coat do not change with its direction in two "
-            "independent ways: no normal can be told; check the paints of both walls and the camera's response"
+            "independent ways: no normal can be computed; check the paints of both walls and the camera's response"
         )
     median, worst = np.median(sigma_deg, axis=2), np.quantile(sigma_deg, WORST_TENTH, axis=2)
     tilt_deg = max(tilt for tilt, _ in OTHER_TILTS_DEG)

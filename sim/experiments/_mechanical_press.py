@@ -131,7 +131,7 @@ def _check_same_design(record: PressIncrement, design: FingerDesign) -> None:
     if other or record.preset != design.mesh.preset:
         raise SimulateError(
             f"the stored increment is of a press of another design: it differs in {', '.join(other) or 'mesh'}; only "
-            "indenter.depth_mm may change between an increment and what goes on from it"
+            "indenter.depth_mm may change between an increment and the press that continues it"
         )
 
 
@@ -139,7 +139,7 @@ def _check_same_contact(record: PressIncrement, contact: ContactKind, indenter_s
     """Check that contact and STL are those of an increment, as far as it tells them."""
     if record.contact is not None and record.contact != contact:
         raise SimulateError(
-            f"the stored increment was pressed with --contact {record.contact}, which cannot be gone on with by "
+            f"the stored increment was pressed with --contact {record.contact}, which cannot be continued with "
             f"--contact {contact}; give --contact {record.contact}, or press from the start"
         )
     if record.indenter_sha256 is not None and record.indenter_sha256 != indenter_sha256:

@@ -74,7 +74,9 @@ def colour_spread(press: SimulatedPress, seed: int, draws: int = 400) -> ColourS
     design = press_design(press)
     bands, matrix = press.contact_bands, press.camera_matrix
     if bands is None or matrix is None or "led" not in press.bands:
-        raise SimulateError(f"{press.name} holds no band images: only a rendered press tells what its colours rest on")
+        raise SimulateError(
+            f"{press.name} holds no band images: only a rendered press records what its colours rest on"
+        )
     mean = bands[np.isfinite(press.distance)].astype(np.float64).mean(axis=0)
     led, uncertainty = press.bands.index("led"), design.camera.response_at_led_uncertainty_rel
     sigma = np.sqrt(np.log1p(uncertainty**2))

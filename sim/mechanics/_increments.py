@@ -87,7 +87,8 @@ class Watch:
         if left_s is not None and left_s < last_s:
             raise NoEquilibriumError(
                 f"the budget of {self._budget_s:g} s of processor time is spent ({now - self._begin_s:.1f} s; the last "
-                f"iteration took {last_s:.1f} s). The increments before are kept; allow more time, or go on from them"
+                f"iteration took {last_s:.1f} s). The increments before are kept; allow more time, or continue from "
+                f"them"
             )
 
 

@@ -610,13 +610,13 @@ def resumed(press: PressedFinger, mesh: FingerMesh, depth_mm: float) -> tuple[fl
     """
     if not np.array_equal(press.mesh.nodes_mm, mesh.nodes_mm):
         raise SimulateError(
-            f"the press to go on from has a mesh of {len(press.mesh.nodes_mm)} nodes that is not that of this press "
+            f"the press to continue has a mesh of {len(press.mesh.nodes_mm)} nodes that is not that of this press "
             f"({len(mesh.nodes_mm)} nodes); resume with the same design, mesh and --contact, or press from the start"
         )
     done = float(press.depth_mm[-1])
     if done >= (1.0 - _SAME_SHARE) * depth_mm:
         raise SimulateError(
-            f"the press to go on from is at {done:g} mm already and indenter.depth_mm is {depth_mm:g} mm; "
+            f"the press to continue is at {done:g} mm already and indenter.depth_mm is {depth_mm:g} mm; "
             "ask for more, or resume from an earlier increment"
         )
     return done / depth_mm, State(press.displacement_mm[-1], press.modes_mm)

@@ -184,6 +184,25 @@ def test_page_holds_its_numbers_and_no_markup_of_names():
     assert summary["series"][0]["values"] == pytest.approx(values)
 
 
+def test_a_chart_says_session_value_and_distance_from_the_reference_under_the_pointer():
+    values = noise(14)
+    values[12] += 30.0
+    facts = [replace(one, name=f"<b>{one.name}") for one in made(values)]
+    history = session_history(facts)
+    text = history_page(history, "lab", 10)
+    said = re.findall(r"<title>session (\d+), ([^:]*): ([-.e\d]+), ([-+.\d]+) sd from the reference(.*?)</title>", text)
+    chart = text.count('<div class="readable">')  # the first screen shows it again
+    assert len(said) == chart * len(values)
+    found = said[: len(values)]
+    assert [one[1] for one in found] == [f"&lt;b&gt;s{k:02d}" for k in range(len(values))]
+    assert [float(one[2]) for one in found] == pytest.approx(values, rel=1e-4)
+    reference = values[: history.watched[0].chart.rules.reference]
+    apart = (values - reference.mean()) / reference.std(ddof=1)
+    assert [float(one[3]) for one in found] == pytest.approx(apart, abs=0.051)
+    assert found[12][4] == "; alarm"
+    assert found[0][4] == ""
+
+
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory) -> Path:
     """Seven sessions; the last has a laser with 10 % less power."""

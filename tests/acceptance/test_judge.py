@@ -52,7 +52,7 @@ def test_a_flawless_rig_passes_every_check(rig):
         ({"handshakes": (handshake(driver="indi", identity=handshake().identity),)}, "camera answers", "FAIL",
          "a camera behind driver 'aravis' answers"),
         ({"handshakes": (handshake(identity={"role": "camera", "driver": "aravis"}),)}, "camera answers", "UNDECIDED",
-         "does not say what it is"),
+         "does not identify itself"),
         ({"handshakes": (handshake("lamp", "manual"),)}, "lamp answers", "UNDECIDED", "a person switches it"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=3, duration_s=1.0),)}, "wheel arrives", "FAIL",
          "sent from slot 1 to 2, reads 3"),

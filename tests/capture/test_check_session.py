@@ -381,7 +381,7 @@ def test_laser_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_hazardous_laser_without_a_layer_outside_the_computer_is_not_lit_to_test_the_others() -> None:
     laser = nobody("x").model_copy(update={"driver": "indi", "address": "127.0.0.1:1/Panel"})
-    with pytest.raises(RefusedError, match="a class 3R laser does not go on without a layer"):
+    with pytest.raises(RefusedError, match="a class 3R laser is not lit without a layer"):
         after_kill(laser, "guard", ConnectionWatch(laser), 1)
 
 

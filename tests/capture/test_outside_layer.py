@@ -92,7 +92,7 @@ def test_a_rig_file_declares_it(tmp_path: Path) -> None:
 
 
 def test_a_session_refuses_before_anything_is_opened() -> None:
-    with pytest.raises(RefusedError, match=r"laser at pi/Panel: a class 3R laser does not go on without a layer"):
+    with pytest.raises(RefusedError, match=r"laser at pi/Panel: a class 3R laser is not lit without a layer"):
         require_outside_layer(laser("3R"))
     require_outside_layer(laser("2"))
     require_outside_layer(laser("3R", "arduino", address="/dev/ttyACM0"))
@@ -104,7 +104,7 @@ def test_an_open_laser_is_not_lit_but_says_why(tmp_path: Path, monkeypatch: pyte
     file_switch.install(monkeypatch)
     with open_laser(laser("3R", address=str(tmp_path))) as light:
         assert light.refusal is not None
-        with pytest.raises(RefusedError, match="a class 3R laser does not go on without a layer"), light.lit():
+        with pytest.raises(RefusedError, match="a class 3R laser is not lit without a layer"), light.lit():
             pytest.fail("lit")
         assert not (tmp_path / "on").exists()
         assert "NO, it stays on" in light.notes[0]

@@ -435,7 +435,7 @@ def test_a_hazardous_laser_that_was_lost_stays_dark_until_a_person_allows_it(
     monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
     hazardous = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
 
-    message = "laser: was lost, is off, and is not lit anew unless a person.*close the box, then take .* --resume"
+    message = "laser: was lost, is off, and is not lit again unless a person.*close the box, then take .* --resume"
     with open_rig(hazardous, Path()) as opened:
         operator, laser = Asked(opened.operator, False), FailingLight(opened.laser, (8,))
         with pytest.raises(LightLostError, match=message):

@@ -185,7 +185,7 @@ def test_a_killed_press_goes_on(tmp_path, monkeypatch):
     (tmp_path / "kept.increments").rename(tmp_path / "cut.increments")
     again = finray(f"{press} --out cut.json")
     assert again.status == 0
-    assert "cut.increments: this press was interrupted; it goes on after increment 00" in again.err
+    assert "cut.increments: this press was interrupted; it continues after increment 00" in again.err
     succeed(f"{press} --out whole.json")
     cut, whole = (read_record(tmp_path / f"{name}.mechanics.json", PressMechanics) for name in ("cut", "whole"))
     assert cut.depth_mm == pytest.approx(whole.depth_mm, rel=1e-12)

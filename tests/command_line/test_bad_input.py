@@ -88,7 +88,7 @@ def test_interrupted_capture_leaves_whole_files(lab: Path, tmp_path: Path) -> No
     process.send_signal(signal.SIGINT)
     said, complaint = process.communicate(timeout=600)
     assert (process.returncode, said) == (130, "")
-    way_on = f"{out}: holds what was captured so far; go on with: finray capture --resume {out}\n"
+    way_on = f"{out}: holds what was captured so far; continue with: finray capture --resume {out}\n"
     assert complaint == f"{way_on}finray capture: interrupted; files already written are complete\n"
     assert not list(out.rglob("*.part"))
     assert not (out / "session.json").exists()

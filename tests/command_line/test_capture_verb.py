@@ -103,8 +103,8 @@ def test_resume_takes_everything_from_the_session(lab: Path, tmp_path: Path) -> 
     assert "leave out PLAN, --rig and --out" in said
     finished = mistake(f"capture --resume {lab}/session")
     assert "is finished already" in finished
-    assert "go on with" not in finished
-    assert "--dry-run is for a session that is to begin" in mistake(f"capture --resume {tmp_path} --dry-run")
+    assert "continue with" not in finished
+    assert "--dry-run describes one that has not begun" in mistake(f"capture --resume {tmp_path} --dry-run")
     assert "journal.jsonl: no such file" in mistake(f"capture --resume {tmp_path}")
     assert "give a PLAN and its --rig" in mistake(f"capture {lab}/plan.toml")
 
@@ -160,7 +160,7 @@ def test_hazardous_laser_without_a_layer_outside_the_computer_is_refused(lab: Pa
     panel = rig.laser.model_copy(update={"driver": "indi", "address": f"127.0.0.1:{free_port()}/Panel"})
     write_rig(rig.model_copy(update={"laser": panel}), file)
     said = mistake(f"capture {lab}/plan.toml --out {tmp_path}/out --rig {file} {more}")
-    assert "a class 3R laser does not go on without a layer outside the computer" in said
+    assert "a class 3R laser is not lit without a layer outside the computer" in said
     assert "[laser.outside_layer]" in said
     assert not (tmp_path / "out").exists()
     weak = panel.model_copy(update={"laser_class": "2"})

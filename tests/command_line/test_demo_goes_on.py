@@ -71,7 +71,7 @@ def test_a_stage_that_dies_is_named_and_the_same_command_goes_on(tmp_path, how, 
     with pytest.raises(DiedError, match=message) as died:
         small_demo.run(out)
     log = out / "logs" / "stage-two.log"
-    assert f"Its log is {log}. What is finished is kept: the same command goes on there; " in str(died.value)
+    assert f"Its log is {log}. Finished work is kept: the same command continues there; " in str(died.value)
     assert "'finray doctor'" in str(died.value)
     assert computed(out) == ["one"]
     if how.get("number") == signal.SIGKILL:  # which leaves no time to write
@@ -81,7 +81,7 @@ def test_a_stage_that_dies_is_named_and_the_same_command_goes_on(tmp_path, how, 
         assert "small_demo.py" in log.read_text()
     before = tree(out)
     report, said = small_demo.run(out)
-    assert said == [f"{out}: goes on after 1 of 3 stages, which are whole"]
+    assert said == [f"{out}: continues after 1 of 3 stages, which are complete"]
     assert computed(out) == ["one", "two", "three"]
     assert report["verdict"] == "done"
     after = tree(out)
@@ -249,7 +249,7 @@ def test_the_demo_itself_goes_on_after_a_fit_that_crashed(tmp_path):
     assert status == 3
     told = re.search(
         r"^finray demo: error: the fit of the red paint was ended by SIGSEGV .* memory\. Its log is (\S+)\. "
-        r"What is finished is kept: the same command goes on there; .*$",
+        r"Finished work is kept: the same command continues there; .*$",
         said.splitlines()[-1],
     )
     assert told, said
@@ -267,7 +267,7 @@ def test_the_demo_itself_goes_on_after_a_fit_that_crashed(tmp_path):
     assert gone_within(children, 5.0)
     after = tree(out / "red")
     assert all(after[path] == digest for path, digest in kept.items())
-    assert f"{out}: goes on after 2 of 16 stages" in again.out
+    assert f"{out}: continues after 2 of 16 stages" in again.out
 
 
 class Demo:

@@ -317,7 +317,7 @@ def test_an_interrupted_press_goes_on_with_the_same_command(tmp_path: Path, monk
         outcome = finray(f"{press}/cut.press.json")
     assert (outcome.status, outcome.err.splitlines()[0]) == (
         130,
-        f"{increments}: this press was interrupted; it goes on after increment 001",
+        f"{increments}: this press was interrupted; it continues after increment 001",
     )
     for left in ("cut.mechanics.json", "cut.surfaces.json"):  # of a set that was cut off
         for path in tmp_path.glob(f"{left.removesuffix('.json')}.*"):
@@ -325,7 +325,7 @@ def test_an_interrupted_press_goes_on_with_the_same_command(tmp_path: Path, monk
     third = sha256_of(increments / "003.json")
     again = finray(f"{press}/cut.press.json")
     assert again.status == 0
-    assert again.err.startswith(f"{increments}: this press was interrupted; it goes on after increment 002\n")
+    assert again.err.startswith(f"{increments}: this press was interrupted; it continues after increment 002\n")
     assert (sha256_of(increments / "001.json"), sha256_of(increments / "003.json")) == (first, third)
     whole, cut = (read_record(tmp_path / f"{name}.mechanics.json", PressMechanics) for name in ("whole", "cut"))
     np.testing.assert_allclose(cut.force_n, whole.force_n, rtol=1e-6)

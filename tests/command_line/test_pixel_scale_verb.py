@@ -193,7 +193,7 @@ def test_a_session_knows_its_pictures(pictures: Path, tmp_path: Path) -> None:
     assert record.middle.along_x_mm_per_px == pytest.approx(truth[0], rel=1e-3)
     both = finray(f"sense scale {folder} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert both.status == 2
-    assert "a session knows its pictures and its board" in both.err
+    assert "a session holds its pictures and its board" in both.err
     (folder / "frames/00000_board_1.tiff").write_bytes(b"changed")
     changed = finray(f"sense scale {folder} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert changed.status == 2

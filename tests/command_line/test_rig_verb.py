@@ -312,7 +312,7 @@ def test_show_says_that_a_light_without_dead_man_stays_on_and_cannot_be_lit(tmp_
     assert "reports off" in laser
     assert "off when a process of finray is killed or stopped: yes, by the others, within 1 s" in laser
     assert "warning: off when the computer hangs, its cable is pulled or all processes are killed: NO" in laser
-    assert "warning: cannot be lit: a class 3R laser does not go on without a layer outside the computer" in laser
+    assert "warning: cannot be lit: a class 3R laser is not lit without a layer outside the computer" in laser
 
 
 def test_show_of_another_file_is_a_mistake(lab: Path) -> None:

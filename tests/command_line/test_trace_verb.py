@@ -30,10 +30,10 @@ def decided(lab: Path, tmp_path: Path) -> Path:
 
 def test_tree_is_plain_in_a_pipe(decided):
     said = succeed(f"trace {decided}/decision.json").splitlines()
-    assert said[0] == f"{decided}/decision.json  LightAngleDecision  whole"
-    assert f"  {decided}/report.json  PhotometricErrorReport  whole" in said
-    assert f"    {decided}/press.json  SimulatedPress  whole" in said
-    assert said[-1].startswith("whole: ")
+    assert said[0] == f"{decided}/decision.json  LightAngleDecision  unchanged"
+    assert f"  {decided}/report.json  PhotometricErrorReport  unchanged" in said
+    assert f"    {decided}/press.json  SimulatedPress  unchanged" in said
+    assert said[-1].startswith("unchanged: ")
     assert not re.search(r"[^\x00-\x7f]|\x1b", "\n".join(said))
 
 
@@ -52,7 +52,7 @@ def test_statuses(decided, tmp_path):
         outcome = finray(command)
         assert outcome.status == 1
         assert re.search(
-            r"NOT WHOLE: 1 finding\n(note: .*\n)*changed: .*press.json: does not agree with its seal", outcome.out
+            r"NOT AS WRITTEN: 1 finding\n(note: .*\n)*changed: .*press.json: does not agree with its seal", outcome.out
         )
     for mistake, said in {
         f"trace {tmp_path}/none.json": "none.json: no such file",
@@ -71,7 +71,7 @@ def test_stale_input(decided):
     made_anew("report.json")(decided)
     outcome = finray(f"trace {decided}/decision.json")
     assert outcome.status == 1
-    assert re.search(r"stale: .*report.json: was made anew at 20\d\d-", outcome.out)
+    assert re.search(r"stale: .*report.json: was made again at 20\d\d-", outcome.out)
 
 
 def test_input_is_found_by_its_checksum_beside_the_record(decided):
@@ -83,7 +83,7 @@ def test_input_is_found_by_its_checksum_beside_the_record(decided):
 def test_moved_folder_is_whole(decided, tmp_path):
     moved = tmp_path / "moved"
     decided.rename(moved)
-    assert "whole" in succeed(f"trace {moved}/decision.json")
+    assert "unchanged" in succeed(f"trace {moved}/decision.json")
 
 
 def test_records_before_seals_are_read_and_say_so(tmp_path):

@@ -202,7 +202,7 @@ def test_what_to_do_about_a_failed_registration_is_said_once_and_fits_the_comman
         update={"no_contact": 0 * press.no_contact + 50, "contact": 50 * press.contact / press.contact}
     )
     report, _ = compare_checked(flat, capture, 1, CheckOptions(despite_mismatch=True))
-    (told,) = [finding for finding in report.findings if "cannot be told" in finding]
+    (told,) = [finding for finding in report.findings if "it is not known whether the camera" in finding]
     assert told.count("registration") == 2
     assert told.count("Check that the render") == told.count("ChArUco") == 1
     assert "--register" not in told

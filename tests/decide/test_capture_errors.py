@@ -201,6 +201,6 @@ def test_what_would_mislead_is_refused():
         capture_errors(sweep_record(), [good, report("b", None, objective_error(np.zeros(3)))])
     forced = report("b", 40.0, objective_error(np.zeros(3)), 1.0, ("channel order: as BGR",), forced_mismatch=True)
     with pytest.raises(
-        DecideError, match=r"b was made despite a mismatch, .*\(channel order: as BGR\): mend the capture"
+        DecideError, match=r"b was made despite a mismatch, .*\(channel order: as BGR\): correct the capture"
     ):
         capture_errors(sweep_record(), [good, forced])

@@ -179,7 +179,7 @@ def test_captures_and_weights_are_of_the_brightness():
     assert decide(sweep, [], 1, weights=[2.0]).aim == "brightness"
     assert decide(sweep, [], 1, aim="brightness").angle_deg == pytest.approx(BEST_DEG, abs=3)
     with pytest.raises(
-        DecideError, match=r"reports tell of the brightness\. Leave them out, or decide on the brightness"
+        DecideError, match=r"reports measure the brightness\. Leave them out, or decide on the brightness"
     ):
         decide(sweep, [capture(30.0, 0.1)], 1, aim="normal")
     with pytest.raises(DecideError, match="weights are of touches, the error is of places"):

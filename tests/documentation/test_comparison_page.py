@@ -83,15 +83,15 @@ def test_the_verdict_stands_before_trust_images_and_tables(html, page):
     ("interval", "floor", "verdict", "says"),
     [
         ((-0.5, -0.3, -0.1), True, "Worse than no simulation", "untouched pad is nearer to the capture"),
-        ((-0.1, 0.1, 0.3), True, "Not told apart from no simulation", "gives no reason to prefer the simulation"),
+        ((-0.1, 0.1, 0.3), True, "Not distinguishable from no simulation", "gives no reason to prefer the simulation"),
         ((0.8, 0.9, 0.95), True, "Better than no simulation", "10 % of the squared change is left over"),
         (
             (0.92, 0.95, 0.999),
             True,
-            "As good as this capture can tell",
+            "As good as this capture can show",
             "beyond that of two captures of the same thing",
         ),
-        ((0.8, 0.9, 0.999), True, "Better than no simulation", "as good as the capture can tell, or explain only 80 %"),
+        ((0.8, 0.9, 0.999), True, "Better than no simulation", "as good as the capture can show, or explain only 80 %"),
         ((0.8, 0.9, 0.999), False, "Better than no simulation", "10 % of the squared change is left over"),
     ],
 )

@@ -199,7 +199,7 @@ def test_objectives_that_agree_or_cannot_be_told_are_not_called_a_disagreement()
 
 def test_figures_show_captures_forbidden_angles_and_any_mounting():
     without = DECISION.model_copy(update={"captures": ()})
-    assert len(angle_figure(DECISION, SWEEP)) > len(angle_figure(without, SWEEP))
+    assert len(angle_figure(DECISION, SWEEP).svg) > len(angle_figure(without, SWEEP).svg)
     # of several places a capture is on no curve of the figure
     several = over_places(captures=DECISION.captures)
     assert angle_figure(several, SWEEP) == angle_figure(over_places(), SWEEP)
@@ -270,7 +270,7 @@ def test_the_verb_writes_record_and_page_or_neither(tmp_path, monkeypatch):
     assert not Path("taken.json").exists()
     outcome = finray("decide sweep.json --out page.html")
     assert outcome.status == 2
-    assert "page.html: is to be a record; choose an --out that ends in .json" in outcome.err
+    assert "page.html: must be a record: choose an --out that ends in .json" in outcome.err
 
 
 PLACES_MM = (8.0, 20.0, 50.0)

@@ -72,7 +72,7 @@ def test_a_fit_that_misses_the_truth_is_called_too_narrow() -> None:
     assert coverage < said.GOOD_COVERAGE
     told = said.model_statement(GREEN, GREEN.truth)
     assert f"Green paint: the 95 % band covers {percent(coverage)} of the measured curve" in told
-    assert "too narrow, as the bands that are not explained have warned" in told
+    assert "too narrow, as the bands that are not explained show" in told
     paper = paper_agreement(GREEN.fit, GREEN.truth.emission)
     assert f"The paper's curve alone, taken to be exact: {percent(paper.coverage_95_rel)} covered" in told
     assert "exactly such a curve" not in told
@@ -111,7 +111,7 @@ def test_the_sampling_is_told_with_what_was_wanted() -> None:
     moved = diagnostics.model_copy(update={"method": "resample-move", "pareto_k": 0.5, "memory": 0.083, "chain": None})
     assert said.sampling_statement(moved) == (
         "draws by resample-move, trusted: importance sampling was uneven (Pareto k 0.50), so its draws were moved "
-        "until they had forgotten where they began (correlation 0.08, at most 0.15 wanted); "
+        "until they no longer depended on where they began (correlation 0.08, at most 0.15 wanted); "
         "2 maxima of the posterior."
     )
     taken_over = diagnostics.model_copy(update={"method": "emcee", "pareto_k": 1.2})

@@ -1,13 +1,17 @@
 """Images for the screen and figures: known values, outlines, and marks that do not rely on colour."""
 
 import base64
+import io
+import re
 from dataclasses import replace
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import pytest
 from example_records import example_decision, example_results
+from html_page import Page, assert_stands_alone
 
 from data_schemas import RecordError
 from finray_calib.reports import (
@@ -25,6 +29,7 @@ from finray_calib.reports._decision_figures import on_curve_scale
 from finray_calib.reports._fit_figures import (
     absorption_figure,
     bands_figure,
+    draw_emission,
     emission_figure,
     families_figure,
     marginals_figure,
@@ -38,7 +43,8 @@ from finray_calib.reports._images import (
     touch_pictures,
     with_outline,
 )
-from finray_calib.reports._style import CANDIDATES, CHANNELS
+from finray_calib.reports._page import ReportPage, drawing, report_html
+from finray_calib.reports._style import CANDIDATES, CHANNELS, ReadableFigure, Reading, new_figure, readable
 from finray_calib.sensing import rgb_image
 
 RESULTS = example_results()
@@ -173,15 +179,15 @@ def test_png_holds_the_same_pixels() -> None:
 def test_every_figure_is_well_formed_and_undated() -> None:
     paint, outline = RESULTS.paints["green"].fitted, RESULTS.press.distance <= 2.0
     makers = {
-        "emission": lambda: emission_figure(paint),
+        "emission": lambda: emission_figure(paint).svg,
         "families": lambda: families_figure(paint),
-        "absorption": lambda: absorption_figure(paint),
+        "absorption": lambda: absorption_figure(paint).svg,
         "bands": lambda: bands_figure(paint),
         "marginals": lambda: marginals_figure(paint),
         "reflectance": lambda: reflectance_figure(paint),
         "error map": lambda: error_map_figure(RESULTS.report, outline),
         "scores": lambda: score_figure(RESULTS.report),
-        "angle": lambda: angle_figure(RESULTS.decision, RESULTS.sweep, RESULTS.true_sweeps),
+        "angle": lambda: angle_figure(RESULTS.decision, RESULTS.sweep, RESULTS.true_sweeps).svg,
     }
     for name, make in makers.items():
         svg = make()
@@ -195,8 +201,8 @@ def test_series_differ_by_marker_and_not_only_by_colour() -> None:
 
 
 def test_the_angle_figure_shows_more_when_there_is_more() -> None:
-    validated = angle_figure(example_decision("tie"), RESULTS.sweep, RESULTS.true_sweeps)
-    alone = angle_figure(example_decision("tie", validated=False), RESULTS.sweep)
+    validated = angle_figure(example_decision("tie"), RESULTS.sweep, RESULTS.true_sweeps).svg
+    alone = angle_figure(example_decision("tie", validated=False), RESULTS.sweep).svg
     assert len(validated) > len(alone)
 
 
@@ -241,4 +247,105 @@ def test_an_absorption_that_was_measured_under_several_lights_is_drawn_different
     paint = RESULTS.paints["red"].fitted
     measured = paint.fit.reradiation.model_copy(update={"measured_at_nm": (405.0, 450.0), "prior_driven": False})
     fit = paint.fit.model_copy(update={"reradiation": measured})
-    assert absorption_figure(replace(paint, fit=fit)) != absorption_figure(paint)
+    assert absorption_figure(replace(paint, fit=fit)).svg != absorption_figure(paint).svg
+
+
+READING = re.compile(r"^([-\d.]+) (nm|deg): (\S+) \[(\S+), ([^\]]+)\] (.+)$")
+
+
+def said(figure: ReadableFigure) -> np.ndarray:
+    """Return place, estimate and limits that a figure says under the pointer, one row for each strip."""
+    found = [READING.match(reading.text) for reading in figure.readings]
+    return np.array([[float(one[k]) for k in (1, 3, 4, 5)] for one in found if one])
+
+
+def test_values_under_the_pointer_are_those_of_the_record() -> None:
+    paint = RESULTS.paints["red"].fitted
+    fit, absorption, decision = paint.fit, paint.fit.reradiation, RESULTS.decision
+    best, assumed = decision.mean.max(), decision.discrepancy_rel is not None
+    widest = (
+        (decision.low95, decision.high95)
+        if assumed
+        else (decision.low95_simulation_only, decision.high95_simulation_only)
+    )
+    middle = decision.mean if decision.validated else decision.mean_simulation_only
+    emission = (fit.wavelength_nm, fit.emission_per_nm, fit.emission_low95_per_nm, fit.emission_high95_per_nm)
+    expected = {
+        "emission": (emission_figure(paint), 100, emission),
+        "absorption": (
+            absorption_figure(paint),
+            60,
+            (absorption.excitation_nm, absorption.absorption_rel, absorption.low95, absorption.high95),
+        ),
+        "angle": (
+            angle_figure(decision, RESULTS.sweep),
+            50,
+            (decision.grid_deg, middle / best, *(limit / best for limit in widest)),
+        ),
+    }
+    for name, (figure, least, (places, *curves)) in expected.items():
+        rows = said(figure)
+        assert len(rows) == len(figure.readings) >= least, name
+        at = np.searchsorted(places, rows[:, 0])
+        np.testing.assert_array_equal(places[at], rows[:, 0], err_msg=name)
+        for column, curve in enumerate(curves, start=1):  # three decimals are written, of emission in thousandths
+            factor = 1e3 if name == "emission" else 1.0
+            np.testing.assert_allclose(rows[:, column], factor * curve[at], rtol=0, atol=5.1e-4, err_msg=name)
+
+
+def test_a_known_spectrum_is_under_the_pointer_too() -> None:
+    paint = RESULTS.paints["red"].fitted
+    assert paint.truth is not None
+    for reading in emission_figure(paint).readings[::20]:
+        nm, true = float(reading.text.split(" ")[0]), float(reading.text.rpartition("; truth ")[2])
+        assert true == pytest.approx(1e3 * float(paint.truth.emission(np.array([nm]))[0]), abs=5.1e-4)
+    assert all("truth" not in reading.text for reading in draw_emission(paint.fit).readings)
+
+
+def test_a_strip_lies_over_the_point_that_it_describes() -> None:
+    """Points of one colour each are searched for among the pixels of the drawn figure."""
+    figure = new_figure(5.0, 3.0)
+    axes = figure.subplots()
+    places, colours = [-2.0, 1.0, 7.0], [(255, 0, 0), (0, 255, 0), (0, 0, 255)]
+    for place, colour in zip(places, colours, strict=True):
+        axes.plot([place], [place**2], "s", color=[c / 255 for c in colour], markersize=8)
+    axes.set(xlim=(-5.0, 9.0), xlabel="place", ylabel="a label that moves the plot to the right")
+    drawn = readable(figure, axes, {place: f"at {place:g}" for place in [*places, 12.0]})
+    assert [reading.text for reading in drawn.readings] == ["at -2", "at 1", "at 7"]  # 12 is outside
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=100)
+    image = cv2.imdecode(np.frombuffer(buffer.getvalue(), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    for reading, colour in zip(drawn.readings, colours, strict=True):
+        down, across = (found.mean() / size for found, size in zip(
+            np.nonzero((image[..., ::-1] == colour).all(axis=-1)), image.shape, strict=False
+        ))  # fmt: skip
+        assert reading.left < across < reading.left + reading.width
+        assert reading.top < down < reading.top + reading.height
+    for one, other in pairwise(drawn.readings):
+        assert one.left + one.width == pytest.approx(other.left, abs=2e-5)
+
+
+def test_a_figure_without_places_has_no_strips_and_one_place_has_all() -> None:
+    figure = new_figure(3.0, 2.0)
+    axes = figure.subplots()
+    axes.set_xlim(0.0, 1.0)
+    assert readable(figure, axes, {}).readings == ()
+    (only,) = readable(figure, axes, {0.5: "half"}).readings
+    box = axes.get_position()
+    assert (only.left, only.width) == (pytest.approx(box.x0, abs=1e-4), pytest.approx(box.width, abs=1e-4))
+
+
+def test_words_under_the_pointer_are_escaped_and_readers_of_a_screen_skip_them() -> None:
+    hostile = '</title><script>alert(1)</script> & "quoted"'
+    picture = drawing(ReadableFigure("<svg/>", (Reading(0.1, 0.1, 0.5, 0.8, hostile),)), "what it shows", "caption")
+    page = ReportPage(
+        verb="finray test", title="t", verdict="v", picture=picture, key_numbers=(), parts=(), origin=None, summary={}
+    )
+    html = report_html(page)
+    assert_stands_alone(html)
+    parsed = Page(html)
+    assert parsed.prose.count(hostile) == 1
+    (overlay,) = parsed.all("svg")
+    assert overlay["aria-hidden"] == "true"
+    assert [image["alt"] for image in parsed.all("img")] == ["what it shows"]

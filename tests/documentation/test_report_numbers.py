@@ -163,7 +163,7 @@ def test_each_verdict_says_what_to_do(verdict: str, meaning: str) -> None:
     ("low", "high", "meaning"),
     [
         (0.91, 0.95, "explains 93 % of the squared change"),
-        (-0.1, 0.95, "cannot be told from leaving the image unchanged"),
+        (-0.1, 0.95, "is not distinguishable from an unchanged image"),
         (-0.9, -0.1, "worse than leaving the image unchanged"),
     ],
 )

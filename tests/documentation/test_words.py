@@ -33,7 +33,11 @@ ODD = {
     r"\bshouts on\b": "prints a warning",
     r"\bnothing tells\b": "cannot be seen",
     r"\bby whatever\b": "after any interruption",
-    r"\bis gone on with\b": "continues",
+    r"\b(is|be) gone on with\b": "continues",
+    r"\bgoes on (after|with)\b": "continues",
+    r"\bstages, which are whole\b|\bNOT WHOLE\b": "complete, unchanged",
+    r"\bfor want of\b": "for lack of",
+    r"\bnot told apart\b": "not distinguishable",
     r"\bis a [A-Z][a-z]+[A-Z]\w+, a [A-Z][a-z]+[A-Z]\w+ is needed": "holds band signals, where a paint is needed",
 }
 """What was read twice -> what to write; a page says it in other words, or not."""

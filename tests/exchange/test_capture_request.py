@@ -86,7 +86,7 @@ def test_plans_hold_what_the_design_needs(tmp_path):
         assert plan.mm_per_px is not None
         assert plan.mm_per_px_u_rel == VIEW.mm_per_px_u_rel
     for text in request.plans.values():
-        assert text.count("MEASURE: 'finray sense scale' says it") == 1
+        assert text.count("MEASURE: 'finray sense scale' prints it") == 1
     for needed in (
         "ChArUco", "Raw frames", "standard", "press-001.json,412.5", "| 18 |",
         "finray sense scale SESSION --square-u-mm 0.01 --out pixel-scale.json",

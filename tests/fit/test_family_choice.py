@@ -57,7 +57,7 @@ def scores(probability, gain, sd):
     ("probability", "gain", "sd", "expected", "words"),
     [
         (0.30, 5.0, 1.0, DEFAULT_FAMILY, "the default, and the most probable given these bands"),
-        (0.89, 5.0, 1.0, DEFAULT_FAMILY, "do not clearly tell the families apart"),
+        (0.89, 5.0, 1.0, DEFAULT_FAMILY, "do not clearly distinguish the families"),
         (0.99, 1.9, 1.0, DEFAULT_FAMILY, "although it is improbable given these bands"),
         (0.99, -3.0, 1.0, DEFAULT_FAMILY, "zheng2014 -3.0"),
         (0.99, 2.1, 1.0, "zheng2014", "predicted better by 2.1 .- 1.0 nats"),

@@ -194,7 +194,7 @@ def test_an_even_paint_is_called_even(optics):
 def test_pixels_too_noisy_to_tell(optics):
     found = uneven(optics, 0.05, 0.0, 20.0, np.random.default_rng(6))
     assert found.uniformity["mode_nm"].pixels == 0
-    assert "too noisy to tell" in spread_sentence(found, "mode_nm")
+    assert "too noisy to show" in spread_sentence(found, "mode_nm")
     assert np.nanmedian(np.abs(found.mode_nm - 597.0)) < 1.0  # shrunk to the region
 
 

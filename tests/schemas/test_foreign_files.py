@@ -100,8 +100,8 @@ def test_digests_may_be_asked_from_many_threads(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b'{"a": 1, "a": 2}', "the key 'a' stands twice"),
-        (b'{"b": {"a": 1, "c": 0, "a": 1}}', "the key 'a' stands twice"),
+        (b'{"a": 1, "a": 2}', "the key 'a' occurs twice"),
+        (b'{"b": {"a": 1, "c": 0, "a": 1}}', "the key 'a' occurs twice"),
         (b"[NaN]", "NaN is no number; missing values are null"),
         (b"[-Infinity]", "-Infinity is no number"),
         (b"[1e400]", "the number 1e400 is too large"),
@@ -203,7 +203,7 @@ def test_csv(tmp_path):
     path.write_bytes(b'\xef\xbb\xbfa, b\r\n1,2\r\n\r\n"3\n4",5\n')
     assert read_csv(path) == (["a", "b"], [(2, ["1", "2"]), (5, ["3\n4", "5"])])
     path.write_text("a,a\n1,2\n")
-    with pytest.raises(RecordError, match="the column 'a' stands twice"):
+    with pytest.raises(RecordError, match="the column 'a' occurs twice"):
         read_csv(path)
     path.write_text('a,b\n"1,2\n')
     with pytest.raises(RecordError, match="cannot be read as CSV"):

@@ -81,11 +81,11 @@ def opened(path):
         ('kind = "sensor"\nwalls = "clear"\nwall_reflectance = 0.1\n', RecordError, 'no effect: walls = "clear"'),
         (
             'kind = "sensor"\n[surface]\nfile = "a.npy"\nstep_mm = 0.1\n[indenter]\nposition_mm = 5.0\n',
-            RecordError, r"indenter has no effect: \[surface\] tells the shape",
+            RecordError, r"indenter has no effect: \[surface\] states the shape",
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_reflectance = 0.5\ndiffuse_reflectance_rgb = [0.1, 0.2, 0.3]\n',
-            RecordError, r"diffuse_reflectance has no effect: coating\.diffuse_reflectance_rgb tells",
+            RecordError, r"diffuse_reflectance has no effect: coating\.diffuse_reflectance_rgb states",
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_reflectance_rgb = [0.1, 0.2, 0.3]\n[coating.translucent]\n',
@@ -97,7 +97,7 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[camera]\ncalibration = "lens.yaml"\nfield_of_view_deg = 40.0\n',
-            RecordError, r"field_of_view_deg has no effect: camera\.calibration tells",
+            RecordError, r"field_of_view_deg has no effect: camera\.calibration states",
         ),
         (
             'kind = "sensor"\n[surface]\nfile = "a.stl"\nstep_mm = 0.1\n', RecordError,

@@ -94,7 +94,7 @@ def test_what_is_no_render_has_no_capture():
     bare = press(contact_bands=None, camera_matrix=None, bands=(), no_contact_bands=None)
     with pytest.raises(SimulateError, match="no band images: only a rendered press can be captured"):
         simulated_capture(bare, seed=1)
-    with pytest.raises(SimulateError, match="holds no band images: only a rendered press tells"):
+    with pytest.raises(SimulateError, match="holds no band images: only a rendered press records"):
         colour_spread(bare, seed=1)
 
 

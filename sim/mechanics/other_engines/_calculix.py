@@ -136,7 +136,7 @@ def _pressed(depth_mm: float, mesh: FingerMesh, folder: Path, unreached: str) ->
     convergence = read_convergence(folder / f"{JOB}.sta")
     count = min(len(moved), len(pressed), len(force), len(convergence.times), *map(len, energies))
     if not count:
-        raise SimulateError("CalculiX has not written a whole increment; press with the engine in process")
+        raise SimulateError("CalculiX has not written a complete increment; press with the engine in process")
     nodes = len(mesh.nodes_mm)
     displacement = np.stack([_at_nodes(f.nodes, f.values, nodes) for f in moved[:count]])
     # at the Gauss points, as the engine in process has them

@@ -211,7 +211,9 @@ def calibrator_at(url: str) -> ServerLight:
     return ServerLight(AlpacaPanel(client, Calibrator(client)), "lamp", url)
 
 
-@pytest.mark.parametrize(("state", "why"), [(2, "did not confirm off"), (3, "did not confirm off"), (5, "cannot tell")])
+@pytest.mark.parametrize(
+    ("state", "why"), [(2, "did not confirm off"), (3, "did not confirm off"), (5, "does not report")]
+)
 def test_a_lamp_that_does_not_go_out_is_unsafe(state: int, why: str) -> None:
     with scripted(lambda *_: state) as url:
         light = calibrator_at(url)
@@ -233,7 +235,7 @@ def test_a_lamp_that_warms_up_counts_as_on_and_is_not_confirmed() -> None:
         light.switch(True, 1.0)
         assert states == [3]
         states[0] = 4
-        with pytest.raises(RefusedError, match=r"cannot tell whether the lamp is on \(calibratorstate 4\)"):
+        with pytest.raises(RefusedError, match=r"does not report whether the lamp is on \(calibratorstate 4\)"):
             light.state(1.0)
 
 

@@ -248,7 +248,7 @@ def test_trickling_stream_times_out():
     trickle = [bytes([b]) for b in part(jpeg(1))]
     with serving(trickle, every_s=0.02) as address, MultipartStream(address, "camera", time.monotonic() + 2) as stream:
         began_s = time.monotonic()
-        with pytest.raises(TimedOutError, match="no whole picture came in time"):
+        with pytest.raises(TimedOutError, match="no complete picture came in time"):
             stream.next_part(began_s + 0.3)
         assert time.monotonic() - began_s < 1.0
 
