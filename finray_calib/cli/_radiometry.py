@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, progress_bar, say, wrote
+from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -22,7 +22,8 @@ HELP = "turn captured frames into one value per filter and channel, with covaria
 DESCRIPTION = """\
 Correct a paint session for dark level and exposure, refer it to the white reference, and write one value per
 filter and Bayer channel over the painted region: fluorescence (under the laser) and reflectance (under the
-lamp), each with its full covariance and quality flags. A camera session becomes a camera characterisation."""
+lamp), each with its full covariance and quality flags. A camera session becomes a camera characterisation, and
+with --report a page after EMVA Standard 1288."""
 
 
 def add_radiometry(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -44,6 +45,7 @@ def add_radiometry(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]")
         help="take a filter and its own repeat that disagree for one fading sample",
     )
     parser.add_argument("--whole-frame", action="store_true", help="with --pixels: every pixel of the frame")
+    parser.add_argument("--report", type=Path, metavar="PAGE", help="of a camera session: also write its page (HTML)")
     parser.set_defaults(run=run)
 
 
@@ -55,6 +57,8 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.whole_frame and not arguments.pixels:
         raise RadiometryError("--whole-frame: says how far the map of --pixels reaches; give --pixels too")
     if session_kind(arguments.session) == "paint":
+        if arguments.report is not None:
+            raise RadiometryError(f"{arguments.session}: is a paint session; --report is for camera sessions")
         reduce_paint(
             arguments.session, arguments.out, arguments.camera, arguments.pixels, arguments.whole_frame,
             arguments.accept_repeat,
@@ -62,7 +66,7 @@ def run(arguments: argparse.Namespace) -> None:
         return
     if arguments.camera is not None or arguments.pixels:
         raise RadiometryError(f"{arguments.session}: is a camera session; --camera and --pixels are for paint sessions")
-    characterise(arguments.session, arguments.out)
+    characterise(arguments.session, arguments.out, arguments.report)
 
 
 def reduce_paint(
@@ -125,8 +129,8 @@ def _report(bands: "BandSignals", out: Path) -> None:
         say(f"  note: {note}")
 
 
-def characterise(folder: Path, out: Path | None) -> None:
-    """Write the characterisation of a camera.
+def characterise(folder: Path, out: Path | None, page: Path | None = None) -> None:
+    """Write the characterisation of a camera, and its page if one is asked for.
 
     Parameters
     ----------
@@ -134,18 +138,32 @@ def characterise(folder: Path, out: Path | None) -> None:
         Folder of the camera session.
     out
         Where to write; a name after the camera if None.
+    page
+        Where to write the page, if anywhere.
     """
     from data_schemas import RadiometryError, provenance
-    from data_schemas.storage import write_record
+    from data_schemas.storage import ProductSet, write_record
     from finray_calib.radiometry import characterise_camera
     from rigs.capture import SESSION_NAME, read_camera_session, read_frame_of
 
     session = read_camera_session(folder)
     out = require_new(out or Path(f"{file_name(session.plan.camera_name)}.camera.json"))
+    page = None if page is None else require_new(page)
+    if page is not None and page.absolute() == out.absolute():
+        raise RadiometryError(f"{page}: --out and --report are one file; give the page a name that ends in .html")
     with progress_bar("radiometry"), naming(RadiometryError, folder):
         camera = characterise_camera(session, lambda frame: read_frame_of(folder, frame))
-    write_record(camera, out, provenance(command_line(), input_digests([folder / SESSION_NAME])))
+    origin = provenance(command_line(), input_digests([folder / SESSION_NAME]))
+    with ProductSet(out) as products:
+        if page is not None:
+            from finray_calib.reports.camera import camera_page
+
+            products.add(page, camera_page(camera.model_copy(update={"provenance": origin})).encode())
+        write_record(camera, out, origin, products)
     _report_camera(camera, out)
+    if page is not None:
+        wrote(page, "the camera after EMVA Standard 1288")
+        look_at(page)
 
 
 def _report_camera(camera: "CameraCharacterisation", out: Path) -> None:

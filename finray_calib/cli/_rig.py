@@ -3,11 +3,11 @@
 import argparse
 import contextlib
 import sys
-import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, guide, say, warn, wrote
+from data_schemas import CaptureError, FinrayError
+from finray_calib.cli._output import give, go_on_with, guide, is_for_a_terminal, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     ended_by_signals,
@@ -15,6 +15,7 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
+    from data_schemas import RigFile
     from rigs import FoundDevice, Role
 
 
@@ -102,7 +103,7 @@ def run_detect(arguments: argparse.Namespace) -> None:
 
 def run_show(arguments: argparse.Namespace) -> None:
     """Print what every device reports."""
-    from data_schemas import CaptureError, RigFile, TactileRig
+    from data_schemas import RigFile, TactileRig
     from data_schemas.storage import read_toml
     from rigs import look_at, look_at_tactile
 
@@ -183,12 +184,14 @@ def _offered(role: str, device: "FoundDevice") -> bool:
     return bool(answer) and answer.strip().lower() in ("", "y", "yes")
 
 
-LIVE_HELP = "look through a rig in the browser: focus, exposure, histogram, region"
+LIVE_HELP = "look through a rig in the browser or the terminal: focus, exposure, histogram, region"
 LIVE_DESCRIPTION = """\
 Open a rig and show what its camera sees in the browser of this computer: focus of a region that you draw, exposure and
 saturation, histogram, and a key that switches the lamp off. Lamp and filter wheel follow the page. The laser stays off.
 The address that is printed holds a token and is answered on 127.0.0.1 only: give it to nobody. Ctrl-C ends it, with the
-lights off. While it runs, the rig is taken: no session can be captured on it."""
+lights off. While it runs, the rig is taken: no session can be captured on it.
+
+With --terminal the same is shown in this terminal, of 80 x 24 or more; ? shows its keys."""
 LAST_EXPOSURE_S = 10.0
 
 
@@ -196,7 +199,9 @@ def add_live(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     """Register the verb."""
     parser = verbs.add_parser("live", help=LIVE_HELP, description=LIVE_DESCRIPTION)
     parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML)")
-    parser.add_argument("--port", type=_port, default=0, metavar="N", help="port on 127.0.0.1 (default: a free one)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--port", type=_port, default=0, metavar="N", help="port on 127.0.0.1 (default: a free one)")
+    where.add_argument("--terminal", action="store_true", help="show it in this terminal instead of the browser")
     parser.set_defaults(run=run_live)
 
 
@@ -208,18 +213,26 @@ def _port(text: str) -> int:
 
 
 def run_live(arguments: argparse.Namespace) -> None:
-    """Serve until Ctrl-C."""
+    """Show the rig until Ctrl-C."""
     from data_schemas import RigFile
     from data_schemas.storage import read_toml
+
+    rig = read_toml(arguments.rig, RigFile)
+    if arguments.terminal:
+        _live_in_terminal(rig, arguments.rig.parent)
+    else:
+        _live_in_browser(rig, arguments.rig.parent, arguments.port)
+
+
+def _live_in_browser(rig: "RigFile", folder: Path, port: int) -> None:
+    """Serve until Ctrl-C."""
     from rigs import open_rig, rig_locked
     from rigs.live_view import LiveRig, live_server
 
-    rig = read_toml(arguments.rig, RigFile)
-    with rig_locked(rig), open_rig(rig, arguments.rig.parent) as opened:
+    with rig_locked(rig), open_rig(rig, folder) as opened:
         live = LiveRig(opened, rig)
-        with live_server(live, arguments.port) as server:
-            devices = threading.Thread(target=live.run, daemon=True)
-            devices.start()
+        with live_server(live, port) as server:
+            live.start()
             try:
                 with contextlib.suppress(KeyboardInterrupt), ended_by_signals():
                     say(f"{server.url}\n  open it in a browser; Ctrl-C ends the view, with the lights off")
@@ -227,4 +240,22 @@ def run_live(arguments: argparse.Namespace) -> None:
                     server.serve_forever(poll_interval=0.2)
             finally:
                 live.stop()
-                devices.join(LAST_EXPOSURE_S)
+                live.ended(LAST_EXPOSURE_S)
+
+
+def _live_in_terminal(rig: "RigFile", folder: Path) -> None:
+    """Show it in the terminal; afterwards say what a plan takes over."""
+    from rigs import open_rig, rig_locked
+    from rigs.live_view import LiveRig, TerminalViewOperator, require_terminal, terminal_view
+
+    require_terminal()
+    if not is_for_a_terminal():
+        raise CaptureError("live --terminal: shows a picture, so that --json and --quiet cannot be; leave them out")
+    operator = TerminalViewOperator()
+    with ended_by_signals(), rig_locked(rig), open_rig(rig, folder, operator) as opened:
+        live = LiveRig(opened, rig)
+        terminal_view(live, rig.name, operator)
+    names = ("row_px", "column_px", "height_px", "width_px")
+    region = dict(zip(names, live.region, strict=True))
+    with contextlib.suppress(FinrayError):  # the terminal may be gone
+        say("\n".join(["[region]", *(f"{name} = {value}" for name, value in region.items())]))

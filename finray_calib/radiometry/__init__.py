@@ -23,7 +23,11 @@ if TYPE_CHECKING:
         tilt_ratios,
     )
     from finray_calib.radiometry._bleaching import bleaching_trend
-    from finray_calib.radiometry._camera_characterisation import characterise_camera, with_camera
+    from finray_calib.radiometry._camera_characterisation import (
+        characterise_camera,
+        sensitivity_threshold_e,
+        with_camera,
+    )
     from finray_calib.radiometry._colour_checker import (
         LARGEST_CLIPPED_FRACTION,
         PATCHES,
@@ -75,6 +79,7 @@ __all__ = [
     "processed_signal",
     "raw_signal",
     "require_same_settings",
+    "sensitivity_threshold_e",
     "session_steps",
     "shading_gains",
     "signal_covariance",

@@ -348,10 +348,9 @@ def _saturation(levels: ChannelLevels, peak: int, black_level_dn: float, transfe
     charge_dn = saturation_dn - black_level_dn
     well_e = charge_dn * gain.estimate
     well_sd_e = float(np.hypot(sd_dn * gain.estimate, charge_dn * gain.sd))
-    # EMVA's absolute sensitivity threshold in electrons.
-    dark_noise_dn = float(np.sqrt(noise.estimate**2 + ROUNDING_VARIANCE_DN2))
-    threshold_e = dark_noise_dn * gain.estimate + 0.5
-    threshold_sd_e = gain.estimate * noise.estimate * noise.sd / dark_noise_dn
+    threshold_e = sensitivity_threshold_e(gain, noise).estimate
+    # the gain is in well and threshold alike, and cancels
+    threshold_sd_e = gain.estimate**2 * noise.estimate * noise.sd / (threshold_e - 0.5)
     dynamic_range = well_e / threshold_e
     return _Saturation(
         saturation_dn=Estimate(
@@ -368,6 +367,26 @@ def _saturation(levels: ChannelLevels, peak: int, black_level_dn: float, transfe
             dynamic_range, dynamic_range * float(np.hypot(well_sd_e / well_e, threshold_sd_e / threshold_e))
         ),
     )
+
+
+def sensitivity_threshold_e(gain_e_per_dn: Estimate, read_noise_dn: Estimate) -> Estimate:
+    r"""Return the charge that a pixel tells from none (e): the absolute sensitivity threshold of EMVA 1288.
+
+    .. math:: \mu_{e,\min} = \sqrt{\sigma_d^2 + \sigma_q^2} / K + 1/2, \quad \sigma_q^2 = 1/12
+
+    with the gain 1/K in electrons per count. Gain and noise are taken as independent.
+
+    Parameters
+    ----------
+    gain_e_per_dn
+        Gain (e/DN).
+    read_noise_dn
+        Temporal dark noise without that of rounding (DN).
+    """
+    gain, noise = gain_e_per_dn, read_noise_dn
+    dark_noise_dn = float(np.sqrt(noise.estimate**2 + ROUNDING_VARIANCE_DN2))
+    sd_e = float(np.hypot(gain.sd * dark_noise_dn, gain.estimate * noise.estimate * noise.sd / dark_noise_dn))
+    return normal_estimate(dark_noise_dn * gain.estimate + 0.5, sd_e)
 
 
 def _fixed_pattern(levels: ChannelLevels, usable: Bools) -> _FixedPattern:

@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._page import (
         Content,
         KeyNumber,
+        Light,
         Part,
         Picture,
         PicturePair,
@@ -80,6 +81,8 @@ if TYPE_CHECKING:
         ReportTable,
         drawing,
         figure_png,
+        found_part,
+        light_of,
         one_group,
         provenance_table,
         raster,
@@ -108,10 +111,12 @@ if TYPE_CHECKING:
         paper_paints_png,
         two_lights_png,
     )
+    from finray_calib.reports._style import CHANNELS, legend_above, new_figure, styled, svg_text
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "CHANNELS",
     "ByteImage",
     "Certificate",
     "ContactSheet",
@@ -119,6 +124,7 @@ __all__ = [
     "FittedPaint",
     "Json",
     "KeyNumber",
+    "Light",
     "PaintTruth",
     "Part",
     "Picture",
@@ -164,15 +170,19 @@ __all__ = [
     "fluorescent_rendering_png",
     "force_figure_png",
     "force_lines",
+    "found_part",
     "grid_phrase",
     "headline",
     "history_page",
     "interval_text",
+    "legend_above",
     "level_a_sentence",
     "light_angle_png",
+    "light_of",
     "methods_part",
     "model_statement",
     "mounting_picture",
+    "new_figure",
     "no_emission_page",
     "one_group",
     "pad_window",
@@ -207,6 +217,8 @@ __all__ = [
     "spots_note",
     "spread_sentence",
     "study_text",
+    "styled",
+    "svg_text",
     "to_display",
     "touch_pair",
     "true_value",

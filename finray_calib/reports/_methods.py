@@ -19,6 +19,8 @@ WORKS: Final = {
     "Comput. Graph. Interact. Tech. 3 (2020) 15.",
     "ASME V&V 20, 2009": "ASME V&V 20-2009, Standard for verification and validation in computational fluid dynamics "
     "and heat transfer.",
+    "EMVA 1288, 2021": "EMVA Standard 1288, release 4.0 Linear, Standard for characterization of image sensors and "
+    "cameras, European Machine Vision Association, 2021.",
     "Foreman-Mackey et al., 2013": "D. Foreman-Mackey, D. W. Hogg, D. Lang, J. Goodman, emcee: the MCMC hammer, Publ. "
     "Astron. Soc. Pac. 125 (2013) 306-312.",
     "Frazier et al., 2009": "P. Frazier, W. Powell, S. Dayanik, The knowledge-gradient policy for correlated normal "

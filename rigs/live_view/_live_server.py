@@ -16,7 +16,7 @@ import secrets
 import threading
 import time
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, Final
@@ -54,7 +54,8 @@ class LiveNumbers:
     exposure_s, suggested_s
         Exposure of the frame, and the one that brings the brightest pixel of the region to 70 % of full scale.
     focus, best_focus
-        Sharpness of the region (see :func:`focus_measure`) and the largest since the region or filter changed.
+        Sharpness of the region (see :func:`focus_measure`) and the largest of the frames that were begun since region,
+        filter, exposure or lamp changed last.
     brightest_fraction, saturated_fraction
         Of the region: 99.9 % of its pixels are darker than the first, as a share of full scale; pixels at full scale.
     histogram
@@ -62,7 +63,8 @@ class LiveNumbers:
     region
         Row, column, height and width in pixels of the raw frame.
     filter_name, lamp, laser
-        The filter in the beam ("none" while none is), and whether the lights are on, as the devices report them.
+        The filter in the beam ("none" while none is), and whether the lights are on, as the devices report them; a lamp
+        that is not confirmed off counts as on.
     trouble
         Why there is no newer frame; empty where there is.
     """
@@ -122,10 +124,13 @@ class LiveRig:
         self._exposure_s = min(max(0.02, camera.shortest_exposure_s), LONGEST_EXPOSURE_S)
         self._region = (0, 0, camera.height_px, camera.width_px)
         self._slot: int | None = None
+        self._filter_asked = ""
         self._lamp = False
-        self._best = 0.0
+        self._best, self._settings = 0.0, 0
         self._changed = threading.Condition()
         self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._ended_by: FinrayError | OSError | None = None
         self._picture: NDArray[np.uint8] = np.zeros((2, 2), np.uint8)
         self._numbers = LiveNumbers(0, self._exposure_s, self._exposure_s, 0, 0, 0, 0, (0,) * BINS, self._region,
                                     "none", lamp=False, laser=False)  # fmt: skip
@@ -140,21 +145,66 @@ class LiveRig:
         """Rows and columns of a raw frame."""
         return self._rig.camera.height_px, self._rig.camera.width_px
 
+    @property
+    def region(self) -> tuple[int, int, int, int]:
+        """Row, column, height and width that were asked for last, in pixels of the raw frame."""
+        return self._region
+
+    @property
+    def exposure_s(self) -> float:
+        """Exposure that was asked for last."""
+        return self._exposure_s
+
+    @property
+    def filter_asked(self) -> str:
+        """The filter that was asked for last; the one in the beam where none was."""
+        return self._filter_asked or self._numbers.filter_name
+
+    def start(self) -> None:
+        """Begin to expose in a thread of its own, with the lamp off."""
+        self._lamp, self._ended_by = False, None
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._run_to_its_end, name="live view", daemon=True)
+        self._thread.start()
+
     def run(self) -> None:
         """Expose until :meth:`stop`; the lamp is off at the end."""
         with ExitStack() as lamp:
             while not self._stop.is_set():
                 began_s = time.monotonic()
                 try:
-                    self._follow(lamp)
-                    self._look()
+                    self._look(self._follow(lamp))
                 except (FinrayError, OSError) as error:
-                    self._report(_off(lamp) or error)
+                    not_off = _off(lamp)
+                    self._report(not_off or error, lamp=not_off is not None)
                 self._stop.wait(max(1.0 / MOST_PICTURES_PER_S - (time.monotonic() - began_s), 0.0))
 
     def stop(self) -> None:
         """End :meth:`run` after the exposure that is under way."""
         self._stop.set()
+
+    def ended(self, timeout_s: float) -> bool:
+        """Return whether what :meth:`start` began has ended with the lamp off; wait for it at most `timeout_s` seconds.
+
+        Raises
+        ------
+        UnsafeError
+            It has ended, and the lamp is not confirmed off.
+        """
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+        if self._ended_by is not None:
+            raise self._ended_by
+        return self._thread is None or not self._thread.is_alive()
+
+    def _run_to_its_end(self) -> None:
+        try:
+            self.run()
+        except (FinrayError, OSError) as error:  # of the lamp, at the end
+            self._ended_by = error
+        with self._changed:
+            self._numbers = replace(self._numbers, number=self._numbers.number + 1, lamp=self._ended_by is not None)
+            self._changed.notify_all()
 
     def latest(self, after: int, timeout_s: float = 5.0) -> tuple[NDArray[np.uint8], LiveNumbers]:
         """Return the newest picture (h, w), 0 to 255, and its numbers; wait for one behind number `after`."""
@@ -181,18 +231,19 @@ class LiveRig:
                 case {"lamp": bool(on)}:
                     self._lamp = on
                 case {"filter": str(name)} if name in self.filters:
-                    self._slot, self._best = self.filters[name], 0.0
+                    self._slot, self._filter_asked = self.filters[name], name
                 case {"exposure_s": int() | float() as asked_s} if math.isfinite(asked_s) and asked_s > 0:
                     camera = self._rig.camera
                     longest_s = min(camera.longest_exposure_s, LONGEST_EXPOSURE_S)
                     self._exposure_s = min(max(float(asked_s), camera.shortest_exposure_s), longest_s)
                 case {"region": [int(row), int(column), int(height), int(width)]}:
-                    self._region, self._best = self._within(row, column, height, width), 0.0
+                    self._region = self._within(row, column, height, width)
                 case _:
                     raise CaptureError(
                         f"live view: {str(command)[:80]}: ask for one of lamp (true or false), filter "
                         f"({', '.join(self.filters)}), exposure_s (above 0), region (row, column, height, width)"
                     )
+            self._best, self._settings = 0.0, self._settings + 1
 
     def _within(self, row: int, column: int, height: int, width: int) -> tuple[int, int, int, int]:
         """Return a region in whole Bayer cells inside the frame."""
@@ -203,10 +254,11 @@ class LiveRig:
         wide = min(max(width, LEAST_REGION_PX), camera.width_px - left) & ~1
         return top, left, tall, wide
 
-    def _follow(self, lamp: ExitStack) -> None:
-        """Bring lamp and wheel to what was asked for."""
+    def _follow(self, lamp: ExitStack) -> "_Asked":
+        """Bring lamp and wheel to what was asked for, and return what the next frame is to be."""
         with self._changed:
             wants_lamp, slot, self._slot = self._lamp, self._slot, None
+            asked = _Asked(self._exposure_s, self._region, self._settings)
         if wants_lamp != self._opened.lamp.state():
             if wants_lamp:
                 lamp.enter_context(self._opened.lamp.lit())
@@ -214,11 +266,11 @@ class LiveRig:
                 lamp.close()
         if slot is not None:
             self._opened.wheel.go_to(slot, WHEEL_DEADLINE_S)
+        return asked
 
-    def _look(self) -> None:
+    def _look(self, asked: "_Asked") -> None:
         """Take a frame and publish it."""
-        with self._changed:
-            exposure_s, region = self._exposure_s, self._region
+        exposure_s, region = asked.exposure_s, asked.region
         taken = self._opened.camera.expose(exposure_s, exposure_s + DEADLINE_MARGIN_S)
         position, lamp, laser = self._opened.wheel.position(), self._opened.lamp.state(), self._opened.laser.state()
         name = next((name for name, slot in self.filters.items() if slot == position), "none")
@@ -231,7 +283,8 @@ class LiveRig:
         counted = np.histogram(seen, bins=BINS, range=(0, self._full + 1))[0]
         picture = live_picture(taken.counts, self._full, self._rig.camera.black_level_dn)
         with self._changed:
-            self._best = max(self._best, focus)
+            if asked.settings == self._settings:  # nothing changed while the frame was exposed
+                self._best = max(self._best, focus)
             self._picture = picture
             self._numbers = LiveNumbers(
                 number=self._numbers.number + 1,
@@ -249,14 +302,22 @@ class LiveRig:
             )
             self._changed.notify_all()
 
-    def _report(self, error: FinrayError | OSError) -> None:
-        """Publish what went wrong; the lamp was switched off, and stays off until it is asked for again."""
+    def _report(self, error: FinrayError | OSError, lamp: bool) -> None:
+        """Publish what went wrong; the lamp was told to go off, and is not lit again until that is asked for."""
         with self._changed:
-            self._lamp = False
-            fields = {name: getattr(self._numbers, name) for name in LiveNumbers.__dataclass_fields__}
-            trouble = {"number": self._numbers.number + 1, "trouble": str(error), "lamp": False}
-            self._numbers = LiveNumbers(**{**fields, **trouble})
+            self._lamp, self._filter_asked = False, ""
+            self._best, self._settings = 0.0, self._settings + 1
+            self._numbers = replace(self._numbers, number=self._numbers.number + 1, trouble=str(error), lamp=lamp)
             self._changed.notify_all()
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What a frame is to be, and of which count of settings."""
+
+    exposure_s: float
+    region: tuple[int, int, int, int]
+    settings: int
 
 
 def _off(lamp: ExitStack) -> FinrayError | OSError | None:

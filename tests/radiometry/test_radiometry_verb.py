@@ -105,3 +105,29 @@ def test_what_is_for_paint_sessions_is_refused_for_a_camera_session(camera_folde
     for option in (["--pixels"], ["--camera", tmp_path / "x.json"]):
         with pytest.raises(RadiometryError, match="is a camera session; --camera and --pixels are for paint sessions"):
             run(camera_folder, *option)
+
+
+def test_the_page_of_a_camera_is_stored_with_its_record(camera_folder, tmp_path, capsys) -> None:
+    out, page = tmp_path / "bench.camera.json", tmp_path / "bench.html"
+    run(camera_folder, "--out", out, "--report", page)
+    assert f"{page}: the camera after EMVA Standard 1288" in capsys.readouterr().out
+    html = page.read_text(encoding="utf-8")
+    measured = read_record(out, CameraCharacterisation)
+    assert measured.provenance is not None
+    for digest in measured.provenance.input_sha256.values():
+        assert digest in html
+    assert f"{100 * measured.channels[0].prnu_rel.estimate:.2f}"[:3] in html
+    with pytest.raises(RecordError, match=r"bench\.html: exists already"):
+        run(camera_folder, "--out", tmp_path / "again.json", "--report", page)
+    assert not (tmp_path / "again.json").exists()
+
+
+def test_record_and_page_cannot_be_one_file(camera_folder, tmp_path) -> None:
+    with pytest.raises(RadiometryError, match="--out and --report are one file"):
+        run(camera_folder, "--out", tmp_path / "x.json", "--report", tmp_path / "x.json")
+    assert not (tmp_path / "x.json").exists()
+
+
+def test_the_page_of_a_paint_session_is_refused(session, tmp_path) -> None:
+    with pytest.raises(RadiometryError, match="is a paint session; --report is for camera sessions"):
+        run(session[0], "--report", tmp_path / "page.html")

@@ -39,6 +39,10 @@ def main(folder: Path) -> None:
                 "highest_percent": float(linearity["linearity_error_max"]),
                 "dsnu_e": float(results.DSNU1288),
                 "prnu_percent": float(results.PRNU1288),
+                "saturation_capacity_e": float(results.u_e_sat),
+                "threshold_e": float(results.u_e_min),
+                "snr_max_db": float(results.SNR_max_dB()),
+                "dynamic_range_db": float(results.DR_dB()),
                 "dark_current_e_per_s": float(results.u_I_mean),
             }
         )

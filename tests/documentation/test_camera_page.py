@@ -1,0 +1,189 @@
+"""The page of a camera: every quantity with its uncertainty, the EMVA reference package, and what it lacks."""
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from html_page import Page, assert_stands_alone
+
+from data_schemas import CameraCharacterisation, Resolvable, provenance
+from finray_calib.radiometry import characterise_camera, sensitivity_threshold_e
+from finray_calib.reports.camera import camera_page
+from tests.radiometry.camera_sessions import (
+    BLACK_LEVEL_DN,
+    GAIN_E_PER_DN,
+    READ_NOISE_E,
+    SyntheticCameraSession,
+    camera_session,
+)
+
+HOSTILE = "<script>alert(1)</script>"
+ORACLE = Path(__file__).parents[1] / "radiometry" / "oracles" / "emva_reference.py"
+
+
+def characterised(session: SyntheticCameraSession) -> CameraCharacterisation:
+    found = characterise_camera(session.session, session.read)
+    return found.model_copy(update={"provenance": provenance("finray radiometry camera-session")})
+
+
+@pytest.fixture(scope="module")
+def camera() -> CameraCharacterisation:
+    return characterised(camera_session(np.random.default_rng(1), side_px=96, repeats=14, flicker_rel=0.002))
+
+
+def numbers(html: str) -> dict:
+    block = re.search(r'id="summary">(.*?)</script>', html, re.DOTALL)
+    assert block is not None
+    return json.loads(block[1])
+
+
+def test_every_quantity_has_an_expanded_uncertainty(camera):
+    html = camera_page(camera)
+    page = Page(html)
+    assert page.open == []
+    assert "MODEL HOLDS" in page.prose
+    assert html.index("Verdict") < html.index("<table")
+    told = numbers(html)
+    assert told["coverage_factor"] == 2.0
+    for c in camera.channels:
+        channel = told["channels"][c.channel]
+        assert len(channel) == 18
+        for found in channel.values():
+            assert found["expanded_uncertainty"] > 0
+        assert channel["dark_noise_e"]["expanded_uncertainty"] == 2 * c.read_noise_e.sd
+        assert channel["prnu_percent"]["estimate"] == 100 * c.prnu_rel.estimate
+        gain = channel["system_gain_dn_per_e"]
+        assert gain["estimate"] * c.gain_e_per_dn.estimate == pytest.approx(1.0, rel=1e-12)
+        assert gain["expanded_uncertainty"] / gain["estimate"] == pytest.approx(
+            2 * c.gain_e_per_dn.sd / c.gain_e_per_dn.estimate, rel=1e-12
+        )
+        decibels = channel["dynamic_range_db"]
+        assert 10 ** (decibels["estimate"] / 20) == pytest.approx(c.dynamic_range.estimate, rel=1e-12)
+        steps = 20 * np.log10(1 + 2e-4 * c.dynamic_range.sd / c.dynamic_range.estimate) / 1e-4
+        assert decibels["expanded_uncertainty"] == pytest.approx(steps, rel=1e-3)
+
+
+def test_the_threshold_is_that_of_the_standard_and_its_uncertainty_covers():
+    rng = np.random.default_rng(2)
+    truth_e = np.hypot(READ_NOISE_E, GAIN_E_PER_DN / np.sqrt(12)) + 0.5
+    gain = characterised(camera_session(rng)).channels[0].gain_e_per_dn
+    gains = GAIN_E_PER_DN + gain.sd * rng.standard_normal(2000)
+    noises_dn = READ_NOISE_E / GAIN_E_PER_DN + 0.05 * rng.standard_normal(2000)
+    estimates = [
+        sensitivity_threshold_e(
+            gain.model_copy(update={"estimate": g}), gain.model_copy(update={"estimate": n, "sd": 0.05})
+        )
+        for g, n in zip(gains, noises_dn, strict=True)
+    ]
+    covered = np.mean([e.low95 <= truth_e <= e.high95 for e in estimates])
+    assert abs(covered - 0.95) < 4 * np.sqrt(0.05 * 0.95 / 2000)
+
+
+def test_what_was_not_measured_is_said(camera):
+    prose = Page(camera_page(camera)).prose
+    for words in ("Quantum efficiency", "known irradiance", "Rows, columns and pixels are not told apart",
+                  "rig's own lamp", "temperature of the sensor"):  # fmt: skip
+        assert words in prose
+
+
+def test_a_channel_that_does_not_saturate_says_so():
+    dim = characterised(camera_session(np.random.default_rng(4), light=(1.0, 1.0, 0.4)))
+    html = camera_page(dim)
+    assert "MODEL HOLDS, WITH REMARKS" in html
+    assert numbers(html)["channels"]["blue"]["dynamic_range_db"] is None
+    assert "not reached" in html
+    assert "blue: no exposure saturates" in html
+
+
+def test_a_bent_camera_is_named():
+    def bend(frame, counts):
+        signal = counts.astype(float) - BLACK_LEVEL_DN
+        return np.rint(np.clip(signal * (1 - 0.15 * signal / 3500) + BLACK_LEVEL_DN, 0, 4095)).astype(np.uint16)
+
+    html = camera_page(characterised(camera_session(np.random.default_rng(5), side_px=128, repeats=2).change(bend)))
+    assert "departs from a line through exposure by" in html
+    assert "MODEL HOLDS</" not in html
+
+
+def test_what_is_not_resolved_is_a_limit(camera):
+    page = camera_page(camera)
+    for c in camera.channels:
+        assert not c.linearity_error_rel.resolved
+        assert f"below {100 * c.linearity_error_rel.high95:.2g}" in page
+    unresolved = [v for c in camera.channels for _, v in c if isinstance(v, Resolvable) and not v.resolved]
+    assert page.count("below ") >= len(unresolved)
+
+
+def test_names_stay_text_and_the_page_stands_alone(camera):
+    hostile = camera.model_copy(update={"camera_name": HOSTILE, "notes": (HOSTILE,), "filter_name": HOSTILE})
+    html = camera_page(hostile)
+    assert HOSTILE not in html
+    assert_stands_alone(html)
+    assert html == camera_page(hostile)
+    page = Page(html)
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert len(page.all("caption")) == len(page.all("table")) > 3
+
+
+def emva(session: SyntheticCameraSession, folder: Path) -> dict[str, float]:
+    """Return what the EMVA reference package says of the red pixels of a session."""
+    lost = [name for name in ("emva1288", "lxml", "PIL") if importlib.util.find_spec(name) is None]
+    if lost:
+        pytest.skip(f"NOT CHECKED against the EMVA package: pip install {' '.join(lost)}")
+    stacks: dict[float, dict[str, list[str]]] = {}
+    for number, frame in enumerate(session.session.frames):
+        np.save(folder / f"{number}.npy", session.read(frame)[0::2, 0::2])
+        stacks.setdefault(frame.exposure_s, {}).setdefault(frame.frame_type, []).append(f"{number}.npy")
+    both = {exposure_s: stack for exposure_s, stack in stacks.items() if len(stack) == 2}  # the long dark ones lack lit
+    most_s = max(both, key=lambda exposure_s: len(both[exposure_s]["white"]))
+
+    def listed(exposure_s: float, most: int) -> dict[str, dict[str, list[str]]]:
+        photons = {"white": f"{5e5 * exposure_s:.6f}", "dark": "0.000000"}
+        return {f"{1e9 * exposure_s:.1f}": {photons[kind]: names[:most] for kind, names in both[exposure_s].items()}}
+
+    temporal = {time: found for exposure_s in both for time, found in listed(exposure_s, 2).items()}
+    images = {"temporal": temporal, "spatial": listed(most_s, 1000)}
+    (folder / "images.json").write_text(json.dumps(images))
+    done = subprocess.run([sys.executable, ORACLE, folder], capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_the_numbers_of_the_page_are_those_of_the_emva_package(tmp_path):
+    session = camera_session(np.random.default_rng(7), side_px=256, flicker_rel=0.002)
+    theirs = emva(session, tmp_path)
+    camera = characterised(session)
+    ours = numbers(camera_page(camera))["channels"]["red"]
+
+    def differs(name: str, their_name: str) -> float:
+        """Return the difference in standard uncertainties of ours."""
+        return 2 * abs(ours[name]["estimate"] - theirs[their_name]) / ours[name]["expanded_uncertainty"]
+
+    # its line has no weights: its standard deviation is about 1.5 times ours, and the frames are the same
+    for name, their_name in (("system_gain_dn_per_e", "k_dn_per_e"), ("dark_noise_e", "sigma_d_e"),
+                             ("sensitivity_threshold_e", "threshold_e")):  # fmt: skip
+        assert differs(name, their_name) < 4 * 1.5
+        assert ours[name]["expanded_uncertainty"] < 0.02 * ours[name]["estimate"]
+    # it takes the photons of the level with the largest variance, we the counts, where the first pixels clip
+    for name in ("saturation_capacity_e", "snr_max_db", "dynamic_range_db"):
+        assert differs(name, name) < 2
+    # only rounding in its names of exposures is left
+    red = camera.channels[0]
+    assert 100 * red.linearity_lowest_rel == pytest.approx(theirs["lowest_percent"], abs=1e-4)
+    assert 100 * red.linearity_highest_rel == pytest.approx(theirs["highest_percent"], abs=1e-4)
+    assert red.linearity_highest_rel - red.linearity_lowest_rel > 1e-3
+
+
+def test_the_non_uniformities_of_the_page_are_those_of_the_emva_package(tmp_path):
+    session = camera_session(np.random.default_rng(8), side_px=128, repeats=14)
+    theirs = emva(session, tmp_path)
+    ours = numbers(camera_page(characterised(session)))["channels"]["red"]
+    # it leaves the flicker of the frame mean in the temporal variance: 1/4096 of it, 16 frames
+    assert ours["flat_nonuniformity_percent"]["estimate"] == pytest.approx(theirs["prnu_percent"], rel=1e-3)
+    assert ours["dsnu_dn"]["estimate"] == pytest.approx(theirs["dsnu_e"] * theirs["k_dn_per_e"], rel=1e-3)
