@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._design_choices import add_design_choices
 from finray_calib.cli._output import give, go_on_with, look_at, say, wrote
 from finray_calib.cli._run import (
     file_name,
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from sim.optics import CameraView
 
 
-HELP = "write a finger design; draw it, see what its camera sees, print its parts"
+HELP = "write a finger design; draw it, see what its camera sees, print its parts, choose its paints"
 DESCRIPTION = (
     "Write a design file to start from, and look at a finger or a classic sensor before anything is simulated."
 )
@@ -54,6 +55,7 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     _add_init(actions)
     _add_show(actions)
     _add_export(actions)
+    add_design_choices(actions)
 
 
 def _add_init(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
