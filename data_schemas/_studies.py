@@ -485,7 +485,7 @@ class PaintPairRow(Model):
     normal_error_deg: Estimate = Field(description="error of the sensed normal, mean over the pad")
     above_best_deg: Estimate = Field(description="the same less that of the best pair, draw by draw")
     is_worse: bool = Field(description="whether the difference to the best pair is real, all pairs together at 95 %")
-    best_probability: Annotated[float, Field(ge=0.0, le=1.0)] = Field(description="share of draws where it is the best")
+    best_share: Fraction = Field(description="of the draws: where it is the best")
     separation_deg: Annotated[float, Field(ge=0.0)] = Field(
         description="angle between the colours of facets tilted to opposite sides"
     )

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ class PairedRanking:
         Of each difference's interval, (choice, choice): all intervals hold together with the level.
     told_apart
         Whether the difference of two choices leaves its interval, (choice, choice).
-    best_probability
+    best_share
         Share of the draws in which a choice is the least, ties divided, (choice,).
     """
 
@@ -34,16 +35,20 @@ class PairedRanking:
     above_best: Floats
     half_widths: Floats
     told_apart: NDArray[np.bool_]
-    best_probability: Floats
+    best_share: Floats
 
 
-def rank_by_draws(values: Floats, level: float = 0.95) -> PairedRanking:
+#: Of all intervals together.
+LEVEL: Final = 0.95
+
+
+def rank_by_draws(values: Floats) -> PairedRanking:
     r"""Rank choices, the least first, and find the differences that are real.
 
     .. math:: |\bar d_{ij}| > c\, s_{ij}, \qquad
         c = \text{the } \lceil (n + 1) L \rceil\text{-th of } \max_{i<j} |d_{ij} - \bar d_{ij}| / s_{ij}
 
-    over the n draws of all differences d. All intervals hold together with the level L, so that of equal choices,
+    over the n draws of all differences d. All intervals hold together with the level L = 0.95: of equal choices,
     however many, none is told apart more often than in 1 - L of all cases. Valid where the deviation of the means from
     the truth is one of the draws' kind, as those of a posterior are.
 
@@ -51,24 +56,22 @@ def rank_by_draws(values: Floats, level: float = 0.95) -> PairedRanking:
     ----------
     values
         (choice, draw), smaller is better; a draw is the same state of the world for all choices.
-    level
-        Of all intervals together.
 
     Raises
     ------
     CompareError
-        With less than two choices, with too few draws for the level, or when a value is not finite.
+        With less than two choices, with too few draws for the level of 95 %, or when a value is not finite.
 
     References
     ----------
     J. L. Montiel Olea, M. Plagborg-Moller, Simultaneous confidence bands: theory, implementation, and an application to
     SVARs, Journal of Applied Econometrics 34 (2019) 1-17.
     """
-    least = ceil(level / (1.0 - level) - 1e-9)
+    least = ceil(LEVEL / (1.0 - LEVEL) - 1e-9)
     if values.ndim != 2 or len(values) < 2 or values.shape[1] < least or not np.isfinite(values).all():
         raise CompareError(
             f"a ranking needs finite values (choice, draw) of at least 2 choices and {least} draws for a level of "
-            f"{level:g}; got an array of shape {values.shape}. Give more draws or choices"
+            f"{LEVEL:g}; got an array of shape {values.shape}. Give more draws or choices"
         )
     mean = values.mean(axis=1)
     order = np.argsort(mean, kind="stable")
@@ -76,7 +79,7 @@ def rank_by_draws(values: Floats, level: float = 0.95) -> PairedRanking:
     centre, spread = difference.mean(axis=2), difference.std(axis=2, ddof=1)
     scaled = np.abs(difference - centre[..., None]) / np.where(spread > 0.0, spread, 1.0)[..., None]
     largest = np.sort(scaled[np.triu_indices(len(values), 1)].max(axis=0))
-    rank = min(ceil((len(largest) + 1) * level - 1e-9), len(largest))
+    rank = min(ceil((len(largest) + 1) * LEVEL - 1e-9), len(largest))
     half_widths = largest[rank - 1] * spread
     is_least = values == values.min(axis=0)
     return PairedRanking(
@@ -125,7 +128,7 @@ def paint_choice(
             normal_error_deg=PropagatedDraws(normal_error_deg[k]).as_estimate(),
             above_best_deg=PropagatedDraws(ranking.above_best[k]).as_estimate(),
             is_worse=bool(ranking.told_apart[k, best]),
-            best_probability=float(ranking.best_probability[k]),
+            best_share=float(ranking.best_share[k]),
             separation_deg=float(separation_deg[k].mean()),
             exposure_rel=float(exposure_rel[k]),
         )

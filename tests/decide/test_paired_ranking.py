@@ -54,7 +54,7 @@ def test_two_choices_of_the_same_draws_are_one():
     draws = np.random.default_rng(6).uniform(6.0, 8.0, DRAWS)
     ranking = rank_by_draws(np.stack([draws, draws, draws + 1.0]))
     assert ranking.order.tolist() == [0, 1, 2]
-    assert ranking.best_probability.tolist() == [0.5, 0.5, 0.0]
+    assert ranking.best_share.tolist() == [0.5, 0.5, 0.0]
     np.testing.assert_array_equal(ranking.told_apart, [[False, False, True], [False, False, True], [True, True, False]])
     np.testing.assert_allclose(ranking.above_best, [[0.0] * DRAWS, [0.0] * DRAWS, [1.0] * DRAWS])
 

@@ -91,7 +91,7 @@ def test_the_ranking_is_the_one_that_was_made(llvm, paints):
     assert not ranking.told_apart[number["red", "green"], number["twin", "green"]]
     # the finger is the same from both sides
     assert not ranking.told_apart[number["red", "green"], number["green", "red"]]
-    best = {name for pair, rank in zip(found.pairs, ranking.best_probability, strict=True) if rank for name in pair}
+    best = {name for pair, rank in zip(found.pairs, ranking.best_share, strict=True) if rank for name in pair}
     assert best <= {"red", "twin", "green"}
 
 
