@@ -475,3 +475,42 @@ class StudyResult(Record):
     varied: tuple[str, ...] = Field(description="fields of the design")
     points: tuple[StudyRow, ...]
     failures: tuple[StudyFailure, ...] = ()
+
+
+class PaintPairRow(Model):
+    """How well a finger would tell normals with one paint on each wall."""
+
+    red: str = Field(description="paint of the red wall")
+    green: str = Field(description="paint of the green wall")
+    normal_error_deg: Estimate = Field(description="error of the sensed normal, mean over the pad")
+    above_best_deg: Estimate = Field(description="the same less that of the best pair, draw by draw")
+    is_worse: bool = Field(description="whether the difference to the best pair is real, all pairs together at 95 %")
+    best_share: Fraction = Field(description="of the draws: where it is the best")
+    separation_deg: Annotated[float, Field(ge=0.0)] = Field(
+        description="angle between the colours of facets tilted to opposite sides"
+    )
+    exposure_rel: Annotated[float, Field(gt=0.0)] = Field(description="exposure time relative to the shortest")
+
+
+class PaintChoice(Record):
+    """Pairs of paints ranked for one finger by the error of the sensed normal, before anything is moulded."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray design paints'"
+    shown: ClassVar[tuple[str, ...]] = ("sentence",)
+
+    name: str
+    sentence: str
+    paints: tuple[str, ...]
+    pairs: tuple[PaintPairRow, ...] = Field(min_length=2, description="best first")
+    normal_error_draws_deg: Annotated[Floats, ArraySpec("<f8", ("pair", "draw"), "deg")] = Field(
+        description="in the order of the pairs; a draw is the same of all pairs"
+    )
+    design: FingerDesign
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_row_a_pair(self) -> "PaintChoice":
+        if len(self.normal_error_draws_deg) != len(self.pairs):
+            raise ValueError(f"{len(self.normal_error_draws_deg)} rows of draws for {len(self.pairs)} pairs")
+        return self

@@ -25,6 +25,7 @@ from data_schemas import (
     LightAngleSweep,
     NormalMapRecord,
     PaintCalibration,
+    PaintChoice,
     PaintMap,
     PaintPlan,
     PaintWithoutEmission,
@@ -92,6 +93,7 @@ STORED: tuple[type[Record], ...] = (
     AcceptanceReport,
     StudyPoint,
     StudyResult,
+    PaintChoice,
 )
 
 

@@ -4,6 +4,7 @@ The objective's curve f over the angle is a random curve through the renders of 
 p is a draw of the paints and t the sim-to-real error learnt from captures (its prior without any). An angle's value is
 the mean over the places, or the least, of the curve over its greatest value there. Joint draws give the probability
 that another angle is better and by how much; the verdict, the sentences and the next capture that helps most follow.
+`rank_by_draws` ranks other choices, such as paints, by draws that belong to each other.
 """
 
 from typing import TYPE_CHECKING
@@ -13,7 +14,17 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from finray_calib.decide._decision_record import decide
     from finray_calib.decide._light_angle import AngleDecision, SweptContact, decide_angle, decide_contacts
+    from finray_calib.decide._paired_ranking import PairedRanking, paint_choice, rank_by_draws
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
-__all__ = ["AngleDecision", "SweptContact", "decide", "decide_angle", "decide_contacts"]
+__all__ = [
+    "AngleDecision",
+    "PairedRanking",
+    "SweptContact",
+    "decide",
+    "decide_angle",
+    "decide_contacts",
+    "paint_choice",
+    "rank_by_draws",
+]

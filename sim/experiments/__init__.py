@@ -3,8 +3,9 @@
 `paint_finger` joins a design with calibrated paints and a renderer. `simulate_press` renders a press as a record
 (`simulate_images` its images too), `press_records` makes the records of one pressed by finite elements, `recoloured`
 changes paints or camera of a stored press, `capture_twin` and `simulated_capture` pass a render through the sensor
-model, and `light_angle_sweep` measures the objectives of the light angle. A study (`study_...`,
-`reproduce_paper_paints`) returns a record and draws nothing: reports do. Here mechanics and optics meet.
+model, `light_angle_sweep` measures the objectives of the light angle, and `paint_pairs` those of pairs of paints. A
+study (`study_...`, `reproduce_paper_paints`) returns a record and draws nothing: reports do. Here mechanics and optics
+meet.
 """
 
 from typing import TYPE_CHECKING
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from sim.experiments._light_angle import light_angle_sweep
     from sim.experiments._mechanical_press import increment_record, press_records, stored_press
     from sim.experiments._optics_products import OpticsProducts, simulate_images
+    from sim.experiments._paint_choice import BareFinger, PaintDraws, PaintedPairs, paint_pairs
     from sim.experiments._painted_finger import (
         CameraResponse,
         FingerScene,
@@ -38,10 +40,13 @@ else:
 
 __all__ = [
     "BallPresses",
+    "BareFinger",
     "CameraResponse",
     "FingerScene",
     "OpticsProducts",
+    "PaintDraws",
     "PaintedFinger",
+    "PaintedPairs",
     "PressedCoat",
     "Rendering",
     "WhiteBalance",
@@ -54,6 +59,7 @@ __all__ = [
     "light_angle_sweep",
     "paint_finger",
     "paint_optics",
+    "paint_pairs",
     "pose_response",
     "press_record",
     "press_records",

@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from sim.optics._angle_sweep import AngleSweep, measure_together, sweep_light_angle, with_light_angle
+    from sim.optics._angle_sweep import (
+        AngleSweep,
+        FacetChains,
+        facet_chains,
+        measure_together,
+        sweep_light_angle,
+        with_light_angle,
+    )
     from sim.optics._calibrated_camera import read_calibration
     from sim.optics._gradients import ProbeGradient, probe_gradient
     from sim.optics._optical_layout import Window, camera_pose, panel_frame
@@ -25,10 +32,12 @@ if TYPE_CHECKING:
         PaintBands,
         PaintOptics,
         SpectralBand,
+        band_mean,
         camera_matrix,
         chain_matrix,
         chain_steps,
         conversion_gains,
+        emission_band,
         mix_chains,
         paint_bands,
         require_near_bands,
@@ -94,6 +103,7 @@ __all__ = [
     "WALLS",
     "AngleSweep",
     "CameraView",
+    "FacetChains",
     "GelHeight",
     "Level",
     "LoadedScene",
@@ -115,6 +125,7 @@ __all__ = [
     "Window",
     "analytic_gel",
     "bake_walls",
+    "band_mean",
     "camera_matrix",
     "camera_pose",
     "camera_view",
@@ -123,7 +134,9 @@ __all__ = [
     "check_paints",
     "choose_variant",
     "conversion_gains",
+    "emission_band",
     "exr_image",
+    "facet_chains",
     "inner_face",
     "last_band",
     "light_frame",

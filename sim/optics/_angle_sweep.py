@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, SimulateError
 from sim.optics._paint_bands import PaintBands, PaintOptics, chain_matrix
-from sim.optics._painted_walls import BAKE_SAMPLES, WallExchange, bake_walls, direct_lights
+from sim.optics._painted_walls import BAKE_SAMPLES, WALLS, WallExchange, bake_walls, direct_lights
 from sim.optics._probes import Facets, ProbePaths, Probes, default_probe_points_mm, probes_on, radiance_meter
 from sim.optics._render import Progress, check_paints, lit_integrator, open_scene, stream_seed
 from sim.optics._renderer import SCALAR_VARIANT
@@ -232,14 +232,12 @@ def _measure_batch(
     scene = open_scene(design, shape, bands, renderer, sensor=radiance_meter(renderer, probes, 0))
     tracer = AnglePaths(scene, design, shape, [d.light for d in designs])
     direct = direct_lights(design, shape, [d.light for d in designs])
-    # a path from a probe and one from a wall are about as noisy, and there are more probes than walls
-    bake_samples = max(round(BAKE_SAMPLES[False] * BAKE_SHARE), min(8 * samples, 2 * BAKE_SAMPLES[False]), samples)
     origins, directions = (np.repeat(v, samples, axis=0) for v in (probes.origins_mm, probes.directions))
     kinds = 1 if facets is None else len(facets.normals)
     radiance = np.empty((len(designs), paths.repeats, kinds, len(probes.points_mm), 3))
     for repeat in range(paths.repeats):
         rng = np.random.default_rng(stream_seed(paths.seed, 2 * repeat))
-        walls = WallExchange.traced(tracer, shape, bake_samples, rng)
+        walls = WallExchange.traced(tracer, shape, _bake_samples(samples), rng)
         emitted = np.array([walls.emitted(k, direct[k], bands) for k in range(len(designs))])
         path_seed = stream_seed(paths.seed, 2 * repeat + 1)
         if facets is not None:
@@ -250,3 +248,77 @@ def _measure_batch(
             radiance[:, repeat, 0, :, 2] = seen.led.T
         told(repeat + 1)
     return radiance
+
+
+#: Conversions of the longest chain of fluorescence: each further one is some hundred times weaker.
+LONGEST_CHAIN: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class FacetChains:
+    """What facets of the coat send to the camera, chain by chain of fluorescence, for conversions of 1.
+
+    Attributes
+    ----------
+    chains
+        Names such as "led" (light of the LED itself) or "led>green>red".
+    radiance_rel
+        In units of the panel's radiance, (repeat, facet, probe, chain).
+    """
+
+    chains: tuple[str, ...]
+    radiance_rel: Floats
+
+
+def facet_chains(
+    design: FingerDesign,
+    shape: FingerShape,
+    bands: PaintBands,
+    renderer: ModuleType,
+    probes: Probes,
+    facets: Facets,
+    paths: ProbePaths,
+) -> FacetChains:
+    """Trace facets of the coat once for all paints that reflect like these; how much they emit does not matter.
+
+    Parameters
+    ----------
+    design, shape, renderer
+        The finger under its own lights; a compiled variant.
+    bands
+        Reflectance of the walls in each band; conversions are not used.
+    probes, facets
+        Points on the coat, and directions of the coat there.
+    paths
+        Directions per probe and repeat.
+
+    Raises
+    ------
+    SimulateError
+        When a panel reaches into the gel.
+    """
+    from sim.optics._angle_paths import AnglePaths, facet_radiance
+
+    check_outside_the_gel(design.light, shape)
+    scene = open_scene(design, shape, bands, renderer, sensor=radiance_meter(renderer, probes, 0))
+    # each pose of the light stands for one chain of each wall: what walls emit is a pose's own
+    poses = sum(len(WALLS) ** k for k in range(LONGEST_CHAIN))
+    tracer = AnglePaths(scene, design, shape, [design.light] * poses)
+    direct = direct_lights(design, shape, [design.light])[0]
+    radiance = []
+    for repeat in range(paths.repeats):
+        rng = np.random.default_rng(stream_seed(paths.seed, 2 * repeat))
+        walls = WallExchange.traced(tracer, shape, _bake_samples(paths.samples), rng)
+        chains = walls.chains(0, direct, LONGEST_CHAIN)
+        of_wall = [[(name, lit) for name, (wall, lit) in chains.items() if wall == k] for k in range(len(WALLS))]
+        emitted = np.array([[of_wall[k][pose][1] for k in range(len(WALLS))] for pose in range(poses)])
+        seed = stream_seed(paths.seed, 2 * repeat + 1)
+        sent = facet_radiance(tracer, probes, facets, emitted, paths.samples, seed)
+        radiance.append(np.concatenate([sent[:1, ..., 2], *(sent[..., k] for k in range(len(WALLS)))]))
+    names = ("led", *(name for one in of_wall for name, _ in one))
+    return FacetChains(names, np.moveaxis(np.array(radiance), 1, -1))
+
+
+def _bake_samples(samples: int) -> int:
+    """Return the paths of each wall: one from a wall is about as noisy as one from a probe, and probes are more."""
+    return max(round(BAKE_SAMPLES[False] * BAKE_SHARE), min(8 * samples, 2 * BAKE_SAMPLES[False]), samples)

@@ -125,7 +125,7 @@ def paint_bands(red: PaintOptics, green: PaintOptics, light: LightPanel) -> Pain
         of a band, or when reflectance plus emission in a band exceed one.
     """
     led = led_band(light)
-    emissions = {"red": _emission_band(red, light), "green": _emission_band(green, light)}
+    emissions = {"red": emission_band(red, light), "green": emission_band(green, light)}
     bands = (emissions["red"][0], emissions["green"][0], led)
     reflectance, conversion, cut = {}, {}, {}
     for key, paint in (("red", red), ("green", green)):
@@ -223,8 +223,14 @@ def camera_matrix(
     )
 
 
-def _emission_band(paint: PaintOptics, light: LightPanel) -> tuple[SpectralBand, float, float]:
-    """Return the paint's emission band, its energy conversion, and the share cut below the LED's upper edge."""
+def emission_band(paint: PaintOptics, light: LightPanel) -> tuple[SpectralBand, float, float]:
+    """Return the paint's emission band, its energy conversion, and the share cut below the LED's upper edge.
+
+    Raises
+    ------
+    SimulateError
+        When the paint has no emission above the edge.
+    """
     edge = led_upper_edge_nm(light)
     wavelength, emission = paint.wavelength_nm, paint.emission_per_nm
     if edge >= wavelength[-1]:

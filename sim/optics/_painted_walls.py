@@ -509,6 +509,37 @@ class WallExchange:
             total = total + latest
         return total
 
+    def chains(self, light: int, direct: Floats, order: int) -> dict[str, tuple[int, Floats]]:
+        """Return what each chain of fluorescence makes a wall emit, for conversions of 1.
+
+        Parameters
+        ----------
+        light
+            Number of the light.
+        direct
+            Its direct irradiance of the walls, (wall, TEXELS_ALONG, TEXELS_UP).
+        order
+            Conversions of the longest chain.
+
+        Returns
+        -------
+        dict
+            Name of the chain -> number of the wall that emits it, and its radiance there, (TEXELS_ALONG, TEXELS_UP), in
+            units of the panel's. That of given paints is their conversions along the chain times as much.
+        """
+        latest = {f"led>{wall}": (k, (direct[k] + self.led[k, ..., light]) / np.pi) for k, wall in enumerate(WALLS)}
+        found = dict(latest)
+        for _ in range(2, order + 1):
+            latest = {
+                f"{chain}>{wall}": (
+                    k, smoother(np.einsum("ijkl,kl->ij", self.exchange[k, :, :, light, v], emitted)) / np.pi
+                )
+                for chain, (v, emitted) in latest.items()
+                for k, (wall, smoother) in enumerate(zip(WALLS, self.smoothers[light], strict=True))
+            }  # fmt: skip
+            found |= latest
+        return found
+
 
 def _smoother_of(received: Floats) -> WallSmoother:
     """Choose a smoother for one noisy map without repeats: texels above each other tell the noise."""
