@@ -220,11 +220,19 @@ class _Struck(Child):
     ],
 )
 def test_the_same_command_continues_after_a_process_ended(
-    folders: Path, monkeypatch: pytest.MonkeyPatch, strike: object, status: int, told: str
+    folders: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+    strike: object,
+    status: int,
+    told: str,
 ) -> None:
     command = f"compare {folders}/simulated {folders}/captured --out {folders}/out"
     monkeypatch.setattr(_compare_folders, "_LEAST_PAIRS_EACH", 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    # a shell script ignores Ctrl-C in what it starts in the background, and the test may be that
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     with monkeypatch.context() as broken:
         broken.setattr(_Struck, "strike", staticmethod(strike), raising=False)
         broken.setattr(_compare_folders, "Child", _Struck)
