@@ -315,7 +315,7 @@ def _given_design(path: Path) -> "tuple[FingerDesign, list[Path], Path]":
 
 
 def _calibrations(files: "Sequence[Path]") -> "dict[str, PaintCalibration]":
-    """Return calibrations by name; paints of one name are told apart by their files."""
+    """Return calibrations by name; paints of one name are distinguished by their files."""
     from data_schemas import PaintCalibration, SimulateError
     from data_schemas.storage import read_record
 
@@ -338,7 +338,7 @@ def _paint_table(choice: "PaintChoice") -> "Iterator[str]":
             row.green,
             str(row.normal_error_deg),
             "best" if place == 0 else str(row.above_best_deg),
-            "" if place == 0 else "worse" if row.is_worse else "not told apart",
+            "" if place == 0 else "worse" if row.is_worse else "not distinguishable",
         )
         for place, row in enumerate(choice.pairs)
     ]

@@ -22,7 +22,7 @@ def test_paints_are_ranked_and_stored(paints: Path, tmp_path: Path) -> None:
     # one paint on both walls of the same kind, exchanged: the finger is the same from both sides
     assert len(choice.pairs) == 2
     assert not choice.pairs[1].is_worse
-    assert "not told apart" in said
+    assert "not distinguishable" in said
     assert "next: finray simulate sweep" in said
     row = choice.pairs[0]
     assert row.normal_error_deg.estimate == pytest.approx(np.median(choice.normal_error_draws_deg[0]))

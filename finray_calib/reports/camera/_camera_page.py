@@ -286,7 +286,7 @@ def _limits(camera: CameraCharacterisation) -> tuple[str, ...]:
         "The light is the rig's own lamp on the white tile. It is not as even as the standard asks for, so the "
         "non-uniformity without high-pass holds lamp, lens and tile too. The high-pass removes them, and with them "
         "what whole rows and columns share.",
-        "Rows, columns and pixels are not told apart in DSNU and PRNU, and there are no spectrograms and no counts of "
+        "Rows, columns and pixels are not separated in DSNU and PRNU, and there are no spectrograms and no counts of "
         "defect pixels.",
         f"One exposure of the lamp repeats within {percent(camera.light_repeatability_rel)} (one standard deviation, "
         "with drift). A linearity error below that cannot be seen.",
