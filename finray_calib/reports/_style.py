@@ -82,10 +82,10 @@ def svg_text(figure: Figure) -> str:
 class Reading:
     """A text under the pointer, and the strip where it shows, in shares of the figure from the left top."""
 
-    left: float
-    top: float
-    width: float
-    height: float
+    left_rel: float
+    top_rel: float
+    width_rel: float
+    height_rel: float
     text: str
 
 

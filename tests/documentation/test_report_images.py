@@ -320,10 +320,10 @@ def test_a_strip_lies_over_the_point_that_it_describes() -> None:
         down, across = (found.mean() / size for found, size in zip(
             np.nonzero((image[..., ::-1] == colour).all(axis=-1)), image.shape, strict=False
         ))  # fmt: skip
-        assert reading.left < across < reading.left + reading.width
-        assert reading.top < down < reading.top + reading.height
+        assert reading.left_rel < across < reading.left_rel + reading.width_rel
+        assert reading.top_rel < down < reading.top_rel + reading.height_rel
     for one, other in pairwise(drawn.readings):
-        assert one.left + one.width == pytest.approx(other.left, abs=2e-5)
+        assert one.left_rel + one.width_rel == pytest.approx(other.left_rel, abs=2e-5)
 
 
 def test_a_figure_without_places_has_no_strips_and_one_place_has_all() -> None:
@@ -333,7 +333,7 @@ def test_a_figure_without_places_has_no_strips_and_one_place_has_all() -> None:
     assert readable(figure, axes, {}).readings == ()
     (only,) = readable(figure, axes, {0.5: "half"}).readings
     box = axes.get_position()
-    assert (only.left, only.width) == (pytest.approx(box.x0, abs=1e-4), pytest.approx(box.width, abs=1e-4))
+    assert (only.left_rel, only.width_rel) == (pytest.approx(box.x0, abs=1e-4), pytest.approx(box.width, abs=1e-4))
 
 
 def test_words_under_the_pointer_are_escaped_and_readers_of_a_screen_skip_them() -> None:
