@@ -61,7 +61,11 @@ if TYPE_CHECKING:
         LARGEST_TEXT_BYTES,
         LARGEST_TOML_BYTES,
         digest_as_read,
+        files_below,
+        files_in,
         finite_number,
+        folder_at,
+        has_file,
         open_regular,
         parse_json,
         read_bytes,
@@ -72,7 +76,7 @@ if TYPE_CHECKING:
     )
     from data_schemas.storage._product_set import ProductSet, clear_leftovers
     from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, write_record
-    from data_schemas.storage._whole_files import lock, refuse_taken, sha256_of, write_bytes
+    from data_schemas.storage._whole_files import lock, refuse_taken, sha256_of, write_bytes, write_zip
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -95,8 +99,12 @@ __all__ = [
     "camera_response",
     "clear_leftovers",
     "digest_as_read",
+    "files_below",
+    "files_in",
     "finite_number",
+    "folder_at",
     "halogen_lamp",
+    "has_file",
     "is_child",
     "lamp_curve",
     "lock",
@@ -136,4 +144,5 @@ __all__ = [
     "write_frame",
     "write_manifest",
     "write_record",
+    "write_zip",
 ]

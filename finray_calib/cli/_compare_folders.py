@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from data_schemas import CompareError, DiedError, FinrayError, RecordError
-from data_schemas.storage import Child
+from data_schemas.storage import Child, files_in, has_file
 from finray_calib.cli._output import Progress, give, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import command_line, distinct_file_names, input_digests, require_new, require_place
 
@@ -166,10 +166,10 @@ def _of_folders(arguments: argparse.Namespace) -> tuple[list[_Job], list[str]]:
     jobs, notes = [], []
     named = _simulator_names(arguments.simulated)
     for name, folder in named.items():
-        paired, alone = pair_by_name(*([file.name for file in part.iterdir()] for part in (folder, captured)))
+        paired, alone = pair_by_name(*([file.name for file in files_in(part)] for part in (folder, captured)))
         jobs += [_Job(name, press, folder / one, captured / two, Path()) for press, (one, two) in paired.items()]
         # a capture that the table was taught with has no press: that is no fault
-        notes += [f"{f}: has no partner and was left out" for f in alone if len(named) == 1 or (folder / f).is_file()]
+        notes += [f"{f}: has no partner and was left out" for f in alone if len(named) == 1 or has_file(folder / f)]
     notes = list(dict.fromkeys(notes))
     for note in notes:
         warn(note)
@@ -180,7 +180,7 @@ def _simulator_names(folders: Sequence[Path]) -> dict[str, Path]:
     """Return the name of each simulator: that of its folder, with those above where two are alike."""
     found: dict[str, Path] = {}
     for folder in folders:
-        parts = folder.resolve().parts
+        parts = [part.removesuffix(".zip") for part in folder.resolve().parts]
         name = next(
             (n for n in ("/".join(parts[-k:]) for k in range(1, len(parts))) if n not in found), str(folder.resolve())
         )

@@ -22,6 +22,8 @@ ALLOWED = {
     ("data_schemas/storage/_foreign_files.py", "tomllib.loads"): "the gateway",
     ("data_schemas/storage/_array_files.py", "zipfile.ZipFile"): "bytes of the gateway",
     ("data_schemas/storage/_array_files.py", "archive.open"): "bytes of the gateway",
+    ("data_schemas/storage/_zip_archives.py", "zipfile.ZipFile"): "a file that the gateway opened",
+    ("data_schemas/storage/_zip_archives.py", "self._archive.open"): "the same",
     ("data_schemas/storage/_array_files.py", "tifffile.TiffFile"): "bytes of the gateway",
     ("rigs/cameras/_image_files.py", "tifffile.TiffFile"): "bytes of the gateway",
     ("rigs/cameras/_image_files.py", "rawpy.imread"): "bytes of the gateway, in a limited child",
