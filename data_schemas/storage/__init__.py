@@ -31,7 +31,9 @@ if TYPE_CHECKING:
         Child,
         call_in_child,
         is_child,
+        memory_left,
         progress_teller,
+        stopping_together,
         tell,
     )
     from data_schemas.storage._curve_files import (
@@ -110,6 +112,7 @@ __all__ = [
     "lock",
     "manifest_faults",
     "manifest_text",
+    "memory_left",
     "migrate",
     "open_regular",
     "parse_file",
@@ -138,6 +141,7 @@ __all__ = [
     "rggb_frame",
     "sha256_now",
     "sha256_of",
+    "stopping_together",
     "tell",
     "tiff_image",
     "write_bytes",
