@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "reference"
 PACKAGES = ("finray_calib", "sim", "rigs", "data_schemas")
 BESIDE = {
+    "tactile-captures.md": "Tactile captures in one container: a layout that any program can write",
     "files-that-are-read.md": "Files that are read: formats, limits, what is refused, how it was tried",
     "rooms.md": "Rooms of the code and what they import",
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
         Child,
         call_in_child,
         is_child,
+        memory_left,
         progress_teller,
+        stopping_together,
         tell,
     )
     from data_schemas.storage._curve_files import (
@@ -61,7 +63,11 @@ if TYPE_CHECKING:
         LARGEST_TEXT_BYTES,
         LARGEST_TOML_BYTES,
         digest_as_read,
+        files_below,
+        files_in,
         finite_number,
+        folder_at,
+        has_file,
         open_regular,
         parse_json,
         read_bytes,
@@ -72,7 +78,7 @@ if TYPE_CHECKING:
     )
     from data_schemas.storage._product_set import ProductSet, clear_leftovers
     from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, write_record
-    from data_schemas.storage._whole_files import lock, refuse_taken, sha256_of, write_bytes
+    from data_schemas.storage._whole_files import lock, refuse_taken, sha256_of, write_bytes, write_zip
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -95,13 +101,18 @@ __all__ = [
     "camera_response",
     "clear_leftovers",
     "digest_as_read",
+    "files_below",
+    "files_in",
     "finite_number",
+    "folder_at",
     "halogen_lamp",
+    "has_file",
     "is_child",
     "lamp_curve",
     "lock",
     "manifest_faults",
     "manifest_text",
+    "memory_left",
     "migrate",
     "open_regular",
     "parse_file",
@@ -130,10 +141,12 @@ __all__ = [
     "rggb_frame",
     "sha256_now",
     "sha256_of",
+    "stopping_together",
     "tell",
     "tiff_image",
     "write_bytes",
     "write_frame",
     "write_manifest",
     "write_record",
+    "write_zip",
 ]

@@ -13,6 +13,7 @@ import importlib
 import json
 import math
 import os
+import re
 import resource
 import select
 import signal
@@ -137,7 +138,7 @@ class Child:
         deadline_s = None if time_s is None else time.monotonic() + time_s
         kills_before = _kills_for_want_of_memory()
         try:
-            with _stopping_together(self._process):
+            with stopping_together([self]):
                 self._send(job)
                 answer = self._listen(hear, deadline_s)
         except BaseException:
@@ -407,17 +408,26 @@ def _has_ended(pid: int, within_s: float = 0.0) -> bool:
 
 
 @contextlib.contextmanager
-def _stopping_together(process: "subprocess.Popen[bytes] | None") -> Iterator[None]:
-    """Let Ctrl-Z stop the child, too, and `fg` let it go on: it is in a process group of its own."""
+def stopping_together(children: Sequence[Child]) -> Iterator[None]:
+    """Let Ctrl-Z stop children, too, and ``fg`` let them go on: each is in a process group of its own.
+
+    Parameters
+    ----------
+    children
+        Those that are at work; threads may be calling them. In another thread than the main one this does nothing, as
+        signals come to the main one only.
+    """
     usual = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTSTP) == signal.SIG_DFL
-    if process is None or not usual:
+    if not children or not usual:
         yield
         return
 
     def stop(number: int, frame: FrameType | None) -> None:
-        os.killpg(process.pid, signal.SIGSTOP)
+        for child in children:
+            child.kill(signal.SIGSTOP)
         os.kill(os.getpid(), signal.SIGSTOP)
-        os.killpg(process.pid, signal.SIGCONT)
+        for child in children:
+            child.kill(signal.SIGCONT)
 
     signal.signal(signal.SIGTSTP, stop)
     try:
@@ -442,6 +452,28 @@ def _die_with(parent: int) -> None:
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
+
+
+def memory_left() -> tuple[int, int]:
+    """Return free and total memory in bytes: of the machine, or of this process's control group where that is less.
+
+    Swap space counts as free, and so does what the group only caches of files.
+
+    Raises
+    ------
+    OSError
+        The system does not say, as other systems than Linux.
+    """
+    kib = dict(re.findall(r"^(\w+):\s+(\d+) kB", Path("/proc/meminfo").read_text(encoding="ascii"), re.MULTILINE))
+    left = 1024 * (int(kib["MemAvailable"]) + int(kib["SwapFree"]))
+    total = 1024 * (int(kib["MemTotal"]) + int(kib["SwapTotal"]))
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        folder = Path("/sys/fs/cgroup")
+        limit = int((folder / "memory.max").read_text(encoding="ascii"))
+        cached = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(encoding="ascii"), re.MULTILINE)
+        taken = int((folder / "memory.current").read_text(encoding="ascii")) - (0 if cached is None else int(cached[1]))
+        left, total = min(left, limit - taken), min(total, limit)
+    return left, total
 
 
 def _limit_memory(memory_bytes: int) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final, Literal
 
 from data_schemas import RecordError
-from data_schemas.storage._foreign_files import open_regular, read_text
+from data_schemas.storage._foreign_files import files_below, has_file, open_regular, read_text
 from data_schemas.storage._product_set import clear_leftovers
 from data_schemas.storage._whole_files import write_bytes
 
@@ -109,7 +109,7 @@ def manifest_faults(folder: Path, known: Mapping[Path, str] | None = None) -> tu
         Checksums of files that were hashed already.
     """
     path = folder / MANIFEST_NAME
-    if not path.is_file():
+    if not has_file(path):
         return [FileFault(path, "missing", "the checksums of the folder's files are missing")], []
     try:
         listed = read_manifest(folder)
@@ -118,18 +118,15 @@ def manifest_faults(folder: Path, known: Mapping[Path, str] | None = None) -> tu
     faults = [fault for name, digest in listed.items() for fault in _fault(folder / name, digest, known or {})]
     unlisted = sorted(
         file
-        for file in folder.rglob("*")
-        if file.is_file()
-        and file != path
-        and not _is_hidden(file, folder)
-        and file.relative_to(folder).as_posix() not in listed
+        for file in files_below(folder)
+        if file != path and not _is_hidden(file, folder) and file.relative_to(folder).as_posix() not in listed
     )
     return faults, unlisted
 
 
 def _fault(file: Path, digest: str, known: Mapping[Path, str]) -> Iterable[FileFault]:
     """Yield what is wrong with a listed file."""
-    if not file.exists():
+    if not file.exists() and not has_file(file):
         yield FileFault(file, "missing", f"is missing; {MANIFEST_NAME} lists it")
         return
     try:

@@ -5,6 +5,9 @@ only, so that a named pipe or a device never hangs a command, and no more bytes 
 SHA-256 of what was read is remembered: :func:`digest_as_read` gives provenance the checksum of the bytes that were
 parsed, whatever happens to the file afterwards.
 
+A path may lead into a zip archive, ``set.zip/one.capture.json``, which is read as a folder is: :func:`folder_at`,
+:func:`has_file` and :func:`files_below` take both.
+
 The parsers here are strict: no key twice, finite numbers only, limits of depth and count before anything is built.
 Arrays and images are read by :mod:`data_schemas.storage._array_files`.
 """
@@ -21,9 +24,11 @@ import threading
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from data_schemas import FinrayError, RecordError
+from data_schemas.storage._zip_archives import ENDING as ZIP_ENDING
+from data_schemas.storage._zip_archives import ZipArchive
 
 MB: Final = 1 << 20
 LARGEST_TEXT_BYTES: Final = 64 * MB
@@ -104,6 +109,8 @@ def open_regular(path: Path, what: str = "a regular file", error: type[FinrayErr
     FinrayError
         Of the class `error`: there is nothing, or no regular file, or it may not be read.
     """
+    if (member := _member_at(path, error)) is not None:
+        return io.BufferedReader(io.BytesIO(member.read(what, error, LARGEST_ARRAY_FILE_BYTES)))
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -149,6 +156,11 @@ def read_bytes(
     """
     size = 0
     try:
+        if (member := _member_at(path, error)) is not None:
+            size = member.size
+            content = member.read(what, error, largest_bytes)
+            _AS_READ.remember(path, hashlib.sha256(content).hexdigest())
+            return content
         with open_regular(path, what, error) as file:
             size = os.fstat(file.fileno()).st_size
             content = file.read(size + 1) if size <= largest_bytes else b""
@@ -160,12 +172,154 @@ def read_bytes(
     except MemoryError:
         raise error(f"{path}: has {size / MB:.4g} MB, more than the memory that is free; end other programs") from None
     if max(size, len(content)) > largest_bytes:
-        raise error(
-            f"{path}: is longer than {largest_bytes} bytes ({largest_bytes / MB:.3g} MB), the most that is read as "
-            f"{what.removeprefix('the path of ')}; give the right file"
-        )
+        raise error(_too_long(path, what, largest_bytes))
     _AS_READ.remember(path, hashlib.sha256(content).hexdigest())
     return content
+
+
+def _too_long(path: Path, what: str, largest_bytes: int) -> str:
+    """Return that a file is too long."""
+    return (
+        f"{path}: is longer than {largest_bytes} bytes ({largest_bytes / MB:.3g} MB), the most that is read as "
+        f"{what.removeprefix('the path of ')}; give the right file"
+    )
+
+
+class _Member(NamedTuple):
+    """A place in a zip archive: a file, a folder, or nothing.
+
+    Attributes
+    ----------
+    path
+        As it was given.
+    file
+        The archive's file.
+    archive
+        Its list of files.
+    name
+        Within it; "" is the archive itself.
+    """
+
+    path: Path
+    file: Path
+    archive: ZipArchive
+    name: str
+
+    @property
+    def size(self) -> int:
+        """Size of the file, bytes; 0 where there is none."""
+        return self.archive.size(self.name) if self.name in self.archive else 0
+
+    def read(self, what: str, error: type[FinrayError], largest_bytes: int) -> bytes:
+        """Return the bytes of the file."""
+        if self.name not in self.archive:
+            raise error(f"{self.path}: no such file in the archive; give the path of {what}")
+        if self.size > largest_bytes:
+            raise error(_too_long(self.path, what, largest_bytes))
+        try:
+            with open_regular(self.file, "a zip archive", error) as file:
+                return self.archive.read(self.name, file)
+        except ValueError as fault:
+            raise error(f"{self.path}: {fault}; make the archive anew, or fetch it again") from None
+
+
+class _Archives:
+    """Lists of files of the last few zip archives as they are now: of many files each is read once."""
+
+    MOST_KEPT = 4
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: dict[tuple[int, int, int, int], ZipArchive] = {}
+
+    def at(self, path: Path, error: type[FinrayError]) -> ZipArchive:
+        with self._lock:
+            found = os.stat(path)
+            key = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+            archive = self._kept.pop(key, None)
+            if archive is None:
+                with open_regular(path, "a zip archive", error) as file:
+                    try:
+                        archive = ZipArchive(file)
+                    except ValueError as fault:
+                        raise error(f"{path}: {fault}") from None
+            self._kept[key] = archive
+            while len(self._kept) > self.MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
+            return archive
+
+
+_ARCHIVES = _Archives()
+
+
+def _member_at(path: Path, error: type[FinrayError] = RecordError) -> _Member | None:
+    """Return the place in a zip archive that a path leads to; None where it leads into none."""
+    if ZIP_ENDING not in os.fspath(path.parent).lower():
+        return None
+    for above in path.parents:
+        if above.suffix.lower() == ZIP_ENDING and above.is_file():
+            return _Member(path, above, _ARCHIVES.at(above, error), path.relative_to(above).as_posix())
+    return None
+
+
+def folder_at(path: Path, error: type[FinrayError] = RecordError) -> Path | None:
+    """Return the folder of files that a path names: a folder, one in a zip archive, or the archive itself.
+
+    Parameters
+    ----------
+    path
+        Folder, archive (``set.zip``) or a folder in it (``set.zip/part``).
+    error
+        Class of the error.
+
+    Returns
+    -------
+    Path or None
+        The path; of an archive that holds nothing but one folder, that folder. None where it is no folder.
+
+    Raises
+    ------
+    FinrayError
+        Of the class `error`: a zip archive is not accepted.
+    """
+    if path.is_dir():
+        return path
+    if path.suffix.lower() == ZIP_ENDING and path.is_file():
+        top = _ARCHIVES.at(path, error).top
+        return path / top if top else path
+    member = _member_at(path, error)
+    return path if member is not None and member.name in member.archive.folders else None
+
+
+def has_file(path: Path) -> bool:
+    """Return whether a path names a regular file, on the disk or in a zip archive."""
+    if path.is_file():
+        return True
+    member = _member_at(path)
+    return member is not None and member.name in member.archive
+
+
+def files_below(folder: Path) -> Iterator[Path]:
+    """Yield the files of a folder and of all folders in it, hidden ones as well; of a zip archive sorted by name.
+
+    Parameters
+    ----------
+    folder
+        What :func:`folder_at` returned.
+    """
+    if folder.is_dir():
+        yield from (path for path in folder.rglob("*") if path.is_file())
+        return
+    at = _member_at(folder / "any")
+    if at is not None:
+        above = at.name.removesuffix("any")
+        yield from (folder / name.removeprefix(above) for name in at.archive.names if name.startswith(above))
+
+
+def files_in(folder: Path, ending: str = "") -> list[Path]:
+    """Return the files that lie in a folder or zip archive itself and whose names end so, sorted."""
+    inside = folder.iterdir() if folder.is_dir() else files_below(folder)
+    return sorted(path for path in inside if path.parent == folder and path.name.endswith(ending) and has_file(path))
 
 
 def read_text(

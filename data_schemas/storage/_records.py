@@ -38,6 +38,7 @@ from data_schemas.storage._array_files import DeclaredArray, read_declared_array
 from data_schemas.storage._foreign_files import (
     LARGEST_ARRAY_FILE_BYTES,
     digest_as_read,
+    has_file,
     read_bytes,
     read_json,
     read_toml_tables,
@@ -232,7 +233,7 @@ def _load_arrays(path: Path, array_file: Any, declared: dict[str, DeclaredArray]
     if not name or name == ".." or Path(name).name != name:
         raise RecordError(f"{path}: array_file.file = {name!r} must be a plain file name beside the record")
     source = path.with_name(name)
-    if not source.exists():
+    if not has_file(source):
         raise ChecksumError(f"{source}: is missing; it holds the arrays of {path.name}: keep the two files together")
     content = read_bytes(source, f"the arrays of {path.name}", RecordError, LARGEST_ARRAY_FILE_BYTES)
     if digest_as_read(source) != digest:

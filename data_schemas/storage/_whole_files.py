@@ -12,6 +12,9 @@ import fcntl
 import hashlib
 import os
 import secrets
+import stat
+import zipfile
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from data_schemas import RecordError, naming_file
@@ -22,6 +25,8 @@ NO_HARD_LINKS = frozenset({errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.EOPNO
 # What os.fsync says of a folder where the file system has no such thing.
 NO_FOLDER_SYNC = frozenset({errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
 PART_ENDING = ".finray.part"
+EARLIEST = (1980, 1, 1, 0, 0, 0)
+"""Date of the files in an archive."""
 LONGEST_NAME_BYTES = 180
 """Of a name within a hidden name; file systems take 255 in all."""
 
@@ -40,10 +45,28 @@ def write_bytes(path: Path, content: bytes) -> None:
     RecordError
         Something has this name already: nothing stored is overwritten.
     """
+    write_whole(path, lambda handle: write_all(handle, content, path))
+
+
+def write_whole(path: Path, fill: Callable[[int], None]) -> None:
+    """Write a new file of any length as :func:`write_bytes` does.
+
+    Parameters
+    ----------
+    path
+        Its name.
+    fill
+        Writes all of it to an open descriptor, and has it on the disk.
+
+    Raises
+    ------
+    RecordError
+        Something has this name already: nothing stored is overwritten.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     part, handle = _new_part(path)
     try:
-        write_all(handle, content, path)
+        fill(handle)
         give_name(part, path)
         try:
             sync_folder(path.parent)
@@ -55,6 +78,41 @@ def write_bytes(path: Path, content: bytes) -> None:
         with contextlib.suppress(OSError):  # collected by the next writer in this folder
             part.unlink(missing_ok=True)
         os.close(handle)
+
+
+def write_zip(path: Path, files: Iterable[tuple[str, bytes]]) -> None:
+    """Write a new zip archive that is whole or absent; the same files give the same bytes.
+
+    Files are stored as they are, pictures and arrays hardly shrink, in the order of `files`, all with the earliest date
+    that the format has and none of their owner.
+
+    Parameters
+    ----------
+    path
+        The archive; it must be new.
+    files
+        Name within the archive and content, one after the other.
+
+    Raises
+    ------
+    RecordError
+        Something has this name already.
+    """
+
+    def fill(handle: int) -> None:
+        with os.fdopen(handle, "wb", closefd=False) as file:
+            with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+                for name, content in files:
+                    entry = zipfile.ZipInfo(name, EARLIEST)
+                    entry.create_system = 3  # Unix, wherever it is written
+                    entry.external_attr = (stat.S_IFREG | 0o644) << 16
+                    with naming_file(path):
+                        archive.writestr(entry, content)
+            with naming_file(path):
+                file.flush()
+                os.fsync(handle)
+
+    write_whole(path, fill)
 
 
 def refuse_taken(path: Path) -> None:

@@ -46,7 +46,9 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser = verbs.add_parser("bench", help=BENCH_HELP, description=BENCH_HELP)
     jobs = parser.add_subparsers(dest="job", metavar="JOB", title="jobs", required=True)
     tactile = jobs.add_parser("tactile", help=BENCH_HELP, description=TACTILE_DESCRIPTION)
-    tactile.add_argument("captures", type=Path, metavar="CAPTURES", help="folder of NAME.capture.json")
+    tactile.add_argument(
+        "captures", type=Path, metavar="CAPTURES", help="folder of NAME.capture.json, or a zip archive of it"
+    )
     tactile.add_argument("--simulator", metavar="NAME", help="name of yours in the row; with --command")
     tactile.add_argument(
         "--command", dest="simulator_command", metavar="WORDS",
@@ -73,10 +75,10 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
         raise CompareError(
             "--simulator NAME and --command WORDS go together; give both, or neither for the table alone"
         )
-    folder: Path = arguments.captures
-    captures = _captures(folder)
+    folder, captures = _captures(arguments.captures)
+    name = arguments.captures.resolve().name.removesuffix(".zip")
     taught, judged = _split(captures, arguments.teach)
-    out = _begin(arguments.out or Path(f"{folder.resolve().name}.bench"), arguments)
+    out = _begin(arguments.out or Path(f"{name}.bench"), arguments)
     seconds, presses = _presses(arguments, out, captures, taught, judged)
     _store(out, presses, arguments.seed)
     listed = _pairs_csv(out, presses, folder)
@@ -101,7 +103,8 @@ def _begin(out: Path, arguments: argparse.Namespace) -> Path:
     """
     from data_schemas.storage import clear_leftovers, write_bytes
 
-    clear_leftovers(out)
+    for folder in (out, *(path for path in out.glob("**/*") if path.is_dir())):
+        clear_leftovers(folder)
     if (out / ASKED).is_file() and not (out / ROW).exists():
         for name in _MADE:
             _remove(out / name)
@@ -124,20 +127,21 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _captures(folder: Path) -> "dict[str, TactileCapture]":
-    """Return the captures of a folder, whose contact is known."""
+def _captures(place: Path) -> "tuple[Path, dict[str, TactileCapture]]":
+    """Return the folder of captures, and those whose contact is known."""
     from data_schemas import CompareError, TactileCapture
-    from data_schemas.storage import read_record
+    from data_schemas.storage import files_in, folder_at, read_record
 
-    files = sorted(folder.glob(f"*{CAPTURE}")) if folder.is_dir() else []
+    folder = folder_at(place, CompareError) or place
+    files = files_in(folder, CAPTURE)
     read = {file.name.removesuffix(CAPTURE): read_record(file, TactileCapture) for file in files}
     known = {n: c for n, c in read.items() if c.contact_circle is not None or c.contact_outline is not None}
     if len(known) < 2:
         raise CompareError(
-            f"{folder}: holds {len(known)} captures that state where their contact is; at least 2 are needed: import a "
+            f"{place}: holds {len(known)} captures that state where their contact is; at least 2 are needed: import a "
             "set with 'finray import captures'"
         )
-    return known
+    return folder, known
 
 
 def _split(captures: "Mapping[str, TactileCapture]", count: int) -> tuple[list[str], list[str]]:
@@ -278,7 +282,7 @@ def _row(
     digests = sorted(contact_sha256(capture) for capture in captures.values())
     blank = named[BLANK] or {}
     row: dict[str, Any] = {
-        "set": arguments.captures.resolve().name,
+        "set": arguments.captures.resolve().name.removesuffix(".zip"),
         "source": next(iter(captures.values())).source,
         "simulator": own,
         "command": arguments.simulator_command,

@@ -39,7 +39,7 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument(
         "records", type=Path, nargs="*", metavar="SIMULATED ... CAPTURE",
         help="record of a simulated press and of a tactile capture; or folders of simulated presses, one of each "
-        "simulator, and last the folder of captures",
+        "simulator, and last the folder of captures; a zip archive of one serves as well",
     )  # fmt: skip
     parser.add_argument(
         "--pairs", type=Path, metavar="CSV",
@@ -69,6 +69,7 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
 def run(arguments: argparse.Namespace) -> None:
     """Compare one pair, or all pairs of two folders or a list."""
     from data_schemas import CompareError
+    from data_schemas.storage import folder_at
     from finray_calib.cli._compare_folders import compare_folders
 
     if arguments.force is not None:
@@ -79,7 +80,8 @@ def run(arguments: argparse.Namespace) -> None:
         raise CompareError("give SIMULATED and CAPTURE, or --pairs CSV: one of the two")
     if len(records) == 1:
         raise CompareError(f"{records[0]}: with what? Give CAPTURE too, a record or a folder as SIMULATED is")
-    folders = [path.is_dir() for path in records]
+    inside = [folder_at(path, CompareError) for path in records]
+    folders = [folder is not None for folder in inside]
     if any(folders) and not all(folders):
         raise CompareError(
             f"{' and '.join(str(path) for path in records)}: some are folders, others are not; give two records or "
@@ -88,6 +90,7 @@ def run(arguments: argparse.Namespace) -> None:
     if len(records) > 2 and not any(folders):
         raise CompareError(f"{records[2]}: one too many; give one record of a press and one of a capture, or folders")
     if records:
+        records = [folder or path for folder, path in zip(inside, records, strict=True)]
         arguments.simulated, arguments.capture = records[:-1], records[-1]
     if arguments.pairs is not None or folders[0]:
         compare_folders(arguments)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from data_schemas import CompareError, DiedError, FinrayError, RecordError
-from data_schemas.storage import Child
+from data_schemas.storage import Child, files_in, has_file, read_json, stopping_together
 from finray_calib.cli._output import Progress, give, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import command_line, distinct_file_names, input_digests, require_new, require_place
 
@@ -77,7 +77,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     )  # fmt: skip
     _options.cache_clear()
     _options(work)  # a map or scale that cannot be read is a mistake of the whole command
-    with _Workers(work, len(jobs)) as workers:
+    with _Workers(work, jobs) as workers:
         compared, read = _compare_all(jobs, workers)
         chosen = _worst_of_each(compared)
         pages = workers.do("page", [jobs[k] for k in chosen], "pages of the lowest")
@@ -115,7 +115,8 @@ def _place(out: Path, jobs: Sequence[_Job]) -> Path:
     """Return the folder to write: new, or what an interrupted comparison left, which holds reports and no summary."""
     from data_schemas.storage import clear_leftovers
 
-    clear_leftovers(out)
+    for folder in {out, *((out / job.report).parent for job in jobs)}:
+        clear_leftovers(folder)
     stems = {job.report.as_posix().removesuffix(".json") for job in jobs}
     above = {job.report.parent.as_posix() for job in jobs}
     left = [path.relative_to(out).as_posix() for path in out.rglob("*")] if out.is_dir() else [SUMMARY]
@@ -166,10 +167,10 @@ def _of_folders(arguments: argparse.Namespace) -> tuple[list[_Job], list[str]]:
     jobs, notes = [], []
     named = _simulator_names(arguments.simulated)
     for name, folder in named.items():
-        paired, alone = pair_by_name(*([file.name for file in part.iterdir()] for part in (folder, captured)))
+        paired, alone = pair_by_name(*([file.name for file in files_in(part)] for part in (folder, captured)))
         jobs += [_Job(name, press, folder / one, captured / two, Path()) for press, (one, two) in paired.items()]
         # a capture that the table was taught with has no press: that is no fault
-        notes += [f"{f}: has no partner and was left out" for f in alone if len(named) == 1 or (folder / f).is_file()]
+        notes += [f"{f}: has no partner and was left out" for f in alone if len(named) == 1 or has_file(folder / f)]
     notes = list(dict.fromkeys(notes))
     for note in notes:
         warn(note)
@@ -180,7 +181,7 @@ def _simulator_names(folders: Sequence[Path]) -> dict[str, Path]:
     """Return the name of each simulator: that of its folder, with those above where two are alike."""
     found: dict[str, Path] = {}
     for folder in folders:
-        parts = folder.resolve().parts
+        parts = [part.removesuffix(".zip") for part in folder.resolve().parts]
         name = next(
             (n for n in ("/".join(parts[-k:]) for k in range(1, len(parts))) if n not in found), str(folder.resolve())
         )
@@ -245,6 +246,12 @@ def _of_json(kind: type[R], told: Mapping[str, Any]) -> R:
 
 #: Fewer pairs for each process do not repay its start; more processes than these would take much memory.
 _LEAST_PAIRS_EACH, _MOST_WORKERS = 6, 8
+#: What a process takes: of itself, and for each pixel of a pair. Measured peaks: 300 MB at 320 x 240 px, 440 and 610 MB
+#: at 640 x 480 (encoded, linear), 950 MB at 1280 x 960, 1.8 GB at 1920 x 1440.
+_BYTES_EACH, _BYTES_PER_PIXEL = 250 << 20, 1400
+#: Other programs, and the summary in this process, get this share of the memory that is free.
+_MEMORY_SHARE = 0.8
+_SIZES_LOOKED_AT = 32
 _TASK_PAIRS = 3
 
 
@@ -255,9 +262,15 @@ class _Workers:
     on a single thread, with draws of its own.
     """
 
-    def __init__(self, work: _Work, pairs: int) -> None:
+    def __init__(self, work: _Work, jobs: Sequence[_Job]) -> None:
         self._work = work
-        count = min(_cores(), pairs // _LEAST_PAIRS_EACH, _MOST_WORKERS)
+        count = min(_cores(), len(jobs) // _LEAST_PAIRS_EACH, _MOST_WORKERS)
+        if count > 1 and (room := _processes_in_memory(jobs)) < count:
+            warn(
+                f"memory is free for {room} of {count} processes that compare these pictures; it takes longer. End "
+                "other programs, or give a part of the pairs"
+            )
+            count = room
         self._children = [Child([__name__, "finray_calib.compare"]) for _ in range(count if count > 1 else 0)]
 
     def __enter__(self) -> "_Workers":
@@ -306,14 +319,15 @@ class _Workers:
         threads = [threading.Thread(target=serve, args=(child,)) for child in self._children]
         found: dict[int, list[Any]] = {}
         try:
-            for thread in threads:
-                thread.start()
-            for _ in range(0, len(jobs), size):
-                start, result = done.get()
-                if isinstance(result, BaseException):
-                    raise _of_worker(result, jobs[start : start + size])
-                found[start] = result
-                progress(sum(map(len, found.values())), len(jobs), jobs[start].name)
+            with stopping_together(self._children):
+                for thread in threads:
+                    thread.start()
+                for _ in range(0, len(jobs), size):
+                    start, result = done.get()
+                    if isinstance(result, BaseException):
+                        raise _of_worker(result, jobs[start : start + size])
+                    found[start] = result
+                    progress(sum(map(len, found.values())), len(jobs), jobs[start].name)
         finally:
             while not todo.empty():
                 todo.get_nowait()
@@ -331,6 +345,28 @@ def _cores() -> int:
     if not hasattr(os, "waitid"):  # macOS, before Python 3.13
         return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _processes_in_memory(jobs: Sequence[_Job]) -> int:
+    """Return for how many processes the free memory suffices, at least 1; many where the system does not say."""
+    from data_schemas.storage import memory_left
+
+    step = -(-len(jobs) // _SIZES_LOOKED_AT)
+    pixels = max((_pixels(job.captured) for job in jobs[::step]), default=0)
+    try:
+        left = memory_left()[0]
+    except (OSError, KeyError):
+        return _MOST_WORKERS
+    return max(1, int(_MEMORY_SHARE * left / (_BYTES_EACH + _BYTES_PER_PIXEL * pixels)))
+
+
+def _pixels(capture: Path) -> int:
+    """Return the number of pixels that a capture says its images have; 0 where it cannot be read, as is told later."""
+    try:
+        rows, columns = read_json(capture)["record"]["contact"]["shape"][:2]
+        return int(rows) * int(columns)
+    except (FinrayError, KeyError, TypeError, ValueError):
+        return 0
 
 
 def _of_worker(error: BaseException, jobs: Sequence["_Job"]) -> BaseException:

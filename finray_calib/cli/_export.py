@@ -1,7 +1,8 @@
-"""``finray export``: a calibrated paint, a press, a sensor or a request for captures in the formats of other programs.
+"""``finray export``: a calibrated paint, a press, a sensor, captures or a request in the formats of other programs.
 
 Formats of a paint for spectra and renderers, the press of a design as an input deck of Abaqus or CalculiX, a
-calibration folder that Taxim's programs render from, and a page that tells a lab which captures to take.
+calibration folder that Taxim's programs render from, captures as one archive, and a page that tells a lab which
+captures to take.
 """
 
 import argparse
@@ -231,6 +232,45 @@ def _amounts(arguments: argparse.Namespace) -> tuple[float, int, int, int]:
     return radius_mm, arguments.presses or PRESSES, arguments.seed, arguments.samples or SAMPLES
 
 
+def run_captures(arguments: argparse.Namespace) -> None:
+    """Write the container of a folder of captures and report."""
+    from data_schemas import RecordError
+    from data_schemas.storage import write_zip
+    from finray_calib.exchange import capture_container
+
+    _refuse_options(arguments, "captures")
+    if len(arguments.paint) != 2:  # the word and the folder
+        raise RecordError("captures need one folder: finray export captures FOLDER --out FILE.zip")
+    folder: Path = arguments.paint[1]
+    out = require_new(arguments.out or Path(f"{folder.resolve().name.removesuffix('.zip')}.zip"))
+    if out.suffix.lower() != ".zip":
+        raise RecordError(f"{out}: is to be a zip archive; choose an --out that ends in .zip")
+    container = capture_container(folder)
+    write_zip(out, container.contents())
+    simulated = f" and {container.presses} simulated presses" if container.presses else ""
+    wrote(out, f"{container.captures} captures{simulated}; 'finray compare' and others take it as they take the folder")
+    left_out = [path.name for path in container.left_out]
+    give(kind="captures", format="zip", captures=container.captures, presses=container.presses, left_out=left_out)
+    for name in left_out[:MOST_LEFT_OUT]:
+        say(f"  left out, as it belongs to no capture: {name}")
+    if len(left_out) > MOST_LEFT_OUT:
+        say(f"  left out: {len(left_out) - MOST_LEFT_OUT} more files")
+
+
+MOST_LEFT_OUT = 10
+
+
+def _refuse_options(arguments: argparse.Namespace, what: str) -> None:
+    """Refuse what belongs to a deck, a Taxim folder or a paint."""
+    from data_schemas import RecordError
+
+    refuse_deck_options(arguments)
+    refuse_taxim_options(arguments)
+    for name in ("format", "led", "camera_response"):
+        if getattr(arguments, name) is not None:
+            raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for {what}")
+
+
 def run_capture_request(arguments: argparse.Namespace) -> None:
     """Write page and plans, and report."""
     from data_schemas import RecordError, SimulateError
@@ -240,11 +280,7 @@ def run_capture_request(arguments: argparse.Namespace) -> None:
     from sim import read_design
     from sim.optics import camera_view
 
-    refuse_deck_options(arguments)
-    refuse_taxim_options(arguments)
-    for name in ("format", "led", "camera_response"):
-        if getattr(arguments, name) is not None:
-            raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for a capture request")
+    _refuse_options(arguments, "a capture request")
     if len(arguments.paint) != 2:  # the word and the file
         raise RecordError("a capture request needs one design: finray export capture-request DESIGN.toml")
     path: Path = arguments.paint[1]
@@ -268,13 +304,17 @@ def run_capture_request(arguments: argparse.Namespace) -> None:
     look_at(out)
 
 
-HELP = "write a paint, a press or a sensor for other programs (CSV, netCDF, Mitsuba, CalculiX, Taxim), or a request"
+HELP = (
+    "write a paint, a press, a sensor or captures for other programs (CSV, netCDF, Mitsuba, CalculiX, Taxim, zip), or "
+    "a request"
+)
 USAGE = """finray export [-h] PAINT --format FORMAT [options]
        finray export [-h] deck DESIGN --dialect {abaqus,calculix}
                      [--preset NAME] [--increments N] [--out FILE.inp]
        finray export [-h] taxim SENSOR [--paint COLOUR=FILE] [--presses N]
                      [--ball-diameter-mm D] [--samples N]
-       finray export [-h] capture-request DESIGN [--out FILE.md]"""
+       finray export [-h] capture-request DESIGN [--out FILE.md]
+       finray export [-h] captures FOLDER [--out FILE.zip]"""
 DESCRIPTION = """\
 Write a paint fitted by 'finray fit' in the format of another program, or the press of a finger design (TOML) as an
 input deck of a finite-element program.
@@ -298,7 +338,9 @@ Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, 
 from which Taxim's programs render. It holds slope and place only: the command reports how well it explains
 unseen presses.
 
-A capture request tells a lab which captures of a finger to take: a page, and plans for 'finray capture'."""
+A capture request tells a lab which captures of a finger to take: a page, and plans for 'finray capture'.
+
+Captures: a folder that 'finray import captures' wrote becomes one zip archive, which every verb takes in its place."""
 # Named here as well because the parser is built before anything heavy is imported; a test compares the two lists.
 SUFFIXES = {
     "csv": ".csv",
@@ -311,7 +353,7 @@ SUFFIXES = {
 }
 
 # What else than a paint is exported, by its first word; all of it shares the paint's parser.
-OTHERS = {"deck": run_deck, "taxim": run_taxim, "capture-request": run_capture_request}
+OTHERS = {"deck": run_deck, "taxim": run_taxim, "capture-request": run_capture_request, "captures": run_captures}
 
 
 def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -322,7 +364,8 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         type=Path,
         nargs="+",
         metavar="PAINT",
-        help="record written by 'finray fit'; or 'deck', 'taxim' or 'capture-request' and a design",
+        help="record written by 'finray fit'; or 'deck', 'taxim' or 'capture-request' and a design; or 'captures' and "
+        "a folder",
     )
     parser.add_argument("--format", choices=list(SUFFIXES), help="of a paint, see above")
     add_deck_options(parser)
@@ -341,7 +384,7 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         metavar="CSV",
         help="camera of rgb-reradiation (wavelength_nm,red_percent,green_percent,blue_percent; default: assumed)",
     )
-    add_out(parser, "PAINT with the suffix of the format, DESIGN.inp, SENSOR.taxim or DESIGN.request.md")
+    add_out(parser, "PAINT with the suffix of the format, DESIGN.inp, SENSOR.taxim, DESIGN.request.md or FOLDER.zip")
     add_seed(parser)
     parser.set_defaults(run=run_export)
 

@@ -323,13 +323,14 @@ def run_render(arguments: argparse.Namespace) -> None:
 def _captures(place: Path | None, name: str) -> "tuple[dict[str, TactileCapture], list[Path]]":
     """Return press name -> its capture where that tells where the contact is, and the files that were read."""
     from data_schemas import ImportFormatError, TactileCapture
-    from data_schemas.storage import read_record
+    from data_schemas.storage import files_in, folder_at, read_record
 
     if place is None:
         return {}, []
     ending = ".capture.json"
-    files = sorted(place.glob(f"*{ending}")) if place.is_dir() else [place]
-    read = {(f.name.removesuffix(ending) if place.is_dir() else name): read_record(f, TactileCapture) for f in files}
+    inside = folder_at(place, ImportFormatError)
+    files = [place] if inside is None else files_in(inside, ending)
+    read = {(name if inside is None else f.name.removesuffix(ending)): read_record(f, TactileCapture) for f in files}
     found = {press: c for press, c in read.items() if c.contact_circle is not None or c.contact_outline is not None}
     if not found:
         raise ImportFormatError(
@@ -407,7 +408,7 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
     parser = formats.add_parser(
         "captures", help="a folder of presses of any lab, read by a recipe", description=DESCRIPTION
     )
-    parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="of the set")
+    parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="of the set, or a zip archive of it")
     parser.add_argument("--recipe", metavar="NAME|FILE", help="how the folder is read; needed")
     parser.add_argument("--list", action="store_true", help="list the recipes that come with finray, and stop")
     parser.add_argument(
@@ -441,7 +442,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
             f"give FOLDER and --recipe NAME|FILE; recipes that come with finray: {', '.join(recipe_names())}"
         )
     recipe, recipe_file = _recipe(arguments)
-    out = require_new(arguments.out or Path(f"{folder.resolve().name}.captures"))
+    out = require_new(arguments.out or Path(f"{folder.resolve().name.removesuffix('.zip')}.captures"))
     circles = {} if arguments.circles is None else read_circles(arguments.circles)
     given = [recipe_file, *([] if arguments.circles is None else [arguments.circles])]
     sheet, files, told = ContactSheet(), _Names(), _Told()

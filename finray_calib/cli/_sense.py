@@ -267,7 +267,7 @@ def _add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser = jobs.add_parser("teach", help=NORMAL_MAP_HELP, description=NORMAL_MAP_DESCRIPTION)
     parser.add_argument(
         "captures", type=Path, nargs="+", metavar="PRESSES",
-        help="tactile captures of ball presses, or folders of NAME.capture.json",
+        help="tactile captures of ball presses, or folders or zip archives of NAME.capture.json",
     )  # fmt: skip
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",
@@ -357,10 +357,12 @@ def _spread(values: "NDArray[float64]", digits: int) -> str:
 def _files(places: list[Path]) -> list[Path]:
     """Return the files of captures: those that are given, and those of folders."""
     from data_schemas import CompareError
+    from data_schemas.storage import files_in, folder_at
 
     found: list[Path] = []
     for place in places:
-        inner = sorted(place.glob("*.capture.json")) if place.is_dir() else [place]
+        folder = folder_at(place, CompareError)
+        inner = [place] if folder is None else files_in(folder, ".capture.json")
         if not inner:
             raise CompareError(f"{place}: holds no NAME.capture.json; import presses, or give their files")
         found += inner

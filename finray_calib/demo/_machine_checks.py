@@ -4,7 +4,6 @@ Every ``check_*`` function runs in such a process and returns what it found as J
 without it, slower or with less; "bad" where it does not run; and the command that mends it.
 """
 
-import contextlib
 import os
 import platform
 import re
@@ -254,31 +253,13 @@ def check_compiler() -> Found:
 
 def check_memory() -> Found:
     """Look at the memory that is left, for the machine and for this process's control group."""
-    left, whole = _meminfo()
-    limit = _group_limit()
-    if limit is not None:
-        left, whole = min(left, limit[0]), min(whole, limit[1])
+    from data_schemas.storage import memory_left
+
+    left, whole = memory_left()
     said = f"{left / 2**30:.1f} of {whole / 2**30:.1f} GiB free"
     if left >= MEMORY_BYTES:
         return _good(said)
     return _bad(f"{said}; the demo takes {MEMORY_BYTES / 1e9:.1f} GB", "close other programs, or add swap space")
-
-
-def _meminfo() -> tuple[int, int]:
-    """Return free and total memory of the machine in bytes; swap space counts as free."""
-    kib = dict(re.findall(r"^(\w+):\s+(\d+) kB", Path("/proc/meminfo").read_text(encoding="ascii"), re.MULTILINE))
-    return 1024 * (int(kib["MemAvailable"]) + int(kib["SwapFree"])), 1024 * (
-        int(kib["MemTotal"]) + int(kib["SwapTotal"])
-    )
-
-
-def _group_limit() -> tuple[int, int] | None:
-    """Return what a container leaves, and its whole, in bytes; None where there is no limit."""
-    with contextlib.suppress(OSError, ValueError):
-        folder = Path("/sys/fs/cgroup")
-        whole = int((folder / "memory.max").read_text(encoding="ascii"))
-        return whole - int((folder / "memory.current").read_text(encoding="ascii")), whole
-    return None
 
 
 def check_disk() -> Found:

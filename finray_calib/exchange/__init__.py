@@ -3,8 +3,8 @@
 A calibrated paint leaves as CSV, JSON, netCDF (ArviZ), SPDX, Mitsuba spectrum, reduced RGB matrix or bispectral
 OpenEXR, all by name from `PAINT_FORMATS`. Captures of other labs come in as folders of band images, of Raspberry Pi
 pictures, of ball presses, of 9DTact or Taxim calibrations, measured force as CSV; renders of any simulator as folders.
-Renders, meshes, printable parts, board calibrations, capture requests and acceptance reports go out as files that other
-programs open.
+Captures go out as one zip archive, renders, meshes, printable parts, board calibrations, capture requests and
+acceptance reports as files that other programs open.
 
 A layout that a recipe can describe (a short TOML file) needs no code. Another format of captures is a function here
 and a job of `finray import`; a package outside the tree brings one by an entry point (`ImportFormat`).
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._band_folder import BandFolder, import_band_folder
     from finray_calib.exchange._bispectral_exr import read_bispectral_exr
     from finray_calib.exchange._board_pictures import calibration_yaml, read_board_picture
+    from finray_calib.exchange._capture_container import CaptureContainer, capture_container
     from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
     from finray_calib.exchange._capture_request import PlannedView, capture_request
     from finray_calib.exchange._force_csv import read_force_csv
@@ -52,6 +53,7 @@ __all__ = [
     "PAINT_FORMATS",
     "PARAMETERS",
     "BandFolder",
+    "CaptureContainer",
     "ExportOptions",
     "ImportFormat",
     "PaintSpectra",
@@ -64,6 +66,7 @@ __all__ = [
     "assumed_led",
     "calibration_yaml",
     "capture_by_package",
+    "capture_container",
     "capture_request",
     "import_band_folder",
     "inference_data",

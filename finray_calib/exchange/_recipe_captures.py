@@ -25,7 +25,7 @@ from data_schemas import (
     PlaceInImage,
     TactileCapture,
 )
-from data_schemas.storage import finite_number, read_bytes, read_npy
+from data_schemas.storage import files_below, finite_number, folder_at, has_file, read_bytes, read_npy
 from finray_calib.exchange._ball_presses import MOST_PRESSES, ToldCircle, read_npz
 from finray_calib.exchange._capture_recipe import (
     PICKLED,
@@ -97,7 +97,7 @@ def read_by_recipe(
     Parameters
     ----------
     folder
-        Of the set.
+        Of the set, or a zip archive of it.
     recipe
         How it is read.
     circles
@@ -113,9 +113,12 @@ def read_by_recipe(
         There is no such folder or no press in it, a file, column or array is not what the recipe says, or the check
         length contradicts the scale.
     """
-    if not folder.is_dir():
-        raise ImportFormatError(f"{folder}: no such folder; give the folder that the recipe '{recipe.name}' describes")
-    reader = _Folder(folder, recipe, dict(circles or {}))
+    inside = folder_at(folder, ImportFormatError)
+    if inside is None:
+        raise ImportFormatError(
+            f"{folder}: no such folder or zip archive; give the folder that the recipe '{recipe.name}' describes"
+        )
+    reader = _Folder(inside, recipe, dict(circles or {}))
     read: list[str] = []
     excluded = [name for name in recipe.presses.leave_out if name in reader.files]
     left_out = {"the recipe leaves it out": excluded} if excluded else {}
@@ -326,7 +329,7 @@ class _Folder:
             if pattern is None:
                 continue
             path = _named(self.folder, pattern, name)
-            if path.is_file():
+            if has_file(path):
                 found.append(self._picture(path))
             elif needed:
                 raise LeftOutError(f"there is no {pattern}, the image without contact")
@@ -367,7 +370,7 @@ class _Folder:
         path = _named(self.folder, source.file, name)
         if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
-        if not path.is_file():
+        if not has_file(path):
             return None
         self._made_of.add(path)
         try:
@@ -451,7 +454,7 @@ class _Folder:
         """Return the hull of all corners that the label holds, (corners, 2): column, row."""
         contact = self.recipe.contact
         path = _named(self.folder, (contact.file if contact is not None else None) or "", name)
-        if not path.is_file():
+        if not has_file(path):
             raise LeftOutError(f"there is no {contact.file if contact is not None else ''}, which holds its contact")
         self._made_of.add(path)
         arrays, pickled = read_npz(path)
@@ -477,7 +480,7 @@ class _Folder:
         if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if path.suffix.lower() == ".npz":
-            if not path.is_file():
+            if not has_file(path):
                 raise LeftOutError(f"there is no {file}, which holds its contact")
             self._made_of.add(path)
             return label_entry(path, value)
@@ -534,11 +537,11 @@ def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
     words = {PRESS: "(.+)", "*": "[^/]*"}
     wanted = re.compile("".join(words.get(part, re.escape(part)) for part in parts))
     found = {}
-    for number, path in enumerate(folder.rglob("*")):
+    for number, path in enumerate(files_below(folder)):
         if number > MOST_FILES:
             raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a folder further down")
         match = wanted.fullmatch(path.relative_to(folder).as_posix())
-        if match is not None and fnmatchcase(match[1], recipe.presses.only) and path.is_file():
+        if match is not None and fnmatchcase(match[1], recipe.presses.only):
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
             found[match[1]] = path
@@ -567,7 +570,7 @@ def _named(folder: Path, pattern: str, press: str) -> Path:
 
 def _pixels(path: Path) -> NDArray[Any]:
     """Return a picture as stored, (H, W, 3) in RGB order."""
-    if not path.is_file():
+    if not has_file(path):
         raise ImportFormatError(f"{path}: no such file; the folder must hold it")
     picture = read_picture(path, "a picture (PNG, JPEG) or OpenEXR image", ImportFormatError)
     if picture.dtype not in _BITS:

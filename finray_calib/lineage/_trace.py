@@ -20,6 +20,10 @@ from data_schemas.storage import (
     MANIFEST_NAME,
     FileFault,
     FileState,
+    files_below,
+    files_in,
+    folder_at,
+    has_file,
     manifest_faults,
     read_json,
     read_record,
@@ -110,9 +114,12 @@ class Tracer:
         RecordError
             There is no such file, or it is no record at all.
         """
-        if path.is_dir():
-            raise RecordError(f"{path}: is a folder; 'finray verify' checks folders. Here give the path of {A_RECORD}")
-        if not path.exists():
+        if folder_at(path) is not None:
+            raise RecordError(
+                f"{path}: is a folder or a zip archive; 'finray verify' checks folders. Here give the path of "
+                f"{A_RECORD}"
+            )
+        if not path.exists() and not has_file(path):
             raise RecordError(f"{path}: no such file; give the path of {A_RECORD}")
         traced = self._traced_file(str(path), path, None, None)
         if traced.kind == "file" and not traced.faults:
@@ -178,7 +185,7 @@ class Tracer:
             file = path.parent / name
             if not file.resolve().is_relative_to(path.parent.resolve()):
                 yield FileFault(path, "changed", f"names {name!r}, which is outside of its folder")
-            elif not file.is_file():
+            elif not has_file(file):
                 yield FileFault(file, "missing", f"is missing; it belongs to {path.name}")
             elif self._digest(file) != digest:
                 yield FileFault(file, "changed", f"was changed: its SHA-256 is not the one in {path.name}")
@@ -191,7 +198,7 @@ class Tracer:
 
     def _input(self, path: Path, name: str, digest: str, provenance: Provenance) -> Traced:
         """Find and trace one input of a record."""
-        named = [file for file in self._candidates(path.parent, name) if file.is_file()]
+        named = [file for file in self._candidates(path.parent, name) if has_file(file)]
         for file in named:
             if self._digest(file) == digest:
                 return self._traced_file(name, file, digest, provenance)
@@ -220,8 +227,7 @@ class Tracer:
 
     def _neighbours(self, folder: Path, suffix: str) -> list[Path]:
         """Return files beside a record that an input may be, under another name."""
-        files = (file for file in sorted(folder.iterdir()) if file.suffix == suffix and file.is_file())
-        return [file for _, file in zip(range(MOST_NEIGHBOURS), files, strict=False)]
+        return [file for file in files_in(folder) if file.suffix == suffix][:MOST_NEIGHBOURS]
 
     def _unlike(
         self, path: Path, wanted: str | None, consumer: Provenance | None, own: Traced
@@ -318,9 +324,11 @@ def verify_folder(folder: Path) -> FolderCheck:
     RecordError
         There is no such folder, or nothing in it that could be checked.
     """
-    if not folder.is_dir():
+    inside = folder_at(folder)
+    if inside is None:
         what = "is a file; 'finray trace' checks a record. Here" if folder.exists() else "no such folder;"
-        raise RecordError(f"{folder}: {what} give the folder of a session or of products")
+        raise RecordError(f"{folder}: {what} give the folder of a session or of products, or a zip archive of one")
+    folder = inside
     tracer, records = Tracer(), list[Traced]()
     faults: dict[FileFault, None] = {}
     notes: dict[str, None] = {}
@@ -339,7 +347,7 @@ def verify_folder(folder: Path) -> FolderCheck:
         of_manifest, unlisted = manifest_faults(listed, tracer.digests)
         told = {fault.path.resolve() for fault in faults}
         faults |= dict.fromkeys(fault for fault in of_manifest if fault.path.resolve() not in told)
-        bound |= {path.resolve() for path in listed.rglob("*") if path not in (listed / MANIFEST_NAME, *unlisted)}
+        bound |= {path.resolve() for path in files_below(listed) if path not in (listed / MANIFEST_NAME, *unlisted)}
     dirty = {part.path for traced in records for part in traced.all() if part.is_dirty}
     if dirty:
         notes[f"{len(dirty)} records were made by sources that differed from the commit that they name"] = None
@@ -365,9 +373,7 @@ def _record(tracer: Tracer, path: Path, faults: dict[FileFault, None]) -> Iterat
 def _visible(folder: Path) -> list[Path]:
     """Return the files of a folder and below it that are not hidden."""
     return sorted(
-        path
-        for path in folder.rglob("*")
-        if path.is_file() and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        path for path in files_below(folder) if not any(part.startswith(".") for part in path.relative_to(folder).parts)
     )
 
 
@@ -387,9 +393,9 @@ def _missing_checksums(folder: Path) -> Iterator[FileFault]:
     """Yield finished demos whose checksums are missing."""
     for mark in _visible(folder):
         demo = mark.parent
-        if mark.name != DEMO_MARK[0] or not all((demo / name).is_file() for name in DEMO_MARK):
+        if mark.name != DEMO_MARK[0] or not all(has_file(demo / name) for name in DEMO_MARK):
             continue
-        if not (demo / MANIFEST_NAME).is_file():
+        if not has_file(demo / MANIFEST_NAME):
             yield FileFault(demo / MANIFEST_NAME, "missing", "the checksums of a finished demo are missing")
 
 

@@ -35,6 +35,7 @@ from data_schemas.storage import (
     FileFault,
     clear_leftovers,
     digest_as_read,
+    has_file,
     manifest_faults,
     read_frame,
     read_json,
@@ -302,7 +303,7 @@ def verify_session(folder: Path) -> SessionCheck:
         digests[path] = digest_as_read(path) or sha256_now(path)
         faults += _frame_faults(folder, session, digests)
     except RecordError as error:
-        if not path.exists():
+        if not has_file(path):
             faults.append(FileFault(path, "missing", "the record of the session is missing"))
         else:
             faults.append(FileFault(path, "changed", str(error).removeprefix(f"{path}: ")))
@@ -320,7 +321,7 @@ def verify_session(folder: Path) -> SessionCheck:
             faults.append(FileFault(folder / MANIFEST_NAME, "changed", text))
         else:
             notes.append(f"{file.relative_to(folder)}: came later, {MANIFEST_NAME} does not list it")
-    if not (folder / MANIFEST_NAME).is_file():
+    if not has_file(folder / MANIFEST_NAME):
         notes.append(f"without {MANIFEST_NAME}, other files of the session are not checked")
     return SessionCheck(tuple(faults), tuple(notes), digests)
 
@@ -340,7 +341,7 @@ def _frame_faults(folder: Path, session: Session, digests: dict[Path, str]) -> I
     """Yield the frames that are not as they were captured."""
     for frame in session.frames:
         path = folder / frame.file
-        if not path.exists():
+        if not has_file(path):
             yield FileFault(path, "missing", f"is missing; frame {frame.sequence} of {SESSION_NAME}")
             continue
         try:

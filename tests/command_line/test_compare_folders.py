@@ -1,10 +1,15 @@
 """``finray compare`` over folders and lists: a report for each pair, a summary, and pairs that fail."""
 
+import contextlib
 import csv
 import json
 import os
 import re
 import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -201,6 +206,107 @@ def test_two_processes_give_the_numbers_of_one(folders: Path, monkeypatch: pytes
     assert _numbers(folders / "n2") == _numbers(folders / "n1")
     assert (folders / "n2/summary.csv").read_text() == (folders / "n1/summary.csv").read_text()
     assert (folders / "n2/one.photometric-error.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("left_bytes", "processes"),
+    [(16 << 30, 4), (1000 << 20, 3), (700 << 20, 2), (600 << 20, 0), (1, 0)],
+)
+def test_no_more_processes_are_started_than_the_memory_takes(
+    folders: Path, monkeypatch: pytest.MonkeyPatch, left_bytes: int, processes: int
+) -> None:
+    """Each takes 250 MB and 6.4 MB for 60 x 80 px, of four fifths of what is free; alone it is done in this process."""
+    monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (left_bytes, 1 << 40))
+    monkeypatch.setattr(_compare_folders, "_LEAST_PAIRS_EACH", 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3})
+    started: list[object] = []
+    monkeypatch.setattr(_compare_folders, "Child", lambda imports: started.append(imports) or _Silent())
+    jobs = [_job(folders, name) for name in ("one", "two", "bgr", "none")]
+    with _compare_folders._Workers(None, jobs):  # noqa: SLF001 - nothing is done
+        assert len(started) == processes
+
+
+class _Silent:
+    """Stands for a process."""
+
+    def __exit__(self, *_: object) -> None:
+        """End."""
+
+
+def _job(folders: Path, name: str) -> object:
+    captured = folders / f"captured/{name}.capture.json"
+    return _compare_folders._Job("s", name, folders / f"simulated/{name}.press.json", captured, Path())  # noqa: SLF001
+
+
+def test_processes_that_do_not_fit_are_a_warning_and_give_the_same_numbers(
+    folders: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_compare_folders, "_LEAST_PAIRS_EACH", 1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (300 << 20, 1 << 30))
+    short = finray(f"compare {folders}/simulated {folders}/captured --out {folders}/short")
+    assert short.status == 0
+    assert "memory is free for 1 of 2 processes that compare these pictures; it takes longer" in short.err
+    monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (8 << 30, 8 << 30))
+    assert "memory" not in finray(f"compare {folders}/simulated {folders}/captured --out {folders}/ample").err
+    assert _numbers(folders / "short") == _numbers(folders / "ample")
+
+
+_SLOW = """\
+import os, sys, time
+from finray_calib.cli import _compare_folders as f
+f._LEAST_PAIRS_EACH = f._TASK_PAIRS = 1
+os.sched_getaffinity = lambda _: {0, 1}
+sys.argv = ["finray", "compare", "--pairs", sys.argv[1], "--out", sys.argv[2]]
+from finray_calib.cli.main import main
+sys.exit(main())
+"""
+
+
+def _workers_of(pid: int) -> list[int]:
+    """Return the processes that a process started."""
+    found: list[int] = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            if int(stat.read_text().rpartition(")")[2].split()[1]) == pid:
+                found.append(int(stat.parent.name))
+    return found
+
+
+def _states(pids: list[int]) -> set[str]:
+    return {Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] for pid in pids}
+
+
+def _wait(what: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not what():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes in /proc")
+def test_ctrl_z_stops_all_processes_and_ctrl_c_ends_them(folders: Path) -> None:
+    rows = [f"simulated/one.press.json,captured/one.capture.json,pair {k}" for k in range(400)]
+    (folders / "pairs.csv").write_text("\n".join(["simulated,captured,name", *rows]) + "\n")
+    words = [sys.executable, "-c", _SLOW, str(folders / "pairs.csv"), str(folders / "out")]
+    with subprocess.Popen(words, cwd=Path(__file__).parents[2], stderr=subprocess.PIPE, text=True) as command:
+        try:
+            _wait(lambda: len(list((folders / "out").glob("*.json"))) > 1)
+            workers = _workers_of(command.pid)
+            assert len(workers) == 2
+            command.send_signal(signal.SIGTSTP)
+            _wait(lambda: _states([command.pid, *workers]) == {"T"})
+            stored = len(list((folders / "out").glob("*.json")))
+            time.sleep(0.5)
+            assert len(list((folders / "out").glob("*.json"))) == stored
+            command.send_signal(signal.SIGCONT)
+            _wait(lambda: len(list((folders / "out").glob("*.json"))) > stored)
+            command.send_signal(signal.SIGINT)
+            _, said = command.communicate(timeout=60.0)
+        finally:
+            command.kill()
+    assert command.returncode == 130, said
+    assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
 
 
 class _Struck(Child):

@@ -137,11 +137,11 @@ def test_a_disk_with_too_little_space_is_told(monkeypatch):
 
 
 def test_a_machine_with_too_little_memory_is_told(monkeypatch):
-    monkeypatch.setattr(machine_checks, "_meminfo", lambda: (2**30, 2**31))
+    monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (2**30, 2**31))
     assert machine_checks.check_memory()["found"] == "1.0 of 2.0 GiB free; the demo takes 1.5 GB"
     assert machine_checks.check_memory()["state"] == "bad"
     monkeypatch.undo()
-    monkeypatch.setattr(machine_checks, "_group_limit", lambda: (2**29, 2**30))
+    monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (2**29, 2**30))
     assert machine_checks.check_memory()["found"].startswith("0.5 of 1.0 GiB free")
 
 

@@ -106,6 +106,14 @@ def _kind(name: str) -> Any:
     return next(kind for kind in STORED if kind.__name__ == name)
 
 
+def _zipped(folder: Path) -> None:
+    import zipfile
+
+    with zipfile.ZipFile(folder / "c.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(_whole_records().glob("capture.*")):
+            archive.write(path, f"set/{path.name.replace('capture.json', 'one.capture.json')}")
+
+
 def _design(folder: Path) -> None:
     from sim import design_toml, preset_design
 
@@ -447,6 +455,7 @@ READERS: tuple[Reader, ...] = (
     Reader(
         "9DTact folder", _nine_dtact, ("n/**/*.npy", "n/**/*.png"), _command("import 9dtact {f}/n --out {f}/out.json")
     ),
+    Reader("captures in a zip", _zipped, ("c.zip",), _command("export captures {f}/c.zip --out {f}/out.zip")),
     Reader("raw images (DNG, TIFF, PNG)", _images, ("*",), _read_images),
     Reader("packed TIFF", _packed_tiff, ("*",), _read_packed_tiff),
     Reader("pictures (PNG, JPEG)", _pictures, ("*",), _read_pictures),

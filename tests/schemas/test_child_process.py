@@ -2,6 +2,7 @@
 
 import os
 import platform
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from typing import Any
 import pytest
 
 from data_schemas import DiedError, NoEquilibriumError, RefusedError
-from data_schemas.storage import Child, call_in_child, is_child
+from data_schemas.storage import Child, call_in_child, is_child, memory_left
 
 ROOT = Path(__file__).resolve().parents[2]
 DYING = "tests.schemas.dying"
@@ -186,6 +187,13 @@ def test_a_stopped_parent_stops_its_child_and_goes_on_with_it():
     parent.send_signal(signal.SIGINT)
     parent.communicate(timeout=30.0)
     assert gone_within(pids, 5.0)
+
+
+def test_free_memory_is_some_of_the_machines():
+    left, total = memory_left()
+    kib = re.search(r"MemTotal:\s+(\d+) kB\n", Path("/proc/meminfo").read_text())
+    swap = re.search(r"SwapTotal:\s+(\d+) kB\n", Path("/proc/meminfo").read_text())
+    assert 0 < left <= total <= 1024 * (int(kib[1]) + int(swap[1]))
 
 
 def _state(pid: int) -> str:
