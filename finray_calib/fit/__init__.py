@@ -52,10 +52,12 @@ if TYPE_CHECKING:
     )
     from finray_calib.fit._pixel_maps import PixelSpread, map_paint, map_pixels
     from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, AbsorptionPrior, Discrepancy, EmissionPrior
+    from finray_calib.fit._uncertainty_budget import BUDGETED, BudgetRow, uncertainty_budget
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "BUDGETED",
     "DEFAULT_FAMILY",
     "FEWEST_EFFECTIVE",
     "LARGEST_CHAIN_SHIFT_SD",
@@ -68,6 +70,7 @@ __all__ = [
     "SMALLEST_EFFECTIVE_SAMPLES",
     "AbsorptionPrior",
     "BandData",
+    "BudgetRow",
     "ChainDiagnostics",
     "Discrepancy",
     "EmissionPosterior",
@@ -105,4 +108,5 @@ __all__ = [
     "score_families",
     "smooth_weights",
     "summarise",
+    "uncertainty_budget",
 ]
