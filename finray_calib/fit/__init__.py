@@ -6,7 +6,8 @@ with the measurement covariance S, the imperfections U of the rig and the discre
 curves. `calibrate_paint` runs the whole path and returns the stored record, `map_paint` fits every pixel,
 `detect_emission` tells whether there is anything to fit. Draws come from importance sampling that diagnoses itself;
 where it falls short they are carried on by Markov steps, and emcee is the independent check.
-No devices, and no files but the prototypes of spectra that the package ships.
+`uncertainty_budget` says which source makes how much of an interval, `design_filters` which filters would make it
+smaller. No devices, and no files but the prototypes of spectra that the package ships and catalogues of filters.
 """
 
 from typing import TYPE_CHECKING
@@ -26,6 +27,15 @@ if TYPE_CHECKING:
         fit_families,
         leave_one_band_out,
         score_families,
+    )
+    from finray_calib.fit._filter_design import (
+        CatalogueFilter,
+        FilterDesign,
+        NextFilter,
+        design_filters,
+        next_filters,
+        read_filter_catalogue,
+        stock_catalogue,
     )
     from finray_calib.fit._importance import FEWEST_EFFECTIVE, LARGEST_PARETO_K, importance_sample, smooth_weights
     from finray_calib.fit._likelihood import LogPosterior
@@ -71,14 +81,17 @@ __all__ = [
     "AbsorptionPrior",
     "BandData",
     "BudgetRow",
+    "CatalogueFilter",
     "ChainDiagnostics",
     "Discrepancy",
     "EmissionPosterior",
     "EmissionPrior",
     "ExcitationYield",
+    "FilterDesign",
     "FitOptions",
     "FitSettings",
     "LogPosterior",
+    "NextFilter",
     "PixelSpread",
     "SamplerSettings",
     "Summary",
@@ -90,6 +103,7 @@ __all__ = [
     "choose_family",
     "colour_checker_reflectance",
     "curve_bands",
+    "design_filters",
     "detect_emission",
     "estimate",
     "find_maxima",
@@ -100,13 +114,16 @@ __all__ = [
     "leave_one_band_out",
     "map_paint",
     "map_pixels",
+    "next_filters",
     "paper_parameters",
     "patch_colours",
     "rank_r_hat",
+    "read_filter_catalogue",
     "reflectance",
     "sample_posterior",
     "score_families",
     "smooth_weights",
+    "stock_catalogue",
     "summarise",
     "uncertainty_budget",
 ]

@@ -412,6 +412,66 @@ def prior_curves(parts: Components, count: int, rng: np.random.Generator) -> Flo
     return np.asarray(parts.curves[chosen] * height[:, None])
 
 
+_LEAST_HEIGHT_REL = 0.05
+_SEEN_BELOW_NM = 690.0
+
+
+def drawn_paints(parts: Components, count: int, rng: np.random.Generator) -> Floats:
+    """Return paints drawn from the whole prior, departures and second dyes too, (count, L), nm^-1.
+
+    Only those that filters up to 700 nm can see: the maximum lies below 690 nm, and the height is no twentieth of the
+    mean.
+
+    Parameters
+    ----------
+    parts
+        Components of the prior.
+    count
+        Number of paints.
+    rng
+        Source of all randomness.
+    """
+    share = np.exp(parts.ln_share)
+    found: list[Floats] = []
+    above, seen = _above(parts)[:, 0], parts.wavelength_nm < _SEEN_BELOW_NM
+    sizes, seconds = (np.array(table) for table in (_SIZES, _SECOND_DYE))
+    while len(found) < count:
+        chosen = rng.choice(share.size, 1, p=share / share.sum())
+        own, departures = parts.curves[chosen[0]], parts.departures(chosen)[0]
+        size, second = rng.choice(sizes[:, 0], p=sizes[:, 1]), rng.choice(seconds[:, 0], p=seconds[:, 1])
+        curve = own + rng.standard_normal(len(departures)) @ departures
+        process = parts.process @ rng.standard_normal(parts.process.shape[1])
+        curve = curve + size * (own + _PROCESS_FLOOR) * above * process
+        curve = np.maximum(curve + second * rng.standard_normal(len(parts.second)) @ parts.second, 0.0)
+        mean, precision = height_prior(parts, chosen)
+        height = mean[0, 0] + rng.standard_normal() / np.sqrt(precision[0, 0])
+        if height > _LEAST_HEIGHT_REL * mean[0, 0] and curve[seen].max(initial=0.0) == curve.max():
+            found.append(height * curve)
+    return np.array(found).reshape(-1, parts.wavelength_nm.size)
+
+
+def band_errors(
+    data: BandData, curve: Floats, reflectance: float, ln_blocking_sd: float, rng: np.random.Generator
+) -> Floats:
+    """Return one draw (K,) of all errors of the usable bands of a known paint: noise, calibration, filters, lamp.
+
+    Parameters
+    ----------
+    data
+        The rig, with the exact values of the paint.
+    curve, reflectance
+        Emission (L,), nm^-1, and reflectance at the laser of the paint.
+    ln_blocking_sd
+        Uncertainty of the filters' blocking, as the logarithm of a multiplier around 1.
+    rng
+        Source of all randomness.
+    """
+    columns = _Rig(data, float(np.exp(ln_blocking_sd**2 / 2)), ln_blocking_sd).columns(curve, reflectance)
+    noise = np.linalg.cholesky(data.covariance[np.ix_(data.kept, data.kept)])
+    drawn = columns @ rng.standard_normal(columns.shape[1]) + noise @ rng.standard_normal(len(noise))
+    return np.asarray(drawn)
+
+
 def height_prior(parts: Components, chosen: NDArray[np.int64]) -> tuple[Floats, Floats]:
     """Return mean and precision (n, 2) of height and reflectance of chosen components."""
     area = parts.curves[chosen].sum(axis=1) * (parts.wavelength_nm[1] - parts.wavelength_nm[0])
