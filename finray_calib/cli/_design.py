@@ -141,11 +141,15 @@ def _add_filters(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run_filters(arguments: argparse.Namespace) -> None:
     """Choose the filters of a rig, or rank the next one of a paint."""
     from data_schemas import FitError
-    from finray_calib.fit import read_filter_catalogue, stock_catalogue
+    from data_schemas.storage import read_csv
+    from finray_calib.fit import filter_catalogue, stock_catalogue
 
     if arguments.paints < 0:
         raise FitError(f"--paints: is {arguments.paints}, must be 0 or more")
-    catalogue = stock_catalogue() if arguments.catalogue is None else read_filter_catalogue(arguments.catalogue)
+    catalogue = stock_catalogue()
+    if arguments.catalogue is not None:
+        header, rows = read_csv(arguments.catalogue, "a catalogue of filters (CSV)", FitError, comments=True)
+        catalogue = filter_catalogue(header, rows, str(arguments.catalogue))
     if arguments.source.suffix.lower() == ".json":
         _rank_next(arguments, catalogue)
     else:

@@ -7,7 +7,7 @@ curves. `calibrate_paint` runs the whole path and returns the stored record, `ma
 `detect_emission` tells whether there is anything to fit. Draws come from importance sampling that diagnoses itself;
 where it falls short they are carried on by Markov steps, and emcee is the independent check.
 `uncertainty_budget` says which source makes how much of an interval, `design_filters` which filters would make it
-smaller. No devices, and no files but the prototypes of spectra that the package ships and catalogues of filters.
+smaller. No devices, and no files but the prototypes of spectra that the package ships.
 """
 
 from typing import TYPE_CHECKING
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
         FilterDesign,
         NextFilter,
         design_filters,
+        filter_catalogue,
         next_filters,
-        read_filter_catalogue,
         stock_catalogue,
     )
     from finray_calib.fit._importance import FEWEST_EFFECTIVE, LARGEST_PARETO_K, importance_sample, smooth_weights
@@ -106,6 +106,7 @@ __all__ = [
     "design_filters",
     "detect_emission",
     "estimate",
+    "filter_catalogue",
     "find_maxima",
     "fit_absorption",
     "fit_emission",
@@ -118,7 +119,6 @@ __all__ = [
     "paper_parameters",
     "patch_colours",
     "rank_r_hat",
-    "read_filter_catalogue",
     "reflectance",
     "sample_posterior",
     "score_families",

@@ -20,7 +20,6 @@ Valid for paints like those that were learned, and for filters that are as the c
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -28,7 +27,6 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from data_schemas import BandPassFilter, FitError, Optics, PaintCalibration, SpectralCurve
-from data_schemas.storage import read_csv
 from finray_calib.fit._band_data import (
     BAND_CALIBRATION_REL,
     CHANNEL_RESPONSE_REL,
@@ -139,29 +137,36 @@ def stock_catalogue() -> tuple[CatalogueFilter, ...]:
 _COLUMNS: Final = {"centre_nm": (200.0, 2000.0), "width_nm": (1.0, 500.0), "peak_transmission": (1e-3, 1.0)}
 
 
-def read_filter_catalogue(path: Path) -> tuple[CatalogueFilter, ...]:
-    """Read a catalogue (CSV): columns centre_nm, width_nm and peak_transmission (0 to 1), one filter a row.
+def filter_catalogue(
+    header: Sequence[str], rows: Sequence[tuple[int, Sequence[str]]], origin: str
+) -> tuple[CatalogueFilter, ...]:
+    """Return the filters of a catalogue: columns centre_nm, width_nm and peak_transmission (0 to 1), one a row.
 
     Parameters
     ----------
-    path
-        The file; lines that begin with ``#`` are left out.
+    header
+        Names of the columns.
+    rows
+        Line and cells of each row.
+    origin
+        The file that they were read from, for errors.
 
     Raises
     ------
     FitError
-        The file cannot be read, lacks a column, or holds a value that is no number in its range.
+        A column is lacking, there is no row, or a value is no number in its range.
     """
-    header, rows = read_csv(path, "a catalogue of filters (CSV)", FitError, comments=True)
     if lacking := [name for name in _COLUMNS if name not in header]:
-        raise FitError(f"{path}: lacks column {', '.join(lacking)}; a catalogue has the columns {', '.join(_COLUMNS)}")
+        raise FitError(
+            f"{origin}: lacks column {', '.join(lacking)}; a catalogue has the columns {', '.join(_COLUMNS)}"
+        )
     if not rows:
-        raise FitError(f"{path}: holds no filter; give one a row: {', '.join(_COLUMNS)}")
+        raise FitError(f"{origin}: holds no filter; give one a row: {', '.join(_COLUMNS)}")
     places = [header.index(name) for name in _COLUMNS]
-    return tuple(CatalogueFilter(*_numbers(path, line, cells, places)) for line, cells in rows)
+    return tuple(CatalogueFilter(*_numbers(f"{origin}, line {line}", cells, places)) for line, cells in rows)
 
 
-def _numbers(path: Path, line: int, cells: Sequence[str], places: Sequence[int]) -> list[float]:
+def _numbers(where: str, cells: Sequence[str], places: Sequence[int]) -> list[float]:
     """Return centre, width and transmission of a row."""
     found = []
     for (name, (low, high)), place in zip(_COLUMNS.items(), places, strict=True):
@@ -171,7 +176,7 @@ def _numbers(path: Path, line: int, cells: Sequence[str], places: Sequence[int])
         except ValueError:
             value = np.nan
         if not low <= value <= high:
-            raise FitError(f"{path}, line {line}: {name} is {text!r}, must be a number from {low:g} to {high:g}")
+            raise FitError(f"{where}: {name} is {text!r}, must be a number from {low:g} to {high:g}")
         found.append(value)
     return found
 

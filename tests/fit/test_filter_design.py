@@ -7,11 +7,12 @@ import pytest
 
 from benchmarks.drawn_paints import nominal_optics
 from data_schemas import FitError
+from data_schemas.storage import read_csv
 from finray_calib.fit import (
     CatalogueFilter,
     design_filters,
+    filter_catalogue,
     next_filters,
-    read_filter_catalogue,
     stock_catalogue,
 )
 from finray_calib.fit._filter_design import _Screen, fitted_errors, paired_ratio
@@ -112,4 +113,4 @@ def test_mistakes_in_a_catalogue(tmp_path, text, match):
     path = tmp_path / "filters.csv"
     path.write_text(text)
     with pytest.raises(FitError, match=match):
-        read_filter_catalogue(path)
+        filter_catalogue(*read_csv(path), "filters.csv")
