@@ -169,7 +169,7 @@ def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter,
     give(paint_name=paint.paint_name, next_filters=ranked)
     say(f"the next filter of '{paint.paint_name}', by the share of the spectrum's variance that it would take away:")
     for one in ranked[:_SHOWN_NEXT]:
-        say(f"  {one.filter.centre_nm:5g} nm, {one.filter.width_nm:g} nm wide  {one.reduction:5.0%}")
+        say(f"  {one.filter.centre_nm:5g} nm, {one.filter.width_nm:g} nm wide  {one.reduction_rel:5.0%}")
 
 
 def _choose_filters(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter, ...]") -> None:
@@ -188,7 +188,7 @@ def _choose_filters(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFi
             {"centre_nm": band.center_nm, "width_nm": band.fwhm_nm, "kept": band.name in found.kept}
             for band in found.filters
         ],
-        screened_error_rel=found.screened, screened_error_rig_rel=found.screened_rig, paints=len(found.errors),
+        screened_error_rel=found.screened_rel, screened_error_rig_rel=found.screened_rig_rel, paints=len(found.errors),
         median_ratio=list(found.median_ratio), mean_ratio=list(found.mean_ratio),
     )  # fmt: skip
     say(f"{len(found.filters)} filters for '{arguments.source}':")
@@ -197,7 +197,7 @@ def _choose_filters(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFi
             f"  {band.center_nm:5g} nm, {band.fwhm_nm:g} nm wide"
             + ("  (of the rig)" if band.name in found.kept else "")
         )
-    say(f"  screening: expected error {found.screened:.3f}, the rig's own filters {found.screened_rig:.3f}")
+    say(f"  screening: expected error {found.screened_rel:.3f}, the rig's own filters {found.screened_rig_rel:.3f}")
     for name, ratio in (("median", found.median_ratio), ("mean", found.mean_ratio)):
         if len(found.errors):
             say(

@@ -95,7 +95,7 @@ class FilterDesign:
         All filters of the designed rig, the one at the laser and kept ones too.
     kept
         Names of those that the rig has already.
-    screened, screened_rig
+    screened_rel, screened_rig_rel
         Mean relative error of the linear estimate, of the designed and of the rig's own set.
     errors, errors_rig
         (n,) relative error of the whole fit of each simulated paint.
@@ -105,8 +105,8 @@ class FilterDesign:
 
     filters: tuple[BandPassFilter, ...]
     kept: tuple[str, ...]
-    screened: float
-    screened_rig: float
+    screened_rel: float
+    screened_rig_rel: float
     errors: Floats
     errors_rig: Floats
     median_ratio: tuple[float, float, float]
@@ -121,12 +121,12 @@ class NextFilter:
     ----------
     filter
         Of the catalogue.
-    reduction
+    reduction_rel
         Share of the variance of the curve that it is expected to take away.
     """
 
     filter: CatalogueFilter
-    reduction: float
+    reduction_rel: float
 
 
 def stock_catalogue() -> tuple[CatalogueFilter, ...]:
@@ -234,8 +234,8 @@ def design_filters(
     return FilterDesign(
         filters=filters,
         kept=tuple(f.name for f in kept),
-        screened=screened,
-        screened_rig=screen.error_of_rig(optics),
+        screened_rel=screened,
+        screened_rig_rel=screen.error_of_rig(optics),
         errors=pair[0],
         errors_rig=pair[1],
         median_ratio=paired_ratio(pair[0], pair[1], np.median, rng),
@@ -268,7 +268,7 @@ def next_filters(paint: PaintCalibration, catalogue: Sequence[CatalogueFilter]) 
         gain = apart.T @ own / len(own)
         reduction = float(gain @ gain / (own @ own / len(own) + noise) / max(total, 1e-300))
         found.append(NextFilter(candidate, min(reduction, 1.0)))
-    return tuple(sorted(found, key=lambda one: -one.reduction))
+    return tuple(sorted(found, key=lambda one: -one.reduction_rel))
 
 
 def fitted_errors(

@@ -115,7 +115,7 @@ def certificate_of(
         number=number,
         head=_head(details, session, issued_on),
         results=_results(results),
-        budget=budget_table(budget, {name: BUDGET_NAMES[name] for name in CERTIFIED}, least=SMALL_SHARE)
+        budget=budget_table(budget, {name: BUDGET_NAMES[name] for name in CERTIFIED}, least_share=SMALL_SHARE)
         if budget
         else None,
         budget_rows=tuple(row for row in budget if row.quantity in _SHORT),

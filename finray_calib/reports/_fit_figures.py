@@ -78,26 +78,26 @@ _BUDGET_HATCHES = ("", "//", "..", "xx")
 
 
 @styled()
-def budget_figure(rows: Sequence[BudgetRow], least: float, height_in: float = 4.6) -> str:
+def budget_figure(rows: Sequence[BudgetRow], least_share: float, height_in: float = 4.6) -> str:
     """Draw the budget of a paint as one bar of 100 % for each quantity.
 
     Parameters
     ----------
     rows
         Of the budget.
-    least
+    least_share
         A source stands by itself where it makes so much of any variance.
     height_in
         Of the figure.
     """
     figure = new_figure(6.6, height_in)
-    _draw_budget(figure.subplots(), rows, least)
+    _draw_budget(figure.subplots(), rows, least_share)
     return svg_text(figure)
 
 
-def _draw_budget(axes: Axes, rows: Sequence[BudgetRow], least: float) -> None:
+def _draw_budget(axes: Axes, rows: Sequence[BudgetRow], least_share: float) -> None:
     """Draw a bar of 100 % for each quantity, its parts the shares of the sources."""
-    sources = joined_budget(rows, least)
+    sources = joined_budget(rows, least_share)
     names = [name for name in BUDGET_NAMES if any(row.quantity == name for row in rows)]
     left, place = np.zeros(len(names)), np.arange(len(names))[::-1]
     for number, (source, (_, shares)) in enumerate(sources.items()):

@@ -495,33 +495,38 @@ BUDGET_NAMES: Final = {
 SMALL_SHARE = 0.01
 
 
-def joined_budget(rows: Sequence[BudgetRow], least: float = SMALL_SHARE) -> dict[str, tuple[str, dict[str, float]]]:
+def joined_budget(
+    rows: Sequence[BudgetRow], least_share: float = SMALL_SHARE
+) -> dict[str, tuple[str, dict[str, float]]]:
     """Return source -> size with evaluation, and share by quantity; small sources are one.
 
     Parameters
     ----------
     rows
         Of the budget.
-    least
+    least_share
         A source stands by itself where it makes so much of any variance.
     """
     found: dict[str, tuple[str, dict[str, float]]] = {}
     for row in rows:
         size = f"{row.size} ({row.evaluation})"
         found.setdefault(row.source, (size, {}))[1][row.quantity] = row.share
-    small = [source for source, (_, shares) in found.items() if max(shares.values()) < least]
+    small = [source for source, (_, shares) in found.items() if max(shares.values()) < least_share]
     if len(small) < 2:
         return found
     together: dict[str, float] = {}
     for source in small:
         for quantity, share in found.pop(source)[1].items():
             together[quantity] = together.get(quantity, 0.0) + share
-    found[f"other sources, each below {percent(least)}"] = (f"{len(small)} sources", together)
+    found[f"other sources, each below {percent(least_share)}"] = (f"{len(small)} sources", together)
     return found
 
 
 def budget_table(
-    rows: Sequence[BudgetRow], names: Mapping[str, str] = BUDGET_NAMES, title: str = "", least: float = SMALL_SHARE
+    rows: Sequence[BudgetRow],
+    names: Mapping[str, str] = BUDGET_NAMES,
+    title: str = "",
+    least_share: float = SMALL_SHARE,
 ) -> ReportTable:
     """Return the share of the variance of each quantity that each source makes.
 
@@ -533,7 +538,7 @@ def budget_table(
         Quantity -> heading of its column.
     title
         Before the caption, with the paint's name.
-    least
+    least_share
         A source stands by itself where it makes so much of any variance.
     """
     shown = [row for row in rows if row.quantity in names]
@@ -544,7 +549,7 @@ def budget_table(
 
     cells = [
         (source, size, *(cell(shares.get(name)) for name in quantities))
-        for source, (size, shares) in joined_budget(shown, least).items()
+        for source, (size, shares) in joined_budget(shown, least_share).items()
     ]
     sums = [cell(sum(row.share for row in shown if row.quantity == name)) for name in quantities]
     caption = f"{title}Budget: share of the variance of each quantity by source; A from frames, B stated or assumed"
