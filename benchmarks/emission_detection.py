@@ -61,6 +61,8 @@ class Rig:
     blocking_od: float
     camera: str = "assumed"
     material: str | None = None
+    emission_filters: tuple[tuple[float, float], ...] = ()
+    """Centre and width, nm, of filters in place of all but the one at the laser; the paper's where empty."""
     bench: Bench = field(init=False)
     optics: Optics = field(init=False)
 
@@ -68,6 +70,15 @@ class Rig:
         rig = simulated_rig(self.material or "red", seed=self.seed, width_px=64, height_px=64)
         wheel = rig.filter_wheel
         filters = tuple(f.model_copy(update={"blocking_od": self.blocking_od}) for f in wheel.filters)
+        if self.emission_filters:
+            at_laser = next(f for f in filters if f.name == "450")
+            like = next(f for f in filters if f.name == "500")
+            others = [
+                like.model_copy(update={"name": f"{c:g}/{w:g}", "center_nm": float(c), "fwhm_nm": float(w)})
+                for c, w in self.emission_filters
+            ]
+            ordered = sorted((at_laser, *others), key=lambda f: f.center_nm)
+            filters = tuple(f.model_copy(update={"slot": slot}) for slot, f in enumerate(ordered, 1))
         rig = rig.model_copy(update={"filter_wheel": wheel.model_copy(update={"filters": filters})})
         response = camera_response(self.camera, Path())
         self.rig, self.bench = rig, Bench(rig, Path(), response)

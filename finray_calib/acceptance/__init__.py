@@ -11,13 +11,7 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.acceptance._acceptance_report import SECTIONS, judge, result_line, value_text
-    from finray_calib.acceptance._certified_results import (
-        NO_REFERENCE,
-        Budget,
-        CertifiedResult,
-        certified_results,
-        uncertainty_budget,
-    )
+    from finray_calib.acceptance._certified_results import NO_REFERENCE, CertifiedResult, certified_results
     from finray_calib.acceptance._conformity import (
         GUARD_FACTOR,
         ToleranceInterval,
@@ -36,7 +30,6 @@ __all__ = [
     "NO_REFERENCE",
     "SECTIONS",
     "Alarm",
-    "Budget",
     "CertifiedResult",
     "Chart",
     "ChartRules",
@@ -59,7 +52,6 @@ __all__ = [
     "session_facts",
     "session_history",
     "tins_are_equivalent",
-    "uncertainty_budget",
     "value_text",
     "watch",
 ]

@@ -9,8 +9,9 @@ from finray_calib.cli._output import give, look_at, progress_bar, say, warn, wro
 from finray_calib.cli._run import naming, require_new
 
 if TYPE_CHECKING:
-    from data_schemas import CaptureSession
+    from data_schemas import CaptureSession, PaintCalibration
     from finray_calib.acceptance import CertifiedResult
+    from finray_calib.fit import BudgetRow
     from finray_calib.lineage import Traced
 
 CERTIFICATE_HELP = "write the certificate of a paint: results with expanded uncertainty, on one page"
@@ -38,7 +39,7 @@ and conditions. Where no certificate of a reference is recorded, the page says t
   low = 590.0
   high = 605.0
 
---budget BANDS fits the paint again with one source of uncertainty taken away at a time (half a minute).
+--budget BANDS adds which source makes how much of each uncertainty; the shares of a quantity add up to 100 %.
 Exit status: 0, 1 where a quantity fails its limits, 2 after a mistake."""
 NOT_CONFORMING = 1
 
@@ -82,14 +83,7 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     measured_on = None if session is None else datetime.fromisoformat(session.frames[-1].captured_utc).date()
     with naming(FinrayError, path):
         results = certified_results(paint, details, measured_on)
-    budget = None
-    if arguments.budget is not None:
-        from data_schemas import BandSignals
-        from finray_calib.acceptance import uncertainty_budget
-
-        seed = 1 if paint.provenance is None or paint.provenance.seed is None else paint.provenance.seed
-        with progress_bar("budget") as progress, naming(FinrayError, arguments.budget):
-            budget = uncertainty_budget(read_record(arguments.budget, BandSignals), paint, seed, progress)
+    budget = () if arguments.budget is None else _budget(arguments.budget, paint)
     today = datetime.now(UTC).date()
     certificate = certificate_of(paint, results, details, digest_of_input(path), today, session, budget, lineage)
     with ProductSet(page) as products:
@@ -98,9 +92,20 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     _say(results, certificate.traceability)
     wrote(page, f"certificate {certificate.number}")
     wrote(pdf, "the same, to print and sign")
-    give(number=certificate.number, results=results, traceability=certificate.traceability)
+    give(number=certificate.number, results=results, traceability=certificate.traceability, budget=budget)
     look_at(page)
     return NOT_CONFORMING if any(result.verdict == "FAIL" for result in results) else 0
+
+
+def _budget(path: Path, paint: "PaintCalibration") -> "tuple[BudgetRow, ...]":
+    """Return the budget of a calibration from the band signals that it was fitted to."""
+    from data_schemas import BandSignals, FinrayError
+    from data_schemas.storage import read_record
+    from finray_calib.fit import uncertainty_budget
+
+    seed = 1 if paint.provenance is None or paint.provenance.seed is None else paint.provenance.seed
+    with progress_bar("budget"), naming(FinrayError, path):
+        return uncertainty_budget(read_record(path, BandSignals), paint, seed)
 
 
 def _found(path: Path) -> "tuple[CaptureSession | None, str]":

@@ -1,4 +1,4 @@
-"""``finray design``: write the design of a finger or classic sensor, look at it, print it, choose its paints."""
+"""``finray design``: write the design of a finger or sensor, look at it, print it, choose paints and filters."""
 
 import argparse
 from pathlib import Path
@@ -18,11 +18,12 @@ from finray_calib.cli._run import (
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from data_schemas import FingerDesign, PaintCalibration, PaintChoice
+    from data_schemas import FingerDesign, Optics, PaintCalibration, PaintChoice, RigFile
+    from finray_calib.fit import CatalogueFilter
     from sim.optics import CameraView
 
 
-HELP = "write a finger design; draw it, see what its camera sees, print its parts, choose its paints"
+HELP = "write a finger design; draw it, see its camera's view, print its parts, choose paints; choose a rig's filters"
 DESCRIPTION = (
     "Write a design file to start from, and look at a finger or a classic sensor before anything is simulated."
 )
@@ -61,6 +62,17 @@ share."""
 PAINTS_EPILOG = """\
 example:
   finray design paints flat-70x35 --paint a.paint.json --paint b.paint.json --paint c.paint.json"""
+FILTERS_DESCRIPTION = """\
+Of a rig (TOML): choose the emission filters that give the smallest expected error of the emission spectrum of a paint,
+from a catalogue, with the rig's own laser, lamp and camera, and fit simulated paints with these and with the rig's
+filters. The filter at the laser stays; --keep CENTRE keeps another one of the rig, such as one below the laser, which
+shows what the paint absorbs under the lamp.
+
+Of a paint (JSON, written by 'finray fit'): rank the filters by what each would take from the variance of its spectrum.
+
+A catalogue is a CSV file with the columns centre_nm, width_nm and peak_transmission (0 to 1); without one, plain
+filters of 10, 25 and 40 nm every 10 nm from 450 to 720 nm are offered."""
+_SHOWN_NEXT = 8
 
 
 _DRAWINGS = (".png", ".html")
@@ -76,6 +88,7 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     _add_show(actions)
     _add_export(actions)
     _add_paints(actions)
+    _add_filters(actions)
 
 
 def _add_init(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -135,6 +148,114 @@ def _add_paints(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     paints.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.paint-choice.json; must be new")
     add_seed(paints)
     paints.set_defaults(run=run_paints)
+
+
+def _add_filters(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    filters = actions.add_parser(
+        "filters",
+        help="the best emission filters of a rig, or the best next one for a paint",
+        description=FILTERS_DESCRIPTION,
+    )
+    filters.add_argument("source", type=Path, metavar="RIG_OR_PAINT", help="rig file (.toml) or fitted paint (.json)")
+    filters.add_argument("--catalogue", type=Path, metavar="CSV", help="filters that can be bought")
+    filters.add_argument("--number", type=int, metavar="N", help="filters altogether (default: as many as the rig has)")
+    filters.add_argument(
+        "--keep", type=float, action="append", default=[], metavar="CENTRE",
+        help="centre of a filter of the rig that stays, nm (repeatable)",
+    )  # fmt: skip
+    filters.add_argument(
+        "--paints", type=int, default=40, metavar="N", help="simulated paints that are fitted (default: 40; 0: none)"
+    )
+    add_seed(filters)
+    filters.set_defaults(run=run_filters)
+
+
+def run_filters(arguments: argparse.Namespace) -> None:
+    """Choose the filters of a rig, or rank the next one of a paint."""
+    from data_schemas import FitError
+    from data_schemas.storage import read_csv
+    from finray_calib.fit import filter_catalogue, stock_catalogue
+
+    if arguments.paints < 0:
+        raise FitError(f"--paints: is {arguments.paints}, must be 0 or more")
+    catalogue = stock_catalogue()
+    if arguments.catalogue is not None:
+        header, rows = read_csv(arguments.catalogue, "a catalogue of filters (CSV)", FitError, comments=True)
+        catalogue = filter_catalogue(header, rows, str(arguments.catalogue))
+    if arguments.source.suffix.lower() == ".json":
+        _rank_next(arguments, catalogue)
+    else:
+        _choose_filters(arguments, catalogue)
+
+
+def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter, ...]") -> None:
+    """Tell the filters that would tell most of a fitted paint."""
+    from data_schemas import FitError, PaintCalibration
+    from data_schemas.storage import read_record
+    from finray_calib.fit import next_filters
+
+    if arguments.number is not None or arguments.keep:
+        raise FitError("--number, --keep: are for a rig (TOML); a paint (JSON) is asked for its one next filter")
+    paint = read_record(arguments.source, PaintCalibration)
+    ranked = next_filters(paint, catalogue)
+    give(paint_name=paint.paint_name, next_filters=ranked)
+    say(f"the next filter of '{paint.paint_name}', by the share of the spectrum's variance that it would take away:")
+    for one in ranked[:_SHOWN_NEXT]:
+        say(f"  {one.filter.centre_nm:5g} nm, {one.filter.width_nm:g} nm wide  {one.reduction_rel:5.0%}")
+
+
+def _choose_filters(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter, ...]") -> None:
+    """Tell the filters of a designed rig and what they are worth."""
+    from data_schemas import FitError, RigFile
+    from data_schemas.storage import read_toml
+    from finray_calib.fit import design_filters
+
+    optics = _optics_of(read_toml(arguments.source, RigFile), arguments.source.parent)
+    with progress_bar("design") as progress, naming(FitError, arguments.source):
+        found = design_filters(
+            optics, catalogue, arguments.number, arguments.keep, arguments.paints, arguments.seed, progress
+        )
+    give(
+        filters=[
+            {"centre_nm": band.center_nm, "width_nm": band.fwhm_nm, "kept": band.name in found.kept}
+            for band in found.filters
+        ],
+        screened_error_rel=found.screened_rel, screened_error_rig_rel=found.screened_rig_rel, paints=len(found.errors),
+        median_ratio=list(found.median_ratio), mean_ratio=list(found.mean_ratio),
+    )  # fmt: skip
+    say(f"{len(found.filters)} filters for '{arguments.source}':")
+    for band in found.filters:
+        say(
+            f"  {band.center_nm:5g} nm, {band.fwhm_nm:g} nm wide"
+            + ("  (of the rig)" if band.name in found.kept else "")
+        )
+    say(f"  screening: expected error {found.screened_rel:.3f}, the rig's own filters {found.screened_rig_rel:.3f}")
+    for name, ratio in (("median", found.median_ratio), ("mean", found.mean_ratio)):
+        if len(found.errors):
+            say(
+                f"  fits of {len(found.errors)} simulated paints: {name} error {ratio[0]:.2f} times that of the rig's "
+                f"own filters (95 %: {ratio[1]:.2f} to {ratio[2]:.2f})"
+            )
+
+
+def _optics_of(rig: "RigFile", folder: Path) -> "Optics":
+    """Return the curves of a rig; the filter closest to the laser is the one at it."""
+    from data_schemas import Optics
+    from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
+
+    filters = rig.filter_wheel.filters
+    at_laser = min(filters, key=lambda band: abs(band.center_nm - rig.laser.wavelength_nm))
+    return Optics(
+        filters=filters,
+        excitation_filter=at_laser.name,
+        laser=rig.laser,
+        lamp=lamp_curve(rig.lamp, folder),
+        lamp_temperature_k=rig.lamp.temperature_k,
+        lamp_temperature_uncertainty_k=rig.lamp.temperature_uncertainty_k,
+        white_reference=rig.white_reference,
+        camera_response=camera_response(rig.camera.response, folder),
+        filter_curves=read_filter_curves(filters, folder),
+    )
 
 
 def run_list(arguments: argparse.Namespace) -> None:

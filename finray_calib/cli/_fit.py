@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, go_on_with, is_for_a_program, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -18,7 +18,7 @@ from finray_calib.cli._run import (
 
 if TYPE_CHECKING:
     from data_schemas import BandSignals, PaintCalibration, PaintMap, PaintWithoutEmission
-    from finray_calib.fit import SessionScatter
+    from finray_calib.fit import BudgetRow, SessionScatter
 
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"
@@ -100,13 +100,14 @@ def run(arguments: argparse.Namespace) -> None:
             sessions, other_lights=others, family=arguments.family, discrepancy=not arguments.no_discrepancy,
             check=arguments.check, room_light=arguments.room_light, seed=arguments.seed,
         )  # fmt: skip
+        budget = _budget(paint, bands, arguments) if arguments.report is not None or is_for_a_program() else ()
     if arguments.room_light is not None:
         from rigs.capture import SESSION_NAME
 
         files.append(arguments.room_light / SESSION_NAME)
     with ProductSet(out) as products:
         if arguments.report is not None:
-            products.add(arguments.report, _page(paint, bands, input_digests(files)).encode())
+            products.add(arguments.report, _page(paint, bands, input_digests(files), budget).encode())
         write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed), products)
     if isinstance(paint, PaintWithoutEmission):
         wrote(out, f"NO EMISSION of '{paint.paint_name}', no spectrum")
@@ -114,7 +115,7 @@ def run(arguments: argparse.Namespace) -> None:
         say(f"  {paint.detection.statement}")
         say("  is this the fluorescent sample, and was the laser on? --report PAGE shows it beside a blank")
     else:
-        _say_result(paint, out)
+        _say_result(paint, out, budget)
         _say_scatter(scatter, arguments.bands)
     if arguments.report is not None:
         wrote(arguments.report, "the fit explained; open it in a browser")
@@ -152,7 +153,24 @@ def _say_scatter(scatter: "SessionScatter | None", files: Sequence[Path]) -> Non
         say(f"    {file}: level {level:+.1%}")
 
 
-def _page(paint: "PaintCalibration | PaintWithoutEmission", bands: "BandSignals", digests: "dict[str, str]") -> str:
+def _budget(
+    paint: "PaintCalibration | PaintWithoutEmission", bands: "BandSignals", arguments: argparse.Namespace
+) -> "tuple[BudgetRow, ...]":
+    """Return the budget of a fit under the learned prior; a sample without emission or a family has none."""
+    from data_schemas import PaintWithoutEmission
+    from finray_calib.fit import uncertainty_budget
+
+    if isinstance(paint, PaintWithoutEmission) or arguments.family != "auto" or arguments.no_discrepancy:
+        return ()
+    return uncertainty_budget(bands, paint, arguments.seed)
+
+
+def _page(
+    paint: "PaintCalibration | PaintWithoutEmission",
+    bands: "BandSignals",
+    digests: "dict[str, str]",
+    budget: "tuple[BudgetRow, ...]",
+) -> str:
     """Return the page of a fit, or of a sample without emission."""
     from data_schemas import PaintWithoutEmission
 
@@ -162,7 +180,7 @@ def _page(paint: "PaintCalibration | PaintWithoutEmission", bands: "BandSignals"
         return no_emission_page(paint, command_line(), digests)
     from finray_calib.reports import paint_report
 
-    return paint_report(paint, bands)
+    return paint_report(paint, bands, budget)
 
 
 def _refuse_ignored(arguments: argparse.Namespace) -> None:
@@ -198,12 +216,12 @@ _LABELS = {
 }
 
 
-def _say_result(paint: "PaintCalibration", out: Path) -> None:
+def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, ...]") -> None:
     """Tell the numbers and how far they can be trusted."""
     from finray_calib.reports import pareto_text
 
     wrote(out, f"emission of '{paint.paint_name}' ({paint.spectrum_from or paint.family_title})")
-    _give_result(paint)
+    _give_result(paint, budget)
     go_on_with("finray export", out, "--format csv")
     for name, label, unit in (
         ("mode_nm", "mode", " nm"),
@@ -234,7 +252,7 @@ def _say_result(paint: "PaintCalibration", out: Path) -> None:
         say(f"  warning: {warning}")
 
 
-def _give_result(paint: "PaintCalibration") -> None:
+def _give_result(paint: "PaintCalibration", budget: "tuple[BudgetRow, ...]") -> None:
     """Give the numbers to a program."""
     names = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser")
     give(
@@ -244,6 +262,7 @@ def _give_result(paint: "PaintCalibration") -> None:
         stokes_shift_nm=paint.reradiation.stokes_shift_nm,
         prior_shares={name: value.share for name, value in paint.prior_shares.items()},
         family=paint.family,
+        budget=budget,
         draws_trusted=paint.diagnostics.trusted,
         warnings=paint.warnings,
     )

@@ -67,6 +67,11 @@ def is_for_a_terminal() -> bool:
     return not (_spoken.as_json or _spoken.quiet) and sys.stdout.isatty()
 
 
+def is_for_a_program() -> bool:
+    """Return whether the numbers are read by a program (``--json``)."""
+    return _spoken.as_json
+
+
 def say(text: str, fold: bool = True) -> None:
     """Tell the user a result; a script for a shell is not folded.
 

@@ -7,7 +7,8 @@ curves. `calibrate_paint` runs the whole path and returns the stored record, `ma
 `detect_emission` tells whether there is anything to fit. `combine_sessions` makes one of several sessions of a paint,
 with what differs between them. Draws come from importance sampling that diagnoses itself; where it falls short they
 are carried on by Markov steps, and emcee is the independent check.
-No devices, and no files but the prototypes of spectra that the package ships.
+`uncertainty_budget` says which source makes how much of an interval, `design_filters` which filters would make it
+smaller. No devices, and no files but the prototypes of spectra that the package ships.
 """
 
 from typing import TYPE_CHECKING
@@ -27,6 +28,15 @@ if TYPE_CHECKING:
         fit_families,
         leave_one_band_out,
         score_families,
+    )
+    from finray_calib.fit._filter_design import (
+        CatalogueFilter,
+        FilterDesign,
+        NextFilter,
+        design_filters,
+        filter_catalogue,
+        next_filters,
+        stock_catalogue,
     )
     from finray_calib.fit._importance import FEWEST_EFFECTIVE, LARGEST_PARETO_K, importance_sample, smooth_weights
     from finray_calib.fit._likelihood import LogPosterior
@@ -54,10 +64,12 @@ if TYPE_CHECKING:
     from finray_calib.fit._pixel_maps import PixelSpread, map_paint, map_pixels
     from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, AbsorptionPrior, Discrepancy, EmissionPrior
     from finray_calib.fit._repeated_sessions import SessionScatter, combine_sessions, departing_warnings
+    from finray_calib.fit._uncertainty_budget import BUDGETED, BudgetRow, uncertainty_budget
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "BUDGETED",
     "DEFAULT_FAMILY",
     "FEWEST_EFFECTIVE",
     "LARGEST_CHAIN_SHIFT_SD",
@@ -70,14 +82,18 @@ __all__ = [
     "SMALLEST_EFFECTIVE_SAMPLES",
     "AbsorptionPrior",
     "BandData",
+    "BudgetRow",
+    "CatalogueFilter",
     "ChainDiagnostics",
     "Discrepancy",
     "EmissionPosterior",
     "EmissionPrior",
     "ExcitationYield",
+    "FilterDesign",
     "FitOptions",
     "FitSettings",
     "LogPosterior",
+    "NextFilter",
     "PixelSpread",
     "SamplerSettings",
     "SessionScatter",
@@ -92,8 +108,10 @@ __all__ = [
     "combine_sessions",
     "curve_bands",
     "departing_warnings",
+    "design_filters",
     "detect_emission",
     "estimate",
+    "filter_catalogue",
     "find_maxima",
     "fit_absorption",
     "fit_emission",
@@ -102,6 +120,7 @@ __all__ = [
     "leave_one_band_out",
     "map_paint",
     "map_pixels",
+    "next_filters",
     "paper_parameters",
     "patch_colours",
     "rank_r_hat",
@@ -109,5 +128,7 @@ __all__ = [
     "sample_posterior",
     "score_families",
     "smooth_weights",
+    "stock_catalogue",
     "summarise",
+    "uncertainty_budget",
 ]

@@ -198,6 +198,8 @@ class BandData:
         Tolerances of the filters' centre, width and blocking; perfectly known filters when None.
     lamp_response_rel
         (B C,) relative change of each value for one standard uncertainty of the lamp; a perfectly known one when None.
+    tile_uncertainty_rel
+        Relative standard uncertainty of the white reference, which `covariance` holds as common to all values.
     quadrature
         Few-node rule of the weights.
 
@@ -215,6 +217,7 @@ class BandData:
     band_calibration_rel: float = 0.01
     tolerances: BandTolerances | None = None
     lamp_response_rel: FloatArray | None = None
+    tile_uncertainty_rel: float = 0.0
     quadrature: BandQuadrature = field(init=False)
 
     def __post_init__(self) -> None:
@@ -265,6 +268,16 @@ class BandData:
     def leak_mean(self) -> FloatArray:
         """Mean over median of each row's own leak, (N,): a log-normal's mean lies above its median."""
         return np.asarray(np.exp(self.leak_sd**2 / 2))
+
+    def covariance_without_tile(self, rows: NDArray[np.int64]) -> FloatArray:
+        r"""Return the covariance (K, K) of some usable rows without the white reference's part, u^2 y y^T.
+
+        A wrong white reference multiplies all values alike. A covariance that does not hold that part, because it
+        would no longer be positive definite without it, is returned as it is.
+        """
+        y, covariance = self.y.ravel()[rows], self.covariance[np.ix_(rows, rows)]
+        share = self.tile_uncertainty_rel**2 * float(y @ np.linalg.solve(covariance, y))
+        return covariance if share >= 1 else covariance - self.tile_uncertainty_rel**2 * np.outer(y, y)
 
     def imperfections(self, reference: Reference | None = None) -> FloatArray:
         """Return the imperfection columns U of the usable rows, (K, M).
@@ -317,6 +330,7 @@ def band_data(bands: BandSignals) -> BandData:
         band_calibration_rel=BAND_CALIBRATION_REL,
         tolerances=tolerances_of(bands.optics, bands.channel_weights),
         lamp_response_rel=lamp_response(bands.optics, bands.channel_weights),
+        tile_uncertainty_rel=bands.optics.white_reference.uncertainty_rel,
     )
 
 

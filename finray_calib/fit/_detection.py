@@ -14,11 +14,14 @@ largest over many shapes f of emission of the generalised least squares
 
 .. math:: t_f = a_f / \sigma(a_f), \qquad y = a_f A f + \rho \, E[y/\rho] + \epsilon
 
-with rho free. Because it is the largest of many, and leaks are log-normal, no table of the normal distribution has its
-critical value: a threshold of 1.645 would call a third of blanks emission.
+with rho free. A wrong white reference multiplies what a blank reflects, which the free rho takes up, so that it hides
+no emission; it enters the limit, because it multiplies the yield too. Because the statistic is the largest of many,
+and leaks are log-normal, no table of the normal distribution has its critical value: a threshold of 1.645 would call a
+third of blanks emission.
 """
 
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Final
 
 import numpy as np
@@ -114,7 +117,7 @@ def detect_emission(bands: BandSignals, data: BandData, prior: EmissionPrior, se
     threshold = float(np.quantile(largest, 1 - FALSE_ALARM))
     low_nm, high_nm = _range_nm(bands, data)
     covered = (modes_nm >= low_nm) & (modes_nm <= high_nm)
-    limits = sd * (threshold - np.quantile(scores, MISSED, axis=0))
+    limits = sd * _seen_from_sd(threshold, -np.quantile(scores, MISSED, axis=0), data.tile_uncertainty_rel)
     measured = bool(found.max() > threshold)
     return EmissionDetection(
         verdict="emission measured" if measured else "no emission",
@@ -123,10 +126,25 @@ def detect_emission(bands: BandSignals, data: BandData, prior: EmissionPrior, se
         blanks_above=float((largest >= found.max()).mean()),
         blanks=BLANKS,
         false_alarm=FALSE_ALARM,
-        yield_limit=None if measured else float(limits[covered].max(initial=0.0)),
+        yield_limit=None if measured else min(float(limits[covered].max(initial=0.0)), 1.0),
         limit_low_nm=low_nm,
         limit_high_nm=high_nm,
     )
+
+
+def _seen_from_sd(threshold: float, missed_sd: Floats, tile_uncertainty_rel: float) -> Floats:
+    r"""Return the smallest yields (F,), in their standard deviations, that exceed the threshold with 1 - MISSED.
+
+    .. math:: a = t + \sqrt{q^2 + (1.645\,u\,a)^2}
+
+    with q the reach of the scatter of blanks below their mean and u the uncertainty of the white reference, which the
+    yield is proportional to; infinite where that could be nothing.
+    """
+    common = 1.0 - (NormalDist().inv_cdf(1 - MISSED) * tile_uncertainty_rel) ** 2
+    if common <= 0:
+        return np.full(missed_sd.shape, np.inf)
+    root = np.sqrt(threshold**2 - common * (threshold**2 - missed_sd**2))
+    return np.asarray((threshold + root) / common)
 
 
 def blank_model(bands: BandSignals, data: BandData, ln_blocking_sd: float) -> BlankModel:
@@ -146,7 +164,7 @@ def blank_model(bands: BandSignals, data: BandData, ln_blocking_sd: float) -> Bl
     reflectance = _reflectance(data, rows, per_reflectance)
     spread = reflectance * leak_mean * (leaked - per_reflectance * weights.leaked_white[rows]) / white
     ln_covariance = ln_blocking_sd**2 + np.equal.outer(band, band) * np.outer(data.leak_sd[rows], data.leak_sd[rows])
-    covariance = data.covariance[np.ix_(rows, rows)] + np.outer(spread, spread) * np.expm1(ln_covariance)
+    covariance = data.covariance_without_tile(rows) + np.outer(spread, spread) * np.expm1(ln_covariance)
     mean = reflectance * per_reflectance
     columns = _imperfections(data, rows, mean, reflectance)
     return BlankModel(rows, mean, covariance + columns @ columns.T, per_reflectance, reflectance)
@@ -164,7 +182,7 @@ def draw_blanks(
     values = rho * reflected / (1 + (leak - 1) * weights.leaked_white[rows])
     columns = _imperfections(data, rows, blank.mean, rho)
     values += rng.standard_normal((number, columns.shape[1])) @ columns.T
-    noise = np.linalg.cholesky(data.covariance[np.ix_(rows, rows)])
+    noise = np.linalg.cholesky(data.covariance_without_tile(rows))
     return np.asarray(values + rng.standard_normal((number, rows.size)) @ noise.T)
 
 
@@ -178,11 +196,12 @@ def _reflectance(data: BandData, rows: NDArray[np.int64], per_reflectance: Float
 
 
 def _imperfections(data: BandData, rows: NDArray[np.int64], mean: Floats, reflectance: float) -> Floats:
-    """Return the columns (K, M) of calibration, centre and width of each filter, and of stray light, at a blank."""
+    """Return the columns (K, M) of calibration, white reference, stray light, and each filter, at a blank."""
     weights = data.weights
     per_band = np.equal.outer(weights.band_index[rows], np.arange(weights.bands))
     stray = STRAY_PER_NM / np.sqrt(2) * reflectance * weights.emission[rows].sum(axis=1)
-    columns = [data.band_calibration_rel * mean[:, None] * per_band, stray[:, None], np.diag(stray)]
+    tile = data.tile_uncertainty_rel * mean[:, None]
+    columns = [data.band_calibration_rel * mean[:, None] * per_band, tile, stray[:, None], np.diag(stray)]
     if data.tolerances is not None:
         excitation = int(weights.band_index[np.argmax(weights.is_excitation)])
         for kind in range(2):

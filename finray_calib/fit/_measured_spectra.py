@@ -238,6 +238,9 @@ class SpectrumPosterior:
         Posterior mean chi-square of all values.
     predicted_mean, predicted_sd
         (B, C) predicted band values, noise left out of the standard deviation.
+    components, band_draws
+        (n,) component of each draw, and (n, K) the values of the usable bands that its paint would give without any
+        error; empty where no component made it.
     """
 
     curves: Floats
@@ -251,6 +254,8 @@ class SpectrumPosterior:
     total_chi2: float
     predicted_mean: Floats
     predicted_sd: Floats
+    components: NDArray[np.int64]
+    band_draws: Floats
 
 
 @dataclass(frozen=True)
@@ -336,6 +341,53 @@ def fit_spectrum(
     rng
         Source of all randomness.
     """
+    return draw_spectra(scored_components(data, spectra, ln_blocking_sd), draws, rng)
+
+
+@dataclass(frozen=True)
+class ScoredSpectra:
+    """The posterior as a mixture of normal components, before it is drawn from.
+
+    Attributes
+    ----------
+    rig, parts, bands
+        The bands as a linear map, all components, and their band values at height 1.
+    scored
+        The components that count.
+    columns
+        (K, M) what is uncertain beside noise and paint.
+    """
+
+    rig: "_Rig"
+    parts: Components
+    bands: Floats
+    scored: "_Scored"
+    columns: Floats
+
+    def directions(self, place: int) -> Floats:
+        """Return every direction in which the curve of a scored component may depart, (Q, L), nm^-1."""
+        which, scored, parts = self.scored.chosen[place], self.scored, self.parts
+        v = [
+            parts.departures(scored.chosen[place : place + 1])[0],
+            scored.size[place] * (parts.process * _above(parts)).T * (parts.curves[which] + _PROCESS_FLOOR),
+            scored.second[place] * parts.second,
+        ]
+        return np.asarray(np.concatenate(v) * max(scored.height[place, 0], 1e-9))
+
+    @property
+    def shape_directions(self) -> int:
+        """How many of the directions, the first, are the prior's shape; the others are the paint's own departure."""
+        return 3 + len(self.parts.spectra.directions)
+
+    @property
+    def noise(self) -> Floats:
+        """Covariance (K, K) of all that is uncertain in the bands beside the paint."""
+        kept = self.rig.data.kept
+        return np.asarray(self.rig.data.covariance[np.ix_(kept, kept)] + self.columns @ self.columns.T)
+
+
+def scored_components(data: BandData, spectra: MeasuredSpectra, ln_blocking_sd: float) -> ScoredSpectra:
+    """Return the components with their weights given the bands; parameters as of :func:`fit_spectrum`."""
     leaks = bool((data.weights.leaked_laser > 0).any() or (data.weights.leaked_emission > 0).any())
     sd = ln_blocking_sd if leaks else 0.0
     rig = _Rig(data, float(np.exp(sd**2 / 2)), sd)
@@ -348,20 +400,80 @@ def fit_spectrum(
     reflectance = max(float(first.weight @ first.height[:, 1]), 1e-3)
     columns = rig.columns(curve, reflectance)
     second = _second_pass(rig, parts, bands, best, columns, first)
-    return _drawn(rig, parts, bands, second, columns, draws, rng)
+    return ScoredSpectra(rig, parts, bands, second, columns)
 
 
 def prior_curves(parts: Components, count: int, rng: np.random.Generator) -> Floats:
     """Return curves drawn from the prior, without the smaller departures, (count, L), nm^-1."""
     share = np.exp(parts.ln_share)
     chosen = rng.choice(share.size, count, p=share / share.sum())
-    mean, precision = _height_prior(parts, chosen)
+    mean, precision = height_prior(parts, chosen)
     height = np.abs(mean[:, 0] + rng.standard_normal(count) / np.sqrt(precision[:, 0]))
     return np.asarray(parts.curves[chosen] * height[:, None])
 
 
-def _height_prior(parts: Components, chosen: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """Return mean and precision (n, 2) of height and reflectance."""
+_LEAST_HEIGHT_REL = 0.05
+_SEEN_BELOW_NM = 690.0
+
+
+def drawn_paints(parts: Components, count: int, rng: np.random.Generator) -> Floats:
+    """Return paints drawn from the whole prior, departures and second dyes too, (count, L), nm^-1.
+
+    Only those that filters up to 700 nm can see: the maximum lies below 690 nm, and the height is no twentieth of the
+    mean.
+
+    Parameters
+    ----------
+    parts
+        Components of the prior.
+    count
+        Number of paints.
+    rng
+        Source of all randomness.
+    """
+    share = np.exp(parts.ln_share)
+    found: list[Floats] = []
+    above, seen = _above(parts)[:, 0], parts.wavelength_nm < _SEEN_BELOW_NM
+    sizes, seconds = (np.array(table) for table in (_SIZES, _SECOND_DYE))
+    while len(found) < count:
+        chosen = rng.choice(share.size, 1, p=share / share.sum())
+        own, departures = parts.curves[chosen[0]], parts.departures(chosen)[0]
+        size, second = rng.choice(sizes[:, 0], p=sizes[:, 1]), rng.choice(seconds[:, 0], p=seconds[:, 1])
+        curve = own + rng.standard_normal(len(departures)) @ departures
+        process = parts.process @ rng.standard_normal(parts.process.shape[1])
+        curve = curve + size * (own + _PROCESS_FLOOR) * above * process
+        curve = np.maximum(curve + second * rng.standard_normal(len(parts.second)) @ parts.second, 0.0)
+        mean, precision = height_prior(parts, chosen)
+        height = mean[0, 0] + rng.standard_normal() / np.sqrt(precision[0, 0])
+        if height > _LEAST_HEIGHT_REL * mean[0, 0] and curve[seen].max(initial=0.0) == curve.max():
+            found.append(height * curve)
+    return np.array(found).reshape(-1, parts.wavelength_nm.size)
+
+
+def band_errors(
+    data: BandData, curve: Floats, reflectance: float, ln_blocking_sd: float, rng: np.random.Generator
+) -> Floats:
+    """Return one draw (K,) of all errors of the usable bands of a known paint: noise, calibration, filters, lamp.
+
+    Parameters
+    ----------
+    data
+        The rig, with the exact values of the paint.
+    curve, reflectance
+        Emission (L,), nm^-1, and reflectance at the laser of the paint.
+    ln_blocking_sd
+        Uncertainty of the filters' blocking, as the logarithm of a multiplier around 1.
+    rng
+        Source of all randomness.
+    """
+    columns = _Rig(data, float(np.exp(ln_blocking_sd**2 / 2)), ln_blocking_sd).columns(curve, reflectance)
+    noise = np.linalg.cholesky(data.covariance[np.ix_(data.kept, data.kept)])
+    drawn = columns @ rng.standard_normal(columns.shape[1]) + noise @ rng.standard_normal(len(noise))
+    return np.asarray(drawn)
+
+
+def height_prior(parts: Components, chosen: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Return mean and precision (n, 2) of height and reflectance of chosen components."""
     area = parts.curves[chosen].sum(axis=1) * (parts.wavelength_nm[1] - parts.wavelength_nm[0])
     height = _HEIGHT_AT_YIELD / np.maximum(area, 1e-12)
     mean = np.stack([height, np.full(height.size, _REFLECTANCE)], axis=1)
@@ -380,7 +492,7 @@ def _scored(
     height: Floats,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return ln evidence (n,), height and reflectance (n, 2), their precision and the inverse covariance."""
-    mean, precision = _height_prior(parts, chosen)
+    mean, precision = height_prior(parts, chosen)
     design = np.stack([bands[chosen], np.broadcast_to(rig.laser, bands[chosen].shape)], axis=2)
     for _ in range(2):
         inverse = np.linalg.inv(rest + (height**2)[:, None, None] * departures)
@@ -454,11 +566,19 @@ def _above(parts: Components) -> Floats:
     return np.asarray((parts.wavelength_nm >= parts.laser_nm).astype(np.float64))[:, None]
 
 
-def _drawn(
-    rig: _Rig, parts: Components, bands: Floats, scored: _Scored, columns: Floats, draws: int, rng: np.random.Generator
-) -> SpectrumPosterior:
-    """Draw component, height and departures (Matheron's rule), and check the bands."""
-    data = rig.data
+def draw_spectra(fitted: ScoredSpectra, draws: int, rng: np.random.Generator) -> SpectrumPosterior:
+    """Draw component, height and departures (Matheron's rule), and check the bands.
+
+    Parameters
+    ----------
+    fitted
+        The mixture.
+    draws
+        Number of draws.
+    rng
+        Source of all randomness.
+    """
+    rig, scored, columns, data = fitted.rig, fitted.scored, fitted.columns, fitted.rig.data
     picked = rng.choice(scored.chosen.size, draws, p=scored.weight)
     roots = np.linalg.cholesky(np.linalg.inv(scored.precision[picked]))
     both = scored.height[picked] + np.einsum("nij,nj->ni", roots, rng.standard_normal((draws, 2)))
@@ -466,36 +586,29 @@ def _drawn(
     noise_root = np.linalg.cholesky(data.covariance[np.ix_(data.kept, data.kept)])
     k = rng.standard_normal((draws, columns.shape[1]))
     noise = k @ columns.T + rng.standard_normal((draws, rig.y.size)) @ noise_root.T
-    curves = np.empty((draws, parts.wavelength_nm.size))
-    predicted = bands[scored.chosen[picked]] * both[:, :1] + rig.laser * both[:, 1:]
-    pulls = np.empty_like(k)
-    inverses = scored.inverse[picked]
+    curves = np.empty((draws, fitted.parts.wavelength_nm.size))
+    predicted = fitted.bands[scored.chosen[picked]] * both[:, :1] + rig.laser * both[:, 1:]
+    paint, pulls = predicted.copy(), np.empty_like(k)
     for p in np.unique(picked):
         rows = np.flatnonzero(picked == p)
-        which = scored.chosen[p]
-        own = parts.curves[which]
-        v = np.concatenate(
-            [
-                parts.departures(scored.chosen[p : p + 1])[0],
-                scored.size[p] * (parts.process * _above(parts)).T * (own + _PROCESS_FLOOR),
-                scored.second[p] * parts.second,
-            ]
-        ) * max(scored.height[p, 0], 1e-9)
+        v = fitted.directions(int(p))
         seen = v @ rig.emission.T
         z = rng.standard_normal((rows.size, len(v)))
         misfit = rig.y - predicted[rows] - z @ seen - noise[rows]
         alpha = misfit @ scored.inverse[p]
         z += alpha @ seen.T
-        curves[rows] = own * both[rows, :1] + z @ v
+        curves[rows] = fitted.parts.curves[scored.chosen[p]] * both[rows, :1] + z @ v
+        paint[rows] += z @ seen
         pulls[rows] = k[rows] + alpha @ columns
-    shown = _checked(rig, predicted, inverses)
     return SpectrumPosterior(
         np.maximum(curves, 0.0),
         both[:, 1],
         pulls[:, : data.weights.bands],
         scored.ln_evidence,
         float(1 / (scored.weight**2).sum()),
-        *shown,
+        *_checked(rig, predicted, scored.inverse[picked]),
+        components=picked,
+        band_draws=paint,
     )
 
 

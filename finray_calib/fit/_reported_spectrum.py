@@ -129,24 +129,48 @@ def _of_family(posterior: EmissionPosterior) -> SpectrumPosterior:
         total_chi2=check.total_chi2,
         predicted_mean=check.predicted_mean,
         predicted_sd=check.predicted_sd,
+        components=np.empty(0, np.int64),
+        band_draws=np.empty((0, 0)),
     )
 
 
 def _conserving(title: str, found: SpectrumPosterior, data: BandData) -> ReportedSpectrum:
     """Leave out draws that emit more photons than are absorbed; fill up by repeating what is left in order."""
-    grid, laser_nm = data.weights.wavelength_nm, data.weights.laser_nm
-    good = photon_yield(found.curves, grid, laser_nm) <= 1 - found.reflectance_at_laser
-    excess, kept = float(1 - good.mean()), np.flatnonzero(good)
-    conserving = kept.size >= min(FEWEST_CONSERVING, good.size)
-    if conserving and kept.size < good.size:
-        rows = np.where(good, np.arange(good.size), np.resize(kept, good.size))
-        found = replace(
-            found,
-            curves=found.curves[rows],
-            reflectance_at_laser=found.reflectance_at_laser[rows],
-            imperfections=found.imperfections[rows],
-        )
-    return ReportedSpectrum(title, found, grid, excess, conserving)
+    good = _conserves(found, data)
+    kept = conserving_draws(found, data)
+    conserving = int(good.sum()) >= min(FEWEST_CONSERVING, good.size)
+    return ReportedSpectrum(title, kept, data.weights.wavelength_nm, float(1 - good.mean()), conserving)
+
+
+def _conserves(found: SpectrumPosterior, data: BandData) -> NDArray[np.bool_]:
+    """Return which draws (n,) emit no more photons than are absorbed."""
+    emitted = photon_yield(found.curves, data.weights.wavelength_nm, data.weights.laser_nm)
+    return np.asarray(emitted <= 1 - found.reflectance_at_laser)
+
+
+def conserving_draws(found: SpectrumPosterior, data: BandData) -> SpectrumPosterior:
+    """Return the draws with those that emit too many photons replaced by others; all, where too few are left.
+
+    Parameters
+    ----------
+    found
+        Draws of the posterior.
+    data
+        Band values of the region.
+    """
+    good = _conserves(found, data)
+    kept = np.flatnonzero(good)
+    if kept.size == good.size or kept.size < min(FEWEST_CONSERVING, good.size):
+        return found
+    rows = np.where(good, np.arange(good.size), np.resize(kept, good.size))
+    return replace(
+        found,
+        curves=found.curves[rows],
+        reflectance_at_laser=found.reflectance_at_laser[rows],
+        imperfections=found.imperfections[rows],
+        components=found.components[rows] if found.components.size else found.components,
+        band_draws=found.band_draws[rows] if found.band_draws.size else found.band_draws,
+    )
 
 
 def simultaneous_band(curves: Floats) -> tuple[Floats, Floats]:

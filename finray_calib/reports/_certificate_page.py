@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from data_schemas import (
+    CERTIFIED,
     CaptureSession,
     CertificateDetails,
     CertifiedName,
@@ -24,13 +25,17 @@ from data_schemas import (
     PaintCalibration,
     package_version,
 )
-from finray_calib.acceptance import NO_REFERENCE, Budget, CertifiedResult
-from finray_calib.reports._fit_figures import emission_readings
+from finray_calib.acceptance import NO_REFERENCE, CertifiedResult
+from finray_calib.fit import BudgetRow
+from finray_calib.reports._fit_figures import budget_figure, emission_readings
+from finray_calib.reports._fit_statements import BUDGET_NAMES, budget_table
 from finray_calib.reports._page import KeyNumber, Light, ReportTable, drawing, one_group, render_page
 from finray_calib.reports._plain_text import NO_VALUE, decimals_for, fixed, plain, probability, unbroken
 from finray_calib.reports._style import BLUE, HAIRLINE, MUTED, SKY, ReadableFigure, new_figure, readable, styled
 
 TEMPLATE: Final = "certificate.html.j2"
+SMALL_SHARE: Final = 0.03
+"""Sources below it are one row: the budget is to stand on the sheet."""
 NOT_RECORDED: Final = "not recorded"
 PER_THOUSAND: Final = 1e3
 SHOWN_NM: Final = (430.0, 760.0)
@@ -47,6 +52,8 @@ class Certificate:
         The paint, the number, and rows of label and text.
     results, budget, instruments
         Tables; no budget where none was computed.
+    budget_rows
+        The budget's rows, for its picture.
     traceability, conformity
         One sentence each.
     key_numbers, light
@@ -64,6 +71,7 @@ class Certificate:
     head: tuple[tuple[str, str], ...]
     results: ReportTable
     budget: ReportTable | None
+    budget_rows: tuple[BudgetRow, ...]
     instruments: ReportTable
     traceability: str
     conformity: str
@@ -81,7 +89,7 @@ def certificate_of(
     sha256: str,
     issued_on: date,
     session: CaptureSession | None = None,
-    budget: Budget | None = None,
+    budget: Sequence[BudgetRow] = (),
     lineage: str = "",
 ) -> Certificate:
     """Return what the certificate of a paint says.
@@ -107,7 +115,10 @@ def certificate_of(
         number=number,
         head=_head(details, session, issued_on),
         results=_results(results),
-        budget=None if budget is None else _budget(budget),
+        budget=budget_table(budget, {name: BUDGET_NAMES[name] for name in CERTIFIED}, least_share=SMALL_SHARE)
+        if budget
+        else None,
+        budget_rows=tuple(row for row in budget if row.quantity in _SHORT),
         instruments=_instruments(paint, details, session),
         traceability=traceability_of(results, is_simulated=session is not None and session.rig.is_simulated),
         conformity=_conformity(results),
@@ -117,7 +128,7 @@ def certificate_of(
         statements=(
             ("Method", _method(paint)),
             ("Conditions", _conditions(paint, details, session)),
-            ("Uncertainty", _uncertainty(budget)),
+            ("Uncertainty", _uncertainty(bool(budget))),
             ("Decision rule", _rule(results)),
             ("Limits of this certificate", _limits(paint)),
             ("Origin", f"{lineage} SHA-256 of the calibration {sha256}; finray-calib {package_version()}.".strip()),
@@ -222,23 +233,6 @@ def _key_number(result: CertifiedResult) -> KeyNumber:
     return KeyNumber(title, shown, f"U = {expanded}; 95 %: {between}", light, reason)
 
 
-def _budget(budget: Budget) -> ReportTable:
-    """List the share of U^2 of each source."""
-
-    def share(value: float) -> str:
-        return f"{100 * value:.0f} %" if value > budget.resolved_share else NO_VALUE
-
-    rows = [
-        (row.source, f"{row.size} ({row.evaluation})", *(share(row.shares[name]) for name in _SHORT))
-        for row in budget.rows
-    ]
-    caption = (
-        "Budget: share of U\N{SUPERSCRIPT TWO} that goes where one source alone is taken away "
-        f"({NO_VALUE}: below {100 * budget.resolved_share:.0f} %, not resolved)"
-    )
-    return one_group(caption, ("source", "size (evaluation)", *_SHORT.values()), rows)
-
-
 def _instruments(paint: PaintCalibration, details: CertificateDetails, session: CaptureSession | None) -> ReportTable:
     """List the parts of the rig with what the devices say they are, and the certificates that were recorded."""
     optics = paint.optics
@@ -307,13 +301,17 @@ def _conditions(paint: PaintCalibration, details: CertificateDetails, session: C
     )
 
 
-def _uncertainty(budget: Budget | None) -> str:
+def _uncertainty(has_budget: bool) -> str:
     """Say what U and k are."""
     told = (
         "U is half of the interval that holds 95 % of the posterior draws, symmetric in probability (JCGM 101), and k "
         "is U over their standard deviation."
     )
-    return told if budget is not None else f"{told} A budget by source was not asked for."
+    budget = (
+        "The budget holds standard uncertainties (k = 1): sensitivity of the posterior mean times the standard "
+        "uncertainty of each source (GUM 5.1.2), and the rest is what was believed before the measurement."
+    )
+    return f"{told} {budget}" if has_budget else f"{told} A budget by source was not asked for."
 
 
 def _rule(results: Sequence[CertifiedResult]) -> str:
@@ -397,6 +395,13 @@ def certificate_page(certificate: Certificate, paint: PaintCalibration) -> str:
             ),
             "key_numbers": certificate.key_numbers,
         },
+        budget_picture=drawing(
+            budget_figure(certificate.budget_rows, SMALL_SHARE, height_in=2.8),
+            "Budget as bars of 100 %: the shares of the table",
+            "One bar for each quantity; the parts are the sources.",
+        )
+        if certificate.budget_rows
+        else None,
         signed=SIGNED,
         summary=plain({
             "number": certificate.number,

@@ -1,6 +1,7 @@
 """Figures of fitted paints: spectra and parameters, signals filter by filter, and maps of mode and yield. SVG text."""
 
 import textwrap
+from collections.abc import Sequence
 from itertools import cycle
 
 import numpy as np
@@ -10,7 +11,8 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullLocator, StrMethodFo
 from numpy.typing import NDArray
 
 from data_schemas import MappedQuantity, Optics, PaintCalibration, PaintMap, PaintSpot, PaintWithoutEmission
-from finray_calib.reports._fit_statements import parameter_words
+from finray_calib.fit import BudgetRow
+from finray_calib.reports._fit_statements import BUDGET_NAMES, joined_budget, parameter_words
 from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth
 from finray_calib.reports._plain_text import interval_words
 from finray_calib.reports._style import (
@@ -92,6 +94,47 @@ def emission_readings(fit: PaintCalibration, truth: PaintTruth | None = None) ->
 def _truth_name(truth: PaintTruth) -> str:
     """Return how the known spectrum of a paint is called."""
     return "measured" if truth.is_measured else "truth"
+
+
+_BUDGET_COLOURS = (BLUE, ORANGE, GREEN, VERMILLION, SKY, INK, "#cc79a7", "#f0e442", "#999999", "#661100")
+_BUDGET_HATCHES = ("", "//", "..", "xx")
+
+
+@styled()
+def budget_figure(rows: Sequence[BudgetRow], least_share: float, height_in: float = 4.6) -> str:
+    """Draw the budget of a paint as one bar of 100 % for each quantity.
+
+    Parameters
+    ----------
+    rows
+        Of the budget.
+    least_share
+        A source stands by itself where it makes so much of any variance.
+    height_in
+        Of the figure.
+    """
+    figure = new_figure(6.6, height_in)
+    _draw_budget(figure.subplots(), rows, least_share)
+    return svg_text(figure)
+
+
+def _draw_budget(axes: Axes, rows: Sequence[BudgetRow], least_share: float) -> None:
+    """Draw a bar of 100 % for each quantity, its parts the shares of the sources."""
+    sources = joined_budget(rows, least_share)
+    names = [name for name in BUDGET_NAMES if any(row.quantity == name for row in rows)]
+    left, place = np.zeros(len(names)), np.arange(len(names))[::-1]
+    for number, (source, (_, shares)) in enumerate(sources.items()):
+        width = np.array([100 * shares.get(name, 0.0) for name in names])
+        axes.barh(
+            place, width, left=left, height=0.7, color=_BUDGET_COLOURS[number % len(_BUDGET_COLOURS)], label=source,
+            hatch=_BUDGET_HATCHES[number // len(_BUDGET_COLOURS)], edgecolor="white", linewidth=0.6,
+        )  # fmt: skip
+        left = left + width
+    axes.set_yticks(place, [BUDGET_NAMES[name] for name in names], fontsize=8)
+    axes.set(xlim=(0, 100))
+    axes.tick_params(labelsize=8)
+    axes.set_xlabel("share of the variance (%)", fontsize=8)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.45, -0.16), ncols=2, fontsize=8, frameon=False)
 
 
 def _band(axes: Axes, x: Floats, low: Floats, high: Floats, label: str, *, outlined: bool = False) -> None:

@@ -8,11 +8,13 @@ from dataclasses import replace
 from typing import Final, Literal
 
 from data_schemas import BandSignals, PaintCalibration, PaintWithoutEmission, package_version
+from finray_calib.fit import BudgetRow
 from finray_calib.reports import _fit_statements as said
 from finray_calib.reports._fit_figures import (
     absorption_figure,
     bands_figure,
     blank_figure,
+    budget_figure,
     emission_figure,
     families_figure,
     marginals_figure,
@@ -21,6 +23,7 @@ from finray_calib.reports._fit_figures import (
 from finray_calib.reports._fit_statements import (
     absorption_table,
     bands_table,
+    budget_table,
     chain_table,
     families_table,
     prior_table,
@@ -50,7 +53,7 @@ from finray_calib.reports._plain_text import estimate_text, fixed, percent, plai
 Verdict = Literal["Fit can be used", "Use with care", "Do not use"]
 
 
-def paint_report(paint: PaintCalibration, bands: BandSignals) -> str:
+def paint_report(paint: PaintCalibration, bands: BandSignals, budget: Sequence[BudgetRow] = ()) -> str:
     """Return the report of one fitted paint as a self-contained HTML page.
 
     Parameters
@@ -59,6 +62,8 @@ def paint_report(paint: PaintCalibration, bands: BandSignals) -> str:
         The calibration.
     bands
         The band signals that it was fitted to.
+    budget
+        Of its uncertainty; left out where none was computed.
 
     Returns
     -------
@@ -83,6 +88,7 @@ def paint_report(paint: PaintCalibration, bands: BandSignals) -> str:
                 *found_part(_fit_findings(fitted, verdict)),
                 trust_part(_fit_limits(fitted), assumed=_assumptions(fitted)),
                 replace(emission, content=shown_above),
+                *([_budget(fitted, budget)] if budget else []),
                 *parts,
                 _fit_signals(fitted),
                 methods_part(fit_methods(fitted), paint.provenance),
@@ -205,6 +211,29 @@ def _emission_assumption(paint: FittedPaint) -> str:
     return (
         f"Emission: {fit.family_title} with a discrepancy of {percent(fit.discrepancy.amplitude_rel)}, from "
         f"{fit.discrepancy.origin}."
+    )
+
+
+def _budget(paint: FittedPaint, rows: Sequence[BudgetRow]) -> Part:
+    """Show which source makes how much of each uncertainty."""
+    statement = said.budget_statement(paint, rows)
+    return Part(
+        "Uncertainty by source",
+        Content(
+            lead="What makes the uncertainty of each quantity: shares of its variance, which add up to 100 %. To make "
+            "one more certain, begin with its largest share. What the prior makes, only other filters can take away.",
+            picture_rows=(
+                (
+                    drawing(
+                        budget_figure(rows, said.SMALL_SHARE),
+                        statement,
+                        paint.titled("one bar for each quantity. What to see: which part is widest."),
+                    ),
+                ),
+            ),
+            tables=(budget_table(rows, title=paint.titled("")),),
+            has_wide_tables=True,
+        ),
     )
 
 

@@ -1,5 +1,8 @@
 """What the numbers of a fit mean, in plain sentences and tables, all of them computed from the records."""
 
+from collections.abc import Mapping, Sequence
+from typing import Final
+
 import numpy as np
 
 from data_schemas import BandResidual, ChainCheck, Diagnostics, Estimate, FamilyResult
@@ -10,6 +13,7 @@ from finray_calib.fit import (
     LARGEST_PARETO_K,
     LARGEST_R_HAT,
     SMALLEST_EFFECTIVE_SAMPLES,
+    BudgetRow,
 )
 from finray_calib.reports._fitted_paint import CurveAgreement, FittedPaint, PaintTruth, curve_agreement, paper_agreement
 from finray_calib.reports._page import ReportTable, TableGroup, one_group
@@ -483,3 +487,89 @@ def _signal(value: float, sd: float, flag: str) -> str:
         return flag
     places = min(decimals_for(1e3 * sd), 4)
     return f"{fixed(1e3 * value, places)} \u00b1 {fixed(1e3 * sd, places)}"
+
+
+BUDGET_NAMES: Final = {
+    "mode_nm": "mode", "fwhm_nm": "FWHM", "peak_per_nm": "peak", "energy_yield": "yield",
+    "reflectance_at_laser": "reflectance", "stokes_shift_nm": "Stokes shift",
+}  # fmt: skip
+SMALL_SHARE = 0.01
+
+
+def joined_budget(
+    rows: Sequence[BudgetRow], least_share: float = SMALL_SHARE
+) -> dict[str, tuple[str, dict[str, float]]]:
+    """Return source -> size with evaluation, and share by quantity; small sources are one.
+
+    Parameters
+    ----------
+    rows
+        Of the budget.
+    least_share
+        A source stands by itself where it makes so much of any variance.
+    """
+    found: dict[str, tuple[str, dict[str, float]]] = {}
+    for row in rows:
+        size = f"{row.size} ({row.evaluation})"
+        found.setdefault(row.source, (size, {}))[1][row.quantity] = row.share
+    small = [source for source, (_, shares) in found.items() if max(shares.values()) < least_share]
+    if len(small) < 2:
+        return found
+    together: dict[str, float] = {}
+    for source in small:
+        for quantity, share in found.pop(source)[1].items():
+            together[quantity] = together.get(quantity, 0.0) + share
+    found[f"other sources, each below {percent(least_share)}"] = (f"{len(small)} sources", together)
+    return found
+
+
+def budget_table(
+    rows: Sequence[BudgetRow],
+    names: Mapping[str, str] = BUDGET_NAMES,
+    title: str = "",
+    least_share: float = SMALL_SHARE,
+) -> ReportTable:
+    """Return the share of the variance of each quantity that each source makes.
+
+    Parameters
+    ----------
+    rows
+        Of the budget.
+    names
+        Quantity -> heading of its column.
+    title
+        Before the caption, with the paint's name.
+    least_share
+        A source stands by itself where it makes so much of any variance.
+    """
+    shown = [row for row in rows if row.quantity in names]
+    quantities = [name for name in names if any(row.quantity == name for row in shown)]
+
+    def cell(share: float | None) -> str:
+        return NO_VALUE if share is None else f"{100 * share:.1f} %"
+
+    cells = [
+        (source, size, *(cell(shares.get(name)) for name in quantities))
+        for source, (size, shares) in joined_budget(shown, least_share).items()
+    ]
+    sums = [cell(sum(row.share for row in shown if row.quantity == name)) for name in quantities]
+    caption = f"{title}Budget: share of the variance of each quantity by source; A from frames, B stated or assumed"
+    columns = ("source", "size (evaluation)", *(names[name] for name in quantities))
+    return one_group(caption, columns, [*cells, ("together", "", *sums)])
+
+
+def budget_statement(paint: FittedPaint, rows: Sequence[BudgetRow]) -> str:
+    """Say what makes most of the uncertainty of the mode and the yield.
+
+    Parameters
+    ----------
+    paint
+        The paint.
+    rows
+        Of its budget.
+    """
+    told = []
+    for name in ("mode_nm", "energy_yield"):
+        largest = max((row for row in rows if row.quantity == name), key=lambda row: row.share)
+        told.append(f"{percent(largest.share)} of the variance of the {BUDGET_NAMES[name]} is {largest.source}")
+    return paint.titled("; ".join(told)) + "."

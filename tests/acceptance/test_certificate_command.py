@@ -9,9 +9,9 @@ import pytest
 
 from data_schemas import CERTIFIED, CertificateDetails, provenance
 from data_schemas.storage import sha256_of, write_record
-from finray_calib.acceptance import Budget, certified_results
-from finray_calib.acceptance._certified_results import BudgetRow
+from finray_calib.acceptance import certified_results
 from finray_calib.cli.main import main
+from finray_calib.fit import BudgetRow
 from finray_calib.reports import certificate_of, certificate_page, certificate_pdf
 from rigs import paint_plan, simulated_rig
 from rigs.capture import SessionRequest, capture_paint_session
@@ -104,7 +104,13 @@ def test_a_quantity_outside_its_limits_ends_with_1(tmp_path, capsys):
 
 def certificate(**details):
     given = CertificateDetails(**details)
-    budget = Budget((BudgetRow("lamp", "50 K", "B", dict.fromkeys(CERTIFIED, 0.4)),), 0.1)
+    sources = (*(f"source {i}" for i in range(10)), "lamp", "prior")
+    shares = (*[0.02] * 10, 0.3, 0.5)
+    budget = tuple(
+        BudgetRow(name, source, "50 K", "B", 0.1, share)
+        for name in (*CERTIFIED, "stokes_shift_nm")
+        for source, share in zip(sources, shares, strict=True)
+    )
     results = certified_results(example(), given, MEASURED_ON)
     return certificate_of(example(), results, given, "0" * 64, MEASURED_ON, budget=budget)
 
@@ -113,6 +119,14 @@ def test_words_of_a_user_are_text_and_no_markup():
     text = certificate_page(certificate(customer="<script>alert(1)</script>", number="$\\frac{1}$"), example())
     assert "<script>alert" not in text
     assert "&lt;script&gt;alert(1)" in text
+
+
+def test_the_budget_stands_on_the_page_and_adds_up():
+    text = certificate_page(certificate(), example())
+    table = text[text.index("Budget: share of the variance") :]
+    assert re.search(r"together.*?100\.0\s%", table, re.DOTALL)
+    assert "Stokes" not in table[: table.index("</table>")]
+    assert re.search(r"50\.0\s%", table)
 
 
 def test_pdf_is_one_sheet_and_repeats():

@@ -1,4 +1,4 @@
-"""Certified results: coverage factors and conformity of known distributions, traceability, and the budget by source."""
+"""Certified results: coverage factors and conformity of known distributions, and traceability."""
 
 from datetime import date
 
@@ -7,8 +7,6 @@ import pytest
 from scipy import stats
 
 from data_schemas import (
-    CERTIFIED,
-    BandSignals,
     CertificateDetails,
     CertifiedLimits,
     FinrayError,
@@ -17,7 +15,7 @@ from data_schemas import (
     ReferenceCertificate,
 )
 from data_schemas.storage import read_toml
-from finray_calib.acceptance import NO_REFERENCE, ToleranceInterval, certified_results, uncertainty_budget
+from finray_calib.acceptance import NO_REFERENCE, ToleranceInterval, certified_results
 from finray_calib.acceptance import _certified_results as module
 from finray_calib.fit import estimate
 from tests.acceptance.paints import MEASURED_ON, example, normal, paint
@@ -135,52 +133,3 @@ def test_mistakes_in_the_file_of_a_laboratory(tmp_path, text, match):
     path.write_text(text)
     with pytest.raises(RecordError, match=match):
         read_toml(path, CertificateDetails)
-
-
-@pytest.fixture
-def bands() -> BandSignals:
-    """Band signals with the tolerances of the example's rig; their values do not matter here."""
-    n = len(example().optics.filters)
-    return BandSignals(
-        paint_name="red",
-        optics=example().optics,
-        fluorescence=np.ones((n, 3)),
-        fluorescence_covariance=np.eye(3 * n) * 1e-4,
-        reflectance=np.ones((n, 3)),
-        reflectance_covariance=np.eye(3 * n) * 1e-4,
-        channel_weights=np.full(3, 1 / 3),
-        flags=(("ok", "ok", "ok"),) * n,
-        saturated_fraction=np.zeros((n, 3)),
-        region_pixels=100,
-    )
-
-
-def test_shares_of_a_fit_whose_variance_is_a_known_sum(bands, monkeypatch):
-    """A stand-in of the fit, with U^2 in known parts: noise 50 %, centres 30 %, widths 5 %, blocking 5 %, lamp 10 %."""
-    seeds = []
-
-    def fit(signals: BandSignals, seed: int):
-        seeds.append(seed)
-        optics = signals.optics
-        variance = 0.5 * signals.fluorescence_covariance[0, 0] / 1e-4
-        variance += 0.3 * any(f.center_uncertainty_nm for f in optics.filters)
-        variance += 0.05 * any(f.fwhm_uncertainty_nm for f in optics.filters)
-        variance += 0.05 * any(f.blocking_uncertainty_od for f in optics.filters)
-        variance += 0.1 * bool(optics.lamp_temperature_uncertainty_k)
-        values = {name: normal(example().parameters[name].estimate, variance**0.5) for name in CERTIFIED}
-        return paint(**values)
-
-    monkeypatch.setattr(module, "calibrate_paint", fit)
-    budget = uncertainty_budget(bands, example(), seed=7)
-    shares = [row.shares["mode_nm"] for row in budget.rows]
-    assert shares == pytest.approx([0.5 * (1 - module.NOISE_LEFT**2), 0.3, 0.05, 0.05, 0.1])
-    assert budget.resolved_share == pytest.approx(0.0, abs=1e-9)
-    assert set(seeds) == {7, 8, 9, 10}
-
-
-def test_signals_of_another_paint_hold_no_budget(bands, monkeypatch):
-    moved = example().parameters["mode_nm"]
-    other = paint(mode_nm=normal(moved.estimate + moved.sd, moved.sd))
-    monkeypatch.setattr(module, "calibrate_paint", lambda signals, seed: other)
-    with pytest.raises(FinrayError, match="do not give this calibration again"):
-        uncertainty_budget(bands, example(), seed=1)

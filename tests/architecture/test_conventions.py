@@ -55,7 +55,7 @@ EXCEPTIONS = {
         ("estimate", "sd", "low", "high", "low68", "high68", "low95", "high95", "mean", "value", "truth"),
         "a summary of another quantity, in its unit",
     ),
-    **dict.fromkeys(("low90", "high90", "margin", "difference"), "of another quantity, in its unit"),
+    **dict.fromkeys(("low90", "high90", "margin", "difference", "standard_uncertainty"), "of another, in its unit"),
     **dict.fromkeys(("mean_square", "variance"), "of values of any unit, in its square"),
     **dict.fromkeys(("p", "pooled_above", "risk"), "probability"),
     "size_pt": "points, as matplotlib counts",

@@ -25,7 +25,7 @@ from data_schemas import PaintCalibration, PaintWithoutEmission, RecordError, pr
 from data_schemas.storage import read_record, write_record
 from finray_calib.cli.main import main
 from finray_calib.fit import EmissionPrior, FitOptions, band_data, calibrate_paint, detect_emission
-from finray_calib.fit._detection import BLANKS, FALSE_ALARM, blank_model, draw_blanks
+from finray_calib.fit._detection import BLANKS, FALSE_ALARM, MISSED, _seen_from_sd, blank_model, draw_blanks
 from finray_calib.reports import no_emission_page
 
 NOTHING = np.zeros(WAVELENGTH_NM.size)
@@ -106,6 +106,48 @@ def test_the_threshold_is_that_of_the_blanks_and_not_of_the_normal_table(plastic
     assert (found.limit_low_nm, found.limit_high_nm) == (490.0, 680.0)
     again = detect_emission(plastic, band_data(plastic), EmissionPrior(), 1)
     assert again == found
+
+
+def of_a_tile(signals, uncertainty_rel):
+    """Return the signals as radiometry writes them with a white reference that is known so well."""
+    y, white = signals.fluorescence.ravel(), signals.optics.white_reference
+    tile = white.model_copy(update={"uncertainty_rel": uncertainty_rel})
+    return signals.model_copy(
+        update={
+            "optics": signals.optics.model_copy(update={"white_reference": tile}),
+            "fluorescence_covariance": signals.fluorescence_covariance + uncertainty_rel**2 * np.outer(y, y),
+        }
+    )
+
+
+@pytest.mark.parametrize("uncertainty_rel", [0.005, 0.1, 0.5])
+@pytest.mark.parametrize("reflecting", ["black", "white plastic"])
+def test_a_white_reference_known_badly_hides_no_emission(rig, reflecting, uncertainty_rel):
+    """It multiplies the signal. Before, 10 % of it stood beside the blanks, and a yield of 0.1 was "no emission"."""
+    rng = np.random.default_rng(11)
+    bands = rig.signals("orange", REFLECTANCES[reflecting], 0.1 * bell(600, 50), rng)
+    known = detect(bands, 1).statistic_sd
+    found = detect(of_a_tile(bands, uncertainty_rel), 1)
+    assert found.measured
+    assert found.statistic_sd == pytest.approx(known, rel=0.05)
+
+
+def test_a_white_reference_known_badly_makes_the_limit_larger_and_no_alarm(rig, plastic):
+    limits = [detect(of_a_tile(plastic, u), 1) for u in (0.005, 0.2, 0.7)]
+    assert not any(found.measured for found in limits)
+    assert limits[0].yield_limit < limits[1].yield_limit < 3 * limits[0].yield_limit
+    assert limits[2].yield_limit == 1.0
+
+
+def test_the_yield_that_is_seen_through_a_wrong_white_reference():
+    """By drawing: scatter and tile are normal; 4 standard errors of 400,000 draws of 5 % are 0.0014."""
+    rng, threshold, tile_rel = np.random.default_rng(12), 3.2, 0.1
+    scatter, tile = rng.standard_normal((2, 400_000))
+    for reach in (1.645, 2.5):
+        seen = _seen_from_sd(threshold, np.array([reach]), tile_rel)[0]
+        missed = (seen * (1 + tile_rel * tile) + reach / 1.644854 * scatter < threshold).mean()
+        assert missed == pytest.approx(MISSED, abs=0.0014)
+    assert _seen_from_sd(threshold, np.array([2.0]), 0.0)[0] == pytest.approx(5.2)
 
 
 def test_a_lost_laser_filter_makes_the_limit_larger(plastic):

@@ -1,0 +1,315 @@
+r"""Which source of uncertainty makes how much of the variance of a fitted paint: a budget that adds up to all of it.
+
+With y = mu(x) + n, n normal of covariance N, the mean of the posterior of a quantity q(x) follows the bands as
+
+.. math:: \frac{d\,E[q|y]}{dy} = G = \mathrm{Cov}(q, \mu\,|\,y)\, N^{-1}
+
+exactly, for any prior and any q. N is a sum over independent sources, and so (GUM 5.1.2, sensitivity times standard
+uncertainty)
+
+.. math:: \mathrm{Var}(q|y) = \sum_s G\,\Sigma_s\,G^T + \mathrm{rest}, \qquad N = \sum_s \Sigma_s
+
+The rest is what no measurement with these filters would know: the prior. In a linear model it is
+:math:`\|P^{1/2}(g - A^T G^T)\|^2`, of which every part of the prior, independent of the others, has its own term. The
+departure of a paint from the shapes that were learned is one of them (model discrepancy), taken for each component of
+the posterior.
+
+The identity is of one place, that of the bands which were measured. Where the posterior of the bands is wider than
+their noise, which is no normal posterior, the gain is reduced to the one that explains the posterior's own variance;
+the rest is thereby never below zero.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from data_schemas import HELD_UNCERTAINTY_REL, BandSignals, FitError, PaintCalibration
+from finray_calib.fit._band_data import (
+    CHANNEL_RESPONSE_REL,
+    STRAY_LIGHT_REL,
+    BandData,
+    band_data,
+)
+from finray_calib.fit._measured_spectra import (
+    ScoredSpectra,
+    SpectrumPosterior,
+    draw_spectra,
+    height_prior,
+    learned_spectra,
+    scored_components,
+)
+from finray_calib.fit._prior import EmissionPrior
+from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE, conserving_draws
+from finray_calib.spectra import curve_quantities, held_shares
+
+Floats = NDArray[np.float64]
+
+BUDGETED: Final = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "stokes_shift_nm")
+DRAWS: Final = 4000
+"""Their scatter adds the number of bands over the number of draws to a share: half a per cent."""
+_SAME_SD: Final = 0.25
+"""A refit may leave the record's median by so many of its standard deviations."""
+SHARED_BY_ALL: Final = "what all values share: laser level, texture of the region, bleaching"
+MODEL_DISCREPANCY: Final = "departure of the paint from the shapes that were learned"
+PRIOR: Final = "prior of the spectrum: what the filters do not see"
+PRIOR_OF_ABSORPTION: Final = "prior of the absorption, and other lights"
+Evaluation = Literal["A", "B", "prior"]
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetRow:
+    """What one source makes of the uncertainty of one quantity.
+
+    Attributes
+    ----------
+    quantity
+        Name of the quantity, with its unit.
+    source, size
+        What it is, and how large it was taken to be.
+    evaluation
+        A: from the scatter of frames; B: stated in the rig file or assumed; prior: believed before the measurement.
+    standard_uncertainty
+        In the unit of the quantity, k = 1.
+    share
+        Of the variance; those of a quantity add up to 1.
+    """
+
+    quantity: str
+    source: str
+    size: str
+    evaluation: Evaluation
+    standard_uncertainty: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintySource:
+    """A source of uncertainty of the bands.
+
+    Attributes
+    ----------
+    name, size, evaluation
+        As of :class:`BudgetRow`.
+    root
+        (K, M) root of its covariance over the usable bands.
+    """
+
+    name: str
+    size: str
+    evaluation: Evaluation
+    root: Floats
+
+
+def uncertainty_budget(bands: BandSignals, paint: PaintCalibration, seed: int = 0) -> tuple[BudgetRow, ...]:
+    r"""Return the budget of a fitted paint, by quantity and source, whose shares add up to 1 for each quantity.
+
+    .. math:: u_s = \sqrt{G \Sigma_s G^T}, \qquad \sum_s u_s^2 = u^2
+
+    Valid for a paint that rests on the prior learned from measured spectra. Standard uncertainties are k = 1; the
+    quantity's own is that of the record.
+
+    Parameters
+    ----------
+    bands
+        The band signals that it was fitted to.
+    paint
+        Its calibration.
+    seed
+        Of the draws.
+
+    Raises
+    ------
+    FitError
+        The paint rests on a family of curves, or these band signals do not give it.
+    """
+    if paint.spectrum_from != MEASURED_SPECTRA_TITLE:
+        raise FitError(
+            f"'{paint.paint_name}': rests on {paint.spectrum_from or paint.family_title}, and a budget needs the prior "
+            "learned from measured spectra; fit it without --family and --no-discrepancy"
+        )
+    with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small
+        return _budget(bands, band_data(bands), paint, np.random.default_rng(seed))
+
+
+def _budget(
+    bands: BandSignals, data: BandData, paint: PaintCalibration, rng: np.random.Generator
+) -> tuple[BudgetRow, ...]:
+    """Return the budget."""
+    fitted = scored_components(data, learned_spectra(), EmissionPrior().ln_blocking_sd)
+    drawn = conserving_draws(draw_spectra(fitted, DRAWS, rng), data)
+    quantities = quantity_draws(drawn.curves, drawn.reflectance_at_laser, data)
+    _require_same(quantities, paint)
+    sources = budget_sources(bands, data, fitted)
+    shares = {name: source_shares(values, drawn, fitted, sources) for name, values in quantities.items()}
+    departures = _departure_variances(drawn, fitted, rng)
+    rows = [
+        row
+        for name, found in shares.items()
+        for row in _rows(name, paint.parameters[name].sd, sources, found, departures.get(name, 0.0))
+    ]
+    return (*rows, *_stokes_rows(paint, [row for row in rows if row.quantity == "mode_nm"]))
+
+
+def quantity_draws(curves: Floats, reflectance: Floats, data: BandData) -> dict[str, Floats]:
+    """Return the draws (n,) of each quantity, from curves (n, L) and reflectances (n,)."""
+    found = curve_quantities(curves, data.weights.wavelength_nm)
+    return {
+        "mode_nm": found.mode_nm,
+        "fwhm_nm": found.fwhm_nm,
+        "peak_per_nm": found.peak_per_nm,
+        "energy_yield": found.energy_yield,
+        "reflectance_at_laser": reflectance,
+    }
+
+
+def _require_same(quantities: Mapping[str, Floats], paint: PaintCalibration) -> None:
+    """Refuse band signals that give another calibration."""
+    for name in ("mode_nm", "fwhm_nm", "energy_yield"):
+        stored, again = paint.parameters[name], quantities[name]
+        if abs(float(np.median(again)) - stored.estimate) > _SAME_SD * stored.sd:
+            raise FitError(
+                f"'{paint.paint_name}': these band signals do not give this calibration again ({name} "
+                f"{float(np.median(again)):.6g}, the record has {stored.estimate:.6g}), so they hold no budget of it; "
+                "give the band signals that it was fitted to"
+            )
+
+
+def budget_sources(bands: BandSignals, data: BandData, fitted: ScoredSpectra) -> tuple[UncertaintySource, ...]:
+    """Return the sources of the bands' uncertainty; their covariances add up to that of the likelihood.
+
+    Parameters
+    ----------
+    bands, data
+        The band signals, and the same as data of the likelihood.
+    fitted
+        The posterior, which knows the filters' columns.
+    """
+    kept, optics = data.kept, bands.optics
+    y, filters = data.y.ravel()[kept], bands.optics.filters
+    usual = bands.fluorescence_covariance[np.ix_(kept, kept)]
+    beside = data.covariance[np.ix_(kept, kept)] - usual  # channel response, ends of curves, stray light: diagonal
+    most = 1 / float(y @ np.linalg.solve(usual, y))  # more of y y^T would leave no positive semidefinite covariance
+    tile = min(data.tile_uncertainty_rel**2, most) * np.outer(y, y)
+    common = most * np.outer(y, y) - tile
+    relative = np.hypot(CHANNEL_RESPONSE_REL, HELD_UNCERTAINTY_REL * held_shares(optics)).ravel()[kept]
+    response = np.minimum((relative * y) ** 2, np.diag(beside))
+    count, lamp = data.weights.bands, data.lamp_response_rel is not None
+    calibration, rest = np.split(fitted.columns, [count], axis=1)
+    lit, rest = np.split(rest, [int(lamp)], axis=1)
+    tolerances = count if data.tolerances is not None else 0
+    centre, width, leak = np.split(rest, [tolerances, 2 * tolerances], axis=1)
+
+    def largest(field: str) -> float:
+        return max(float(getattr(band, field)) for band in filters)
+
+    noise = float(np.median(np.sqrt(np.diag(usual - tile - common)) / np.maximum(np.abs(y), 1e-300)))
+    white = data.tile_uncertainty_rel
+    shared = max(most - white**2, 0.0) ** 0.5
+    return (
+        UncertaintySource("noise of the frames", f"{noise:.1%} of a value (median)", "A", _root(usual - tile - common)),
+        UncertaintySource(SHARED_BY_ALL, f"{shared:.1%}", "A", _root(common)),
+        UncertaintySource("white reference", f"{white:.1%}", "B", _root(tile)),
+        UncertaintySource("calibration of each filter", f"{data.band_calibration_rel:.1%}", "B", calibration),
+        UncertaintySource("centres of the filters", f"at most {largest('center_uncertainty_nm'):g} nm", "B", centre),
+        UncertaintySource("widths of the filters", f"at most {largest('fwhm_uncertainty_nm'):g} nm", "B", width),
+        UncertaintySource("leak of the filters", f"at most {largest('blocking_uncertainty_od'):g} OD", "B", leak),
+        UncertaintySource("camera response", f"{CHANNEL_RESPONSE_REL:.1%} of each channel", "B", _diagonal(response)),
+        UncertaintySource("stray light", f"{STRAY_LIGHT_REL:.1%} of the brightest filter", "B",
+                          _diagonal(np.diag(beside) - response)),
+        UncertaintySource("colour temperature of the lamp", f"{optics.lamp_temperature_uncertainty_k:g} K", "B", lit),
+    )  # fmt: skip
+
+
+def _diagonal(variance: Floats) -> Floats:
+    """Return the root of a diagonal covariance."""
+    return np.diag(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _root(covariance: Floats) -> Floats:
+    """Return a root of a positive semidefinite matrix; rounding below zero counts as zero."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def source_shares(
+    values: Floats, drawn: SpectrumPosterior, fitted: ScoredSpectra, sources: tuple[UncertaintySource, ...]
+) -> tuple[float, Floats]:
+    """Return the variance of a quantity and the share (S,) of it that each source of the bands makes.
+
+    Parameters
+    ----------
+    values
+        (n,) draws of the quantity.
+    drawn, fitted
+        Draws of the posterior with the bands of their paints, and the bands' covariance.
+    sources
+        Of the bands.
+    """
+    root = np.linalg.cholesky(fitted.noise)
+    white = np.linalg.solve(root, (drawn.band_draws - drawn.band_draws.mean(axis=0)).T).T
+    apart = values - values.mean()
+    variance = float(apart @ apart / apart.size)
+    width, axes = np.linalg.eigh(white.T @ white / apart.size)
+    gain = axes @ ((axes.T @ (white.T @ apart) / apart.size) / np.sqrt(np.maximum(width, 1.0)))
+    onto = np.linalg.solve(root.T, gain)
+    made = np.array([float(np.sum((onto @ source.root) ** 2)) for source in sources])
+    return variance, made / max(variance, 1e-300)
+
+
+def _departure_variances(drawn: SpectrumPosterior, fitted: ScoredSpectra, rng: np.random.Generator) -> dict[str, float]:
+    """Return the variance that the paint's own departure makes of each quantity of the curve.
+
+    A departure d drawn from its prior moves the curve by d - X G A d with the gain G of its component, and the quantity
+    by half of its difference between the two sides of a draw.
+    """
+    own = fitted.shape_directions
+    moved = np.zeros_like(drawn.curves)
+    for place in np.unique(drawn.components):
+        rows = np.flatnonzero(drawn.components == place)
+        v = fitted.directions(int(place))
+        z = rng.standard_normal((rows.size, len(v) - own))
+        moved[rows] = z @ (v[own:] - _followed(fitted, int(place), v, v[own:] @ fitted.rig.emission.T))
+    more, less = (np.maximum(drawn.curves + sign * moved, 0.0) for sign in (1.0, -1.0))
+    grid = fitted.parts.wavelength_nm
+    above, below = (curve_quantities(curves, grid) for curves in (more, less))
+    names = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield")
+    return {name: float(np.mean((0.5 * (getattr(above, name) - getattr(below, name))) ** 2)) for name in names}
+
+
+def _followed(fitted: ScoredSpectra, place: int, directions: Floats, seen: Floats) -> Floats:
+    """Return the curves (n, L) that the estimate of a component follows, for changes (n, K) of the bands."""
+    rig, parts, which = fitted.rig, fitted.parts, fitted.scored.chosen[place]
+    variance = height_prior(parts, np.array([which]))[1][0] ** -1
+    curves = np.concatenate([np.sqrt(variance[0]) * parts.curves[which][None], directions])
+    bands = np.concatenate([curves @ rig.emission.T, np.sqrt(variance[1]) * rig.laser[None]])
+    solved = np.linalg.solve(bands.T @ bands + fitted.noise, seen.T)
+    return np.asarray((bands[:-1] @ solved).T @ curves)
+
+
+def _rows(
+    name: str, sd: float, sources: tuple[UncertaintySource, ...], found: tuple[float, Floats], departure: float
+) -> list[BudgetRow]:
+    """Return the rows of one quantity: sources of the bands, then what is left, the model's part of it first."""
+    variance, shares = found
+    left = 1.0 - float(shares.sum())
+    model = min(departure / max(variance, 1e-300), left)
+    every = [*((s.name, s.size, s.evaluation, float(v)) for s, v in zip(sources, shares, strict=True))]
+    every.append((MODEL_DISCREPANCY, "three sizes, averaged", "prior", model))
+    every.append((PRIOR, "learned from measured spectra", "prior", left - model))
+    return [BudgetRow(name, source, size, kind, sd * max(v, 0.0) ** 0.5, v) for source, size, kind, v in every]
+
+
+def _stokes_rows(paint: PaintCalibration, mode: list[BudgetRow]) -> list[BudgetRow]:
+    """Return the rows of the Stokes shift: it follows the mode as its draws do, and the rest is the absorption."""
+    shift = paint.reradiation.stokes_shift_draws_nm
+    grid, curves = paint.wavelength_nm, paint.emission_draws_per_nm[: shift.size]
+    modes = curve_quantities(np.maximum(curves, 0.0), grid).mode_nm
+    through = float(np.corrcoef(modes, shift)[0, 1] ** 2) if modes.std() > 0 and shift.std() > 0 else 0.0
+    sd = paint.reradiation.stokes_shift_nm.sd
+    every = [(row.source, row.size, row.evaluation, through * row.share) for row in mode]
+    every.append((PRIOR_OF_ABSORPTION, "see the Stokes shift's statement", "prior", 1.0 - through))
+    return [BudgetRow("stokes_shift_nm", *row[:3], sd * max(row[3], 0.0) ** 0.5, row[3]) for row in every]
