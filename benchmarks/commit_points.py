@@ -16,7 +16,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -108,7 +108,7 @@ COMMANDS = {
     "simulate render --images": Command(
         f"simulate render {{i}}/finger.toml {PAINTS} --images --engine scalar --samples 2 --out {{o}}/p.press.json",
         "p.press.json",
-        (*RENDERED, "finray_calib.exchange._render_files:_exr_images"),  # its threads are not forked
+        RENDERED,
     ),
     "simulate press": Command(
         "simulate press {i}/pressed.toml --increments 2 --out {o}/m.press.json",
@@ -257,9 +257,21 @@ def stand_ins() -> Iterator[None]:
             stack.enter_context(patch(target, value))
         read = {"9dtact": lambda _: (capture_of(linear, 50.0), linear)}
         stack.enter_context(patch.dict("finray_calib.cli._import._READERS", read))
+        stack.enter_context(patch("finray_calib.exchange._render_files._exr_images", Once(ORIGINAL_IMAGES)))
         steps = MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0)
         stack.enter_context(patch.dict(STEPS, {"coarse": steps}))
         yield
+
+
+class Once:
+    """A function that works once, before the first fork, as the threads of OpenEXR are not forked."""
+
+    def __init__(self, function: Callable[..., Any]):
+        self._function, self._made = function, None
+
+    def __call__(self, *arguments: Any) -> Any:
+        self._made = self._made or self._function(*arguments)
+        return self._made
 
 
 class ReplayedPress:
@@ -342,15 +354,16 @@ def laboratory(folder: Path) -> str:
     return " ".join(f"{folder}/board-{k}.png" for k in range(1, 7))
 
 
-def _originals() -> tuple[Any, Any]:
-    """Return the press and the fit before they are replaced."""
+def _originals() -> tuple[Any, Any, Any]:
+    """Return the press, the fit and the encoded images before they are replaced."""
+    from finray_calib.exchange._render_files import _exr_images
     from finray_calib.fit import calibrate_paint
     from sim.mechanics import press_finger
 
-    return press_finger, calibrate_paint
+    return press_finger, calibrate_paint, _exr_images
 
 
-ORIGINAL_PRESS, ORIGINAL_FIT = _originals()
+ORIGINAL_PRESS, ORIGINAL_FIT, ORIGINAL_IMAGES = _originals()
 
 if __name__ == "__main__":
     sys.exit(main())
