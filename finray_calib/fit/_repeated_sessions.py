@@ -9,8 +9,10 @@ with m what the sessions share, :math:`g_i` the level of session i (how the samp
 to all sessions: no repetition averages it away, and it is added again at the end. The same holds for what the fit
 itself knows of the rig (centres of filters, response, lamp).
 
-Few sessions hardly tell :math:`\tau_g`. Both are integrated over their restricted likelihood and half-Cauchy priors
-of 3 % and 1 %, and the variance of the common level is that of the normal with the same 95 % interval as the mixture.
+Every session counts alike: weights by covariances would be drawn to low values, as relative errors of a large value
+forgive more. Few sessions hardly tell :math:`\tau_g`. Both are integrated over their restricted likelihood and
+half-Cauchy priors of 3 % and 1 %, and the variance of the common level is that of the normal with the same 95 %
+interval as the mixture.
 
 Sessions are taken as exchangeable draws of one rig, one paint and one way of working: what all of them share, such as a
 filter that is another than stated, shows in none.
@@ -181,12 +183,12 @@ class _Common:
         self._all = (y, covariances, usable, filters, tile_rel)
         self._kept = np.flatnonzero(usable.any(axis=0))
         self._y, self._usable = np.where(usable, y, 0.0)[:, self._kept], usable[:, self._kept]
-        self._of_mean = self._y.sum(axis=0) / self._usable.sum(axis=0)
+        self._mean = self._y.sum(axis=0) / self._usable.sum(axis=0)
         block = np.ix_(self._kept, self._kept)
         self._own = [
-            _without_tile(c[block], self._of_mean, tile_rel, u) for c, u in zip(covariances, self._usable, strict=True)
+            _without_tile(c[block], self._mean, tile_rel, u) for c, u in zip(covariances, self._usable, strict=True)
         ]
-        self._outer = np.outer(self._of_mean, self._of_mean)
+        self._outer = np.outer(self._mean, self._mean)
         same = np.equal.outer(filters[self._kept], filters[self._kept])
         self._of_filter = self._outer * same
         self._integrate()
@@ -198,25 +200,26 @@ class _Common:
     def _integrate(self) -> None:
         """Average over the two standard deviations."""
         levels, filters = (one.ravel() for one in np.meshgrid(_LEVELS, _FILTERS, indexing="ij"))
-        ln_likelihood, means, covariances = self._given(levels, filters)
+        ln_likelihood = self._ln_likelihood(levels, filters)
         # the grids are even in the logarithm: its density has one more factor of the standard deviation
         ln_prior = np.log(levels * filters) - np.log1p((levels / LEVEL_SCALE) ** 2)
         ln_weight = ln_likelihood + ln_prior - np.log1p((filters / FILTER_SCALE) ** 2)
         weight = np.exp(ln_weight - ln_weight.max())
         weight /= weight.sum()
-        self._mean = weight @ means
-        apart = means - self._mean
-        covariance = np.tensordot(weight, covariances, axes=1) + (weight[:, None] * apart).T @ apart
-        along = np.linalg.solve(covariance, self._mean)
-        along /= along @ self._mean
-        variances = np.einsum("i,kij,j->k", along, covariances, along) + (apart @ along) ** 2
-        wider = _variance_of_interval(variances, weight) - float(weight @ variances)
-        self._covariance = covariance + max(wider, 0.0) * np.outer(self._mean, self._mean)
         self._level, self._filter = (_of_grid(values, weight) for values in (levels, filters))
+        share = self._usable / self._usable.sum(axis=0)
+        shares = np.einsum("in,im->nm", share, share)
+        noise = np.einsum("in,im,inm->nm", share, share, np.array(self._own))
+        of_filter = noise + float(weight @ filters**2) * shares * self._of_filter
+        along = self._mean / (self._mean @ self._mean)
+        fixed = float(along @ of_filter @ along)
+        of_level = float(along @ (shares * self._outer) @ along)
+        wider = _variance_of_interval(fixed + of_level * levels**2, weight) - fixed
+        self._covariance = of_filter + wider / of_level * shares * self._outer
 
-    def _given(self, levels: Floats, filters: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return restricted log likelihood (G,), common values (G, N) and their covariance (G, N, N) of G pairs."""
-        number = self._of_mean.size
+    def _ln_likelihood(self, levels: Floats, filters: Floats) -> Floats:
+        """Return the restricted log likelihood (G,) of pairs of standard deviations."""
+        number = self._mean.size
         precision, weighted = np.zeros((levels.size, number, number)), np.zeros((levels.size, number))
         ln_likelihood, inverses = np.zeros(levels.size), []
         more = levels[:, None, None] ** 2 * self._outer + filters[:, None, None] ** 2 * self._of_filter
@@ -228,13 +231,12 @@ class _Common:
             precision[:, rows[:, None], rows] += inverse
             weighted[:, rows] += inverse @ y[rows]
             inverses.append((rows, inverse))
-        covariance = np.linalg.inv(precision)
-        means = np.einsum("gij,gj->gi", covariance, weighted)
+        means = np.linalg.solve(precision, weighted[..., None])[..., 0]
         ln_likelihood -= np.linalg.slogdet(precision)[1] / 2
         for y, (rows, inverse) in zip(self._y, inverses, strict=True):
             left = y[rows] - means[:, rows]
             ln_likelihood -= np.einsum("gi,gij,gj->g", left, inverse, left) / 2
-        return ln_likelihood, means, covariance
+        return ln_likelihood
 
     def scatter(self) -> SessionScatter:
         """Return how the sessions differ; who departs is judged by the others alone, from three sessions on."""
