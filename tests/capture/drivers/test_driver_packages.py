@@ -84,7 +84,7 @@ def wheel_of(driver: str, address: str) -> FilterWheelSettings:
 def real_rig(folder: Path, wheel: FilterWheelSettings, **others: object) -> Path:
     """Write a rig file with a wheel of an outside driver and a lamp in a folder."""
     parts: dict[str, object] = {
-        "camera": SIMULATED.camera.model_copy(update={"driver": "bench", "address": "0"}),
+        "camera": SIMULATED.camera.model_copy(update={"driver": "bench", "address": str(folder / "camera")}),
         "laser": LaserSettings(driver="file", address=str(folder / "laser"), outside_layer=INTERLOCK, **LASER),
         "lamp": LampSettings(driver="file", address=str(folder / "lamp")),
         **others,
