@@ -396,7 +396,7 @@ def certificate_page(certificate: Certificate, paint: PaintCalibration) -> str:
             "key_numbers": certificate.key_numbers,
         },
         budget_picture=drawing(
-            budget_figure(certificate.budget_rows, SMALL_SHARE, height_in=2.8),
+            budget_figure(certificate.budget_rows, SMALL_SHARE, height_in=3.4),
             "Budget as bars of 100 %: the shares of the table",
             "One bar for each quantity; the parts are the sources.",
         )

@@ -114,7 +114,11 @@ def budget_figure(rows: Sequence[BudgetRow], least_share: float, height_in: floa
         Of the figure.
     """
     figure = new_figure(6.6, height_in)
-    _draw_budget(figure.subplots(), rows, least_share)
+    axes = figure.subplots()
+    _draw_budget(axes, rows, least_share)
+    bars, sources = axes.get_legend_handles_labels()
+    names = [textwrap.fill(source, 42) for source in sources]
+    figure.legend(bars, names, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return svg_text(figure)
 
 
@@ -134,7 +138,6 @@ def _draw_budget(axes: Axes, rows: Sequence[BudgetRow], least_share: float) -> N
     axes.set(xlim=(0, 100))
     axes.tick_params(labelsize=8)
     axes.set_xlabel("share of the variance (%)", fontsize=8)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.45, -0.16), ncols=2, fontsize=8, frameon=False)
 
 
 def _band(axes: Axes, x: Floats, low: Floats, high: Floats, label: str, *, outlined: bool = False) -> None:
