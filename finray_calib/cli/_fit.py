@@ -158,9 +158,9 @@ def _budget(
 ) -> "tuple[BudgetRow, ...]":
     """Return the budget of a fit under the learned prior; a sample without emission or a family has none."""
     from data_schemas import PaintWithoutEmission
-    from finray_calib.fit import uncertainty_budget
+    from finray_calib.fit import MEASURED_SPECTRA_TITLE, uncertainty_budget
 
-    if isinstance(paint, PaintWithoutEmission) or arguments.family != "auto" or arguments.no_discrepancy:
+    if isinstance(paint, PaintWithoutEmission) or paint.spectrum_from != MEASURED_SPECTRA_TITLE:
         return ()
     return uncertainty_budget(bands, paint, arguments.seed)
 

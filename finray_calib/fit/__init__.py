@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from finray_calib.fit._pixel_maps import PixelSpread, map_paint, map_pixels
     from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, AbsorptionPrior, Discrepancy, EmissionPrior
     from finray_calib.fit._repeated_sessions import SessionScatter, combine_sessions, departing_warnings
+    from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE
     from finray_calib.fit._uncertainty_budget import BUDGETED, BudgetRow, uncertainty_budget
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -76,6 +77,7 @@ __all__ = [
     "LARGEST_MEMORY",
     "LARGEST_PARETO_K",
     "LARGEST_R_HAT",
+    "MEASURED_SPECTRA_TITLE",
     "NO_DISCREPANCY",
     "PAINT_DISCREPANCY",
     "PAPER_FAMILY",

@@ -154,7 +154,7 @@ def test_a_stored_increment_must_fit(halfway):
     with pytest.raises(SimulateError, match="of another mesh of this design"):
         stored_press(moved, to_depth(3.0))
     assert record.contact == "penalty"
-    with pytest.raises(SimulateError, match=r"pressed with --contact penalty, .* by --contact barrier; give --contact"):
+    with pytest.raises(SimulateError, match=r"pressed with --contact penalty, .* with --contact barrier; give"):
         stored_press(record, to_depth(3.0), "barrier")
     of_older_version = record.model_copy(update={"contact": None})
     assert stored_press(of_older_version, to_depth(3.0), "penalty").kind == "unknown"

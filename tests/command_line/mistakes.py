@@ -327,7 +327,7 @@ CASES = (
     Case(
         "folder for a record",
         "trace {lab}",
-        r"lab\S*: is a folder; 'finray verify' checks folders\. Here give the path",
+        r"lab\S*: is a folder or a zip archive; 'finray verify' checks folders\. Here give the path",
     ),
     Case("record for a folder", "verify {lab}/bands.json", r"bands\.json: is a file; 'finray trace' checks a record"),
     Case("study that is none", "study show {lab}", r"study\.json: no such file; give the path of a stored record"),

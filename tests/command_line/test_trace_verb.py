@@ -56,7 +56,7 @@ def test_statuses(decided, tmp_path):
         )
     for mistake, said in {
         f"trace {tmp_path}/none.json": "none.json: no such file",
-        f"trace {decided}": "is a folder; 'finray verify' checks folders. Here give the path of a stored record",
+        f"trace {decided}": "is a folder or a zip archive; 'finray verify' checks folders. Here give the path",
         f"trace {decided}/plan.toml": "is not a stored record",
         f"verify {tmp_path}/none": "no such folder",
         f"verify {tmp_path / 'empty'}": "holds no stored record, session or checksums",

@@ -12,6 +12,7 @@ from tests.documentation.test_how_to_files import COMMAND, INDENTED_PLAN, printe
 
 LEFT_OUT = {
     "--map": "a minute of processor time; tests/fit/test_pixel_maps.py",
+    "red-again.bands.json": "needs two more sessions; tests/fit/test_repeated_sessions.py",
     "--other-light": "needs a second session, with another laser in the rig file",
     "render": "needs the green paint too; tests/command_line/test_optics_verbs.py",
 }

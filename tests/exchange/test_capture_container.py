@@ -65,7 +65,7 @@ def test_the_reader_sees_a_change(exported: Path, tmp_path: Path) -> None:
 def test_finray_reads_what_the_writer_wrote(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-I", WRITER, tmp_path / "my.zip"], check=True)
     checked = finray(f"verify {tmp_path}/my.zip")
-    assert (checked.status, "whole: 4 files, 2 records" in checked.out) == (0, True)
+    assert (checked.status, "unchanged: 4 files, 2 records" in checked.out) == (0, True)
     capture = read_record(tmp_path / "my.zip" / "press-1.capture.json", TactileCapture)
     assert (capture.contact_circle.column_px, capture.indenter.radius_mm) == (80.0, 3.0)
     change = capture.contact.astype(float) - capture.no_contact

@@ -264,8 +264,8 @@ def test_map_from_the_records(calibrated, optics):
 def test_map_from_files(calibrated, optics, tmp_path, capsys):
     rng = np.random.default_rng(4)
     made = scene("zheng2014", optics, np.tile(center_of("zheng2014"), (1024, 1)), rng)
-    files = {"bands": tmp_path / "orange.pixels.json", "paint": tmp_path / "orange.paint.json"}
-    write_record(made.pixels, files["bands"], provenance("pytest"))
+    files = {"bands": [tmp_path / "orange.pixels.json"], "paint": tmp_path / "orange.paint.json"}
+    write_record(made.pixels, files["bands"][0], provenance("pytest"))
     write_record(calibrated, files["paint"], provenance("pytest"))
     out = tmp_path / "orange.map.json"
     run_map(Namespace(**files, out=out))
