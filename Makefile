@@ -221,7 +221,7 @@ $(OTHERS)/installed: requirements/others.lock
 	@touch $@
 
 RIG_PACKAGES := indi-bin aravis-tools-cli libaravis-0.8-0 qemu-system-misc gcc-avr avr-libc ffmpeg ustreamer socat \
-                calculix-ccx chromium poppler-utils qemu-user
+                calculix-ccx chromium poppler-utils qemu-user tmux
 rig-programs:
 	@missing=""; for package in $(RIG_PACKAGES); do \
 	   dpkg-query -W -f '$${db:Status-Status}' $$package 2>/dev/null | grep -qx installed || missing="$$missing $$package"; \
