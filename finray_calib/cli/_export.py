@@ -304,9 +304,38 @@ def run_capture_request(arguments: argparse.Namespace) -> None:
     look_at(out)
 
 
+RECIPES = ("protocol-balls", "protocol-solids")
+
+
+def run_protocol(arguments: argparse.Namespace) -> None:
+    """Write the sheet, the table and the solids, and report."""
+    from data_schemas import RecordError
+    from data_schemas.storage import ProductSet
+    from finray_calib.reports.protocol import protocol_page
+    from sim import is_sensor, read_design, read_sensor
+    from sim.experiments import press_protocol
+
+    _refuse_options(arguments, "a press protocol")
+    if len(arguments.paint) != 2:  # the word and the file
+        raise RecordError("a press protocol needs one finger or classic sensor: finray export protocol SENSOR.toml")
+    path: Path = arguments.paint[1]
+    sensor = read_sensor(path) if is_sensor(path) else read_design(path)
+    with naming(RecordError, path):
+        protocol = press_protocol(sensor)
+    out = require_new(arguments.out or Path(f"{file_name(sensor.name)}.protocol"))
+    with ProductSet(out) as products:
+        for solid in protocol.solids:
+            products.add(out / "solids" / f"{solid.name}.stl", solid.stl)
+        products.add(out / "presses.csv", protocol.table_csv().encode())
+        products.add(out / "protocol.html", protocol_page(protocol, RECIPES).encode())
+    wrote(out, f"what to print and press for {sensor.name}: {len(protocol.presses)} presses, each taken twice")
+    give(kind="protocol", format="html", presses=len(protocol.presses), solids=len(protocol.solids))
+    look_at(out / "protocol.html")
+
+
 HELP = (
     "write a paint, a press, a sensor or captures for other programs (CSV, netCDF, Mitsuba, CalculiX, Taxim, zip), or "
-    "a request"
+    "what a lab is to capture"
 )
 USAGE = """finray export [-h] PAINT --format FORMAT [options]
        finray export [-h] deck DESIGN --dialect {abaqus,calculix}
@@ -314,6 +343,7 @@ USAGE = """finray export [-h] PAINT --format FORMAT [options]
        finray export [-h] taxim SENSOR [--paint COLOUR=FILE] [--presses N]
                      [--ball-diameter-mm D] [--samples N]
        finray export [-h] capture-request DESIGN [--out FILE.md]
+       finray export [-h] protocol SENSOR [--out FOLDER]
        finray export [-h] captures FOLDER [--out FILE.zip]"""
 DESCRIPTION = """\
 Write a paint fitted by 'finray fit' in the format of another program, or the press of a finger design (TOML) as an
@@ -340,6 +370,9 @@ unseen presses.
 
 A capture request tells a lab which captures of a finger to take: a page, and plans for 'finray capture'.
 
+A protocol is for any tactile sensor: a sheet to print, a table of presses, and twelve solids to print (STL) that are
+pressed beside balls, in about an hour.
+
 Captures: a folder that 'finray import captures' wrote becomes one zip archive, which every verb takes in its place."""
 # Named here as well because the parser is built before anything heavy is imported; a test compares the two lists.
 SUFFIXES = {
@@ -353,7 +386,13 @@ SUFFIXES = {
 }
 
 # What else than a paint is exported, by its first word; all of it shares the paint's parser.
-OTHERS = {"deck": run_deck, "taxim": run_taxim, "capture-request": run_capture_request, "captures": run_captures}
+OTHERS = {
+    "deck": run_deck,
+    "taxim": run_taxim,
+    "capture-request": run_capture_request,
+    "protocol": run_protocol,
+    "captures": run_captures,
+}
 
 
 def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -364,8 +403,8 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         type=Path,
         nargs="+",
         metavar="PAINT",
-        help="record written by 'finray fit'; or 'deck', 'taxim' or 'capture-request' and a design; or 'captures' and "
-        "a folder",
+        help="record written by 'finray fit'; or 'deck', 'taxim', 'capture-request' or 'protocol' and a design; or "
+        "'captures' and a folder",
     )
     parser.add_argument("--format", choices=list(SUFFIXES), help="of a paint, see above")
     add_deck_options(parser)
@@ -384,7 +423,11 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         metavar="CSV",
         help="camera of rgb-reradiation (wavelength_nm,red_percent,green_percent,blue_percent; default: assumed)",
     )
-    add_out(parser, "PAINT with the suffix of the format, DESIGN.inp, SENSOR.taxim, DESIGN.request.md or FOLDER.zip")
+    add_out(
+        parser,
+        "PAINT with the suffix of the format, DESIGN.inp, SENSOR.taxim, DESIGN.request.md, SENSOR.protocol or "
+        "FOLDER.zip",
+    )
     add_seed(parser)
     parser.set_defaults(run=run_export)
 

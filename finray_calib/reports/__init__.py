@@ -82,6 +82,7 @@ if TYPE_CHECKING:
         drawing,
         figure_png,
         found_part,
+        in_rows,
         light_of,
         one_group,
         provenance_table,
@@ -111,12 +112,25 @@ if TYPE_CHECKING:
         paper_paints_png,
         two_lights_png,
     )
-    from finray_calib.reports._style import CHANNELS, legend_above, new_figure, styled, svg_text
+    from finray_calib.reports._style import (
+        BLUE,
+        CHANNELS,
+        INK,
+        VERMILLION,
+        legend_above,
+        new_figure,
+        png_bytes,
+        styled,
+        svg_text,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "BLUE",
     "CHANNELS",
+    "INK",
+    "VERMILLION",
     "ByteImage",
     "Certificate",
     "ContactSheet",
@@ -174,6 +188,7 @@ __all__ = [
     "grid_phrase",
     "headline",
     "history_page",
+    "in_rows",
     "interval_text",
     "legend_above",
     "level_a_sentence",
@@ -195,6 +210,7 @@ __all__ = [
     "places_part",
     "plain",
     "plot_record",
+    "png_bytes",
     "press_pictures",
     "pressed_finger_png",
     "probability",

@@ -208,10 +208,10 @@ def raster(rgb8: ByteImage, alternative: str, caption: str) -> Picture:
     return Picture(png_data_uri(rgb8), alternative, caption, is_raster=True, is_small=True)
 
 
-def figure_png(png: bytes, alternative: str, caption: str) -> Picture:
+def figure_png(png: bytes, alternative: str, caption: str, is_small: bool = False) -> Picture:
     """Return a figure that was drawn as PNG as a picture."""
     source = f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
-    return Picture(source, alternative, caption)
+    return Picture(source, alternative, caption, is_small=is_small)
 
 
 def in_rows(pictures: Sequence[Picture]) -> tuple[tuple[Picture, ...], ...]:

@@ -3,9 +3,9 @@
 `paint_finger` joins a design with calibrated paints and a renderer. `simulate_press` renders a press as a record
 (`simulate_images` its images too), `press_records` makes the records of one pressed by finite elements, `recoloured`
 changes paints or camera of a stored press, `capture_twin` and `simulated_capture` pass a render through the sensor
-model, `light_angle_sweep` measures the objectives of the light angle, and `paint_pairs` those of pairs of paints. A
-study (`study_...`, `reproduce_paper_paints`) returns a record and draws nothing: reports do. Here mechanics and optics
-meet.
+model, `light_angle_sweep` measures the objectives of the light angle, and `paint_pairs` those of pairs of paints;
+`press_protocol` says what a lab presses into a real sensor. A study (`study_...`, `reproduce_paper_paints`) returns a
+record and draws nothing: reports do. Here mechanics and optics meet.
 """
 
 from typing import TYPE_CHECKING
@@ -31,6 +31,14 @@ if TYPE_CHECKING:
         require_paints_in_order,
     )
     from sim.experiments._paper_paints import reproduce_paper_paints
+    from sim.experiments._press_protocol import (
+        BACK_MM,
+        PressProtocol,
+        PrintedSolid,
+        ProtocolPress,
+        press_protocol,
+        protocol_solids,
+    )
     from sim.experiments._recolour import WhiteBalance, recoloured
     from sim.experiments._rendered_press import Rendering, camera_rgb, pose_response, press_record, simulate_press
     from sim.experiments._sensor_press import PressedCoat, pressed_coat, simulate_sensor_press
@@ -39,6 +47,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "BACK_MM",
     "BallPresses",
     "BareFinger",
     "CameraResponse",
@@ -47,7 +56,10 @@ __all__ = [
     "PaintDraws",
     "PaintedFinger",
     "PaintedPairs",
+    "PressProtocol",
     "PressedCoat",
+    "PrintedSolid",
+    "ProtocolPress",
     "Rendering",
     "WhiteBalance",
     "camera_rgb",
@@ -61,10 +73,12 @@ __all__ = [
     "paint_optics",
     "paint_pairs",
     "pose_response",
+    "press_protocol",
     "press_record",
     "press_records",
     "press_sensitivities",
     "pressed_coat",
+    "protocol_solids",
     "recoloured",
     "render_ball_presses",
     "render_finger_presses",
