@@ -26,7 +26,7 @@ import numpy as np
 
 from data_schemas import FingerDesign, NoEquilibriumError, provenance
 from data_schemas.storage import write_record
-from rigs import paint_plan, simulated_rig, write_plan, write_rig
+from rigs import camera_plan, paint_plan, simulated_rig, write_plan, write_rig
 from sim import design_toml
 from sim.mechanics import STEPS
 from sim.mechanics._finger_mesh import MeshSteps
@@ -88,6 +88,14 @@ COMMANDS = {
             "finray_calib.radiometry._pixel_signals:pixel_signals",
         ),
     ),
+    "radiometry --report": Command(
+        "radiometry {i}/camera --out {o}/c.camera.json --report {e}/c.html",
+        "c.camera.json",
+        (
+            "finray_calib.radiometry._camera_characterisation:characterise_camera",
+            "finray_calib.reports.camera._camera_page:camera_page",
+        ),
+    ),
     "compare": Command("compare {i}/press.json {i}/capture.json --out {o}/e.json", "e.json", COMPARED),
     "compare, folders": Command(
         "compare {i}/simulated {i}/captured --out {o}/pairs", "pairs/summary.json", COMPARED, (".photometric-error.",)
@@ -140,6 +148,14 @@ COMMANDS = {
         "export capture-request {i}/whole.toml --out {o}/f.request.md",
         "f.request.md",
         ("finray_calib.cli._export:open_engine", "sim.optics._pixel_maps:camera_view"),
+    ),
+    "export protocol": Command(
+        "export protocol {i}/whole.toml --out {o}/protocol",
+        "protocol",
+        (
+            "sim.experiments._press_protocol:press_protocol",
+            "finray_calib.reports.protocol._protocol_page:protocol_page",
+        ),
     ),
     "import ball-presses": Command(
         "import ball-presses {i}/balls --mm-per-px 0.1 --out {o}/balls",
@@ -332,6 +348,8 @@ def laboratory(folder: Path) -> str:
     pushes_mm = np.linspace(0.1, 1.0, 10) * INCREMENTS_MM[-1]
     bench(folder / "bench.csv", force_at(pushes_mm), pushes_mm)
     succeed(f"capture {folder}/plan.toml --rig {folder}/rig.toml --out {folder}/session")
+    write_plan(camera_plan("lab camera", rig.camera), folder / "camera.toml")
+    succeed(f"capture {folder}/camera.toml --rig {folder}/rig.toml --out {folder}/camera")
     succeed(f"radiometry {folder}/session --pixels --out {folder}/bands.json")
     (folder / "bands.pixels.json").rename(folder / "pixels.json")
     with patch("finray_calib.fit._paint_calibration.calibrate_paint", ORIGINAL_FIT):
