@@ -67,7 +67,9 @@ class Screen:
             return
         match private, letter:
             case "", "H":
-                self._row, self._column = (int(n) - 1 for n in numbers.split(";"))
+                # as in terminals: beyond the edge is at the edge, which happens to what is written while it shrinks
+                row, column = (int(n) - 1 for n in numbers.split(";"))
+                self._row, self._column = min(row, self.lines - 1), min(column, self.columns - 1)
             case "", "J":
                 assert numbers == "2"
                 self.cells = [[(" ", "")] * self.columns for _ in range(self.lines)]
