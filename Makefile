@@ -235,15 +235,16 @@ rig-programs:
 	 echo "Ask your administrator for:  apt-get install --no-install-recommends$$missing"; \
 	 echo
 
-# The renderer compiles its kernels with LLVM 17 or newer (15 and 16 crash). One Debian package brings it.
+# The renderer compiles its kernels with LLVM 17 or newer (15 and 16 crash) and needs libatomic; two Debian packages.
 llvm:
-	@if ldconfig -p 2>/dev/null | grep -qE 'libLLVM(-|\.so\.)(1[7-9]|[2-9][0-9])'; then exit 0; fi; \
-	 echo "installing libllvm19, the compiler library of the renderer"; \
+	@if ldconfig -p 2>/dev/null | grep -qE 'libLLVM(-|\.so\.)(1[7-9]|[2-9][0-9])' \
+	    && ldconfig -p 2>/dev/null | grep -q 'libatomic\.so\.1'; then exit 0; fi; \
+	 echo "installing libllvm19 and libatomic1, libraries of the renderer"; \
 	 if [ "$$(id -u)" = 0 ]; then as=""; elif [ -t 0 ]; then as="sudo"; else as="sudo -n"; fi; \
-	 if $$as apt-get update -qq && $$as apt-get install -y -qq --no-install-recommends libllvm19; then exit 0; fi; \
+	 if $$as apt-get update -qq && $$as apt-get install -y -qq --no-install-recommends libllvm19 libatomic1; then exit 0; fi; \
 	 echo; \
-	 echo "libllvm19 could not be installed. finray still runs, with the scalar renderer: fewer paths and more noise."; \
-	 echo "For the full renderer ask your administrator for:  apt-get install libllvm19"; \
+	 echo "They could not be installed. Without libllvm19 finray still runs, with the scalar renderer: fewer paths and more"; \
+	 echo "noise. Without libatomic1 nothing is rendered. Ask your administrator for:  apt-get install libllvm19 libatomic1"; \
 	 echo
 
 clean:

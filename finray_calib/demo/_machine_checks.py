@@ -197,12 +197,14 @@ def check_renderer() -> Found:
         version = metadata.version("mitsuba")
     except metadata.PackageNotFoundError:
         return _bad("Mitsuba is not installed: no rendering and no demo", _SIM_PACKAGES)
+    scalar = variants.prove_variant(variants.SCALAR_VARIANT)
+    if scalar is not None:
+        library = scalar.partition(variants.ABSENT)[2]
+        mend = variants.install_command(library) if library else _SIM_PACKAGES
+        return _bad(f"Mitsuba {version} does not run: {scalar}", mend)
     choice = variants.choose_variant()
     if not choice.fell_back:
         return _good(f"Mitsuba {version}, {choice.note}")
-    scalar = variants.prove_variant(choice.variant)
-    if scalar is not None:
-        return _bad(f"Mitsuba {version} does not run: {scalar}", _SIM_PACKAGES)
     why = choice.note.rpartition("; ")[0]
     return _note(
         f"Mitsuba {version} without compiler, {choice.variant}: fewer paths, more noise; {why}",

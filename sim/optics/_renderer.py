@@ -31,6 +31,8 @@ MISSING_NOTE = "rendering needs Mitsuba, of the extra 'sim': pip install 'finray
 GPU_NOTE = "the GPU variants need an NVIDIA driver with CUDA and OptiX; use 'auto' to render on the processor"
 INSTALL_NOTE = "install LLVM 17 or newer to render faster and with less noise (Debian: apt-get install libllvm19)"
 
+ABSENT = "needs a library that this system lacks: "
+"""Between "the proof picture" and the library's name, where a proof failed without it."""
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _PROOF = "sim.optics._renderer:render_proof_picture"
 _PROOF_TIMEOUT_S = 120.0
@@ -111,14 +113,27 @@ def choose_variant(
     return RendererChoice(scalar, None, f"{tried}; {INSTALL_NOTE}", fell_back=True)
 
 
+def install_command(library: str) -> str:
+    """Return how Debian and Ubuntu install one of the system's libraries: libatomic.so.1 is in libatomic1."""
+    name, _, version = library.partition(".so.")
+    return f"sudo apt-get install {name}{version.partition('.')[0]}"
+
+
 def _require_scalar(variant: str) -> None:
     """Refuse where not even the variant that needs nothing else runs, such as on processors without AVX."""
     failure = prove_variant(variant)
-    if failure is not None:
+    if failure is None:
+        return
+    _, is_absent, library = failure.partition(ABSENT)
+    if is_absent:
         raise MissingExtraError(
-            f"Mitsuba does not run here: {failure}; its wheels for x86-64 need a processor with AVX. Render on another "
-            "computer: capture, radiometry, fit, compare and decide go without"
+            f"Mitsuba does not run here: this system lacks {library}; install the package that holds it "
+            f"({install_command(library)}), then try again"
         )
+    raise MissingExtraError(
+        f"Mitsuba does not run here: {failure}; its wheels for x86-64 need a processor with AVX. Render on another "
+        "computer: capture, radiometry, fit, compare and decide go without"
+    )
 
 
 def find_llvm_libraries() -> list[str]:
@@ -170,9 +185,24 @@ def render_proof_picture(variant: str, llvm_library: str | None = None) -> None:
         scene["sensor"]["film"].update(width=8, height=8)
         mean = float(mitsuba.TensorXf(mitsuba.render(mitsuba.load_dict(scene), spp=2)).numpy().mean())
     except Exception as error:
+        if (library := absent_library(error)) is not None:
+            raise SimulateError(f"{ABSENT}{library}") from error
         raise SimulateError(f"failed ({type(error).__name__}: {' '.join(str(error).split())[:200]})") from error
     if not 0.0 < mean < 1e6:
         raise SimulateError("is empty")
+
+
+def absent_library(error: BaseException | None) -> str | None:
+    """Return the name of the system's library that an import did not find, or None.
+
+    Dr.Jit meets the failed import with an error of another kind, so that the errors before it are looked at, too.
+    """
+    while error is not None:
+        found = re.match(r"(lib[\w.+-]+\.so[\d.]*): cannot open shared object file", str(error))
+        if found is not None:
+            return found[1]
+        error = error.__cause__ or error.__context__
+    return None
 
 
 def open_renderer(choice: RendererChoice, threads: int | None = None) -> ModuleType:

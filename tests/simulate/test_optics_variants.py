@@ -3,8 +3,9 @@ import sys
 
 import pytest
 
-from data_schemas import MissingExtraError
+from data_schemas import MissingExtraError, SimulateError
 from finray_calib.cli._run import open_engine
+from finray_calib.demo._machine_checks import check_renderer
 from sim.optics import _renderer as variants
 
 
@@ -45,6 +46,32 @@ def test_the_proof_refuses_a_bogus_library(tmp_path):
     assert "libLLVM-19.so: the proof picture failed (ImportError: " in choice.note
     with pytest.raises(MissingExtraError, match=r"asked for with LLVM, but .*libLLVM-19\.so: the proof picture failed"):
         variants.choose_variant("llvm", libraries=[str(bogus)])
+
+
+def import_without_libatomic(name):
+    """Fail as Dr.Jit does on a system without the library: with an error of its own while it looks at the first."""
+    try:
+        raise ImportError("libatomic.so.1: cannot open shared object file: No such file or directory")
+    except ImportError:
+        raise NameError(f"name '_drjit_ext' of {name} is not defined")  # noqa: B904 - as its own code does
+
+
+def test_a_library_that_the_system_lacks_is_named_with_its_package(monkeypatch):
+    monkeypatch.setattr(variants.importlib, "import_module", import_without_libatomic)
+    with pytest.raises(SimulateError) as failed:
+        variants.render_proof_picture("scalar_rgb")
+    failure = f"the proof picture {failed.value}"
+    assert failure == "the proof picture needs a library that this system lacks: libatomic.so.1"
+    monkeypatch.setattr(variants, "prove_variant", lambda variant: failure)
+    with pytest.raises(MissingExtraError, match=r"lacks libatomic\.so\.1; .* \(sudo apt-get install libatomic1\)"):
+        variants.choose_variant("scalar")
+
+
+def test_the_doctor_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(variants, "prove_variant", lambda variant: f"the proof picture {variants.ABSENT}libatomic.so.1")
+    found = check_renderer()
+    assert (found["state"], found["mend"]) == ("bad", "sudo apt-get install libatomic1")
+    assert "lacks: libatomic.so.1" in found["found"]
 
 
 def test_a_proof_that_hangs_is_refused(monkeypatch):
