@@ -85,7 +85,7 @@ class PaintRecorder:
         interrupted: Interrupted | None,
     ):
         self._opened, self._rig, self._plan = opened, rig, plan
-        self._journal, self._progress, self._store = journal, request.tell, store
+        self._journal, self._progress, self._store, self._watch = journal, request.tell, store, request.watch
         self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
         # an interrupted session may have left the sample tilted
         left_tilted = interrupted is not None and plan.second_tilt_deg is not None
@@ -113,6 +113,7 @@ class PaintRecorder:
         lit = [(step, exposure_s) for step in steps for exposure_s in self._exposures_s[step]]
         before, after = self._darks(steps[0], used_s), self._darks(steps[-1], used_s)
         missing = self._store.missing(numbered([*before, *lit, *after]))
+        self._watch.expects([(shot.step.filter_name, shot.exposure_s) for shot in missing])
         for phase, first, last in (
             ("dark frames before", 0, len(before)),
             ("frames", len(before), len(before) + len(lit)),
@@ -391,21 +392,23 @@ def capture_with(
 ) -> CaptureSession:
     """Capture the `steps` of a paint session with devices that are open already."""
     inputs = curve_digests(curve_files(rig, request.rig_folder), request.rig_folder)
-    camera, out = opened.camera.identity(), request.out
+    opened, out = request.watch.devices(opened), request.out
+    camera = opened.camera.identity()
     if interrupted is not None:
         require_same_inputs(interrupted, inputs)
         require_same_camera(interrupted, camera)
         _require_permission(interrupted, rig, opened)
         opened = replace(opened, clock=interrupted.clock_after(opened.clock))
     out.mkdir(parents=True, exist_ok=True)
-    with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
+    watch = request.watch
+    with Journal(out, opened.clock, resumed=interrupted is not None, told=watch.noted) as journal:
         if interrupted is None:
             write_start(journal, plan, rig, request, inputs, camera)
         else:
             _go_on(journal, out, interrupted)
         for note in opened.notes:
             journal.append("note", text=note)
-        with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
+        with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted, watch) as store:
             recorder = PaintRecorder(opened, rig, plan, store, journal, request, interrupted)
             recorder.record(steps, last_good, mend)
         session = CaptureSession(
