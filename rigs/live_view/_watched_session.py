@@ -348,7 +348,7 @@ class WatchedSession(SessionWatch):
         with self._changed:
             self._picture = picture
             self._time.took(raw.exposure_requested_s)
-            if step is not None:
+            if step is not None and not bool((seen >= self._full).any()):
                 self._compare(step, signal_dn / raw.exposure_s, 1.0 / max(snr * math.sqrt(pixels), 1e-9), signal_dn)
                 if step.light != "off" and step.filter_name is not None and self._time.frames_left >= 0:
                     self._least_snr[step.filter_name] = min(self._least_snr.get(step.filter_name, math.inf), snr)
