@@ -233,7 +233,8 @@ def session_screen(
         headline, style = "END?", RED
         text = "Press e to end the session; finray capture --resume goes on with it later. Any other key goes back."
     said = (textwrap.wrap(text, screen.columns - 2) + [""] * MOST_LINES_SAID)[:MOST_LINES_SAID]
-    told = (textwrap.wrap(numbers.told, screen.columns - 2) + [""] * MOST_TOLD_LINES)[:MOST_TOLD_LINES]
+    note = f"noted last: {numbers.told}" if numbers.told else ""
+    told = (textwrap.wrap(note, screen.columns - 2) + [""] * MOST_TOLD_LINES)[:MOST_TOLD_LINES]
     height = screen.lines - HEADLINE_LINES - len(said) - len(told) - 3
     width = screen.columns - PANEL_COLUMNS - 1
     region = session.region
@@ -274,7 +275,7 @@ def panel_lines(screen: Screen, numbers: SessionNumbers, height: int) -> list[st
         counted = f"{numbers.stored} frames stored, {numbers.left} to take"
     else:
         share = numbers.done / max(numbers.total, 1)
-        counted = f"{numbers.phase or 'begins'}: {numbers.done} of {numbers.total}"
+        counted = f"{numbers.phase}: {numbers.done} of {numbers.total}" if numbers.phase else "no frame yet"
     is_hot = numbers.saturated_fraction > 0
     lines = [
         lights_line(screen, numbers),
@@ -282,7 +283,7 @@ def panel_lines(screen: Screen, numbers: SessionNumbers, height: int) -> list[st
         line(time_left(numbers), BOLD),
         line(bar(screen, share)),
         line(counted),
-        line(f"SIGNAL TO NOISE {numbers.snr:.0f} a pixel", BOLD),
+        line(f"SIGNAL TO NOISE {numbers.snr:.0f} a pixel" if numbers.frame else "SIGNAL TO NOISE -", BOLD),
         line(f"{duration(numbers.exposure_s)}, brightest {100 * numbers.brightest_fraction:.0f} %"
              + (" HOT" if is_hot else ""), RED if is_hot else PLAIN),
         line(f"FILTER {numbers.filter_name}", BOLD),
@@ -311,5 +312,5 @@ def filter_lines(filters: tuple[FilterCount, ...]) -> list[str]:
     if not any(f.planned for f in filters):
         return ["filters are counted when metered"]
     done = sum(f.stored >= f.planned for f in filters)
-    begun = [f"{f.name} {f.stored}/{f.planned}" for f in filters if 0 < f.stored < f.planned]
-    return [f"{done} of {len(filters)} filters done", ", ".join(begun)[:PANEL_COLUMNS]]
+    begun = ", ".join(f"{f.name} {f.stored}/{f.planned}" for f in filters if 0 < f.stored < f.planned)
+    return [f"{done} of {len(filters)} filters done", *[*textwrap.wrap(begun, PANEL_COLUMNS), "", ""][:2]]
