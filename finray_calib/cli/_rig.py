@@ -301,9 +301,7 @@ def _run_session(arguments: argparse.Namespace) -> None:
 
     if arguments.resume is not None:
         if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:
-            raise CaptureError(
-                "--resume takes plan, rig and folder from the session; leave out the others"
-            )
+            raise CaptureError("--resume takes plan, rig and folder from the session; leave out the others")
         with interruptible(arguments.resume):
             resume(arguments.resume, arguments.like, attend)
         return
@@ -325,12 +323,12 @@ def _in_view(
     from data_schemas import RigFile
     from rigs.live_view import WatchedSession, shown_session
 
-    takes_time = True
+    takes_time, has_lights = True, isinstance(rig, RigFile)
     if isinstance(rig, RigFile):
         tell_of_laser(rig)
         takes_time = not rig.is_simulated
     name = next(str(getattr(plan, part)) for part in ("paint_name", "camera_name", "name") if hasattr(plan, part))
-    session = WatchedSession(name, rig.camera, getattr(plan, "region", None), takes_time)
+    session = WatchedSession(name, rig.camera, getattr(plan, "region", None), takes_time, has_lights)
     file = out.absolute().with_name(f"{out.absolute().name}.live-address")
 
     def tell_address(url: str) -> None:

@@ -154,14 +154,23 @@ class WatchedSession(SessionWatch):
         Of the plan; the whole frame when left out.
     takes_time
         Whether an exposure takes its time; on the simulated rig it takes none.
+    has_lights
+        Whether the session switches lights; that of a finger does not.
     """
 
-    def __init__(self, name: str, camera: CameraSettings, region: RegionOfInterest | None, takes_time: bool) -> None:
+    def __init__(
+        self,
+        name: str,
+        camera: CameraSettings,
+        region: RegionOfInterest | None,
+        takes_time: bool = True,
+        has_lights: bool = True,
+    ) -> None:
         self.name, self.operator = name, ViewOperator(self)
         self._camera, self._full = camera, 2**camera.bit_depth - 1
         whole = RegionOfInterest(row_px=0, column_px=0, height_px=camera.height_px, width_px=camera.width_px)
         self.region = region or whole
-        self._time = _TimeLeft(takes_time)
+        self._time, self._has_lights = _TimeLeft(takes_time), has_lights
         self._changed = threading.Condition()
         self._picture: NDArray[np.uint8] = np.zeros((2, 2), np.uint8)
         self._numbers = SessionNumbers()
@@ -227,6 +236,9 @@ class WatchedSession(SessionWatch):
     def darken(self) -> None:
         """Have all lights off at once, and keep them off until a person allows them."""
         with self._changed:
+            if not self._has_lights:
+                self._publish(told="the light of the finger is not switched from here: switch it off at the finger")
+                return
             self._kept_off, self._presses = True, self._presses + 1
             self._publish(kept_off=True, told="light off by hand: no light is lit before you say so")
             if self._shining:
@@ -354,7 +366,7 @@ class WatchedSession(SessionWatch):
                     self._least_snr[step.filter_name] = min(self._least_snr.get(step.filter_name, math.inf), snr)
             self._publish(
                 frame=label,
-                exposure_s=raw.exposure_s,
+                exposure_s=raw.exposure_s if math.isfinite(raw.exposure_s) else raw.exposure_requested_s,
                 brightest_fraction=float(np.quantile(seen, 0.999)) / self._full,
                 saturated_fraction=float((seen >= self._full).mean()),
                 histogram=tuple(int(n) for n in np.histogram(seen, bins=BINS, range=(0, self._full + 1))[0]),

@@ -17,6 +17,7 @@ from rigs import paint_plan, simulated_rig, write_plan, write_rig
 from rigs.capture import (
     SessionRequest,
     capture_paint_session,
+    capture_tactile_session,
     read_frame_of,
     read_interrupted,
     read_journal,
@@ -31,6 +32,7 @@ from rigs.live_view._watched_session import DARK_WITHIN_S, TARGET_HEADLINES, Dri
 from rigs.simulated import SimulatedCamera, SimulatedLight
 from tests.architecture.test_conventions import ROOT
 from tests.capture.drivers.programs import require
+from tests.capture.finger_session import plan_of, rig_of, scene
 from tests.capture.terminal_screen import Terminal
 
 PATIENCE_S = 240.0
@@ -269,8 +271,29 @@ def test_what_is_healed_is_counted(small, short, captured_short, tmp_path, monke
     assert frames_of(made) == frames_of(captured_short)
 
 
+def test_a_session_of_presses(sensor, tmp_path):
+    """It has no region, no filter and no light of its own; the key for light off says so and holds nothing."""
+    plan, rig = plan_of(tmp_path), rig_of(tmp_path)
+    session = WatchedSession(plan.name, rig.camera, None, has_lights=False)
+    session.darken()
+
+    def presses(numbers) -> str:
+        sensor.scene = scene(sensor, contact=numbers.text.startswith("Press"))
+        return "done"
+
+    with person(session, presses) as asked:
+        made = capture_tactile_session(rig, plan, plan.presses, request(session, tmp_path / "out"))
+    picture, numbers = session.latest(-1, 0.0)
+    assert (numbers.stored, numbers.left, numbers.kept_off) == (len(made.frames), 0, False)
+    assert "switch it off at the finger" in numbers.told
+    assert len(asked) > 4
+    assert asked[0].headline == "YOUR HANDS PLEASE"
+    assert picture.shape == (rig.camera.height_px // 2, rig.camera.width_px // 2)
+    assert numbers.exposure_s == pytest.approx(0.01, rel=0.05)
+
+
 def test_a_repair_is_asked_for_and_the_operator_is_believed():
-    session = WatchedSession("red", simulated_rig("red").camera, None, takes_time=True)
+    session = WatchedSession("red", simulated_rig("red").camera, None)
     with person(session, lambda n: n.answers[-1]) as asked:
         assert not session.mend("filter wheel: 450 and 600 are exchanged")
     with person(session) as again:
