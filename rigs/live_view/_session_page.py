@@ -36,7 +36,7 @@ from rigs.live_view._terminal_page import (
     duration,
     picture_lines,
 )
-from rigs.live_view._watched_session import FilterCount, SessionNumbers, WatchedSession
+from rigs.live_view._watched_session import SessionNumbers, WatchedSession
 
 PAGE_ASKS_WITHIN_S: Final = 6.0
 """A page waits at most 5 s for a change before it asks anew."""
@@ -235,7 +235,7 @@ def session_screen(
     said = (textwrap.wrap(text, screen.columns - 2) + [""] * MOST_LINES_SAID)[:MOST_LINES_SAID]
     note = f"noted last: {numbers.told}" if numbers.told else ""
     told = (textwrap.wrap(note, screen.columns - 2) + [""] * MOST_TOLD_LINES)[:MOST_TOLD_LINES]
-    height = screen.lines - HEADLINE_LINES - len(said) - len(told) - 3
+    height = screen.lines - HEADLINE_LINES - len(said) - len(told) - 2
     width = screen.columns - PANEL_COLUMNS - 1
     region = session.region
     place = region.row_px, region.column_px, region.height_px, region.width_px
@@ -246,7 +246,6 @@ def session_screen(
         screen.painted(title + f"{numbers.stored} stored ".rjust(16), REVERSE, screen.columns),
         *(screen.painted(line, style, screen.columns) for line in large_letters(screen, headline)),
         *(screen.painted(f" {line}", style if numbers.question or ends else PLAIN, screen.columns) for line in said),
-        "",
         *(f"{left} {right}" for left, right in zip([*shown, *[" " * width] * height], panel, strict=False)),
         *(screen.painted(f" {line}", PLAIN, screen.columns) for line in told),
         screen.painted(KEYS, REVERSE, screen.columns),
@@ -286,11 +285,10 @@ def panel_lines(screen: Screen, numbers: SessionNumbers, height: int) -> list[st
         line(f"SIGNAL TO NOISE {numbers.snr:.0f} a pixel" if numbers.frame else "SIGNAL TO NOISE -", BOLD),
         line(f"{duration(numbers.exposure_s)}, brightest {100 * numbers.brightest_fraction:.0f} %"
              + (" HOT" if is_hot else ""), RED if is_hot else PLAIN),
-        line(f"FILTER {numbers.filter_name}", BOLD),
-        *(line(text) for text in filter_lines(numbers.filters)),
-        line("DRIFT since its first frame", BOLD),
-        *(line(f"{100 * d.change_rel:+.2f} \u00b1 {100 * d.uncertainty_rel:.2f} % {d.label}") for d in numbers.drifts),
-        *([] if numbers.drifts else [line("no reference was seen twice")]),
+        *(line(text, style) for text, style in filter_lines(numbers)),
+        *(line(f"drift {100 * d.change_rel:+.2f}\u00b1{100 * d.uncertainty_rel:.2f}% {d.label}")
+          for d in numbers.drifts),
+        *([] if numbers.drifts else [line("drift: no reference seen twice")]),
         line(f"healed: {numbers.repeated} repeated, {numbers.retaken} retaken"),
         line(f"{numbers.lights_lost} lights lost, {numbers.repairs} repairs"),
     ]  # fmt: skip
@@ -307,10 +305,12 @@ def time_left(numbers: SessionNumbers) -> str:
     return f"TIME LEFT {left_s:.0f} s" if left_s < 90 else f"TIME LEFT {left_s / 60:.0f} min"
 
 
-def filter_lines(filters: tuple[FilterCount, ...]) -> list[str]:
-    """Return how many filters have all their frames, and how many frames each that is begun has."""
+def filter_lines(numbers: SessionNumbers) -> list[tuple[str, str]]:
+    """Return the filter in the beam, how many have all their frames, and how many frames each that is begun has."""
+    filters, beam = numbers.filters, f"FILTER {numbers.filter_name}"
     if not any(f.planned for f in filters):
-        return ["filters are counted when metered"]
+        return [(beam, BOLD), ("", PLAIN)]
     done = sum(f.stored >= f.planned for f in filters)
     begun = ", ".join(f"{f.name} {f.stored}/{f.planned}" for f in filters if 0 < f.stored < f.planned)
-    return [f"{done} of {len(filters)} filters done", *[*textwrap.wrap(begun, PANEL_COLUMNS), "", ""][:2]]
+    whole = textwrap.shorten(begun, PANEL_COLUMNS, placeholder=" ...")
+    return [(f"{beam}, {done} of {len(filters)} done", BOLD), (whole, PLAIN)]

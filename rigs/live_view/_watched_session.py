@@ -35,6 +35,8 @@ LEAST_FRAMES: Final = 3
 """Timed before a time is said that is left."""
 REFERENCE_SIGNAL: Final = 0.05
 """Share of full scale from which on a frame is a reference for drift: below it, noise decides."""
+REFERENCES: Final = {"white": "tile lamp", "laser white": "tile laser", "fluorescence repeat": "repeat"}
+"""Kinds of frames that are seen again, in words that fit a narrow screen."""
 TARGET_HEADLINES: Final[Mapping[Target, str]] = {
     "white": "PUT IN WHITE TILE",
     "sample": "PUT IN THE SAMPLE",
@@ -389,10 +391,10 @@ class WatchedSession(SessionWatch):
         first = self._references.setdefault(key, (rate_dn_per_s, uncertainty_rel))
         if first[0] == rate_dn_per_s or step.frame_type == "fluorescence":
             return
-        name = {"white": "white, lamp", "laser white": "white, laser"}.get(step.frame_type, step.frame_type)
+        kind = REFERENCES.get(step.frame_type, step.frame_type)
         uncertainty = math.hypot(first[1], uncertainty_rel)
-        self._drifts[name] = Drift(f"{name}, {step.filter_name or 'no filter'}", rate_dn_per_s / first[0] - 1.0,
-                                   uncertainty)  # fmt: skip
+        label = f"{kind} {step.filter_name or 'no filter'}"
+        self._drifts[kind] = Drift(label, rate_dn_per_s / first[0] - 1.0, uncertainty)
 
     def _filters(self) -> tuple[FilterCount, ...]:
         names = dict.fromkeys((*self._planned, *self._stored))

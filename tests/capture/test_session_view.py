@@ -28,7 +28,14 @@ from rigs.live_view import WatchedSession
 from rigs.live_view._live_server import BINS
 from rigs.live_view._session_page import HELP, LETTERS, large_letters, session_screen
 from rigs.live_view._terminal_page import LEAST_COLUMNS, Screen
-from rigs.live_view._watched_session import DARK_WITHIN_S, TARGET_HEADLINES, Drift, FilterCount, SessionNumbers
+from rigs.live_view._watched_session import (
+    DARK_WITHIN_S,
+    REFERENCES,
+    TARGET_HEADLINES,
+    Drift,
+    FilterCount,
+    SessionNumbers,
+)
 from rigs.simulated import SimulatedCamera, SimulatedLight
 from tests.architecture.test_conventions import ROOT
 from tests.capture.drivers.programs import require
@@ -123,7 +130,7 @@ def test_drift_is_that_of_the_frames(small, short, tmp_path):
     flicker = 2.0 * 0.002 * 2.0**0.5  # two standard deviations of two frames of the simulated light
     with person(session), dimmer(session, 0.97):
         capture_paint_session(small, short, request(session, tmp_path / "out"))
-    (white,) = [d for d in session.latest(-1, 0.0)[1].drifts if d.label.startswith("white, lamp")]
+    (white,) = [d for d in session.latest(-1, 0.0)[1].drifts if d.label.startswith("tile lamp")]
     assert white.change_rel == pytest.approx(-0.03, abs=flicker + 2.0 * white.uncertainty_rel)
     assert 0.0 < white.uncertainty_rel < 0.01
 
@@ -491,7 +498,8 @@ def numbers(**what) -> SessionNumbers:
         "headline": "FRAMES", "text": "12 of 60: frames: white (white, lamp) through filter 560", "stored": 12,
         "left": 48, "time_left_s": 200.0, "frame": "white", "exposure_s": 0.1, "snr": 88.0, "lamp": True,
         "histogram": (1,) * BINS,
-        "drifts": (Drift("white, lamp, 560", -0.0031, 0.0004),), "filters": (FilterCount("450", 4, 4, 50.0),
+        "drifts": tuple(Drift(f"{kind} 560", -0.0031, 0.0004) for kind in REFERENCES.values()),
+        "filters": (FilterCount("450", 4, 4, 50.0),
         FilterCount("560", 2, 4, 60.0)), "retaken": 1, "told": "taken again: camera: a torn frame",
     }  # fmt: skip
     return SessionNumbers(**{**full, **what})
@@ -506,7 +514,9 @@ def test_every_number_has_its_place_at_80_by_24(small, short):
     text = "\n".join(lines)
     assert len(lines) == 24
     for shown in ("LAMP ON", "LASER off", "TIME LEFT 3 min", "12 frames stored, 48 to take", "SIGNAL TO NOISE 88",
-                  "1 of 2 filters done", "560 2/4", "-0.31 \u00b1 0.04 % white, lamp, 560", "0 repeated, 1 retaken",
+                  "FILTER none, 1 of 2 done", "560 2/4", "drift -0.31\u00b10.04% tile lamp 560", "% tile laser 560",
+                  "% repeat 560",
+                  "0 lights lost, 0 repairs", "0 repeated, 1 retaken",
                   "a torn frame", "l LIGHT OFF"):  # fmt: skip
         assert shown in text
     assert len(HELP) + 6 <= 24
