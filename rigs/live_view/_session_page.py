@@ -89,7 +89,7 @@ def shown_session(
     tell_address
         Called with the address, which holds the token, before the session begins.
     """
-    with live_server(session, port) as server, _ignoring_the_terminals_end(session):
+    with live_server(session, port) as server, _signals_of_a_session(session):
         threads = [threading.Thread(target=server.serve_forever, args=(0.2,), name="session server", daemon=True)]
         tell_address(server.url)
         page = _SessionPage(session, server.url) if in_terminal else None
@@ -123,8 +123,11 @@ def _end(session: WatchedSession, words: str, server: LiveServer, page: "_Sessio
 
 
 @contextmanager
-def _ignoring_the_terminals_end(session: WatchedSession) -> Iterator[None]:
-    """Let a session run on when its terminal is closed, and when Ctrl-Z is pressed, for a ``with`` block."""
+def _signals_of_a_session(session: WatchedSession) -> Iterator[None]:
+    """Let a session run on when its terminal is closed and when Ctrl-Z is pressed, and end at the interrupt of a view.
+
+    A shell has programs in the background ignore the interrupt, and :meth:`WatchedSession.end` needs it.
+    """
 
     def run_on(number: int, frame: FrameType | None) -> None:
         if number == signal.SIGTSTP:
@@ -132,6 +135,7 @@ def _ignoring_the_terminals_end(session: WatchedSession) -> Iterator[None]:
 
     # Handlers, and not SIG_IGN, which programs that the rig starts would inherit.
     before = {number: signal.signal(number, run_on) for number in (signal.SIGHUP, signal.SIGTSTP)}
+    before[signal.SIGINT] = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield
     finally:

@@ -34,7 +34,7 @@ DARK_WITHIN_S: Final = 1.0
 LEAST_FRAMES: Final = 3
 """Timed before a time is said that is left."""
 REFERENCE_SIGNAL: Final = 0.05
-"""Share of full scale from which on a frame is a reference for drift: below it, noise decides."""
+"""Share of full scale from which on a frame is a reference for drift: below it, the black level decides."""
 REFERENCES: Final = {"white": "tile lamp", "laser white": "tile laser", "fluorescence repeat": "repeat"}
 """Kinds of frames that are seen again, in words that fit a narrow screen."""
 TARGET_HEADLINES: Final[Mapping[Target, str]] = {
@@ -53,7 +53,8 @@ class Drift:
     label
         What was seen: step and filter.
     change_rel
-        Rate (DN/s) over that of the first bright frame of the same step, less one.
+        Rate (DN/s) over that of the first frame of the same step and exposure, less one: black level and linearity of
+        the camera are not in it.
     uncertainty_rel
         Its standard uncertainty from photon and read noise; the light's own flicker is not in it.
     """
@@ -181,7 +182,7 @@ class WatchedSession(SessionWatch):
         self._shining: set[LightRole] = set()
         self._kept_off = False
         self._main = threading.main_thread().ident
-        self._references: dict[str, tuple[float, float]] = {}
+        self._references: dict[tuple[str, float], tuple[float, float]] = {}
         self._drifts: dict[str, Drift] = {}
         self._stored: Counter[str] = Counter()
         self._planned: Counter[str] = Counter()
@@ -363,7 +364,8 @@ class WatchedSession(SessionWatch):
             self._picture = picture
             self._time.took(raw.exposure_requested_s)
             if step is not None and not bool((seen >= self._full).any()):
-                self._compare(step, signal_dn / raw.exposure_s, 1.0 / max(snr * math.sqrt(pixels), 1e-9), signal_dn)
+                uncertainty_rel = 1.0 / max(snr * math.sqrt(pixels), 1e-9)
+                self._compare(step, raw.exposure_s, signal_dn, uncertainty_rel)
                 if step.light != "off" and step.filter_name is not None and self._time.frames_left >= 0:
                     self._least_snr[step.filter_name] = min(self._least_snr.get(step.filter_name, math.inf), snr)
             self._publish(
@@ -380,14 +382,15 @@ class WatchedSession(SessionWatch):
                 filters=self._filters(),
             )
 
-    def _compare(self, step: Step, rate_dn_per_s: float, uncertainty_rel: float, signal_dn: float) -> None:
-        """Compare a reference, or the fluorescence that is repeated, with its first bright frame."""
+    def _compare(self, step: Step, exposure_s: float, signal_dn: float, uncertainty_rel: float) -> None:
+        """Compare a reference, or the fluorescence that is repeated, with its first frame of the same exposure."""
+        rate_dn_per_s = signal_dn / exposure_s
         is_white = step.target == "white" and step.light in ("lamp", "laser")
         if not is_white and step.frame_type not in ("fluorescence", "fluorescence repeat"):
             return
         if signal_dn < REFERENCE_SIGNAL * self._full:
             return
-        key = step.label.replace("fluorescence repeat", "fluorescence")
+        key = step.label.replace("fluorescence repeat", "fluorescence"), exposure_s
         first = self._references.setdefault(key, (rate_dn_per_s, uncertainty_rel))
         if first[0] == rate_dn_per_s or step.frame_type == "fluorescence":
             return

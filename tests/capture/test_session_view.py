@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import signal
 import subprocess
 import sys
 import threading
@@ -241,6 +242,15 @@ def test_the_light_key_before_a_light_keeps_it_off(small, short, tmp_path, monke
     assert len(made.frames) > 20
 
 
+@pytest.fixture
+def interrupts():
+    """The interrupt, which a shell has programs in the background ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupts")
 def test_a_session_that_does_not_leave_its_light_is_ended(small, short, tmp_path, monkeypatch):
     """Held outside of camera and wheel, as by a disk that hangs, it is ended as by Ctrl-C."""
     held, session = Held(monkeypatch, "lamp"), watched(small, short)
