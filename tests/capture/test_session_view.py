@@ -164,7 +164,7 @@ class Held:
         expose, lit = SimulatedCamera.expose, SimulatedLight.lit
 
         def held(camera, exposure_s, deadline_s):
-            if getattr(camera.state, light) and not self.begun.is_set():
+            if getattr(camera.state, light, False) and not self.begun.is_set():
                 self.begun.set()
                 assert self.go_on.wait(PATIENCE_S)
             return expose(camera, exposure_s, deadline_s)
@@ -403,7 +403,12 @@ def is_as_before(terminal: Terminal) -> bool:
 
 
 def asks(terminal: Terminal, words: str) -> None:
-    terminal.until(lambda: words in " ".join(terminal.screen.text.split()))
+    terminal.until(lambda: words in " ".join(terminal.screen.text.split()), PATIENCE_S)
+
+
+def status_of(terminal: Terminal) -> int:
+    terminal.until(lambda: terminal.process.poll() is not None, PATIENCE_S)
+    return terminal.status()
 
 
 def test_a_whole_session_in_the_terminal(files, captured_short):
@@ -416,7 +421,7 @@ def test_a_whole_session_in_the_terminal(files, captured_short):
             assert all(len(row) == 80 for row in terminal.screen.rows())
             terminal.press("x\r")
             terminal.until(lambda words=words: words not in " ".join(terminal.screen.text.split()))
-        assert terminal.status() == 0
+        assert status_of(terminal) == 0
         assert is_as_before(terminal)
         said = " ".join(terminal.screen.bare_text.split())
     assert f"{len(captured_short.frames)} frames of 'red'" in said
@@ -455,7 +460,7 @@ def test_ctrl_c_ends_it_dark_and_capture_resumes_it(files, captured_short):
         terminal.press("\r")
         asks(terminal, "You switched the light off")
         terminal.press("\x03")
-        assert terminal.status() == 130
+        assert status_of(terminal) == 130
         assert is_as_before(terminal)
         assert "Traceback" not in terminal.screen.bare_text
         assert f"finray capture --resume {files}/out" in terminal.screen.bare_text.replace("\r\n", "").replace("  ", "")
@@ -471,10 +476,10 @@ def test_q_and_e_end_it_and_live_resumes_it(files):
         terminal.press("x")
         asks(terminal, "Put the paint sample")
         terminal.press("qe")
-        assert terminal.status() == 130
+        assert status_of(terminal) == 130
     words = [*command(files)[:4], "--resume", f"{files}/out"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=files) as process:
-        assert process.stdout.readline().startswith("http://127.0.0.1:")
+        assert any(line.startswith("http://127.0.0.1:") for line in process.stdout)
         Page(files).answer_all()
         assert process.wait(PATIENCE_S) == 0
     assert verify_session(files / "out").faults == ()
