@@ -235,7 +235,7 @@ def session_screen(
         text += " Press e to end here." if "end" in numbers.answers else ""
     if ends:
         headline, style = "END?", RED
-        text = "Press e to end the session; finray capture --resume goes on with it later. Any other key goes back."
+        text = "Press e to end the session; finray capture --resume continues it later. Any other key goes back."
     said = (textwrap.wrap(text, screen.columns - 2) + [""] * MOST_LINES_SAID)[:MOST_LINES_SAID]
     note = f"noted last: {numbers.told}" if numbers.told else ""
     told = (textwrap.wrap(note, screen.columns - 2) + [""] * MOST_TOLD_LINES)[:MOST_TOLD_LINES]

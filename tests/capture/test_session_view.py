@@ -463,7 +463,7 @@ def test_ctrl_c_ends_it_dark_and_capture_resumes_it(files, captured_short):
         assert status_of(terminal) == 130
         assert is_as_before(terminal)
         assert "Traceback" not in terminal.screen.bare_text
-        assert f"finray capture --resume {files}/out" in terminal.screen.bare_text.replace("\r\n", "").replace("  ", "")
+        assert f"finray capture --resume {files}/out" in " ".join(terminal.screen.bare_text.split())
     assert main(["capture", "--resume", f"{files}/out"]) == 0
     assert [f.file for f in read_session(files / "out").frames] == [f.file for f in captured_short.frames]
 
