@@ -20,6 +20,7 @@ from data_schemas import (
     BandPassFilter,
     CaptureError,
     CaptureSession,
+    DeviceIdentity,
     FilterProof,
     Frame,
     LightState,
@@ -396,9 +397,7 @@ def capture_with(
     camera = opened.camera.identity()
     if interrupted is not None:
         require_same_inputs(interrupted, inputs)
-        require_same_camera(interrupted, camera)
-        _require_permission(interrupted, rig, opened)
-        opened = replace(opened, clock=interrupted.clock_after(opened.clock))
+        opened = _as_before(opened, rig, camera, interrupted)
     out.mkdir(parents=True, exist_ok=True)
     watch = request.watch
     with Journal(out, opened.clock, resumed=interrupted is not None, told=watch.noted) as journal:
@@ -433,6 +432,13 @@ def _go_on(journal: Journal, out: Path, interrupted: Interrupted) -> None:
     """Take over the folder of an interrupted session, and note it in its journal."""
     take_over(out, interrupted)
     journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
+
+
+def _as_before(opened: OpenRig, rig: RigFile, camera: DeviceIdentity, interrupted: Interrupted) -> OpenRig:
+    """Return the rig with the clock of an interrupted session, after asking for a laser that was lost in it."""
+    require_same_camera(interrupted, camera)
+    _require_permission(interrupted, rig, opened)
+    return replace(opened, clock=interrupted.clock_after(opened.clock))
 
 
 def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig) -> None:
