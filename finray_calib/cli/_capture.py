@@ -5,8 +5,9 @@ The plan says which kind of session it is: paint, camera or tactile.
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,8 +23,18 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import CameraSession, CaptureSession, RigFile, TactileSession
-    from rigs.capture import Interrupted
+    from data_schemas import (
+        CameraPlan,
+        CameraSession,
+        CaptureSession,
+        PaintPlan,
+        RigFile,
+        TactilePlan,
+        TactileRig,
+        TactileSession,
+    )
+    from rigs import Operator
+    from rigs.capture import Interrupted, SessionRequest, SessionWatch
 
 
 CAPTURE_HELP = "capture a paint sample through filters, the frames that characterise a camera, or presses on a finger"
@@ -56,7 +67,7 @@ def add_capture(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         "--like", type=Path, metavar="SESSION", help="earlier session on this rig that the white frames must resemble"
     )
     add_out(parser, "NAME-session/")
-    parser.set_defaults(run=run_capture)
+    parser.set_defaults(run=run_capture, attend=at_the_terminal)
 
 
 def run_capture(arguments: argparse.Namespace) -> None:
@@ -71,10 +82,15 @@ def run_capture(arguments: argparse.Namespace) -> None:
                 "--resume continues a session, and --dry-run describes one that has not begun; give only one of them"
             )
         with interruptible(arguments.resume):
-            resume(arguments.resume, arguments.like)
+            resume(arguments.resume, arguments.like, at_the_terminal)
         return
     if arguments.plan is None or arguments.rig is None:
         raise CaptureError("give a PLAN and its --rig, or --resume with the folder of an interrupted session")
+    capture(arguments)
+
+
+def capture(arguments: argparse.Namespace) -> None:
+    """Capture what the plan is of, with who attends to it."""
     KINDS[_plan_kind(arguments.plan, tuple(KINDS))](arguments)
 
 
@@ -96,7 +112,7 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
     """Capture a tactile session, or list what it would ask for."""
     from data_schemas import CaptureError, TactilePlan, TactileRig
     from data_schemas.storage import read_toml
-    from rigs.capture import SessionRequest, capture_tactile_session, planned_presses, session_bytes, tactile_shots
+    from rigs.capture import capture_tactile_session, planned_presses, session_bytes, tactile_shots
 
     if arguments.like is not None:
         raise CaptureError("--like is for plans of kind 'paint'; leave it out")
@@ -116,31 +132,25 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
     out = require_new_session(arguments.out or Path(f"{file_name(plan.name)}-session"))
     poses = [] if plan.poses_csv is None else [arguments.plan.parent / plan.poses_csv]
     sources = input_digests([arguments.plan, arguments.rig, *poses])
-    with interruptible(out):
-        session = capture_tactile_session(
-            rig,
-            plan,
-            presses,
-            SessionRequest(
-                out, command_line(), rig_folder=arguments.rig.parent, progress=_tell_operator, sources=sources
-            ),
-        )
+    with interruptible(out), arguments.attend(rig, plan, out) as attended:
+        session = capture_tactile_session(rig, plan, presses, attended.request(out, arguments.rig.parent, sources))
     _report_tactile(out, session)
 
 
-def resume_tactile(folder: Path) -> None:
+def resume_tactile(folder: Path, attend: "Attend") -> None:
     """Go on with an interrupted tactile session."""
-    from rigs.capture import SessionRequest, capture_tactile_session, read_interrupted_presses
+    from rigs.capture import capture_tactile_session, read_interrupted_presses
 
     interrupted = read_interrupted_presses(folder)
     say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
-    session = capture_tactile_session(
-        interrupted.rig,
-        interrupted.plan,
-        interrupted.presses,
-        SessionRequest(folder, command_line(), rig_folder=interrupted.rig_folder, progress=_tell_operator),
-        interrupted=interrupted,
-    )
+    with attend(interrupted.rig, interrupted.plan, folder) as attended:
+        session = capture_tactile_session(
+            interrupted.rig,
+            interrupted.plan,
+            interrupted.presses,
+            attended.request(folder, interrupted.rig_folder),
+            interrupted=interrupted,
+        )
     _report_tactile(folder, session)
 
 
@@ -162,7 +172,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
     from data_schemas import CaptureError, PaintPlan, RigFile
     from data_schemas.storage import read_toml
     from rigs import AbsentOperator, open_rig, rig_locked
-    from rigs.capture import SessionRequest, capture_paint_session, forecast, paint_steps, read_session, require_ready
+    from rigs.capture import capture_paint_session, forecast, paint_steps, read_session, require_ready
     from rigs.light_guard import require_outside_layer
 
     plan, rig = read_toml(arguments.plan, PaintPlan), read_toml(arguments.rig, RigFile)
@@ -190,14 +200,9 @@ def capture_paint(arguments: argparse.Namespace) -> None:
     last_good = None if arguments.like is None else read_session(arguments.like)
     out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
     sources = input_digests([arguments.plan, arguments.rig])
-    with interruptible(out), _telling(rig) as progress:
-        session = capture_paint_session(
-            rig,
-            plan,
-            SessionRequest(out, command_line(), rig_folder=arguments.rig.parent, progress=progress, sources=sources),
-            last_good=last_good,
-            mend=_ask_to_mend,
-        )
+    with interruptible(out), arguments.attend(rig, plan, out) as attended:
+        request = attended.request(out, arguments.rig.parent, sources)
+        session = capture_paint_session(rig, plan, request, last_good=last_good, mend=attended.mend)
     _report(out, session, plan.paint_name)
 
 
@@ -218,7 +223,7 @@ def capture_camera(arguments: argparse.Namespace) -> None:
     """Capture a camera session."""
     from data_schemas import CameraPlan, CaptureError, RigFile
     from data_schemas.storage import read_toml
-    from rigs.capture import SessionRequest, camera_step, capture_camera_session
+    from rigs.capture import camera_step, capture_camera_session
 
     if arguments.dry_run or arguments.like is not None:
         raise CaptureError("--dry-run and --like are for plans of kind 'paint'; leave them out")
@@ -227,12 +232,8 @@ def capture_camera(arguments: argparse.Namespace) -> None:
     sources = input_digests([arguments.plan, arguments.rig])
     with naming(CaptureError, arguments.plan):
         camera_step(plan, rig)
-    with interruptible(out), _telling(rig) as progress:
-        session = capture_camera_session(
-            rig,
-            plan,
-            SessionRequest(out, command_line(), rig_folder=arguments.rig.parent, progress=progress, sources=sources),
-        )
+    with interruptible(out), arguments.attend(rig, plan, out) as attended:
+        session = capture_camera_session(rig, plan, attended.request(out, arguments.rig.parent, sources))
     _report(out, session, plan.camera_name)
 
 
@@ -243,7 +244,7 @@ KINDS: dict[str, Callable[[argparse.Namespace], None]] = {
 }
 
 
-def resume(folder: Path, like: Path | None) -> None:
+def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
     """Go on with an interrupted session."""
     from data_schemas import CaptureError
     from rigs.capture import complete_session, is_tactile, lacks_manifest, read_interrupted, read_session
@@ -259,65 +260,113 @@ def resume(folder: Path, like: Path | None) -> None:
     if like is not None and (interrupted is None or interrupted.kind != "paint"):
         raise CaptureError("--like is for sessions of kind 'paint'; leave it out")
     if interrupted is None:
-        resume_tactile(folder)
+        resume_tactile(folder, attend)
         return
     if interrupted.kind not in ("paint", "camera"):
         raise CaptureError(f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; capture it again")
     say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
     if interrupted.kind == "camera":
-        _resume_camera(folder, interrupted)
+        _resume_camera(folder, interrupted, attend)
     else:
-        _resume_paint(folder, interrupted, None if like is None else read_session(like))
+        _resume_paint(folder, interrupted, None if like is None else read_session(like), attend)
 
 
-def _resume_paint(folder: Path, interrupted: "Interrupted", last_good: "CaptureSession | None") -> None:
+def _resume_paint(
+    folder: Path, interrupted: "Interrupted", last_good: "CaptureSession | None", attend: "Attend"
+) -> None:
     """Go on with a paint session."""
     from data_schemas import PaintPlan
-    from rigs.capture import SessionRequest, capture_paint_session
+    from rigs.capture import capture_paint_session
 
     plan, rig = interrupted.plan(PaintPlan), interrupted.rig()
-    with _telling(rig) as progress:
+    with attend(rig, plan, folder) as attended:
+        request = attended.request(folder, interrupted.rig_folder)
         session = capture_paint_session(
-            rig,
-            plan,
-            SessionRequest(folder, command_line(), rig_folder=interrupted.rig_folder, progress=progress),
-            interrupted=interrupted,
-            last_good=last_good,
-            mend=_ask_to_mend,
+            rig, plan, request, interrupted=interrupted, last_good=last_good, mend=attended.mend
         )
     _report(folder, session, plan.paint_name)
 
 
-def _resume_camera(folder: Path, interrupted: "Interrupted") -> None:
+def _resume_camera(folder: Path, interrupted: "Interrupted", attend: "Attend") -> None:
     """Go on with a camera session."""
     from data_schemas import CameraPlan
-    from rigs.capture import SessionRequest, capture_camera_session
+    from rigs.capture import capture_camera_session
 
     plan, rig = interrupted.plan(CameraPlan), interrupted.rig()
-    with _telling(rig) as progress:
-        session = capture_camera_session(
-            rig,
-            plan,
-            SessionRequest(folder, command_line(), rig_folder=interrupted.rig_folder, progress=progress),
-            interrupted=interrupted,
-        )
+    with attend(rig, plan, folder) as attended:
+        request = attended.request(folder, interrupted.rig_folder)
+        session = capture_camera_session(rig, plan, request, interrupted=interrupted)
     _report(folder, session, plan.camera_name)
 
 
-@contextmanager
-def _telling(rig: "RigFile") -> Iterator[Progress]:
-    """Show the progress; before a real laser its safety line. A bar would hide what the operator is asked."""
-    with _bar_or_lines(rig) as progress:
-        if not rig.is_simulated:
-            from rigs.light_guard import safety_lines
+@dataclass(frozen=True, slots=True)
+class Attended:
+    """Who attends to a session: sees its progress, is asked, mends, and watches its frames.
 
-            for line in safety_lines(rig.laser):
-                guide(line)
-        yield progress
+    Attributes
+    ----------
+    progress
+        Called with how far the session is.
+    operator
+        Who places and presses; a person at the terminal when left out.
+    mend
+        Has something mended, and returns whether it is done.
+    watch
+        Sees frames and journal; nobody when left out.
+    """
+
+    progress: Progress
+    operator: "Operator | None" = None
+    mend: Callable[[str], bool] = _ask_to_mend
+    watch: "SessionWatch | None" = None
+
+    def request(self, out: Path, rig_folder: Path, sources: Mapping[str, str] | None = None) -> "SessionRequest":
+        """Return what is asked of a capture into a folder."""
+        from rigs.capture import SessionRequest, SessionWatch
+
+        return SessionRequest(
+            out,
+            command_line(),
+            rig_folder=rig_folder,
+            progress=self.progress,
+            operator=self.operator,
+            sources=sources or {},
+            watch=self.watch or SessionWatch(),
+        )
+
+
+Attend = Callable[
+    ["RigFile | TactileRig", "PaintPlan | CameraPlan | TactilePlan", Path], AbstractContextManager[Attended]
+]
+"""Opens what attends to a session: called with rig, plan and the session's folder."""
+
+
+@contextmanager
+def at_the_terminal(
+    rig: "RigFile | TactileRig", plan: "PaintPlan | CameraPlan | TactilePlan", out: Path
+) -> Iterator[Attended]:
+    """Ask at the bare terminal, with progress in lines or a bar."""
+    from data_schemas import RigFile
+
+    if not isinstance(rig, RigFile):
+        yield Attended(_tell_operator)
+        return
+    with _bar_or_lines(rig) as progress:
+        tell_of_laser(rig)
+        yield Attended(progress)
+
+
+def tell_of_laser(rig: "RigFile") -> None:
+    """Say before a real laser is lit what it is and what switches it off."""
+    if not rig.is_simulated:
+        from rigs.light_guard import safety_lines
+
+        for line in safety_lines(rig.laser):
+            guide(line)
 
 
 def _bar_or_lines(rig: "RigFile") -> AbstractContextManager[Progress]:
-    """Return a bar on the simulated rig, lines on a real one."""
+    """Return a bar on the simulated rig, lines on a real one: a bar would hide what the operator is asked."""
     return progress_bar("capture") if rig.is_simulated else _lines()
 
 

@@ -3,19 +3,23 @@
 import argparse
 import contextlib
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data_schemas import CaptureError, FinrayError
+from finray_calib.cli._capture import Attended, capture, resume, tell_of_laser
 from finray_calib.cli._output import give, go_on_with, guide, is_for_a_terminal, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     ended_by_signals,
+    interruptible,
     require_new,
 )
 
 if TYPE_CHECKING:
-    from data_schemas import RigFile
+    from data_schemas import CameraPlan, PaintPlan, RigFile, TactilePlan, TactileRig
     from rigs import FoundDevice, Role
 
 
@@ -184,21 +188,32 @@ def _offered(role: str, device: "FoundDevice") -> bool:
     return bool(answer) and answer.strip().lower() in ("", "y", "yes")
 
 
-LIVE_HELP = "look through a rig in the browser or the terminal: focus, exposure, histogram, region"
+LIVE_HELP = "look through a rig, or run a session, in the browser or the terminal"
 LIVE_DESCRIPTION = """\
 Open a rig and show what its camera sees in the browser of this computer: focus of a region that you draw, exposure and
 saturation, histogram, and a key that switches the lamp off. Lamp and filter wheel follow the page. The laser stays off.
 The address that is printed holds a token and is answered on 127.0.0.1 only: give it to nobody. Ctrl-C ends it, with the
 lights off. While it runs, the rig is taken: no session can be captured on it.
 
-With --terminal the same is shown in this terminal, of 80 x 24 or more; ? shows its keys."""
+With --terminal the same is shown in this terminal, of 80 x 24 or more; ? shows its keys.
+
+With --plan it runs the session of 'finray capture' in the view: what to do next in large words, the newest frame,
+signal to noise, drift of the references, time left, and a key that switches all lights off. Closing the page or the
+terminal does not end the session; the same address, which also stands in OUT.live-address while it runs, shows it
+again. Ctrl-C ends it with the lights off; --resume, here or in 'finray capture', continues it."""
 LAST_EXPOSURE_S = 10.0
 
 
 def add_live(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
     parser = verbs.add_parser("live", help=LIVE_HELP, description=LIVE_DESCRIPTION)
-    parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML)")
+    parser.add_argument("--rig", type=Path, metavar="RIG", help="rig file (TOML)")
+    parser.add_argument("--plan", type=Path, metavar="PLAN", help="run this plan, as 'finray capture' does")
+    parser.add_argument("--resume", type=Path, metavar="SESSION", help="continue an interrupted session")
+    parser.add_argument(
+        "--like", type=Path, metavar="SESSION", help="earlier session on this rig that the white frames must resemble"
+    )
+    add_out(parser, "NAME-session/, with --plan")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--port", type=_port, default=0, metavar="N", help="port on 127.0.0.1 (default: a free one)")
     where.add_argument("--terminal", action="store_true", help="show it in this terminal instead of the browser")
@@ -213,10 +228,17 @@ def _port(text: str) -> int:
 
 
 def run_live(arguments: argparse.Namespace) -> None:
-    """Show the rig until Ctrl-C."""
+    """Show the rig until Ctrl-C, or a session until its end."""
     from data_schemas import RigFile
     from data_schemas.storage import read_toml
 
+    if arguments.resume is not None or arguments.plan is not None:
+        _run_session(arguments)
+        return
+    if arguments.rig is None:
+        raise CaptureError("live: give the --rig to look through, --rig and --plan of a session, or --resume")
+    if arguments.out is not None or arguments.like is not None:
+        raise CaptureError("live: --out and --like belong to a session; give its --plan too, or leave them out")
     rig = read_toml(arguments.rig, RigFile)
     if arguments.terminal:
         _live_in_terminal(rig, arguments.rig.parent)
@@ -259,3 +281,70 @@ def _live_in_terminal(rig: "RigFile", folder: Path) -> None:
     region = dict(zip(names, live.region, strict=True))
     with contextlib.suppress(FinrayError):  # the terminal may be gone
         say("\n".join(["[region]", *(f"{name} = {value}" for name, value in region.items())]))
+
+
+def _run_session(arguments: argparse.Namespace) -> None:
+    """Run or continue a session in the view."""
+    from rigs.live_view import require_terminal
+
+    if arguments.terminal:
+        require_terminal()
+        if not is_for_a_terminal():
+            raise CaptureError("live --terminal: shows a picture, so that --json and --quiet cannot be; leave them out")
+
+    @contextmanager
+    def attend(
+        rig: "RigFile | TactileRig", plan: "PaintPlan | CameraPlan | TactilePlan", out: Path
+    ) -> Iterator[Attended]:
+        with _in_view(rig, plan, out, arguments.port, arguments.terminal) as attended:
+            yield attended
+
+    if arguments.resume is not None:
+        if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:
+            raise CaptureError("--resume takes plan, rig and folder from the session; leave out the others")
+        with interruptible(arguments.resume):
+            resume(arguments.resume, arguments.like, attend)
+        return
+    if arguments.rig is None:
+        raise CaptureError("live --plan: give the --rig on which the plan is captured")
+    arguments.attend, arguments.dry_run = attend, False
+    capture(arguments)
+
+
+@contextmanager
+def _in_view(
+    rig: "RigFile | TactileRig",
+    plan: "PaintPlan | CameraPlan | TactilePlan",
+    out: Path,
+    port: int,
+    in_terminal: bool,
+) -> "Iterator[Attended]":
+    """Attend to a session in the browser, or in the terminal too."""
+    from data_schemas import RigFile
+    from rigs.live_view import WatchedSession, shown_session
+
+    takes_time, has_lights = True, isinstance(rig, RigFile)
+    if isinstance(rig, RigFile):
+        tell_of_laser(rig)
+        takes_time = not rig.is_simulated
+    name = next(str(getattr(plan, part)) for part in ("paint_name", "camera_name", "name") if hasattr(plan, part))
+    session = WatchedSession(name, rig.camera, getattr(plan, "region", None), takes_time, has_lights)
+    file = out.absolute().with_name(f"{out.absolute().name}.live-address")
+
+    def tell_address(url: str) -> None:
+        file.unlink(missing_ok=True)
+        file.touch(mode=0o600, exist_ok=False)
+        file.write_text(f"{url}\n", encoding="utf-8")
+        say(f"{url}\n  open it in a browser; it also stands in {file}, for you only. Ctrl-C ends the session")
+        give(url=url)
+
+    def progress(done: int, total: int, what: str) -> None:
+        session.progress(done, total, what)
+        if not in_terminal:
+            guide(f"  {done}/{total} {what}")
+
+    try:
+        with shown_session(session, port, in_terminal, tell_address):
+            yield Attended(progress, session.operator, session.mend, session)
+    finally:
+        file.unlink(missing_ok=True)

@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S
     from rigs.capture._journal import JOURNAL_NAME, read_journal
     from rigs.capture._paint_session import capture_paint_session, forecast, require_ready
-    from rigs.capture._plan import paint_steps, planned_presses, tactile_shots
+    from rigs.capture._plan import Step, paint_steps, planned_presses, tactile_shots
     from rigs.capture._resume import Interrupted, read_interrupted
     from rigs.capture._session_folder import (
         SESSION_KINDS,
         SESSION_NAME,
         SessionRequest,
+        SessionWatch,
         complete_session,
         is_unborn,
         lacks_manifest,
@@ -50,6 +51,8 @@ __all__ = [
     "WHEEL_DEADLINE_S",
     "Interrupted",
     "SessionRequest",
+    "SessionWatch",
+    "Step",
     "camera_step",
     "capture_camera_session",
     "capture_paint_session",

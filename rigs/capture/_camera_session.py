@@ -97,20 +97,20 @@ def capture_camera_with(
     inputs = curve_digests(curve_files(rig, request.rig_folder), request.rig_folder)
     if interrupted is not None:
         require_same_inputs(interrupted, inputs)
-    out = request.out
+    opened, out, watch = request.watch.devices(opened), request.out, request.watch
     out.mkdir(parents=True, exist_ok=True)
     camera = opened.camera.identity()
     if interrupted is not None:
         require_same_camera(interrupted, camera)
         opened = replace(opened, clock=interrupted.clock_after(opened.clock))
     whole_cells = RegionOfInterest.model_validate({k: v & ~1 for k, v in plan.region.model_dump().items()})
-    with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
+    with Journal(out, opened.clock, resumed=interrupted is not None, told=watch.noted) as journal:
         if interrupted is None:
             write_start(journal, plan, rig, request, inputs, camera)
         else:
             take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames))
-        with faults_noted(journal), FrameStore(opened, rig, whole_cells, out, journal, interrupted) as store:
+        with faults_noted(journal), FrameStore(opened, rig, whole_cells, out, journal, interrupted, watch) as store:
             recorder = _Recorder(opened, rig, plan, step, store, journal, request)
             recorder.record(None if interrupted is None else interrupted.levels)
         notes = (*opened.notes, *recorder.notes, *resume_notes(interrupted), *fault_notes(out))
@@ -137,7 +137,7 @@ class _Recorder:
         request: SessionRequest,
     ):
         self._opened, self._camera, self._plan, self._flat = opened, rig.camera, plan, flat
-        self._store, self._journal, self._progress = store, journal, request.tell
+        self._store, self._journal, self._progress, self._watch = store, journal, request.tell, request.watch
         self.notes: tuple[str, ...] = ()
 
     def record(self, levels: Mapping[str, Any] | None) -> None:
@@ -158,6 +158,10 @@ class _Recorder:
             if not found:
                 found.update(self._meter())
                 self._journal.append("levels", **found)
+            both_s = [*found["flats_s"], *found["flats_s"], *found["extra_darks_s"]]
+            missing = self._store.missing(numbered((self._flat, exposure_s) for exposure_s in both_s))
+            flats, name = len(found["flats_s"]), self._flat.filter_name
+            self._watch.expects([(name if shot.sequence < flats else None, shot.exposure_s) for shot in missing])
             tasks.extend(self._takes(numbered((self._flat, t) for t in found["flats_s"]), "flat frames"))
 
         tasks.append(meter)

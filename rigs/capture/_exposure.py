@@ -149,12 +149,18 @@ class CheckedCamera:
         The rig and what its file says about the camera.
     on_refusal
         Called with a text for every frame that is refused and taken again.
+    on_frame
+        Called with the words of the step, the frame and the step for every frame that is accepted.
     """
 
     def __init__(
-        self, opened: OpenRig, settings: CameraSettings, on_refusal: Callable[[str], None] = lambda text: None
+        self,
+        opened: OpenRig,
+        settings: CameraSettings,
+        on_refusal: Callable[[str], None] = lambda text: None,
+        on_frame: Callable[[str, RawFrame, Step], None] = lambda label, raw, step: None,
     ) -> None:
-        self._opened, self._settings, self._on_refusal = opened, settings, on_refusal
+        self._opened, self._settings, self._on_refusal, self._on_frame = opened, settings, on_refusal, on_frame
         self._last: RawFrame | None = None
         self._slot_of_header: dict[str, int] = {}
         self._header_of_slot: dict[int, str] = {}
@@ -181,7 +187,9 @@ class CheckedCamera:
         def once(attempt: int) -> CheckedFrame:
             return self._once(step, exposure_s, attempt)
 
-        return within_attempts(once, self._on_refusal, f"{step.label}, {exposure_s:g} s")[0]
+        checked = within_attempts(once, self._on_refusal, f"{step.label}, {exposure_s:g} s")[0]
+        self._on_frame(step.label, checked.raw, step)
+        return checked
 
     def _once(self, step: Step, exposure_s: float, attempt: int) -> CheckedFrame:
         """Take one frame and check it."""

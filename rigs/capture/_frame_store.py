@@ -19,6 +19,7 @@ from rigs.capture._exposure import CheckedCamera, CheckedFrame, saturated_fracti
 from rigs.capture._journal import DISK_WITHIN_S, Journal, disk_hangs
 from rigs.capture._plan import Step
 from rigs.capture._resume import Interrupted
+from rigs.capture._session_folder import SessionWatch
 
 BYTES_PER_PIXEL = 2
 SPACE_FACTOR = 1.1  # of the frames: room for TIFF headers, journal and record
@@ -55,6 +56,8 @@ class FrameStore:
         The session's folder and journal.
     interrupted
         What is done already, when a session is resumed; its frames are not taken again.
+    watch
+        Sees every frame that is accepted.
     """
 
     def __init__(
@@ -65,9 +68,11 @@ class FrameStore:
         out: Path,
         journal: Journal,
         interrupted: Interrupted | None = None,
+        watch: SessionWatch | None = None,
     ):
         self._opened, self._out, self._journal = opened, out, journal
-        self.camera = CheckedCamera(opened, rig.camera, lambda text: journal.append("refused", text=text))
+        seen = SessionWatch() if watch is None else watch
+        self.camera = CheckedCamera(opened, rig.camera, lambda text: journal.append("refused", text=text), seen.frame)
         self.region = (
             slice(region.row_px, region.row_px + region.height_px),
             slice(region.column_px, region.column_px + region.width_px),

@@ -12,7 +12,7 @@ import os
 import re
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +44,8 @@ class Journal:
         Where the time of each line comes from.
     resumed
         Whether the journal of an interrupted session goes on; else it must not exist.
+    told
+        Called with the event and the rest of every line that is on the disk.
 
     Raises
     ------
@@ -51,8 +53,15 @@ class Journal:
         The folder holds a journal already, or another capture writes into it now.
     """
 
-    def __init__(self, folder: Path, clock: Clock, *, resumed: bool = False):
-        self._clock, self._turn, self._link = clock, threading.Lock(), b""
+    def __init__(
+        self,
+        folder: Path,
+        clock: Clock,
+        *,
+        resumed: bool = False,
+        told: Callable[[str, Mapping[str, Any]], None] = lambda event, what: None,
+    ):
+        self._clock, self._turn, self._link, self._told = clock, threading.Lock(), b"", told
         self._path = folder / JOURNAL_NAME
         # a journal appears under its name with its first line whole: an interrupted session always says how it began
         self._nameless = None if resumed else folder / f".{JOURNAL_NAME}.part"
@@ -105,6 +114,7 @@ class Journal:
                     f"{self._path}: cannot be written ({error.strerror}); free space or mend the disk, then "
                     f"{resume if self._nameless is None else 'begin the capture again: nothing was captured yet'}"
                 ) from None
+        self._told(event, what)
 
     def _write(self, line: str) -> None:
         """Have a line on the disk."""

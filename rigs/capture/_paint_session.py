@@ -20,6 +20,7 @@ from data_schemas import (
     BandPassFilter,
     CaptureError,
     CaptureSession,
+    DeviceIdentity,
     FilterProof,
     Frame,
     LightState,
@@ -85,7 +86,7 @@ class PaintRecorder:
         interrupted: Interrupted | None,
     ):
         self._opened, self._rig, self._plan = opened, rig, plan
-        self._journal, self._progress, self._store = journal, request.tell, store
+        self._journal, self._progress, self._store, self._watch = journal, request.tell, store, request.watch
         self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
         # an interrupted session may have left the sample tilted
         left_tilted = interrupted is not None and plan.second_tilt_deg is not None
@@ -113,6 +114,7 @@ class PaintRecorder:
         lit = [(step, exposure_s) for step in steps for exposure_s in self._exposures_s[step]]
         before, after = self._darks(steps[0], used_s), self._darks(steps[-1], used_s)
         missing = self._store.missing(numbered([*before, *lit, *after]))
+        self._watch.expects([(shot.step.filter_name, shot.exposure_s) for shot in missing])
         for phase, first, last in (
             ("dark frames before", 0, len(before)),
             ("frames", len(before), len(before) + len(lit)),
@@ -391,21 +393,21 @@ def capture_with(
 ) -> CaptureSession:
     """Capture the `steps` of a paint session with devices that are open already."""
     inputs = curve_digests(curve_files(rig, request.rig_folder), request.rig_folder)
-    camera, out = opened.camera.identity(), request.out
+    opened, out = request.watch.devices(opened), request.out
+    camera = opened.camera.identity()
     if interrupted is not None:
         require_same_inputs(interrupted, inputs)
-        require_same_camera(interrupted, camera)
-        _require_permission(interrupted, rig, opened)
-        opened = replace(opened, clock=interrupted.clock_after(opened.clock))
+        opened = _as_before(opened, rig, camera, interrupted)
     out.mkdir(parents=True, exist_ok=True)
-    with Journal(out, opened.clock, resumed=interrupted is not None) as journal:
+    watch = request.watch
+    with Journal(out, opened.clock, resumed=interrupted is not None, told=watch.noted) as journal:
         if interrupted is None:
             write_start(journal, plan, rig, request, inputs, camera)
         else:
             _go_on(journal, out, interrupted)
         for note in opened.notes:
             journal.append("note", text=note)
-        with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted) as store:
+        with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted, watch) as store:
             recorder = PaintRecorder(opened, rig, plan, store, journal, request, interrupted)
             recorder.record(steps, last_good, mend)
         session = CaptureSession(
@@ -430,6 +432,13 @@ def _go_on(journal: Journal, out: Path, interrupted: Interrupted) -> None:
     """Take over the folder of an interrupted session, and note it in its journal."""
     take_over(out, interrupted)
     journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
+
+
+def _as_before(opened: OpenRig, rig: RigFile, camera: DeviceIdentity, interrupted: Interrupted) -> OpenRig:
+    """Return the rig with the clock of an interrupted session, after asking for a laser that was lost in it."""
+    require_same_camera(interrupted, camera)
+    _require_permission(interrupted, rig, opened)
+    return replace(opened, clock=interrupted.clock_after(opened.clock))
 
 
 def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig) -> None:

@@ -5,7 +5,7 @@ frame and the SHA-256 of the record; the checksums list all files. An accident o
 a forger who computes all of them anew is not detected.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -45,8 +45,9 @@ from data_schemas.storage import (
     write_manifest,
     write_record,
 )
-from rigs import Operator, SystemClock
+from rigs import OpenRig, Operator, RawFrame, SystemClock
 from rigs.capture._journal import JOURNAL_NAME, Journal, LinkedLine, linked_lines
+from rigs.capture._plan import Step
 
 SESSION_NAME = "session.json"
 SESSION_EVENT = "session"
@@ -54,6 +55,27 @@ SESSION_EVENT = "session"
 
 
 Progress = Callable[[int, int, str], None]
+
+
+class SessionWatch:
+    """Sees what a session does while it runs; this one looks away, and a view overrides what it shows.
+
+    A session calls it from the thread that runs it, journal lines from that of the frame writer too; it must not raise,
+    but for the devices that it returns.
+    """
+
+    def devices(self, opened: OpenRig) -> OpenRig:
+        """Return the devices that the session is to use in place of the opened ones."""
+        return opened
+
+    def noted(self, event: str, what: Mapping[str, Any]) -> None:
+        """See a line of the journal that is on the disk: its event, and what else it says."""
+
+    def expects(self, shots: Sequence[tuple[str | None, float]]) -> None:
+        """Learn filter (None for dark frames and without one) and exposure (s) of all frames still to be taken."""
+
+    def frame(self, label: str, raw: RawFrame, step: Step | None = None) -> None:
+        """See a frame that was accepted, stored or of a metering; a press on a finger has no step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +97,8 @@ class SessionRequest:
         Who places targets and presses; a person at the terminal when left out.
     sources
         Path -> SHA-256 of the files that plan and rig were read from, for the provenance.
+    watch
+        Sees what the session does; nobody when left out.
     """
 
     out: Path
@@ -83,6 +107,7 @@ class SessionRequest:
     progress: Progress | None = None
     operator: Operator | None = None
     sources: Mapping[str, str] = field(default_factory=dict)
+    watch: SessionWatch = field(default_factory=SessionWatch)
 
     def tell(self, done: int, total: int, text: str) -> None:
         """Tell the progress to whoever asked for it."""

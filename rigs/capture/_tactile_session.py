@@ -322,7 +322,7 @@ def capture_tactile_session(
     ):
         out.mkdir(parents=True, exist_ok=True)
         clock = SystemClock()
-        with Journal(out, clock, resumed=interrupted is not None) as journal:
+        with Journal(out, clock, resumed=interrupted is not None, told=request.watch.noted) as journal:
             recorder = _Recorder(camera, rig, plan, presses, journal, clock, request)
             device = camera.identity()
             if interrupted is None:
@@ -420,7 +420,7 @@ class _Recorder:
     ):
         self._plan, self._presses, self._out, self._journal = plan, presses, request.out, journal
         self._clock, self._operator, self._progress = clock, request.operator or TerminalOperator(), request.tell
-        self._rig = rig
+        self._rig, self._watch = rig, request.watch
         self._camera = TactileCamera(
             camera, rig.camera, len(plan.bracket_s(rig.camera)) == 1, lambda text: journal.append("refused", text=text)
         )
@@ -430,6 +430,7 @@ class _Recorder:
         """Have everything done that needs hands, and take the frames that are missing."""
         missing = [shot for shot in shots if shot.sequence not in self.frames]
         require_space(self._out, session_bytes(self._rig, self._plan, len(self._presses), len(missing)))
+        self._watch.expects([(None, shot.exposure_s) for shot in missing])
         for _, group in groupby(missing, key=lambda shot: shot.group):
             todo = list(group)
             self._operator.do(instruction(todo[0], self._plan, self._presses))
@@ -440,6 +441,7 @@ class _Recorder:
     def _take(self, shot: TactileShot) -> None:
         """Take a frame, write it, then its line of the journal."""
         raw, attempts = self._camera.expose(shot.exposure_s)
+        self._watch.frame(shot.label, raw)
         captured_s = self._clock.monotonic_s()
         kind = shot.frame_type.replace(" ", "-")
         file = f"frames/{shot.sequence:05d}_{kind}_{shot.place}_{round(shot.exposure_s * 1e6)}us.tiff"

@@ -19,7 +19,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -245,6 +245,11 @@ class LiveRig:
                     )
             self._best, self._settings = 0.0, self._settings + 1
 
+    def facts(self) -> dict[str, Any]:
+        """Return what a page needs beside the numbers."""
+        rows, columns = self.frame_size
+        return {"frame_height": rows, "frame_width": columns, "filters": list(self.filters)}
+
     def _within(self, row: int, column: int, height: int, width: int) -> tuple[int, int, int, int]:
         """Return a region in whole Bayer cells inside the frame."""
         camera = self._rig.camera
@@ -346,7 +351,24 @@ def live_picture(counts: Counts, full_scale_dn: int, black_level_dn: float) -> N
 
 LOOPBACK = "127.0.0.1"
 MOST_COMMAND_BYTES = 1000
-PAGE = Path(__file__).with_name("live_view.html")
+LIVE_PAGE = Path(__file__).with_name("live_view.html")
+SESSION_PAGE = Path(__file__).with_name("session_view.html")
+
+
+class Seen(Protocol):
+    """What a server shows: a rig, or a session."""
+
+    def latest(self, after: int, timeout_s: float = 5.0) -> tuple[NDArray[np.uint8], Any]:
+        """Return picture and numbers behind number `after`."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a page needs beside the numbers."""
+        ...
+
+    def ask(self, command: dict[str, Any]) -> None:
+        """Do what a page asks for."""
+        ...
 
 
 class LiveServer(ThreadingHTTPServer):
@@ -356,14 +378,19 @@ class LiveServer(ThreadingHTTPServer):
     ----------
     live
         Where frames come from.
+    asked_s
+        When a page asked for a frame last (:func:`time.monotonic`); minus infinity before the first.
+    sent
+        Largest number of a frame that was sent.
     token
         What every request must carry.
     """
 
     daemon_threads = True
 
-    def __init__(self, live: LiveRig, port: int):
-        self.live, self.token = live, secrets.token_urlsafe(24)
+    def __init__(self, live: Seen, port: int, page: Path):
+        self.live, self.page, self.token, self.asked_s = live, page, secrets.token_urlsafe(24), -math.inf
+        self.sent = 0
         super().__init__((LOOPBACK, port), _Handler)
 
     @property
@@ -377,9 +404,9 @@ class LiveServer(ThreadingHTTPServer):
         return f"http://{self.host}/?token={self.token}"
 
 
-def live_server(live: LiveRig, port: int = 0) -> LiveServer:
-    """Return a server of a live view, bound and not yet serving; port 0 takes a free one."""
-    return LiveServer(live, port)
+def live_server(live: Seen, port: int = 0) -> LiveServer:
+    """Return a server of a rig or a session, bound and not yet serving; port 0 takes a free one."""
+    return LiveServer(live, port, LIVE_PAGE if isinstance(live, LiveRig) else SESSION_PAGE)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -397,19 +424,15 @@ class _Handler(BaseHTTPRequestHandler):
         asked = urlsplit(self.path)
         query = parse_qs(asked.query)
         if asked.path == "/" and self._is_allowed(query.get("token", [""])[0]):
-            self._reply("text/html; charset=utf-8", read_bytes(PAGE, "the page of the live view"))
+            self._reply("text/html; charset=utf-8", read_bytes(self.server.page, "the page of the live view"))
         elif asked.path == "/frame" and self._is_allowed(self.headers.get("X-Token", "")):
             after = query.get("after", ["0"])[0]
-            picture, numbers = self.server.live.latest(int(after) if after.isdecimal() and len(after) < 12 else 0)
-            told = {
-                **asdict(numbers),
-                "width": picture.shape[1],
-                "height": picture.shape[0],
-                "frame_height": self.server.live.frame_size[0],
-                "frame_width": self.server.live.frame_size[1],
-                "filters": list(self.server.live.filters),
-            }
+            self.server.asked_s = time.monotonic()
+            seen = self.server.live
+            picture, numbers = seen.latest(int(after) if after.isdecimal() and len(after) < 12 else 0)
+            told = {**seen.facts(), **asdict(numbers), "width": picture.shape[1], "height": picture.shape[0]}
             self._reply("application/octet-stream", picture.tobytes(), {"X-Numbers": json.dumps(told)})
+            self.server.sent = max(self.server.sent, numbers.number)
         elif asked.path not in ("/", "/frame"):
             self.send_error(404)
 

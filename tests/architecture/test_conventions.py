@@ -60,6 +60,7 @@ EXCEPTIONS = {
     **dict.fromkeys(("p", "pooled_above", "risk"), "probability"),
     "size_pt": "points, as matplotlib counts",
     **dict.fromkeys(("focus", "best_focus"), "squared gradient over squared signal"),
+    **dict.fromkeys(("snr", "least_snr"), "signal over its noise"),
     "p95": "95th percentile of another quantity, in its unit",
     "half_width": "of an interval, in the unit of its value",
     "p_within_5deg": "probability",

@@ -18,15 +18,8 @@ from finray_calib.cli.main import main
 from rigs import open_rig, write_rig
 from rigs.live_view import LiveRig
 from rigs.live_view._live_server import LONGEST_EXPOSURE_S
-from rigs.live_view._terminal_view import (
-    HELP,
-    LEAST_COLUMNS,
-    Screen,
-    changed_region,
-    keys_in,
-    next_filter,
-    reduced,
-)
+from rigs.live_view._terminal_page import LEAST_COLUMNS, Screen, keys_in, reduced
+from rigs.live_view._terminal_view import HELP, changed_region, next_filter
 from tests.architecture.test_conventions import ROOT
 from tests.capture.drivers.programs import require
 from tests.capture.terminal_screen import Terminal
