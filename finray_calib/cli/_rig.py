@@ -2,11 +2,13 @@
 
 import argparse
 import contextlib
+import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from data_schemas import CaptureError, FinrayError
 from finray_calib.cli._capture import Attended, capture, resume, tell_of_laser
@@ -330,6 +332,7 @@ def _in_view(
     name = next(str(getattr(plan, part)) for part in ("paint_name", "camera_name", "name") if hasattr(plan, part))
     session = WatchedSession(name, rig.camera, getattr(plan, "region", None), takes_time, has_lights)
     file = out.absolute().with_name(f"{out.absolute().name}.live-address")
+    _require_unseen(file, out)
 
     def tell_address(url: str) -> None:
         file.unlink(missing_ok=True)
@@ -348,3 +351,23 @@ def _in_view(
             yield Attended(progress, session.operator, session.mend, session)
     finally:
         file.unlink(missing_ok=True)
+
+
+def _require_unseen(file: Path, out: Path) -> None:
+    """Refuse a session whose view is open; a file that a killed view left behind is of no view.
+
+    Raises
+    ------
+    CaptureError
+        The address in the file answers.
+    """
+    if not file.is_file():
+        return
+    url = file.read_text(encoding="utf-8", errors="replace").strip()
+    try:
+        port = urlsplit(url).port
+        with socket.create_connection(("127.0.0.1", port or 0), timeout=1.0):
+            pass
+    except (OSError, ValueError, OverflowError):
+        return
+    raise CaptureError(f"{out}: its session is shown already, at {url}; open that address, or end that session first")
