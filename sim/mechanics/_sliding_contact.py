@@ -79,9 +79,7 @@ class SlidingContact(PenaltyContact):
     ) -> None:
         super().__init__(nodes_mm, quads, body, pose, stiffness_mpa_per_mm, curvature=False)
         if not 0.0 <= friction_ratio < np.inf:
-            raise SimulateError(
-                f"friction = {friction_ratio:g}: Coulomb's coefficient must be finite and not negative"
-            )
+            raise SimulateError(f"friction = {friction_ratio:g}: Coulomb's coefficient must be finite and not negative")
         self.friction_ratio = friction_ratio
         places, gaps, normals = self._in_body(np.zeros_like(nodes_mm))
         anchors = np.where((gaps < 0.0)[:, None], places, np.nan)
@@ -221,7 +219,82 @@ class SlidingContact(PenaltyContact):
         """Return the force on the body (3,)."""
         return np.asarray(self.forces_n(u).sum(axis=0))
 
+    def normal_force_n(self, u: FloatArray) -> FloatArray:
+        """Return the part of the force on the body that is pressure, (3,)."""
+        return super().force_n(u)
+
     def torque_n_mm(self, u: FloatArray) -> FloatArray:
         """Return the torque on the body about its origin, where that is now, (3,)."""
         arms = self._points(u) - np.array(self.pose.position_mm)
         return np.asarray(np.cross(arms, self.forces_n(u)).sum(axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class ContactMotion:
+    """Where an indenter was at k increments of its path, and what its contact did there.
+
+    Attributes
+    ----------
+    moves_mm
+        From first touch across the finger (x), along the pad's outward normal (y) and along the finger (z), (k, 3).
+    turns_deg
+        Rotation vector from first touch about the indenter's own middle, in the same axes, (k, 3).
+    origins_mm
+        Where that middle was, (k, 3).
+    torque_n_mm
+        On the indenter, about its middle where that was, (k, 3).
+    pressure_mpa
+        At the q points of the coat's f faces, (k, f, q).
+    shear_mpa
+        By friction, on the indenter, (k, f, q, 3).
+    slip_mm
+        Of the coat over the indenter in the increment, (k, f, q); 0 where it sticks or does not touch.
+    """
+
+    moves_mm: FloatArray
+    turns_deg: FloatArray
+    origins_mm: FloatArray
+    torque_n_mm: FloatArray
+    pressure_mpa: FloatArray
+    shear_mpa: FloatArray
+    slip_mm: FloatArray
+
+
+class SlidingTouch(PenaltyTouch):
+    """What a moved indenter's contact does at an equilibrium: a :class:`~sim.mechanics._press.Touch`.
+
+    Parameters
+    ----------
+    mesh
+        Finger.
+    contact
+        Of its coat with the indenter.
+    """
+
+    def __init__(self, mesh: FingerMesh, contact: SlidingContact) -> None:
+        super().__init__(mesh, contact)
+        self.sliding = contact
+        self.supports = Supports.at_rest(len(mesh.nodes_mm), mesh.node_sets["fixed"])
+
+    @property
+    def note(self) -> str:
+        """How the surfaces touch."""
+        ratio = self.sliding.friction_ratio
+        how = f"Coulomb friction {ratio:g} that remembers where the coat sticks" if ratio > 0.0 else "frictionless"
+        return f"contact by penalty: {how}; the indenter's distance is exact; ribs do not see each other"
+
+    def energy_n_mm(self, u: FloatArray) -> float:
+        """Return the energy that the contact gives back."""
+        return self.sliding.stored_energy(u)
+
+    def friction_work_n_mm(self, u: FloatArray) -> float:
+        """Return the work lost in the increment that ended at `u`."""
+        return self.sliding.friction_work_n_mm(u)
+
+    def settle(self, state: State) -> bool:
+        """Renew the limits of friction at an equilibrium; return whether it still is one."""
+        return self.sliding.settle(state.u_mm)
+
+    def accept(self, state: State) -> None:
+        """Let the next increment begin at a state."""
+        self.sliding.accept(state.u_mm)
