@@ -72,8 +72,8 @@ class IndenterPath:
             if not (np.abs(values) <= most).all():
                 row = int(np.flatnonzero(~(np.abs(values) <= most).all(axis=1))[0])
                 raise SimulateError(
-                    f"pose {row + 1} of the path: its {what}, {values[row].tolist()} {unit}, must be finite and at most "
-                    f"{most:g} {unit} from first touch"
+                    f"pose {row + 1} of the path: its {what}, {values[row].tolist()} {unit}, must be finite and at "
+                    f"most {most:g} {unit} from first touch"
                 )
         if (self.increments < 1).any() or self.increments.sum() > MOST_INCREMENTS:
             raise SimulateError(

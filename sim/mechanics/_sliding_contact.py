@@ -17,6 +17,9 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _SETTLED_REL = 1e-3  # of the normal forces: by how much friction may still change when its limits are renewed
+# of the penalty's stiffness: stick gives way by 0.05 of an element where the shear is a whole modulus, 0.005 where it
+# is a tenth; Newton's method meets fewer kinks the softer it is
+_STICK_SHARE = 0.2
 _LEAST_MM = 1e-300  # keeps a stretch of nothing from dividing by nothing
 
 
@@ -43,17 +46,17 @@ class SlidingContact(PenaltyContact):
     r"""A penalty contact with Coulomb's friction between the faces' points and the body.
 
     .. math:: \Pi = \frac\epsilon2 \sum_q A_q \min(g_q, 0)^2 + \sum_q A_q \phi(|t_q|), \qquad
-        \phi(t) = \begin{cases} \epsilon t^2 / 2 & \epsilon t \le \mu p \\ \mu p\, t - (\mu p)^2 / 2 \epsilon
-        & \text{else} \end{cases}
+        \phi(t) = \begin{cases} k t^2 / 2 & k t \le \mu p \\ \mu p\, t - (\mu p)^2 / 2 k
+        & \text{else} \end{cases}, \quad k = \epsilon / 5
 
     t is the part across the normal of the way from a point's anchor, a place of the body, to the point. A point that
-    sticks keeps its anchor, and its shear is epsilon t; one that slips takes its anchor along (return mapping), and its
+    sticks keeps its anchor, and its shear is k t; one that slips takes its anchor along (return mapping), and its
     shear is mu p. The pressure p and the normal are those of the last equilibrium, renewed until friction changes by
     less than a thousandth of the normal forces: the energy is convex in t, and its second derivative symmetric. A
     point that comes to touch is anchored where it met the body, on the straight way from its last place.
 
     Valid for any rigid motion in increments short beside the patch: slip is straight within an increment, and friction
-    acts along its end. Stick gives way by shear / epsilon, as the body sinks in by pressure / epsilon.
+    acts along its end. Stick gives way by shear / k, as the body sinks in by pressure / epsilon.
 
     Parameters
     ----------
@@ -81,6 +84,7 @@ class SlidingContact(PenaltyContact):
         if not 0.0 <= friction_ratio < np.inf:
             raise SimulateError(f"friction = {friction_ratio:g}: Coulomb's coefficient must be finite and not negative")
         self.friction_ratio = friction_ratio
+        self._stick = _STICK_SHARE * stiffness_mpa_per_mm
         places, gaps, normals = self._in_body(np.zeros_like(nodes_mm))
         anchors = np.where((gaps < 0.0)[:, None], places, np.nan)
         self._begin = self._end = _Memory(anchors, places, gaps, normals)
@@ -138,7 +142,7 @@ class SlidingContact(PenaltyContact):
         """Remember an increment's end for the next one; what this one gives stays until :meth:`restart`."""
         places, gaps, normals = self._in_body(u)
         stretch, length = self._stretch(u)
-        kept = np.minimum(1.0, self._lag.limits_mpa / (self._eps * length))[:, None] * stretch
+        kept = np.minimum(1.0, self._lag.limits_mpa / (self._stick * length))[:, None] * stretch
         anchors = np.where((gaps < 0.0)[:, None], places - kept @ self.pose.rotation, np.nan)
         self._end = _Memory(anchors, places, gaps, normals)
 
@@ -152,13 +156,13 @@ class SlidingContact(PenaltyContact):
     def shears_mpa(self, u: FloatArray) -> FloatArray:
         """Return the shear by friction on the body at each face's points, referred to the area at rest, (k, q, 3)."""
         stretch, length = self._stretch(u)
-        size = np.minimum(self._eps * length, self._lag.limits_mpa)
+        size = np.minimum(self._stick * length, self._lag.limits_mpa)
         return np.asarray((size / length)[:, None] * stretch).reshape(*self._areas.shape, 3)
 
     def slips_mm(self, u: FloatArray) -> FloatArray:
         """Return how far each face's points have slipped over the body since the increment began, (k, q)."""
         _, length = self._stretch(u)
-        slipped = np.maximum(length - self._lag.limits_mpa / self._eps, 0.0)
+        slipped = np.maximum(length - self._lag.limits_mpa / self._stick, 0.0)
         return np.where(self._lag.limits_mpa > 0.0, slipped, 0.0).reshape(self._areas.shape)
 
     def friction_work_n_mm(self, u: FloatArray) -> float:
@@ -168,7 +172,7 @@ class SlidingContact(PenaltyContact):
     def stored_energy(self, u: FloatArray) -> float:
         """Return the energy that comes back, in N mm: of the sinking in, and of the stretch of what sticks."""
         shear = np.linalg.norm(self.shears_mpa(u), axis=-1)
-        return super().energy(u) + float((self._areas * shear**2).sum()) / (2.0 * self._eps)
+        return super().energy(u) + float((self._areas * shear**2).sum()) / (2.0 * self._stick)
 
     def _friction_n(self, u: FloatArray) -> FloatArray:
         """Return the force of friction on the body at each point, (m, 3)."""
@@ -177,9 +181,9 @@ class SlidingContact(PenaltyContact):
     def energy(self, u: FloatArray) -> float:
         """Return Pi in N mm at the limits that friction has now."""
         _, length = self._stretch(u)
-        limit, eps = self._lag.limits_mpa, self._eps
-        slips = eps * length > limit
-        phi = np.where(slips, limit * length - limit**2 / (2.0 * eps), 0.5 * eps * length**2)
+        limit, k = self._lag.limits_mpa, self._stick
+        slips = k * length > limit
+        phi = np.where(slips, limit * length - limit**2 / (2.0 * k), 0.5 * k * length**2)
         return super().energy(u) + float((self._areas.ravel() * np.where(limit > 0.0, phi, 0.0)).sum())
 
     def gradient(self, u: FloatArray) -> FloatArray:
@@ -190,20 +194,20 @@ class SlidingContact(PenaltyContact):
         return out
 
     def hessian(self, u: FloatArray, project: bool) -> sp.coo_array | sp.csr_array:
-        """Return the second derivative, which has no negative curvature: eps A P of what sticks, less where it slips.
+        """Return the second derivative, which has no negative curvature: k A P of what sticks, less where it slips.
 
         A mu p / t (P - t t) of a point that slips, with P = 1 - n n and the direction t of its slip.
         """
         pushed = super().hessian(u, project)
         stretch, length = self._stretch(u)
-        limit, eps, normal = self._lag.limits_mpa, self._eps, self._lag.normals
+        limit, k, normal = self._lag.limits_mpa, self._stick, self._lag.normals
         at = np.flatnonzero(limit > 0.0)
         if not len(at):
             return pushed
         across = np.eye(3) - normal[at, :, None] * normal[at, None, :]
         way = stretch[at] / length[at, None]
-        slips = (eps * length[at] > limit[at])[:, None, None]
-        rate = np.minimum(eps, limit[at] / length[at])[:, None, None]
+        slips = (k * length[at] > limit[at])[:, None, None]
+        rate = np.minimum(k, limit[at] / length[at])[:, None, None]
         blocks = rate * (across - np.where(slips, way[:, :, None] * way[:, None, :], 0.0))
         face, number = np.divmod(at, self._areas.shape[1])
         scaled = self._areas.ravel()[at, None, None] * blocks
