@@ -325,7 +325,8 @@ def _store(
         write_record(mechanics, files["mechanics"], origin, products)
     _tell(mechanics, files)
     if pressed.crossing:
-        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: press with --contact barrier, or less")
+        remedy = "press with --contact barrier, or less" if pressed.motion is None else "give a path that pushes less"
+        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: {remedy}")
     if mechanics.motion is None:
         tell_few_nodes(pressed, mechanics)
     if mechanics.unreached:

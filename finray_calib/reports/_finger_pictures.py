@@ -12,6 +12,7 @@ from matplotlib.collections import LineCollection, PathCollection, PolyCollectio
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, FingerSurfaces, PressMechanics, PressMotion
@@ -205,6 +206,7 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, fold
 
 _MOST_PATCHES = 10  # of a path are drawn, evenly chosen, the last one among them
 _PATCHES_A_ROW = 5
+_PATCH_MARGIN_MM = 1.0
 _ARROWS_SHARE = 0.25  # of the patch's size, the longest arrow of shear
 
 
@@ -256,6 +258,8 @@ def _draw_wrench(figure: SubFigure, mechanics: PressMechanics, motion: PressMoti
     for k, (name, colour) in enumerate(_AXES):
         force.plot(steps, mechanics.force_n[:, k], "-o", color=colour, markersize=3, label=name)
         torque.plot(steps, motion.torque_n_mm[:, k], "-o", color=colour, markersize=3)
+    for axes in (force, torque, sticks):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     force.set(xlabel="increment", ylabel="force on the indenter (N)")
     force.legend()
     torque.set(xlabel="increment", ylabel="torque about its middle (N mm)")
@@ -289,7 +293,11 @@ def _draw_patch(axes: Axes, motion: PressMotion, k: int) -> PathCollection:
     axes.set_title(
         f"{k + 1}: push {-y_mm + 0.0:.2f}, aside {np.hypot(x_mm, z_mm):.2f} mm\nturn {turn:.1f} deg", fontsize=8
     )
-    axes.set_aspect("equal")
+    axes.set(
+        aspect="equal",
+        xlim=(x.min() - _PATCH_MARGIN_MM, x.max() + _PATCH_MARGIN_MM),
+        ylim=(z.min() - _PATCH_MARGIN_MM, z.max() + _PATCH_MARGIN_MM),
+    )
     axes.grid(visible=False)
     return drawn
 
