@@ -86,20 +86,21 @@ class IndenterPath:
         """Increments in all."""
         return int(self.increments.sum())
 
-    def at(self, done: float) -> tuple[FloatArray, FloatArray]:
-        """Return the move (3,) in mm and the turn (3,) in deg after so many increments, whole or not."""
+    def at(self, share: float) -> tuple[FloatArray, FloatArray]:
+        """Return the move (3,) in mm and the turn (3,) in deg after a share of all increments."""
         ends = np.concatenate([[0], np.cumsum(self.increments)])
+        done = share * self.total
         k = int(np.clip(np.searchsorted(ends, done), 1, len(ends) - 1))
-        share = (done - ends[k - 1]) / (ends[k] - ends[k - 1])
+        part = (done - ends[k - 1]) / (ends[k] - ends[k - 1])
         found = []
         for poses in (self.moves_mm, self.turns_deg):
             before = poses[k - 2] if k > 1 else np.zeros(3)
-            found.append(before + share * (poses[k - 1] - before))
+            found.append(before + part * (poses[k - 1] - before))
         return found[0], found[1]
 
-    def is_corner(self, done: float) -> bool:
-        """Whether one of the poses is reached after so many increments."""
-        return bool((np.abs(np.cumsum(self.increments) - done) < _AT_A_CORNER).any())
+    def is_corner(self, share: float) -> bool:
+        """Whether one of the poses is reached after a share of all increments."""
+        return bool((np.abs(np.cumsum(self.increments) - share * self.total) < _AT_A_CORNER).any())
 
 
 def read_path(path: Path, increments: int) -> IndenterPath:
@@ -182,17 +183,17 @@ class _MovedIndenter(SlidingTouch):
         super().__init__(mesh, contact)
         self._rows: list[tuple[FloatArray, ...]] = []
 
-    def move(self, done: float) -> Supports:
-        """Put the indenter where it is after so many increments, which begin where the last one ended."""
-        self.sliding.restart(moved_pose(self._indenter, *self._path.at(done)))
+    def move(self, share: float) -> Supports:
+        """Put the indenter where it is after a share of its path, for an increment from where the last one ended."""
+        self.sliding.restart(moved_pose(self._indenter, *self._path.at(share)))
         return self.supports
 
-    def keep(self, done: float, state: State) -> None:
+    def keep(self, share: float, state: State) -> None:
         """Keep what the contact does at an equilibrium."""
         u, contact = state.u_mm, self.sliding
         self._rows.append(
             (
-                *self._path.at(done), np.array(contact.pose.position_mm), contact.torque_n_mm(u),
+                *self._path.at(share), np.array(contact.pose.position_mm), contact.torque_n_mm(u),
                 contact.pressures_mpa(u), contact.shears_mpa(u), contact.slips_mm(u),
             )
         )  # fmt: skip
@@ -264,7 +265,7 @@ def press_along(
     history = PressHistory(assembly, ties, touch)
     total = path.total
     load = Load(
-        at=lambda share: touch.move(share * total),
+        at=touch.move,
         settle=touch.settle if touch.sliding.friction_ratio > 0.0 else None,
         refuse=lambda state, share: touch.passed_through(state),
         accept=touch.accept,
@@ -280,9 +281,9 @@ def press_along(
             options=NewtonOptions(tell=watch.tell),
             predict=_StraightOn(path),
         ):
+            touch.keep(step.fraction, step.equilibrium.state)
+            history.add(-float(path.at(step.fraction)[0][1]), step.equilibrium)
             done = step.fraction * total
-            touch.keep(done, step.equilibrium.state)
-            history.add(-float(path.at(done)[0][1]), step.equilibrium)
             watch.reached(math.floor(done + _AT_A_CORNER), f"moved {done:.4g} of {total} increments")
     except NoEquilibriumError as stuck:
         if history.depth_mm is None:
@@ -301,4 +302,4 @@ class _StraightOn:
     def __call__(self, state: State, at: float, aim: float) -> State | None:
         """Return the state expected at the share `aim` of the path, or nothing."""
         guess = self._line(state, at, aim)
-        return None if self._path.is_corner(at * self._path.total) else guess
+        return None if self._path.is_corner(at) else guess

@@ -137,9 +137,9 @@ def test_a_path_is_read_as_it_is_meant(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text("push_mm,turn_x_deg,along_mm,increments\n1,0,0,2\n# slide\n1,8,2,4\n", encoding="utf-8")
     path = read_path(file, 7)
-    move, turn = path.at(4.0)
+    move, turn = path.at(4.0 / 6.0)
     np.testing.assert_allclose(move, [0.0, -1.0, 1.0])
     np.testing.assert_allclose(turn, [4.0, 0.0, 0.0])
     assert path.total == 6
-    assert path.is_corner(2.0)
-    assert not path.is_corner(3.0)
+    assert path.is_corner(2.0 / 6.0)
+    assert not path.is_corner(0.5)
