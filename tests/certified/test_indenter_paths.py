@@ -52,26 +52,24 @@ def test_the_base_holds_what_the_indenter_pushes():
     elasticity = Elasticity(mesh, finger_materials(design))
     for k in range(last):
         u = pressed.displacement_mm[k]
-        # the modes of an equilibrium are those that are least in the elements: a step from none finds them
         state = relaxed(Assembly(elasticity, ties), u)
         held = mesh.node_sets["fixed"]
         reaction = Assembly(elasticity, ties).assemble(state)[0][held]
         arms = mesh.nodes_mm[held] + u[held] - pressed.motion.origins_mm[k]
         force, torque = pressed.force_n[k], pressed.motion.torque_n_mm[k]
         # the search ends at a millionth of all forces, and arms are tens of mm
-        np.testing.assert_allclose(reaction.sum(axis=0), force, atol=2e-5)
-        np.testing.assert_allclose(np.cross(arms, reaction).sum(axis=0), torque, atol=2e-3)
+        np.testing.assert_allclose(reaction.sum(axis=0), force, atol=5e-5)
+        np.testing.assert_allclose(np.cross(arms, reaction).sum(axis=0), torque, atol=5e-3)
     assert np.abs(pressed.motion.torque_n_mm[last - 1]).max() > 0.1
 
 
 def relaxed(assembly, u):
-    """The state of displacements with the incompatible modes that belong to them."""
-    from sim.mechanics._increments import _with_own_modes
-
-    rest = assembly.at_rest()
+    """The state of displacements with the incompatible modes that belong to them: Newton's method in each element."""
+    rest, still = assembly.at_rest(), np.zeros_like(u)
     state = assembly.with_own_pressures(type(rest)(u, rest.modes))
-    for _ in range(4):
-        state = _with_own_modes(assembly, state)
+    for _ in range(8):
+        assembly.assemble(state)
+        state = state.moved(1.0, still, assembly.elasticity.mode_step(still))
     return state
 
 
@@ -81,7 +79,9 @@ def test_the_torque_of_a_twist_is_that_of_the_limit_analysis():
     frictionless = press_finger(small_finger(0.0), PressSettings("coarse", 2))
     limit = 0.5 * slip_torque_n_mm(*contact_forces_n(frictionless), 1.0)
     torque = -pressed.motion.torque_n_mm[:, 1]
-    assert (np.diff(torque[1 : turned + 1]) >= -1e-3 * limit).all()
+    # it rises to the limit and stays there
+    np.testing.assert_allclose(torque[2 : turned + 1], torque[2], rtol=0.01)
+    assert torque[2] > 10.0 * abs(torque[1])
     # nothing sticks any more
     assert (pressed.motion.slip_mm[turned] > 0.0).sum() == (pressed.motion.pressure_mpa[turned] > 0.0).sum()
     # friction's change of the pressures, which the limit analysis leaves out, and the four points of each face
