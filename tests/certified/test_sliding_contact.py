@@ -167,7 +167,7 @@ def sheared_sphere(shares, radius_mm=10.0, depth_mm=0.1, size_mm=8.0, cells=(12,
     patch_mm = np.sqrt(radius_mm * depth_mm)
     push_n = 16.0 / 3.0 * SHEAR_MPA * patch_mm**3 / radius_mm
     whole_mm = 3.0 * RATIO * push_n * 1.5 / (16.0 * patch_mm * SHEAR_MPA)
-    poses = [(depth_mm / 2.0, 0.0), (depth_mm, 0.0), (depth_mm, 0.0), *((depth_mm, s * whole_mm) for s in shares)]
+    poses = [(depth_mm / 2.0, 0.0), (depth_mm, 0.0), *((depth_mm, s * whole_mm) for s in shares)]
 
     def loading(share):
         k = min(int(share), len(poses) - 1)
@@ -182,25 +182,26 @@ def sheared_sphere(shares, radius_mm=10.0, depth_mm=0.1, size_mm=8.0, cells=(12,
         return contact.settle(state.u_mm) and far_settled
 
     load = Load(loading, settle, accept=lambda state: contact.accept(state.u_mm))
-    rows = []
+    rows, areas = [], contact._areas
     for step in load_increments(assembly, linear_solver(), load, [k + 1.0 for k in range(len(poses))]):
-        if step.fraction != int(step.fraction) or step.fraction <= 3.0:
+        if step.fraction != int(step.fraction) or step.fraction <= 2.0:
             continue
         u = step.equilibrium.state.u_mm
         touches, slips = contact.pressures_mpa(u) > 0.0, contact.slips_mm(u) > 0.0
         force = contact.force_n(u)
-        rows.append((-force[0] / (RATIO * force[1]), np.sqrt((touches & ~slips).sum() / touches.sum())))
+        rows.append((-force[0] / (RATIO * force[1]), np.sqrt(areas[touches & ~slips].sum() / areas[touches].sum())))
     return np.array(rows).T
 
 
 def test_a_sheared_sphere_is_that_of_cattaneo_and_mindlin():
-    shares = np.array([0.2, 0.4, 0.6, 0.8, 1.3])
+    shares = np.array([0.25, 0.5, 0.8, 1.3])
     pull, stick = sheared_sphere(shares)
+    print(pull, stick)
     # d = 3 mu P (2 - nu) / (16 a G) (1 - (1 - Q / mu P)^(2/3)); the bar: 3 % of the limit. 15 elements in the patch
     expected = 1.0 - np.maximum(1.0 - shares, 0.0) ** 1.5
     np.testing.assert_allclose(pull, expected, atol=0.03)
-    # c / a = (1 - Q / mu P)^(1/3), counted in points, of which the patch's radius is some 15 in all directions
-    np.testing.assert_allclose(stick, np.cbrt(np.maximum(1.0 - pull, 0.0)), atol=0.08)
+    # c / a = (1 - Q / mu P)^(1/3), by the areas of points, of which the patch's radius is some 15: half a point or so
+    np.testing.assert_allclose(stick, np.cbrt(np.maximum(1.0 - pull, 0.0)), atol=0.05)
     assert stick[-1] == 0.0
 
 
@@ -229,7 +230,7 @@ class Turned:
 WEDGE_RAD = np.radians(3.0)
 
 
-def twisted_punch(shares, cells=20, halves=40.0, growth=1.3, depth_mm=0.01):
+def twisted_punch(shares, cells=20, halves=80.0, growth=1.3, depth_mm=0.01):
     """Press a flat punch of radius 1 mm into a wedge of a half-space, then turn it by shares of the first slip's angle.
 
     Returns the torque over mu P a, the torque over that of full stick, the radius up to which it sticks, and how near
@@ -288,10 +289,12 @@ def twisted_punch(shares, cells=20, halves=40.0, growth=1.3, depth_mm=0.01):
 def test_a_twisted_punch_slips_as_its_closed_forms_say():
     shares = [0.5, 0.9, 1.1, 2.0, 4.0, 8.0]
     over_limit, over_stick, stick_mm, near_limit = twisted_punch(shares)
+    print(over_limit, over_stick, stick_mm, near_limit)
     # Reissner and Sagoci: T = 16/3 G a^3 phi while all of it sticks; the bar of all of this is 3 %
     np.testing.assert_allclose(over_stick[:2], 1.0, atol=0.03)
     # the shear over mu p is r / a times the angle over the first slip's: the rim slips first, at T = 2/3 mu P a
     assert near_limit[0] == pytest.approx(1.0, abs=0.03)
+    # the force comes out too high by some 1 % for the block's size and 2 % for the rim's element
     assert over_limit[0] / 0.5 == pytest.approx(2.0 / 3.0, rel=0.03)
     # pressure grows without bound at the rim: the last element of 0.05 a does not tell, the others stick until then
     assert stick_mm[0] > 0.9
