@@ -57,9 +57,11 @@ def test_the_base_holds_what_the_indenter_pushes():
         reaction = Assembly(elasticity, ties).assemble(state)[0][held]
         arms = mesh.nodes_mm[held] + u[held] - pressed.motion.origins_mm[k]
         force, torque = pressed.force_n[k], pressed.motion.torque_n_mm[k]
-        # the search ends at a millionth of all forces, and arms are tens of mm
-        np.testing.assert_allclose(reaction.sum(axis=0), force, atol=5e-5)
-        np.testing.assert_allclose(np.cross(arms, reaction).sum(axis=0), torque, atol=5e-3)
+        # limits of friction are renewed once more after the last equilibrium, by less than a thousandth of the pressures
+        settled = 1e-3 * np.linalg.norm(force)
+        np.testing.assert_allclose(reaction.sum(axis=0), force, atol=settled)
+        # at the ball's radius from its middle
+        np.testing.assert_allclose(np.cross(arms, reaction).sum(axis=0), torque, atol=8.0 * settled)
     assert np.abs(pressed.motion.torque_n_mm[last - 1]).max() > 0.1
 
 

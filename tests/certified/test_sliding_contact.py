@@ -196,7 +196,6 @@ def sheared_sphere(shares, radius_mm=10.0, depth_mm=0.1, size_mm=8.0, cells=(12,
 def test_a_sheared_sphere_is_that_of_cattaneo_and_mindlin():
     shares = np.array([0.25, 0.5, 0.8, 1.3])
     pull, stick = sheared_sphere(shares)
-    print(pull, stick)
     # d = 3 mu P (2 - nu) / (16 a G) (1 - (1 - Q / mu P)^(2/3)); the bar: 3 % of the limit. 15 elements in the patch
     expected = 1.0 - np.maximum(1.0 - shares, 0.0) ** 1.5
     np.testing.assert_allclose(pull, expected, atol=0.03)
@@ -289,7 +288,6 @@ def twisted_punch(shares, cells=20, halves=80.0, growth=1.3, depth_mm=0.01):
 def test_a_twisted_punch_slips_as_its_closed_forms_say():
     shares = [0.5, 0.9, 1.1, 2.0, 4.0, 8.0]
     over_limit, over_stick, stick_mm, near_limit = twisted_punch(shares)
-    print(over_limit, over_stick, stick_mm, near_limit)
     # Reissner and Sagoci: T = 16/3 G a^3 phi while all of it sticks; the bar of all of this is 3 %
     np.testing.assert_allclose(over_stick[:2], 1.0, atol=0.03)
     # the shear over mu p is r / a times the angle over the first slip's: the rim slips first, at T = 2/3 mu P a
