@@ -57,7 +57,7 @@ def test_the_base_holds_what_the_indenter_pushes():
         reaction = Assembly(elasticity, ties).assemble(state)[0][held]
         arms = mesh.nodes_mm[held] + u[held] - pressed.motion.origins_mm[k]
         force, torque = pressed.force_n[k], pressed.motion.torque_n_mm[k]
-        # limits of friction are renewed once more after the last equilibrium, by less than a thousandth of the pressures
+        # limits of friction are renewed once more after the last equilibrium, by a thousandth at most
         settled = 1e-3 * np.linalg.norm(force)
         np.testing.assert_allclose(reaction.sum(axis=0), force, atol=settled)
         # at the ball's radius from its middle

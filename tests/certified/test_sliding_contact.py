@@ -182,7 +182,10 @@ def sheared_sphere(shares, radius_mm=10.0, depth_mm=0.1, size_mm=8.0, cells=(12,
         return contact.settle(state.u_mm) and far_settled
 
     load = Load(loading, settle, accept=lambda state: contact.accept(state.u_mm))
-    rows, areas = [], contact._areas
+    corners = nodes[top[near]]
+    across = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    areas = np.repeat(np.linalg.norm(across, axis=1)[:, None] / 8.0, 4, axis=1)
+    rows = []
     for step in load_increments(assembly, linear_solver(), load, [k + 1.0 for k in range(len(poses))]):
         if step.fraction != int(step.fraction) or step.fraction <= 2.0:
             continue
