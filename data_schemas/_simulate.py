@@ -305,10 +305,60 @@ class PressSensitivities(Model):
         return self
 
 
+PerPoint = NDArray[np.float64]
+
+
+class PressMotion(Model):
+    """An indenter on its path: poses, torque, and what the contact does at each point of the coat that it touched.
+
+    The points are the sampling points of the coat's faces that touch at one increment at least. Areas by counting them
+    are known to about a row of them along the patch's edge.
+    """
+
+    moves_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "mm")] = Field(
+        description="of the indenter's middle from first touch: across the finger, along the pad's outward normal, "
+        "along the finger"
+    )
+    turns_deg: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "deg")] = Field(
+        description="rotation vector from first touch, about the indenter's middle, in the same axes"
+    )
+    origins_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "mm")] = Field(
+        description="where the indenter's middle is, the point that torques are about"
+    )
+    torque_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "N mm")] = Field(
+        description="on the indenter, about its middle where that is at the increment"
+    )
+    patch_mm2: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm2")] = Field(
+        description="area at rest of the coat that touches"
+    )
+    stuck_mm2: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm2")] = Field(
+        description="of the patch, what has not slipped in the increment"
+    )
+    friction: Annotated[float, Field(ge=0.0, description="Coulomb's coefficient")]
+    points_mm: Annotated[PerPoint, ArraySpec("<f8", ("point", "3"), "mm")] = Field(
+        description="where the points lie in the undeformed pad"
+    )
+    point_areas_mm2: Annotated[PerPoint, ArraySpec("<f8", ("point",), "mm2")]
+    pressure_mpa: Annotated[PerPoint, ArraySpec("<f8", ("increment", "point"), "MPa")] = Field(
+        description="referred to the area at rest; 0 where the point does not touch"
+    )
+    shear_mpa: Annotated[PerPoint, ArraySpec("<f8", ("increment", "point", "3"), "MPa")] = Field(
+        description="by friction, on the indenter"
+    )
+    slip_mm: Annotated[PerPoint, ArraySpec("<f8", ("increment", "point"), "mm")] = Field(
+        description="of the coat over the indenter in the increment; 0 where it sticks or does not touch"
+    )
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "PressMotion":
+        check_dimensions(self)
+        return self
+
+
 class PressMechanics(Record):
     """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray simulate press'"
 
     name: str
@@ -352,6 +402,9 @@ class PressMechanics(Record):
     design: FingerDesign
     sensitivities: PressSensitivities | None = Field(
         default=None, description="presses of the design with one number changed; none unless asked for"
+    )
+    motion: PressMotion | None = Field(
+        default=None, description="of an indenter on a path, whose pushes need not rise; None of a plain press"
     )
     notes: tuple[str, ...] = ()
 

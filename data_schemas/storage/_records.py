@@ -397,6 +397,7 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("FingerDesign", 1): _as_it_is,
     ("SimulatedPress", 2): _as_it_is,
     ("PressMechanics", 2): _as_it_is,
+    ("PressMechanics", 3): _as_it_is,
     ("PressIncrement", 2): _as_it_is,
     ("FluorescentRendering", 2): _as_it_is,
     ("TwoLights", 2): _as_it_is,

@@ -23,7 +23,10 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import FingerDesign, PressMechanics, PressSensitivities, Provenance
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from data_schemas import FingerDesign, PressMechanics, PressMotion, PressSensitivities, Provenance
     from sim.mechanics import PressedFinger
 
 
@@ -49,6 +52,16 @@ def _indenter_file(design: "FingerDesign", folder: Path) -> list[Path]:
         return []
     read_bytes(path, "an indenter (STL)")
     return [path]
+
+
+def _path_file(arguments: argparse.Namespace) -> list[Path]:
+    """Read the path of the indenter, where there is one, for its checksum; a fault in it is told before the press."""
+    if arguments.path is None:
+        return []
+    from sim.mechanics import read_path
+
+    read_path(arguments.path, DEFAULT_INCREMENTS)
+    return [arguments.path]
 
 
 def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False) -> dict[str, Path]:
@@ -159,7 +172,7 @@ def run_press(arguments: argparse.Namespace) -> None:
     design, folder = read_design(arguments.design), arguments.design.parent
     resume = None if arguments.resume is None else last_increment(arguments.resume)
     out = arguments.out or Path(f"{file_name(arguments.design.stem)}.press.json")
-    read = [arguments.design, *_indenter_file(design, folder)]
+    read = [arguments.design, *_indenter_file(design, folder), *_path_file(arguments)]
     goes_on = False
     if resume is None:
         begun = increments_of(out)
@@ -211,6 +224,8 @@ def _pressed(
         engine = f"CalculiX {calculix_version()}"
         pressed = press_finger_calculix(design, None, count, threads, progress)
         return pressed, {"engine": engine, "notes": calculix_notes(design)}
+    if arguments.path is not None:
+        return _moved(arguments, design, threads, progress), {}
     if arguments.force is not None:
         from sim.mechanics import PressSettings, press_to_force
 
@@ -222,6 +237,15 @@ def _pressed(
     if leaves := left_out(design, arguments.contact):
         warn(leaves)
     return _pressed_to_depth(arguments, design, count, resume, increments, origin, progress), {}
+
+
+def _moved(arguments: argparse.Namespace, design: "FingerDesign", threads: int, progress: Progress) -> "PressedFinger":
+    """Move the indenter along the path of a file."""
+    from sim.mechanics import PressSettings, press_along, read_path
+
+    path = read_path(arguments.path, arguments.increments or DEFAULT_INCREMENTS)
+    settings = PressSettings(None, path.total, threads, arguments.contact, arguments.budget)
+    return press_along(design, path, settings, folder=arguments.design.parent, progress=progress)
 
 
 def _vary(
@@ -286,7 +310,7 @@ def _store(
     from data_schemas import SimulateError
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.exchange import vtu_bytes
-    from finray_calib.reports import pressed_finger_png
+    from finray_calib.reports import indenter_path_png, pressed_finger_png
     from sim.experiments import press_records
     from sim.mechanics import contact_pressure_mpa
 
@@ -294,14 +318,23 @@ def _store(
     touched = contact_pressure_mpa(pressed)
     with ProductSet(files["mechanics"]) as products:
         products.add(files["mesh"], vtu_bytes(pressed.mesh, pressed.displacement_mm[-1], touched))
-        products.add(files["picture"], pressed_finger_png(mechanics, surfaces, folder))
+        moved = mechanics.motion is not None
+        picture = indenter_path_png(mechanics) if moved else pressed_finger_png(mechanics, surfaces, folder)
+        products.add(files["picture"], picture)
         write_record(surfaces, files["surfaces"], origin, products)
         write_record(mechanics, files["mechanics"], origin, products)
     _tell(mechanics, files)
     if pressed.crossing:
-        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: press with --contact barrier, or less")
-    tell_few_nodes(pressed, mechanics)
+        remedy = "press with --contact barrier, or less" if pressed.motion is None else "give a path that pushes less"
+        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: {remedy}")
+    if mechanics.motion is None:
+        tell_few_nodes(pressed, mechanics)
     if mechanics.unreached:
+        if mechanics.motion is not None:
+            raise SimulateError(
+                f"the path ended early, after {len(mechanics.depth_mm)} increments: {mechanics.unreached}. What was "
+                "reached is stored"
+            )
         reached = f"{mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm"
         if mechanics.wanted_force_n is not None:
             reached = f"{mechanics.force_n[-1, 1]:.4g} of {mechanics.wanted_force_n:g} N"
@@ -317,8 +350,11 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
         label=mechanics.label, depth_mm=mechanics.depth_mm, force_n=mechanics.force_n[:, 1],
         largest_pressure_mpa=mechanics.largest_pressure_mpa, unreached=mechanics.unreached,
     )  # fmt: skip
-    for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
-        say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
+    if mechanics.motion is not None:
+        _tell_motion(mechanics, mechanics.motion)
+    else:
+        for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
+            say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
     if mechanics.slip_torque_per_friction_n_mm is not None:
         say(
             f"  torque at slip {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction, "
@@ -328,9 +364,35 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
         say(f"  {len(mechanics.sensitivities.varied)} presses with one number changed, for 'finray compare --force'")
     wrote(files["surfaces"], "the pressed finger, to be rendered")
     wrote(files["mesh"], "the pressed mesh, for ParaView")
-    wrote(files["picture"], "the finger before and after, and its force")
+    shown = "the finger before and after, and its force"
+    if mechanics.motion is not None:
+        shown = "forces and torques along the path, pressure and slip on the pad"
+    wrote(files["picture"], shown)
     go_on_with("finray simulate render", files["surfaces"], "--paint red=FILE --paint green=FILE")
     look_at(files["picture"])
+
+
+def _tell_motion(mechanics: "PressMechanics", motion: "PressMotion") -> None:
+    """Tell forces and torques at each increment of a path, and how much of the patch sticks."""
+    give(
+        force_xyz_n=mechanics.force_n, torque_xyz_n_mm=motion.torque_n_mm, moves_mm=motion.moves_mm,
+        turns_deg=motion.turns_deg, patch_mm2=motion.patch_mm2, stuck_mm2=motion.stuck_mm2,
+        friction_work_n_mm=mechanics.friction_work_n_mm,
+    )  # fmt: skip
+    say("  force (N) and torque (N mm) about its middle, on the indenter: across x, along the normal y, along z")
+    rows = zip(
+        motion.moves_mm, motion.turns_deg, mechanics.force_n, motion.torque_n_mm, motion.patch_mm2, motion.stuck_mm2,
+        strict=True,
+    )  # fmt: skip
+    for move, turn, force, torque, patch, stuck in rows:
+        where = f"move {_three(move, '.2f')} mm  turn {_three(turn, '.1f')} deg"
+        share = f"{stuck / patch:4.0%} of {patch:.3g} mm2 sticks" if patch > 0.0 else "nothing touches"
+        say(f"  {where}  force {_three(force, '.3f')}  torque {_three(torque, '.2f')}  {share}")
+
+
+def _three(values: "NDArray[np.float64]", digits: str) -> str:
+    """Return three numbers in columns."""
+    return " ".join(f"{value:{'7' + digits}}" for value in values + 0.0)
 
 
 LARGEST_FORCE_N = 1000.0
@@ -354,6 +416,12 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--force", type=_force, metavar="NEWTON",
         help="press until the indenter pushes with this force, frictionless, in place of the design's depth_mm",
+    )  # fmt: skip
+    parser.add_argument(
+        "--path", type=Path, metavar="CSV",
+        help="move the indenter along the poses of a file in place of the design's depth_mm: columns across_mm, "
+        "push_mm, along_mm, turn_x_deg, turn_y_deg, turn_z_deg and increments, from first touch; with the design's "
+        "friction",
     )  # fmt: skip
     parser.add_argument(
         "--resume", type=Path, metavar="INCREMENT",
@@ -385,7 +453,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def _long_press(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
     kept = "Finished increments are kept: the same command continues after the last one"
-    if arguments.force is not None or arguments.engine == "calculix":
+    if arguments.force is not None or arguments.path is not None or arguments.engine == "calculix":
         kept = "Nothing is stored before its end: the same command begins again"
     return LongWork("the press by finite elements", kept, arguments.out)
 
@@ -426,6 +494,13 @@ def _require_one_way(arguments: argparse.Namespace) -> None:
         raise SimulateError(
             "--force presses from first touch by the penalty of the elements here; leave out --force, or --resume, "
             "--sensitivities, --contact barrier and --engine"
+        )
+    if arguments.path is not None and (
+        calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"
+    ):
+        raise SimulateError(
+            "--path moves the indenter from first touch by the penalty of the elements here; leave out --path, or "
+            "--force, --resume, --sensitivities, --contact barrier and --engine"
         )
     if arguments.sensitivities and (calculix or resumes):
         raise SimulateError(

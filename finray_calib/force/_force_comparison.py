@@ -239,6 +239,11 @@ def compare_force(
     ----------
     ASME V&V 20-2009, sections 1 and 6.
     """
+    if press.motion is not None:
+        raise CompareError(
+            f"{press.name}: its indenter moved along a path; a loading curve is compared with a press along the pad's "
+            "normal: press again without --path"
+        )
     curve = ForceCurve(press.name, press.depth_mm, press.force_n[:, 1])
     measured.check_units(float(curve.depth_mm[-1]), float(curve.force_n.max()))
     mesh = mesh_error(press, other_mesh)

@@ -43,7 +43,12 @@ if TYPE_CHECKING:
     )
     from finray_calib.reports._design_study_page import design_study_page, study_text
     from finray_calib.reports._finger_page import finger_page
-    from finray_calib.reports._finger_pictures import finger_page_png, pressed_finger_png, untouched_finger_png
+    from finray_calib.reports._finger_pictures import (
+        finger_page_png,
+        indenter_path_png,
+        pressed_finger_png,
+        untouched_finger_png,
+    )
     from finray_calib.reports._finger_views import finger_outline
     from finray_calib.reports._fit_figures import (
         emission_figure,
@@ -189,6 +194,7 @@ __all__ = [
     "headline",
     "history_page",
     "in_rows",
+    "indenter_path_png",
     "interval_text",
     "legend_above",
     "level_a_sentence",

@@ -1,4 +1,4 @@
-"""Pictures of a finger: its design with the camera's view below, and the finger pressed with its force over the push.
+"""Pictures of a finger: its design with the camera's view below, pressed with its force, and along an indenter's path.
 
 The camera's view shows the parts in its frame with a millimetre grid, and how finely they are seen.
 """
@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from data_schemas import FingerDesign, FingerSurfaces, PressMechanics
+from data_schemas import FingerDesign, FingerSurfaces, PressMechanics, PressMotion
 from finray_calib.reports._finger_views import PART_COLOURS, FingerOutline, draw_front, draw_side, finger_outline
 from finray_calib.reports._style import (
     BLUE,
@@ -201,6 +202,104 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, fold
     _draw_curve(curve.subplots(), mechanics)
     figure.suptitle(f"{mechanics.name}: {mechanics.label}")
     return png_bytes(figure)
+
+
+_MOST_PATCHES = 10  # of a path are drawn, evenly chosen, the last one among them
+_PATCHES_A_ROW = 5
+_PATCH_MARGIN_MM = 1.0
+_ARROWS_SHARE = 0.25  # of the patch's size, the longest arrow of shear
+
+
+@styled()
+def indenter_path_png(mechanics: PressMechanics) -> bytes:
+    """Return a picture of an indenter's path as PNG bytes.
+
+    Above, force and torque on the indenter at each increment. Below, the patch on the undeformed pad at up to ten of
+    them: pressure by colour, what slips ringed, and the friction on the coat as arrows.
+
+    Parameters
+    ----------
+    mechanics
+        Of a press along a path.
+
+    Raises
+    ------
+    ValueError
+        When the press has no path.
+    """
+    motion = mechanics.motion
+    if motion is None:
+        raise ValueError("the press has no path: its indenter was pushed along the pad's normal")
+    count = len(mechanics.depth_mm)
+    shown = np.unique(np.round(np.linspace(0, count - 1, min(count, _MOST_PATCHES))).astype(int))
+    rows = -(-len(shown) // _PATCHES_A_ROW)
+    figure = new_figure(13.0, 3.6 + 3.2 * rows)
+    above, below = figure.subfigures(2, 1, height_ratios=(3.6, 3.2 * rows))
+    _draw_wrench(above, mechanics, motion)
+    axes = below.subplots(rows, _PATCHES_A_ROW, squeeze=False, sharex=True, sharey=True)
+    for place in axes.flat[len(shown) :]:
+        place.set_visible(False)
+    for place, k in zip(axes.flat, shown, strict=False):
+        drawn = _draw_patch(place, motion, int(k))
+    below.colorbar(drawn, ax=axes, shrink=0.8, label="pressure (MPa)")
+    below.supxlabel("x across the pad (mm); ringed: slips in this increment; arrows: friction on the coat")
+    below.supylabel("z along the finger (mm)")
+    figure.suptitle(f"{mechanics.name}: {mechanics.label}, friction {motion.friction:g}")
+    return png_bytes(figure)
+
+
+_AXES = (("across, x", VERMILLION), ("along the normal, y", BLUE), ("along the finger, z", GREEN))
+
+
+def _draw_wrench(figure: SubFigure, mechanics: PressMechanics, motion: PressMotion) -> None:
+    """Draw force, torque and what sticks, at each increment."""
+    force, torque, sticks = figure.subplots(1, 3)
+    steps = np.arange(1, len(mechanics.depth_mm) + 1)
+    for k, (name, colour) in enumerate(_AXES):
+        force.plot(steps, mechanics.force_n[:, k], "-o", color=colour, markersize=3, label=name)
+        torque.plot(steps, motion.torque_n_mm[:, k], "-o", color=colour, markersize=3)
+    for axes in (force, torque, sticks):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    force.set(xlabel="increment", ylabel="force on the indenter (N)")
+    force.legend()
+    torque.set(xlabel="increment", ylabel="torque about its middle (N mm)")
+    sticks.plot(steps, motion.patch_mm2, "-o", color=INK, markersize=3, label="touches")
+    sticks.plot(steps, motion.stuck_mm2, "-o", color=ORANGE, markersize=3, label="sticks")
+    sticks.set(xlabel="increment", ylabel="area of the coat (mm2)", ylim=(0.0, None))
+    sticks.legend()
+
+
+def _draw_patch(axes: Axes, motion: PressMotion, k: int) -> PathCollection:
+    """Draw pressure, slip and friction of one increment at its points."""
+    x, z = motion.points_mm[:, 0], motion.points_mm[:, 2]
+    touches = motion.pressure_mpa[k] > 0.0
+    slips = touches & (motion.slip_mm[k] > 0.0)
+    axes.scatter(x, z, s=9, color=HAIRLINE, linewidths=0)
+    drawn = axes.scatter(
+        x[touches], z[touches], c=motion.pressure_mpa[k, touches], s=26, cmap="viridis", linewidths=0,
+        vmin=0.0, vmax=float(motion.pressure_mpa.max()) or 1.0,
+    )  # fmt: skip
+    axes.scatter(x[slips], z[slips], s=34, facecolors="none", edgecolors=VERMILLION, linewidths=1.0)
+    largest = float(np.linalg.norm(motion.shear_mpa[..., [0, 2]], axis=-1).max())
+    if largest > 0.0:
+        size = max(float(np.ptp(x)), float(np.ptp(z)), 1.0)
+        on_coat = -motion.shear_mpa[k, touches]
+        axes.quiver(
+            x[touches], z[touches], on_coat[:, 0], on_coat[:, 2], angles="xy", scale_units="xy",
+            scale=largest / (_ARROWS_SHARE * size), color=INK, width=0.006,
+        )  # fmt: skip
+    x_mm, y_mm, z_mm = motion.moves_mm[k]
+    turn = float(np.linalg.norm(motion.turns_deg[k]))
+    axes.set_title(
+        f"{k + 1}: push {-y_mm + 0.0:.2f}, aside {np.hypot(x_mm, z_mm):.2f} mm\nturn {turn:.1f} deg", fontsize=8
+    )
+    axes.set(
+        aspect="equal",
+        xlim=(x.min() - _PATCH_MARGIN_MM, x.max() + _PATCH_MARGIN_MM),
+        ylim=(z.min() - _PATCH_MARGIN_MM, z.max() + _PATCH_MARGIN_MM),
+    )
+    axes.grid(visible=False)
+    return drawn
 
 
 @styled()

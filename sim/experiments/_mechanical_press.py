@@ -11,16 +11,19 @@ from data_schemas import (
     Preset,
     PressIncrement,
     PressMechanics,
+    PressMotion,
     PressSensitivities,
     SimulateError,
 )
 from sim.mechanics import (
     FORCE_EXCESS_REL,
     ContactChoice,
+    ContactMotion,
     FingerMesh,
     PressedFinger,
     chord_shortfall_rel,
     chosen_contact,
+    coat_areas_mm2,
     contact_distance,
     contact_forces_n,
     finger_mesh,
@@ -195,7 +198,7 @@ def _mechanics(
     gel = design.mechanics.gel
     slip, tipping = _torques(design, pressed)
     return PressMechanics(
-        name=f"{design.name}, push of {pressed.depth_mm[-1]:g} mm",
+        name=f"{design.name}, {_what_was_done(pressed)}",
         label=f"{engine}, {preset} mesh, {pressed.displacement_mm[0].size} unknowns",
         preset=preset,
         mesh_excess_rel=FORCE_EXCESS_REL[preset],
@@ -210,6 +213,7 @@ def _mechanics(
         slip_torque_per_friction_n_mm=slip,
         tipping_torque_n_mm=tipping,
         design=design,
+        motion=None if pressed.motion is None else _motion(design, pressed, pressed.motion),
         notes=(
             pressed.contact,
             *([f"{pressed.crossing}: what it gives there is no finger's"] if pressed.crossing else []),
@@ -223,10 +227,43 @@ def _mechanics(
     )
 
 
+def _what_was_done(pressed: PressedFinger) -> str:
+    """Return in words how far the indenter went."""
+    if pressed.motion is None:
+        return f"push of {pressed.depth_mm[-1]:g} mm"
+    return f"path of {len(pressed.depth_mm)} increments to a push of {pressed.depth_mm[-1]:g} mm"
+
+
+def _motion(design: FingerDesign, pressed: PressedFinger, motion: ContactMotion) -> PressMotion:
+    """Return the path and its contact, of the points that touch at one increment at least."""
+    touched = motion.pressure_mpa.max(axis=0) > 0.0
+    count = touched.shape[1]
+    # a face's points share its area evenly, to the distortion of a face
+    areas = np.repeat(coat_areas_mm2(pressed.mesh)[:, None] / count, count, axis=1)[touched]
+    pressure, slip = motion.pressure_mpa[:, touched], motion.slip_mm[:, touched]
+    touches = pressure > 0.0
+    return PressMotion(
+        moves_mm=motion.moves_mm,
+        turns_deg=motion.turns_deg,
+        origins_mm=motion.origins_mm,
+        torque_n_mm=motion.torque_n_mm,
+        patch_mm2=touches @ areas,
+        stuck_mm2=(touches & (slip == 0.0)) @ areas,
+        friction=design.indenter.friction,
+        points_mm=pressed.touch_mm[touched],
+        point_areas_mm2=areas,
+        pressure_mpa=pressure,
+        shear_mpa=motion.shear_mpa[:, touched],
+        slip_mm=slip,
+    )
+
+
 def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) -> tuple[str, ...]:
     """Say how much too low the penalty's force is on a round indenter."""
     short = chord_shortfall_rel(design, preset, float(pressed.depth_mm[-1]))
     touched = pressed.force_n[-1, 1] > 0.0
+    if pressed.motion is not None and not touched:
+        return ()
     if pressed.kind != "penalty" or (touched and not short):
         return ()
     told = f"the force is some {short:.0%} below the barrier's"
@@ -252,7 +289,7 @@ def _surfaces(design: FingerDesign, pressed: PressedFinger, engine: str) -> Fing
     """Return the finger without and with contact."""
     mesh = pressed.mesh
     nodes = coat_nodes(design, mesh.nodes_mm, mesh.hexahedra)
-    label = f"{engine}, push of {pressed.depth_mm[-1]:g} mm"
+    label = f"{engine}, {_what_was_done(pressed)}"
     rest = shape_from_mesh(design, mesh.nodes_mm, mesh.hexahedra)
     deformed = shape_from_mesh(
         design,

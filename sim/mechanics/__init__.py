@@ -4,9 +4,10 @@ A press is a sequence of equilibria. At each, the sum of the elastic energy of t
 is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newton's method with an energy line search.
 
 `press_finger` pushes the indenter of a design to a depth, `press_to_force` to a force; both return a `PressedFinger`.
-Contact is a penalty on exact distances (fast, frictionless) or a barrier with friction that never lets surfaces
-cross. `LoadedFinger` bends and twists a finger without an indenter. Lengths in mm, forces in N, stresses in MPa. It
-knows no light: mechanics and optics meet in the studies.
+`press_along` moves it along a path of poses (press, slide, twist, roll, release) with friction that remembers where the
+coat sticks. Other contact is a penalty on exact distances (fast, frictionless) or a barrier with friction that never
+lets surfaces cross. `LoadedFinger` bends and twists a finger without an indenter. Lengths in mm, forces in N, stresses
+in MPa. It knows no light: mechanics and optics meet in the studies.
 
 The design leads: the shape of the pad and the constants of the materials are those of `FingerDesign` (`GelPad`,
 `MechanicalMaterials`). A rigid shape that presses is a distance with its derivatives, in `_rigid_bodies.py`.
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
         finger_mesh,
         pad_mesh,
     )
+    from sim.mechanics._indenter_path import IndenterPath, moved_pose, press_along, read_path
     from sim.mechanics._indenters import rigid_indenter, side_outline_mm
     from sim.mechanics._loads import LoadedFinger, press_to_force
     from sim.mechanics._materials import LinearElastic, Material, Ogden
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
         PressedFinger,
         PressSettings,
         chosen_contact,
+        coat_areas_mm2,
         contact_distance,
         contact_forces_n,
         contact_pressure_mpa,
@@ -47,6 +50,7 @@ if TYPE_CHECKING:
     from sim.mechanics._printed_parts import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
     from sim.mechanics._rigid_bodies import Body, Cylinder, Pose, RoundedBox, Sphere, body_mesh, read_triangles
     from sim.mechanics._skeleton import SkeletonLayout, back_curve_mm, skeleton_layout, skeleton_mesh
+    from sim.mechanics._sliding_contact import ContactMotion, SlidingContact
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -58,8 +62,10 @@ __all__ = [
     "Block",
     "Body",
     "ContactChoice",
+    "ContactMotion",
     "Cylinder",
     "FingerMesh",
+    "IndenterPath",
     "LinearElastic",
     "LoadedFinger",
     "Material",
@@ -71,11 +77,13 @@ __all__ = [
     "PressedFinger",
     "RoundedBox",
     "SkeletonLayout",
+    "SlidingContact",
     "Sphere",
     "back_curve_mm",
     "body_mesh",
     "chord_shortfall_rel",
     "chosen_contact",
+    "coat_areas_mm2",
     "contact_distance",
     "contact_forces_n",
     "contact_pressure_mpa",
@@ -86,13 +94,16 @@ __all__ = [
     "mould_sizes",
     "mould_solid",
     "mould_stl",
+    "moved_pose",
     "pad_mesh",
     "part_solid",
     "part_stl",
     "penalty_mpa_per_mm",
+    "press_along",
     "press_finger",
     "press_to_force",
     "quad_shapes",
+    "read_path",
     "read_triangles",
     "rigid_indenter",
     "side_outline_mm",

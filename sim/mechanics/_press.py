@@ -26,6 +26,7 @@ from sim.mechanics._penalty_contact import PenaltyPress, penalty_mpa_per_mm
 
 if TYPE_CHECKING:
     from sim.mechanics._barrier_contact import Barrier
+    from sim.mechanics._sliding_contact import ContactMotion
 
 FloatArray = NDArray[np.float64]
 ContactChoice = Literal["auto", "penalty", "barrier"]
@@ -209,6 +210,8 @@ class PressedFinger:
         How the contact was computed.
     crossing
         From which push on surfaces of the finger pass through each other, and where; empty where none do.
+    motion
+        Of an indenter on a path (:func:`~sim.mechanics.press_along`): its poses and what its contact does at each.
     """
 
     mesh: FingerMesh
@@ -226,6 +229,7 @@ class PressedFinger:
     friction_work_n_mm: FloatArray | None = None
     kind: ContactKind | Literal["unknown"] = "unknown"
     crossing: str = ""
+    motion: "ContactMotion | None" = None
 
 
 class PressHistory:

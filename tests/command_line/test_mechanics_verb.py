@@ -90,6 +90,50 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     assert last.depth_mm[-1] == pytest.approx(0.2)
 
 
+@pytest.mark.usefixtures("rough_mesh")
+def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
+    (tmp_path / "finger.toml").write_text(FINGER)
+    (tmp_path / "path.csv").write_text("push_mm,along_mm,turn_y_deg,increments\n0.3,0,0,1\n0.3,0.2,4,2\n")
+    out = f"--path {tmp_path}/path.csv --out {tmp_path}/moved.press.json"
+    said = succeed(f"simulate press {tmp_path}/finger.toml {out}")
+    assert said.count("sticks") == 3
+    stored = read_record(tmp_path / "moved.mechanics.json", PressMechanics)
+    motion = stored.motion
+    assert motion is not None
+    np.testing.assert_allclose(motion.moves_mm, [[0, -0.3, 0], [0, -0.3, 0.1], [0, -0.3, 0.2]])
+    np.testing.assert_allclose(motion.turns_deg[:, 1], [0.0, 2.0, 4.0])
+    # the pad is pulled along by the indenter, which is held back by no more than friction
+    assert -motion.shear_mpa[-1, :, 2].sum() > 0.0
+    assert (np.linalg.norm(motion.shear_mpa, axis=-1) <= 0.3 * motion.pressure_mpa * 1.01).all()
+    # pressure is at right angles to a nearly plane coat: the points add up to the force along the normal
+    pushed = motion.pressure_mpa @ motion.point_areas_mm2
+    np.testing.assert_allclose(pushed, stored.force_n[:, 1], rtol=0.03)
+    assert stored.provenance is not None
+    assert any(name.endswith("path.csv") for name in stored.provenance.input_sha256)
+    assert (tmp_path / "moved.mechanics.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--force 2", "leave out --path, or --force"),
+        ("--contact barrier", "leave out --path, or --force"),
+        ("--sensitivities", "leave out --path, or --force"),
+    ],
+)
+def test_a_path_does_not_go_with_other_presses(tmp_path: Path, options: str, message: str) -> None:
+    (tmp_path / "finger.toml").write_text(FINGER)
+    (tmp_path / "path.csv").write_text("push_mm\n0.3\n")
+    said = refused(f"simulate press {tmp_path}/finger.toml --path {tmp_path}/path.csv {options}")
+    assert message in said
+
+
+def test_a_path_that_is_not_there_is_told_before_the_press(tmp_path: Path) -> None:
+    (tmp_path / "finger.toml").write_text(FINGER)
+    said = refused(f"simulate press {tmp_path}/finger.toml --path {tmp_path}/none.csv")
+    assert "none.csv" in said
+
+
 def test_a_push_that_never_begins_leaves_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: Any, **__: Any) -> Iterator[Increment]:
         raise NoEquilibriumError("no equilibrium beyond 0 of the load: the stiffness matrix is singular")

@@ -1,0 +1,305 @@
+"""Move an indenter along a path: press, slide, shear, twist, roll and release, as a polyline of poses."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
+from data_schemas.storage import finite_number, read_csv
+from sim.mechanics._assembly import Assembly, Elasticity, State
+from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_mesh, finger_ties
+from sim.mechanics._increments import Extrapolation, Load, Watch, load_increments
+from sim.mechanics._indenters import RigidIndenter, rigid_indenter
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._newton import NewtonOptions, Supports
+from sim.mechanics._penalty_contact import penalty_mpa_per_mm
+from sim.mechanics._press import PressedFinger, PressHistory, PressSettings
+from sim.mechanics._rigid_bodies import Pose
+from sim.mechanics._sliding_contact import ContactMotion, SlidingContact, SlidingTouch
+
+FloatArray = NDArray[np.float64]
+
+MOVE_COLUMNS = ("across_mm", "push_mm", "along_mm")
+TURN_COLUMNS = ("turn_x_deg", "turn_y_deg", "turn_z_deg")
+INCREMENTS_COLUMN = "increments"
+LARGEST_MOVE_MM = 200.0
+LARGEST_TURN_DEG = 720.0
+MOST_INCREMENTS = 1000
+_AT_A_CORNER = 1e-9  # of an increment
+
+
+@dataclass(frozen=True, slots=True)
+class IndenterPath:
+    """A polyline of poses from first touch, where the move and the turn are nought.
+
+    Between two poses moves and rotation vectors change linearly. The turn is about the indenter's own middle (a mesh:
+    its origin), after the move.
+
+    Attributes
+    ----------
+    moves_mm
+        Of the r poses, across the finger (x), along the pad's outward normal (y), along the finger (z), (r, 3).
+    turns_deg
+        Their rotation vectors, in the same axes, (r, 3).
+    increments
+        Equal steps that are wanted on the way to each pose, (r,).
+
+    Raises
+    ------
+    SimulateError
+        When there is no pose, or a number is out of bounds.
+    """
+
+    moves_mm: FloatArray
+    turns_deg: FloatArray
+    increments: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        count = len(self.increments)
+        if not count or self.moves_mm.shape != (count, 3) or self.turns_deg.shape != (count, 3):
+            raise SimulateError(
+                "a path needs at least one pose, with a move (3) and a turn (3) and increments for each"
+            )
+        for what, values, most, unit in (
+            ("move", self.moves_mm, LARGEST_MOVE_MM, "mm"),
+            ("turn", self.turns_deg, LARGEST_TURN_DEG, "deg"),
+        ):
+            if not (np.abs(values) <= most).all():
+                row = int(np.flatnonzero(~(np.abs(values) <= most).all(axis=1))[0])
+                raise SimulateError(
+                    f"pose {row + 1} of the path: its {what}, {values[row].tolist()} {unit}, must be finite and at "
+                    f"most {most:g} {unit} from first touch"
+                )
+        if (self.increments < 1).any() or self.increments.sum() > MOST_INCREMENTS:
+            raise SimulateError(
+                f"the path has {int(self.increments.sum())} increments: at least 1 for each pose and at most "
+                f"{MOST_INCREMENTS} in all are allowed"
+            )
+
+    @property
+    def total(self) -> int:
+        """Increments in all."""
+        return int(self.increments.sum())
+
+    def at(self, share: float) -> tuple[FloatArray, FloatArray]:
+        """Return the move (3,) in mm and the turn (3,) in deg after a share of all increments."""
+        ends = np.concatenate([[0], np.cumsum(self.increments)])
+        done = share * self.total
+        k = int(np.clip(np.searchsorted(ends, done), 1, len(ends) - 1))
+        part = (done - ends[k - 1]) / (ends[k] - ends[k - 1])
+        found = []
+        for poses in (self.moves_mm, self.turns_deg):
+            before = poses[k - 2] if k > 1 else np.zeros(3)
+            found.append(before + part * (poses[k - 1] - before))
+        return found[0], found[1]
+
+    def is_corner(self, share: float) -> bool:
+        """Whether one of the poses is reached after a share of all increments."""
+        return bool((np.abs(np.cumsum(self.increments) - share * self.total) < _AT_A_CORNER).any())
+
+
+def read_path(path: Path, increments: int) -> IndenterPath:
+    """Return the path of a CSV file: one pose a row, relative to first touch.
+
+    Columns across_mm, push_mm (into the pad), along_mm, turn_x_deg, turn_y_deg, turn_z_deg (a rotation vector) and
+    increments (whole steps on the way to the pose); a column that is left out is nought.
+
+    Parameters
+    ----------
+    path
+        The file.
+    increments
+        Of a pose where the file has no such column.
+
+    Raises
+    ------
+    SimulateError
+        When it cannot be read, a column is unknown, a cell is no number, or see :class:`IndenterPath`.
+    """
+    header, rows = read_csv(path, "the path of an indenter (CSV)", SimulateError, comments=True)
+    known = (*MOVE_COLUMNS, *TURN_COLUMNS, INCREMENTS_COLUMN)
+    allowed = f"the columns are {', '.join(known)}; one that is left out is nought"
+    unknown = [name for name in header if name not in known]
+    if unknown:
+        raise SimulateError(f"{path}: the column {unknown[0][:60]!r} is unknown; {allowed}")
+    if not set(header) & set(known[:-1]):
+        raise SimulateError(f"{path}: has no column that moves or turns the indenter; {allowed}")
+    if not rows:
+        raise SimulateError(f"{path}: has no pose; write one row for each pose of the indenter, below the header")
+    table = np.zeros((len(rows), len(known)))
+    table[:, -1] = increments
+    for pose, (line, cells) in enumerate(rows):
+        for name, cell in zip(header, cells, strict=False):
+            table[pose, known.index(name)] = _number(path, line, name, cell)
+        if len(cells) < len(header):
+            raise SimulateError(f"{path}, line {line}: has {len(cells)} columns, the header has {len(header)}")
+    steps = table[:, -1]
+    if (steps != np.round(steps)).any():
+        line = rows[int(np.flatnonzero(steps != np.round(steps))[0])][0]
+        raise SimulateError(f"{path}, line {line}, column increments: must be a whole number of at least 1")
+    moves = table[:, :3] * np.array([1.0, -1.0, 1.0])
+    try:
+        return IndenterPath(moves, table[:, 3:6], steps.astype(np.int64))
+    except SimulateError as error:
+        raise SimulateError(f"{path}: {error}") from error
+
+
+def _number(path: Path, line: int, name: str, cell: str) -> float:
+    """Return the number of a cell."""
+    try:
+        return finite_number(cell)
+    except ValueError as error:
+        raise SimulateError(f"{path}, line {line}, column {name}: {error}; give a decimal number") from error
+
+
+def moved_pose(indenter: RigidIndenter, move_mm: FloatArray, turn_deg: FloatArray) -> Pose:
+    """Return the pose of an indenter moved from first touch, and turned about its own middle by a rotation vector."""
+    x, y, z = np.array(indenter.touching.position_mm) + move_mm
+    turned = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix() @ indenter.touching.rotation
+    return Pose((float(x), float(y), float(z)), turned)
+
+
+class _MovedIndenter(SlidingTouch):
+    """The coat against an indenter on its path, and what is kept of each increment."""
+
+    def __init__(self, design: FingerDesign, path: IndenterPath, settings: PressSettings, folder: Path) -> None:
+        indenter, mesh = rigid_indenter(design, folder), finger_mesh(design, settings.preset)
+        if indenter.body is None:
+            raise SimulateError(
+                'indenter.shape = "mesh": a path needs exact distances; give a cylinder, ball or cuboid, or press the '
+                "mesh along its normal, without a path"
+            )
+        self._indenter, self._path = indenter, path
+        self._pad_mm = STEPS[settings.preset or design.mesh.preset].pad_mm
+        eps = penalty_mpa_per_mm(design, self._pad_mm)
+        contact = SlidingContact(
+            mesh.nodes_mm, mesh.surfaces["coat"], indenter.body, indenter.touching, eps, design.indenter.friction
+        )
+        super().__init__(mesh, contact)
+        self._rows: list[tuple[FloatArray, ...]] = []
+
+    def move(self, share: float) -> Supports:
+        """Put the indenter where it is after a share of its path, for an increment from where the last one ended."""
+        self.sliding.restart(moved_pose(self._indenter, *self._path.at(share)))
+        return self.supports
+
+    def keep(self, share: float, state: State) -> None:
+        """Keep what the contact does at an equilibrium."""
+        u, contact = state.u_mm, self.sliding
+        self._rows.append(
+            (
+                *self._path.at(share), np.array(contact.pose.position_mm), contact.torque_n_mm(u),
+                contact.pressures_mpa(u), contact.shears_mpa(u), contact.slips_mm(u),
+            )
+        )  # fmt: skip
+
+    def motion(self) -> ContactMotion:
+        """Return what was kept."""
+        return ContactMotion(*(np.array(values) for values in zip(*self._rows, strict=True)))
+
+    def passed_through(self, state: State) -> str:
+        """Return that an equilibrium is one behind the coat, or nothing.
+
+        Nothing touches, though the undeformed coat would reach into the indenter by more than an element, which a round
+        one between nodes explains; or the pressures pull the indenter in.
+        """
+        contact = self.sliding
+        pushed = contact.pressures_mpa(state.u_mm)
+        if pushed.any():
+            behind = not float(contact.normal_force_n(state.u_mm)[1]) > 0.0
+        else:
+            behind = float(contact.gaps_mm(np.zeros_like(state.u_mm)).min()) < -self._pad_mm
+        return "the indenter has passed through the coat" if behind else ""
+
+
+def press_along(
+    design: FingerDesign,
+    path: IndenterPath,
+    settings: PressSettings | None = None,
+    *,
+    folder: Path = Path(),
+    progress: Callable[[int, int, str], None] | None = None,
+) -> PressedFinger:
+    """Move the design's indenter along a path from first touch, with Coulomb friction that remembers.
+
+    Contact is the penalty on exact distances, see :class:`SlidingContact`; ribs do not see each other, and the result
+    tells from which increment on parts of the finger pass through each other.
+
+    Parameters
+    ----------
+    design
+        Finger, materials, indenter and ``indenter.friction``; ``indenter.depth_mm`` plays no part.
+    path
+        Where it goes.
+    settings
+        How it is computed; ``increments`` are those of the path, and ``contact`` may not be "barrier".
+    folder
+        Where the design stands.
+    progress
+        Called before each iteration and after each increment.
+
+    Returns
+    -------
+    PressedFinger
+        With its `motion`; ``depth_mm`` is the push at each increment, which a release takes back.
+
+    Raises
+    ------
+    SimulateError
+        When the indenter is a mesh of the user, the barrier is asked for, or not even the first increment finds an
+        equilibrium.
+    """
+    settings = settings or PressSettings()
+    if settings.contact == "barrier":
+        raise SimulateError("--contact barrier cannot follow a path: its indenter does not turn; leave it out")
+    watch = Watch(progress, path.total, settings.budget_s)
+    touch = _MovedIndenter(design, path, settings, folder)
+    ties = finger_ties(design, touch.mesh, STEPS[settings.preset or design.mesh.preset].skeleton_mm)
+    elasticity = Elasticity(touch.mesh, finger_materials(design), settings.threads)
+    assembly = Assembly(elasticity, [touch.sliding, *ties])
+    history = PressHistory(assembly, ties, touch)
+    total = path.total
+    load = Load(
+        at=touch.move,
+        settle=touch.settle if touch.sliding.friction_ratio > 0.0 else None,
+        refuse=lambda state, share: touch.passed_through(state),
+        accept=touch.accept,
+    )
+    stops = [(k + 1) / total for k in range(total)]
+    unreached = ""
+    try:
+        for step in load_increments(
+            assembly,
+            linear_solver(threads=settings.threads),
+            load,
+            stops,
+            options=NewtonOptions(tell=watch.tell),
+            predict=_StraightOn(path),
+        ):
+            touch.keep(step.fraction, step.equilibrium.state)
+            history.add(-float(path.at(step.fraction)[0][1]), step.equilibrium)
+            done = step.fraction * total
+            watch.reached(math.floor(done + _AT_A_CORNER), f"moved {done:.4g} of {total} increments")
+    except NoEquilibriumError as stuck:
+        if history.depth_mm is None:
+            raise
+        unreached = str(stuck)
+    motion = touch.motion()
+    return replace(history.pressed(unreached), motion=motion, pressure_mpa=motion.pressure_mpa[-1])
+
+
+class _StraightOn:
+    """A predictor: the straight line through the last two equilibria, but not round a corner of the path."""
+
+    def __init__(self, path: IndenterPath) -> None:
+        self._path, self._line = path, Extrapolation()
+
+    def __call__(self, state: State, at: float, aim: float) -> State | None:
+        """Return the state expected at the share `aim` of the path, or nothing."""
+        guess = self._line(state, at, aim)
+        return None if self._path.is_corner(at) else guess
