@@ -15,6 +15,7 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from sim.experiments._ball_presses import BallPresses, render_ball_presses, render_finger_presses
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
+    from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluation, FingerEvaluator
     from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
     from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
     from sim.experiments._light_angle import light_angle_sweep
@@ -42,6 +43,9 @@ __all__ = [
     "BallPresses",
     "BareFinger",
     "CameraResponse",
+    "EvaluationSettings",
+    "FingerEvaluation",
+    "FingerEvaluator",
     "FingerScene",
     "OpticsProducts",
     "PaintDraws",
