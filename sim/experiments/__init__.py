@@ -36,6 +36,15 @@ if TYPE_CHECKING:
     from sim.experiments._rendered_press import Rendering, camera_rgb, pose_response, press_record, simulate_press
     from sim.experiments._sensor_press import PressedCoat, pressed_coat, simulate_sensor_press
     from sim.experiments._tactile_camera import capture_twin, hidden_design, simulated_capture
+    from sim.experiments._tolerance_study import (
+        FingerError,
+        ToleranceFindings,
+        ToleranceInput,
+        ToleranceSettings,
+        study_tolerances,
+        tolerance_inputs,
+        varied_finger,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -44,6 +53,7 @@ __all__ = [
     "BareFinger",
     "CameraResponse",
     "EvaluationSettings",
+    "FingerError",
     "FingerEvaluation",
     "FingerEvaluator",
     "FingerScene",
@@ -53,6 +63,9 @@ __all__ = [
     "PaintedPairs",
     "PressedCoat",
     "Rendering",
+    "ToleranceFindings",
+    "ToleranceInput",
+    "ToleranceSettings",
     "WhiteBalance",
     "camera_rgb",
     "capture_twin",
@@ -82,5 +95,8 @@ __all__ = [
     "study_finger_stiffness",
     "study_fluorescent_rendering",
     "study_light_angle",
+    "study_tolerances",
     "study_two_lights",
+    "tolerance_inputs",
+    "varied_finger",
 ]

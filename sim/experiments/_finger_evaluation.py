@@ -222,6 +222,23 @@ class FingerEvaluator:
         seen_share = len(points.places_mm) / (POINTS_ACROSS * POINTS_ALONG)
         return _evaluated(design, table, rgb, places, self.settings.seed, seen_share, blocked)
 
+    def error_taught_by(self, taught: FingerEvaluation, found: FingerEvaluation, design: FingerDesign) -> float:
+        """Return the expected error (deg) of a finger that takes the calibration of another one.
+
+        Each finger has its own picture without contact, to which its colours are relative.
+
+        Parameters
+        ----------
+        taught
+            The finger that was calibrated.
+        found, design
+            The finger that senses.
+        """
+        sensor = tactile_sensor(design, self.settings.seed)
+        with threadpool_limits(limits=1, user_api="blas"):
+            errors_deg = held_out_errors_deg(found.table, sensor, self.settings.seed, taught.table)[0]
+        return float(errors_at(found.table.places_mm, errors_deg, found.places_mm).mean())
+
     def _camera_signals(self, design: FingerDesign, paints: Mapping[str, PaintDraws]) -> tuple[Floats, SeenPoints]:
         """Return camera signals (draw, point, facet, 3) in units of the panel's radiance, and where they are."""
         for colour in COLOURS:
