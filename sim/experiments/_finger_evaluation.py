@@ -211,7 +211,7 @@ class FingerEvaluator:
             When a place lies off the pad, the panel reaches into the gel, a paint is missing or gains energy, the coat
             is black, or the camera sees less than half of the grid.
         """
-        places = self._places_mm(design)
+        places = self.contact_places_mm(design)
         rgb, points = self._camera_signals(design, paints)
         shares = self._once("presses", self._presses(design, places), lambda: _mean_shares(design, places))
         table = self._exposed(design, rgb, points.places_mm, shares, electrons_per_radiance)
@@ -277,7 +277,7 @@ class FingerEvaluator:
         """Return the surfaces of the finger without contact."""
         return self._once("rest", _parts(design), lambda: rest_shape(design))
 
-    def _places_mm(self, design: FingerDesign) -> Floats:
+    def contact_places_mm(self, design: FingerDesign) -> Floats:
         """Return the middles of the contacts along the pad."""
         length = design.pad.length_mm
         if not self.settings.contact_places_mm:
