@@ -198,6 +198,9 @@ def _add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser
         "--calibration", choices=["own", "shared"], default="own", help="of each finger, or of the finger as drawn"
     )
     tolerances.add_argument("--runs", type=int, default=128, metavar="N", help="fingers in which all varies: 128")
+    tolerances.add_argument(
+        "--samples", type=int, default=1024, metavar="N", help="paths per point and repeat: 1024, some 1 s a finger"
+    )
     tolerances.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
     tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
     add_seed(tolerances)
@@ -602,7 +605,7 @@ def _evaluators(
     calibration = None if camera.calibration is None else read_calibration(folder / camera.calibration)
 
     def opened(seed: int) -> "FingerEvaluator":
-        settings = EvaluationSettings(contact_places_mm=tuple(arguments.places_mm), seed=seed)
+        settings = EvaluationSettings(tuple(arguments.places_mm), arguments.samples, seed=seed)
         return FingerEvaluator(response, engine, settings, calibration)
 
     return opened

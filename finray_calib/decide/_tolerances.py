@@ -297,8 +297,9 @@ def limit_together(
 ) -> Limit:
     """Return how far all inputs may vary together: largest half-range at which few results exceed what is allowed.
 
-    All inputs are uniform within plus and minus the half-range, as a share of the emulated one. A result counts with
-    the emulator's residual added, as if all of it were of the result itself: on the safe side.
+    All inputs are uniform within plus and minus the half-range, as a share of the emulated one. A result is counted
+    from that where all inputs are 0, and with the emulator's residual added in proportion to the half-range, as if all
+    of it were of the result itself: on the safe side.
 
     Parameters
     ----------
@@ -317,7 +318,10 @@ def limit_together(
     unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(samples) - 1.0
     residual = emulator.residual * rng.standard_normal(samples)
     scales = np.linspace(0.0, 1.0, _SCALES + 1)[1:]
-    within = np.stack([(emulator.predict_draws(scale * unit) + residual <= allowed).mean(axis=1) for scale in scales])
+    drawn = emulator.predict_draws(np.zeros((1, unit.shape[1])))
+    within = np.stack(
+        [(emulator.predict_draws(scale * unit) - drawn + scale * residual <= allowed).mean(axis=1) for scale in scales]
+    )
     of_draws = [_largest(scales, one, confidence) for one in within.T]
     low, high = np.quantile(of_draws, LIMITS)
     value = _largest(scales, within.mean(axis=1), confidence)
@@ -328,7 +332,8 @@ def share_within(emulator: ChaosEmulator, scale: float, allowed: float, samples:
     """Return the share of results within what is allowed, inputs uniform within plus and minus a half-range."""
     rng = np.random.default_rng(seed)
     unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(samples) - 1.0
-    found = emulator.predict(scale * unit) + emulator.residual * rng.standard_normal(samples)
+    found = emulator.predict(scale * unit) - emulator.predict(np.zeros((1, unit.shape[1])))
+    found += scale * emulator.residual * rng.standard_normal(samples)
     return float((found <= allowed).mean())
 
 

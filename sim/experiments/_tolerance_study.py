@@ -72,7 +72,6 @@ _AXES: Final = {"x": 0, "y": 1, "z": 2}
 _TRIED: Final = (1.0, 4.0, 8.0, 16.0)
 _REFINED: Final = 2  # further steps within the bracket
 _CLOSE_REL: Final = 0.1  # of what is allowed: near enough to it
-_CHECKED: Final = 24
 #: The narrowest number may leave its limit at the ends of the box: there all together exceed what is allowed.
 _BOX_OVER_NARROWEST: Final = 1.25
 
@@ -231,11 +230,12 @@ def _shifted(paint: PaintDraws, deviations: float) -> PaintDraws:
 
 @dataclass(frozen=True, slots=True)
 class ToleranceSettings:
-    """What counts as too much, how many runs are spent, and the seed of the box; the check takes the next seed."""
+    """What counts as too much, runs of the box, fingers of the last check, and the seed; checks take the next seed."""
 
     allowed_rel: float = ALLOWED_REL
     runs: int = RUNS
     seed: int = 0
+    checked: int = 24
 
 
 class _Growth:
@@ -468,8 +468,8 @@ def _box_factor(sides: Sequence[_Side], allowed: float) -> float:
 def _check_together(check: _Growth, factor: float, settings: ToleranceSettings) -> tuple[int, int]:
     """Return how many fingers at the joint limit stay within what is allowed, of how many, with another seed."""
     rng = np.random.default_rng(settings.seed + 1)
-    units = rng.uniform(-1.0, 1.0, (_CHECKED, len(check.inputs)))
-    return sum(check.of(factor * unit) <= settings.allowed_rel for unit in units), _CHECKED
+    units = rng.uniform(-1.0, 1.0, (settings.checked, len(check.inputs)))
+    return sum(check.of(factor * unit) <= settings.allowed_rel for unit in units), settings.checked
 
 
 def _index(estimates: Estimates, k: int) -> VarianceShare:
@@ -482,13 +482,11 @@ def _sentence(
 ) -> str:
     """Say what is found."""
     sides = [(row, side.limit) for row in rows for side in (row.less, row.more) if side.limit is not None]
-    grown = f"before the expected error of the normal, {nominal_deg:.2f} deg, grows by {allowed:.0%}"
+    grown = f"the expected error of the normal, {nominal_deg:.2f} deg, grows by {allowed:.0%}"
     if together is None:
-        told = f"Together, all numbers may vary by more than {factor:.2g} times the given half-ranges {grown}"
+        told = f"All numbers together may vary by over {factor:.2g} times the given half-ranges before {grown}"
     else:
-        told = (
-            f"All numbers together may vary by {together:.2g} times the given half-ranges {grown}, for 95 % of fingers"
-        )
+        told = f"At {together:.2g} times the given half-ranges of all numbers together, {grown} in 5 % of fingers"
     if sides:
         row, limit = min(sides, key=lambda pair: (pair[1] or 0.0) / pair[0].given)
         told += f"; alone, the narrowest is {row.field}, {limit:.3g} {row.unit}"
