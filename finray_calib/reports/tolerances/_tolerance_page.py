@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 #: What the fields are called on the drawing.
 _WORDS: Final = {
     "angle_deg": "angle",
-    "azimuth_deg": "turn about the pad's normal",
+    "azimuth_deg": "turn",
     "aim_deg": "aim",
     "radius_mm": "radius of its bow",
     "thickness_mm": "thickness",
@@ -143,13 +143,13 @@ def _with_interval(side: ToleranceSide) -> str:
 
 def _limit_table(rows: Sequence[ToleranceRow]) -> ReportTable:
     """List the limits of each number alone."""
-    columns = ("number", "unit", "drawn", "may be less by", "may be more by", "given half-range", "which comes from",
+    columns = ("number", "drawn", "may be less by", "may be more by", "given half-range", "which comes from",
                "growth at the limits, once more")  # fmt: skip
     return one_group(
         "Limits of each number alone",
         columns,
         [
-            (row.field, row.unit, f"{row.nominal:.4g}", _with_interval(row.less), _with_interval(row.more),
+            (row.field, f"{row.nominal:.4g}", _with_interval(row.less), _with_interval(row.more),
              f"{row.given:.3g}", row.origin,
              ", ".join(percent(side.checked_loss_rel) for side in (row.less, row.more)
                        if side.checked_loss_rel is not None) or NO_VALUE)
@@ -311,6 +311,9 @@ def _name(field: str) -> str:
 
 def _range(row: ToleranceRow) -> str:
     """Return the limits of a number to both sides."""
-    less, more = (limit_text(side, "1") for side in (row.less, row.more))
     unit = {"1": "", "standard deviations": " sd", "deg": "\N{DEGREE SIGN}"}.get(row.unit, f" {row.unit}")
+    less, more = (limit_text(side, "1") for side in (row.less, row.more))
+    if less == more:
+        both = f"\N{PLUS-MINUS SIGN}{less.removeprefix('over ')}{unit}"
+        return f"over {both}" if less.startswith("over ") else both
     return f"\N{MINUS SIGN}{less} / +{more}{unit}"
