@@ -82,6 +82,8 @@ class ChaosEmulator:
         Share of the variance of runs that are left out (a fifth at a time, or one) which the others predict.
     residual
         Standard deviation of what is not predicted.
+    unexplained_high
+        97.5 % limit of the share that is not predicted, 1 - Q2, by resampling the runs.
     """
 
     orders: Orders
@@ -89,6 +91,7 @@ class ChaosEmulator:
     draws: Floats
     q2: float
     residual: float
+    unexplained_high: float
 
     def predict(self, inputs: Floats) -> Floats:
         """Return the result at inputs (point, input) of -1 to 1, (point,)."""
@@ -138,14 +141,18 @@ def fit_chaos(inputs: Floats, values: Floats, seed: int = 0) -> ChaosEmulator:
         fold_orders, fold_mean, fold_draws, _ = _fitted(inputs[~held], values[~held], rng)
         errors[held] = _terms(inputs[held], fold_orders) @ fold_mean - values[held]
         of_folds.append((fold_orders, fold_draws))
-    unexplained = max(float((errors**2).mean()) / float(values.var()), left_out)
+    shares = errors**2 / float(values.var())
+    unexplained = max(float(shares.mean()), left_out)
+    resampled = shares[rng.integers(len(shares), size=(_RESAMPLED, len(shares)))].mean(axis=1)
+    high = max(unexplained, float(np.quantile(resampled, LIMITS[1])))
     orders, draws = _on_common_terms(of_folds)
     full = np.zeros(len(orders))
     full[: len(mean)] = mean
-    return ChaosEmulator(orders, full, draws, 1.0 - unexplained, float(values.std() * np.sqrt(unexplained)))
+    return ChaosEmulator(orders, full, draws, 1.0 - unexplained, float(values.std() * np.sqrt(unexplained)), high)
 
 
 _FOLDS: Final = 5
+_RESAMPLED: Final = 400
 
 
 def _fitted(inputs: Floats, values: Floats, rng: np.random.Generator) -> tuple[Orders, Floats, Floats, float]:
@@ -187,18 +194,19 @@ def sobol_indices(emulator: ChaosEmulator) -> SobolIndices:
 
     .. math:: S_i = \sum_{a: only\ i} c_a^2 / \sum_{a \ne 0} c_a^2, \quad T_i = \sum_{a: a_i > 0} c_a^2 / \sum c_a^2
 
-    Intervals (95 %) are those of the posterior, widened at both ends by the unexplained share: it may belong to any
-    input, or to none.
+    Intervals (95 %) are those of the posterior, widened at both ends by the upper limit of the unexplained share: it
+    may belong to any input, or to none.
     """
     unexplained = float(np.clip(1.0 - emulator.q2, 0.0, 1.0))
     alone = (emulator.orders > 0) & ((emulator.orders > 0).sum(axis=1) == 1)[:, None]
-    return SobolIndices(*(_shares(emulator, mask, unexplained) for mask in (alone, emulator.orders > 0)), unexplained)
+    return SobolIndices(*(_shares(emulator, mask) for mask in (alone, emulator.orders > 0)), unexplained)
 
 
-def _shares(emulator: ChaosEmulator, mask: NDArray[np.bool_], unexplained: float) -> Estimates:
+def _shares(emulator: ChaosEmulator, mask: NDArray[np.bool_]) -> Estimates:
     """Return the share of the variance in the terms of each input."""
     value = _share(emulator.coefficients[None], mask)[0]
     low, high = np.quantile(_share(emulator.draws, mask), LIMITS, axis=0)
+    unexplained = min(max(emulator.unexplained_high, 0.0), 1.0)
     return Estimates(value, np.maximum(low - unexplained, 0.0), np.minimum(high + unexplained, 1.0))
 
 

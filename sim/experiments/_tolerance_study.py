@@ -317,7 +317,10 @@ def study_tolerances(
     noise = _noise(checked, settings.allowed_rel)
     factor = _box_factor(sides, settings.allowed_rel)
     told.done("limits once more")
-    units = 2.0 * qmc.Sobol(len(inputs), rng=np.random.default_rng(settings.seed)).random(settings.runs) - 1.0
+    # a whole power of two is balanced; its first points are still spread
+    whole = 2 ** int(np.ceil(np.log2(settings.runs)))
+    sequence = qmc.Sobol(len(inputs), rng=np.random.default_rng(settings.seed))
+    units = 2.0 * sequence.random(whole)[: settings.runs] - 1.0
     losses = np.empty(settings.runs)
     for run, unit in enumerate(units):
         losses[run] = growth.of(factor * unit)
