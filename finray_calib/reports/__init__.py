@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._design_study_page import design_study_page, study_text
     from finray_calib.reports._finger_page import finger_page
     from finray_calib.reports._finger_pictures import finger_page_png, pressed_finger_png, untouched_finger_png
-    from finray_calib.reports._finger_views import finger_outline
+    from finray_calib.reports._finger_views import PartLabel, draw_body, finger_outline, label_row
     from finray_calib.reports._fit_figures import (
         emission_figure,
         paint_map_figure,
@@ -81,6 +81,7 @@ if TYPE_CHECKING:
         ReportTable,
         drawing,
         figure_png,
+        files_table,
         found_part,
         light_of,
         one_group,
@@ -90,6 +91,7 @@ if TYPE_CHECKING:
         trust_part,
     )
     from finray_calib.reports._plain_text import (
+        NO_VALUE,
         Json,
         comparison_lines,
         decimals_for,
@@ -111,12 +113,17 @@ if TYPE_CHECKING:
         paper_paints_png,
         two_lights_png,
     )
-    from finray_calib.reports._style import CHANNELS, legend_above, new_figure, styled, svg_text
+    from finray_calib.reports._style import BLUE, CHANNELS, INK, MUTED, SKY, legend_above, new_figure, styled, svg_text
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "BLUE",
     "CHANNELS",
+    "INK",
+    "MUTED",
+    "NO_VALUE",
+    "SKY",
     "ByteImage",
     "Certificate",
     "ContactSheet",
@@ -127,6 +134,7 @@ __all__ = [
     "Light",
     "PaintTruth",
     "Part",
+    "PartLabel",
     "Picture",
     "PicturePair",
     "PressPictures",
@@ -154,12 +162,14 @@ __all__ = [
     "design_study_page",
     "display_remark",
     "display_white",
+    "draw_body",
     "drawing",
     "duration",
     "emission_figure",
     "error_map_figure",
     "error_table",
     "figure_png",
+    "files_table",
     "finger_outline",
     "finger_page",
     "finger_page_png",
@@ -175,6 +185,7 @@ __all__ = [
     "headline",
     "history_page",
     "interval_text",
+    "label_row",
     "legend_above",
     "level_a_sentence",
     "light_angle_png",

@@ -8,22 +8,33 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, FingerTolerances, ToleranceRow, ToleranceSide, package_version
-from finray_calib.reports._finger_views import PartLabel, draw_body, finger_outline, label_row
-from finray_calib.reports._page import (
+from finray_calib.reports import (
+    BLUE,
+    INK,
+    MUTED,
+    NO_VALUE,
+    SKY,
     Content,
     KeyNumber,
     Part,
+    PartLabel,
     ReportPage,
     ReportTable,
+    draw_body,
     drawing,
     files_table,
+    finger_outline,
+    label_row,
+    legend_above,
     light_of,
+    new_figure,
     one_group,
+    percent,
     report_html,
+    styled,
+    svg_text,
     trust_part,
 )
-from finray_calib.reports._plain_text import NO_VALUE, percent
-from finray_calib.reports._style import BLUE, INK, MUTED, SKY, legend_above, new_figure, styled, svg_text
 from sim.optics import camera_pose, panel_frame
 from sim.surface_meshes import mirror_shape
 
