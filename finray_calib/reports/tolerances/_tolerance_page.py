@@ -252,8 +252,9 @@ def tolerance_drawing(found: FingerTolerances) -> str:
     axes.set_axis_off()
     draw_body(axes, finger, rasterized=True)
     _draw_optics(axes, design)
-    label_row(axes, labels[True], top - above - 1.0, inch)
-    label_row(axes, labels[False], bottom + below + 1.0, inch)
+    for side, height in ((True, top - above - 1.0), (False, bottom + below + 1.0)):
+        if labels[side]:
+            label_row(axes, labels[side], height, inch)
     axes.text(left + 1.0, design.pad.thickness_mm, "base", va="bottom", color=MUTED)
     axes.text(right - 1.0, design.pad.thickness_mm, "tip", ha="right", va="bottom", color=MUTED)
     return svg_text(figure)
