@@ -199,7 +199,7 @@ def sobol_indices(emulator: ChaosEmulator) -> SobolIndices:
     """
     unexplained = float(np.clip(1.0 - emulator.q2, 0.0, 1.0))
     alone = (emulator.orders > 0) & ((emulator.orders > 0).sum(axis=1) == 1)[:, None]
-    return SobolIndices(*(_shares(emulator, mask) for mask in (alone, emulator.orders > 0)), unexplained)
+    return SobolIndices(_shares(emulator, alone), _shares(emulator, emulator.orders > 0), unexplained)
 
 
 def _shares(emulator: ChaosEmulator, mask: NDArray[np.bool_]) -> Estimates:

@@ -223,7 +223,7 @@ def variance_figure(found: FingerTolerances) -> str:
         errors = np.array([[s.estimate - s.low95 for s in shares], [s.high95 - s.estimate for s in shares]])
         axes.errorbar(values, places + offset, xerr=errors, fmt=marker, color=colour, markersize=4.5, label=label)
     axes.set_yticks(places, [row.field for row in rows])
-    axes.set(xlabel="share of the variance of the error", xlim=(0.0, 1.0))
+    axes.set(xlabel="share of the variance of the error", xlim=(0.0, 1.0), ylim=(-0.6, len(rows) - 0.4))
     legend_above(figure, axes, 3)
     return svg_text(figure)
 
