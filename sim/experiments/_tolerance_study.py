@@ -488,6 +488,8 @@ def _sentence(
     grown = f"the expected error of the normal, {nominal_deg:.2f} deg, grows by {allowed:.0%}"
     if together is None:
         told = f"All numbers together may vary by over {factor:.2g} times the given half-ranges before {grown}"
+    elif together == 0.0:
+        told = f"{len(rows)} numbers need more runs (--runs): the emulator predicts too little to say when {grown}"
     else:
         told = f"At {together:.2g} times the given half-ranges of all numbers together, {grown} in 5 % of fingers"
     if sides:
