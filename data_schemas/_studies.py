@@ -514,3 +514,86 @@ class PaintChoice(Record):
         if len(self.normal_error_draws_deg) != len(self.pairs):
             raise ValueError(f"{len(self.normal_error_draws_deg)} rows of draws for {len(self.pairs)} pairs")
         return self
+
+
+class ToleranceSide(Model):
+    """How far one number may leave its value to one side, everything else as designed."""
+
+    limit: float | None = Field(description="distance at which the error has grown by what is allowed; null: not found")
+    low95: float | None = None
+    high95: float | None = None
+    tried: float = Field(description="farthest distance that was evaluated")
+    ended_by: str = Field(default="", description="why no farther one was: what the design refused")
+    checked_loss_rel: float | None = Field(
+        default=None, description="growth of the error at the limit, with other paths, draws and noise"
+    )
+
+
+class VarianceShare(Model):
+    """A Sobol' index with its 95 % interval."""
+
+    estimate: Fraction
+    low95: Fraction
+    high95: Fraction
+
+
+class ToleranceRow(Model):
+    """One number of a finger that varies."""
+
+    field: str
+    unit: str
+    nominal: float
+    given: Annotated[float, Field(gt=0.0)] = Field(description="half-range within which it was said to vary")
+    origin: str = Field(description="where the half-range comes from")
+    less: ToleranceSide
+    more: ToleranceSide
+    first: VarianceShare = Field(description="share of the variance that it makes alone")
+    total: VarianceShare = Field(description="share of the variance that would be gone without it")
+    is_distinguishable: bool = Field(description="whether the total share is above what the emulator does not explain")
+
+
+class FingerTolerances(Record):
+    """How far a finger may vary before its sensed normals are too much worse, alone and together."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray design tolerances'"
+    shown: ClassVar[tuple[str, ...]] = ("sentence",)
+
+    name: str
+    sentence: str
+    objective: str
+    calibration: Literal["own", "shared"] = Field(
+        description="whether each finger is calibrated as it was built, or takes the calibration of the finger as drawn"
+    )
+    allowed_rel: Annotated[float, Field(gt=0.0)] = Field(description="allowed growth of the error")
+    nominal_error_deg: Annotated[float, Field(gt=0.0)] = Field(description="expected error of the finger as designed")
+    contact_places_mm: tuple[float, ...] = Field(description="middles of the contacts along the pad")
+    rows: tuple[ToleranceRow, ...] = Field(min_length=1)
+    together_factor: float | None = Field(
+        description="all half-ranges times this: 95 % of the fingers stay within what is allowed; null: beyond the box"
+    )
+    together_low95: float | None = None
+    together_high95: float | None = None
+    within_given_share: Fraction = Field(description="of fingers that vary as given, those within what is allowed")
+    checked_within: Annotated[int, Field(ge=0)] = Field(
+        description="of the fingers evaluated directly at the factor, with other paths, those within what is allowed"
+    )
+    checked_fingers: Annotated[int, Field(ge=0)]
+    box_factor: Annotated[float, Field(gt=0.0)] = Field(
+        description="half-ranges of the emulated box over the given ones"
+    )
+    q2: float = Field(description="share of the variance that the emulator predicts of runs that are left out")
+    noise_rel: Annotated[float, Field(ge=0.0)] = Field(
+        description="standard deviation of a growth by its random numbers"
+    )
+    inputs: Annotated[Floats, ArraySpec("<f8", ("run", "input"))] = Field(description="-1 to 1 of the emulated box")
+    losses_rel: Annotated[Floats, ArraySpec("<f8", ("run",))] = Field(description="growth of the error of each run")
+    design: FingerDesign
+    paints: dict[str, str] = Field(description="colour -> SHA-256 of the calibration")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_column_a_row(self) -> "FingerTolerances":
+        if self.inputs.shape != (len(self.losses_rel), len(self.rows)):
+            raise ValueError(f"inputs {self.inputs.shape} for {len(self.losses_rel)} runs of {len(self.rows)} numbers")
+        return self

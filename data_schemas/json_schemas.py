@@ -18,6 +18,7 @@ from data_schemas import (
     FingerDesign,
     FingerStiffness,
     FingerSurfaces,
+    FingerTolerances,
     FluorescentRendering,
     ForceComparison,
     LightAngleDecision,
@@ -93,6 +94,7 @@ STORED: tuple[type[Record], ...] = (
     AcceptanceReport,
     StudyPoint,
     StudyResult,
+    FingerTolerances,
     PaintChoice,
 )
 

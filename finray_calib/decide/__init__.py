@@ -4,7 +4,8 @@ The objective's curve f over the angle is a random curve through the renders of 
 p is a draw of the paints and t the sim-to-real error learnt from captures (its prior without any). An angle's value is
 the mean over the places, or the least, of the curve over its greatest value there. Joint draws give the probability
 that another angle is better and by how much; the verdict, the sentences and the next capture that helps most follow.
-`rank_by_draws` ranks other choices, such as paints, by draws that belong to each other.
+`rank_by_draws` ranks other choices, such as paints, by draws that belong to each other. `fit_chaos`, `sobol_indices`
+and the limits say how far inputs may vary, and which of them matter.
 """
 
 from typing import TYPE_CHECKING
@@ -15,16 +16,38 @@ if TYPE_CHECKING:
     from finray_calib.decide._decision_record import decide
     from finray_calib.decide._light_angle import AngleDecision, SweptContact, decide_angle, decide_contacts
     from finray_calib.decide._paired_ranking import PairedRanking, paint_choice, rank_by_draws
+    from finray_calib.decide._tolerances import (
+        ChaosEmulator,
+        Estimates,
+        Limit,
+        SobolIndices,
+        fit_chaos,
+        limit_of_curve,
+        limit_together,
+        pick_freeze_indices,
+        share_within,
+        sobol_indices,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "AngleDecision",
+    "ChaosEmulator",
+    "Estimates",
+    "Limit",
     "PairedRanking",
+    "SobolIndices",
     "SweptContact",
     "decide",
     "decide_angle",
     "decide_contacts",
+    "fit_chaos",
+    "limit_of_curve",
+    "limit_together",
     "paint_choice",
+    "pick_freeze_indices",
     "rank_by_draws",
+    "share_within",
+    "sobol_indices",
 ]

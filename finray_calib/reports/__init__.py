@@ -12,12 +12,7 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.reports._batch_page import PressPictures, batch_lines, batch_page, press_pictures, ranking_figure
-    from finray_calib.reports._certificate_page import (
-        Certificate,
-        certificate_of,
-        certificate_page,
-        certificate_pdf,
-    )
+    from finray_calib.reports._certificate_page import Certificate, certificate_of, certificate_page, certificate_pdf
     from finray_calib.reports._check_page import check_report, history_page
     from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
     from finray_calib.reports._comparison_page import comparison_page, skill_number
@@ -49,7 +44,7 @@ if TYPE_CHECKING:
         pressed_finger_png,
         untouched_finger_png,
     )
-    from finray_calib.reports._finger_views import finger_outline
+    from finray_calib.reports._finger_views import PartLabel, draw_body, finger_outline, label_row
     from finray_calib.reports._fit_figures import (
         emission_figure,
         paint_map_figure,
@@ -86,6 +81,7 @@ if TYPE_CHECKING:
         ReportTable,
         drawing,
         figure_png,
+        files_table,
         found_part,
         in_rows,
         light_of,
@@ -96,6 +92,7 @@ if TYPE_CHECKING:
         trust_part,
     )
     from finray_calib.reports._plain_text import (
+        NO_VALUE,
         Json,
         comparison_lines,
         decimals_for,
@@ -121,6 +118,8 @@ if TYPE_CHECKING:
         BLUE,
         CHANNELS,
         INK,
+        MUTED,
+        SKY,
         VERMILLION,
         legend_above,
         new_figure,
@@ -135,6 +134,9 @@ __all__ = [
     "BLUE",
     "CHANNELS",
     "INK",
+    "MUTED",
+    "NO_VALUE",
+    "SKY",
     "VERMILLION",
     "ByteImage",
     "Certificate",
@@ -146,6 +148,7 @@ __all__ = [
     "Light",
     "PaintTruth",
     "Part",
+    "PartLabel",
     "Picture",
     "PicturePair",
     "PressPictures",
@@ -173,12 +176,14 @@ __all__ = [
     "design_study_page",
     "display_remark",
     "display_white",
+    "draw_body",
     "drawing",
     "duration",
     "emission_figure",
     "error_map_figure",
     "error_table",
     "figure_png",
+    "files_table",
     "finger_outline",
     "finger_page",
     "finger_page_png",
@@ -196,6 +201,7 @@ __all__ = [
     "in_rows",
     "indenter_path_png",
     "interval_text",
+    "label_row",
     "legend_above",
     "level_a_sentence",
     "light_angle_png",

@@ -63,7 +63,12 @@ def normal_sigma_deg(jacobian_e: Floats, variance_e2: Floats) -> Floats:
 
 
 def held_out_normal_error_deg(
-    signals: Floats, places_mm: Floats, slopes: Floats, folds: int = 3, degree: int = POLYNOMIAL_DEGREE
+    signals: Floats,
+    places_mm: Floats,
+    slopes: Floats,
+    folds: int = 3,
+    degree: int = POLYNOMIAL_DEGREE,
+    taught: Floats | None = None,
 ) -> Floats:
     r"""Return the angle between true and estimated normals at places that the calibration has not seen.
 
@@ -83,6 +88,8 @@ def held_out_normal_error_deg(
         At least 2, at most the number of points.
     degree
         Of the polynomial.
+    taught
+        Signals of the same points on the finger that was calibrated, in the same shape; by default it is this one.
 
     Returns
     -------
@@ -95,13 +102,16 @@ def held_out_normal_error_deg(
         When shapes do not fit each other, or the calibration has fewer rows than the polynomial has terms.
     """
     _check_table(signals, places_mm, slopes, folds, degree)
+    if taught is not None and taught.shape != signals.shape:
+        raise CompareError(f"the calibrated finger has signals {taught.shape}, this one {signals.shape}: give the same")
     points, facets, frames, _ = signals.shape
     place = np.broadcast_to(places_mm[:, None, None], (points, facets, frames, 2))
     inputs = np.concatenate([signals, place], axis=-1)
+    teaching = inputs if taught is None else np.concatenate([taught, place], axis=-1)
     truth = np.broadcast_to(slopes[None, :, None], (points, facets, frames, 2))
     found = np.empty(truth.shape)
     for held_out, others in _folds(points, folds):
-        seen = inputs[others].reshape(-1, inputs.shape[-1])
+        seen = teaching[others].reshape(-1, inputs.shape[-1])
         centre, spread = seen.mean(axis=0), seen.std(axis=0)
         # a variable that does not vary tells nothing, and must not be divided by zero
         scale = np.where(spread > 0.0, spread, 1.0)

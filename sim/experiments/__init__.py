@@ -15,6 +15,7 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from sim.experiments._ball_presses import BallPresses, render_ball_presses, render_finger_presses
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
+    from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluation, FingerEvaluator
     from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
     from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
     from sim.experiments._light_angle import light_angle_sweep
@@ -43,6 +44,15 @@ if TYPE_CHECKING:
     from sim.experiments._rendered_press import Rendering, camera_rgb, pose_response, press_record, simulate_press
     from sim.experiments._sensor_press import PressedCoat, pressed_coat, simulate_sensor_press
     from sim.experiments._tactile_camera import capture_twin, hidden_design, simulated_capture
+    from sim.experiments._tolerance_study import (
+        FingerError,
+        ToleranceFindings,
+        ToleranceInput,
+        ToleranceSettings,
+        study_tolerances,
+        tolerance_inputs,
+        varied_finger,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -51,6 +61,10 @@ __all__ = [
     "BallPresses",
     "BareFinger",
     "CameraResponse",
+    "EvaluationSettings",
+    "FingerError",
+    "FingerEvaluation",
+    "FingerEvaluator",
     "FingerScene",
     "OpticsProducts",
     "PaintDraws",
@@ -61,6 +75,9 @@ __all__ = [
     "PrintedSolid",
     "ProtocolPress",
     "Rendering",
+    "ToleranceFindings",
+    "ToleranceInput",
+    "ToleranceSettings",
     "WhiteBalance",
     "camera_rgb",
     "capture_twin",
@@ -92,5 +109,8 @@ __all__ = [
     "study_finger_stiffness",
     "study_fluorescent_rendering",
     "study_light_angle",
+    "study_tolerances",
     "study_two_lights",
+    "tolerance_inputs",
+    "varied_finger",
 ]

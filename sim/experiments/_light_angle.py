@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from data_schemas import (
     AngleConstraints,
@@ -450,18 +451,40 @@ def colour_separations_deg(table: FacetTable) -> Floats:
     return np.asarray(np.degrees(2.0 * np.arcsin(apart / 2.0)).mean(axis=-1))
 
 
-def held_out_errors_deg(table: FacetTable, sensor: Sensor, seed: int) -> Floats:
-    """Return the mean errors at held-out points in deg, (angle, repeat, point); angles share the seeds of the noise."""
+def held_out_errors_deg(table: FacetTable, sensor: Sensor, seed: int, taught: FacetTable | None = None) -> Floats:
+    """Return the mean errors at held-out points in deg, (angle, repeat, point); angles share the seeds of the noise.
+
+    Parameters
+    ----------
+    table
+        Signals.
+    sensor
+        Noise of the camera.
+    seed
+        Of the noise.
+    taught
+        Signals of the finger that was calibrated, at points near those of the table; by default it is the same one.
+    """
     angles, repeats, points = table.signal_e.shape[:3]
     error_deg = np.empty((angles, repeats, points))
+    if taught is not None:
+        near = cKDTree(taught.places_mm).query(table.places_mm)[1]
+        taught = replace(taught, signal_e=taught.signal_e[:, :, near], places_mm=taught.places_mm[near])
     for angle, repeat in np.ndindex(angles, repeats):
-        signal_e = table.signal_e[angle, repeat]
-        seen_e = frames_e(signal_e, FRAMES, sensor, EXPOSURE_S, np.random.default_rng([seed, repeat]))
-        # the picture without contact is a mean of many frames: without noise of its own
-        relative = seen_e / signal_e[:, :1, None]
-        found_deg = held_out_normal_error_deg(relative, table.places_mm, table.slopes)
+        noise = [seed, repeat]
+        relative = _relative_frames(table.signal_e[angle, repeat], sensor, noise)
+        teaching = None if taught is None else _relative_frames(taught.signal_e[angle, repeat], sensor, noise)
+        found_deg = held_out_normal_error_deg(relative, table.places_mm, table.slopes, taught=teaching)
         error_deg[angle, repeat] = found_deg.mean(axis=(1, 2))
     return error_deg
+
+
+def _relative_frames(signal_e: Floats, sensor: Sensor, seed: list[int]) -> Floats:
+    """Return noisy frames relative to no contact, (point, facet, frame, 3).
+
+    The picture without contact is each finger's own and a mean of many frames: without noise of its own.
+    """
+    return frames_e(signal_e, FRAMES, sensor, EXPOSURE_S, np.random.default_rng(seed)) / signal_e[:, :1, None]
 
 
 def _uniformities(table: FacetTable) -> Floats:

@@ -1,0 +1,555 @@
+"""How far a finger may vary before it senses normals too much worse: each number alone, and all together.
+
+Each number is moved until the expected error of the normal has grown by what is allowed, which is evaluated and not
+extrapolated. Then all of them vary at once in a box about as large as the narrowest of these limits; an emulator of the
+error in this box says how large the box may be, and Sobol' indices say which number is worth holding more tightly. What
+is found is evaluated once more with other paths, paint draws and noise.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from data_schemas import FingerDesign, FingerTolerances, SimulateError, ToleranceRow, ToleranceSide, VarianceShare
+from finray_calib.decide import (
+    ChaosEmulator,
+    Estimates,
+    Limit,
+    fit_chaos,
+    limit_of_curve,
+    limit_together,
+    share_within,
+    sobol_indices,
+)
+from sim.experiments._design_sensitivities import changed_design, design_value
+from sim.experiments._finger_evaluation import FingerEvaluator
+from sim.experiments._paint_choice import PaintDraws
+from sim.optics import Progress, camera_pose
+from sim.surface_meshes import mirror_shape
+
+Floats = NDArray[np.float64]
+Paints = Mapping[str, PaintDraws]
+Calibration = Literal["own", "shared"]
+
+#: Error of the normal (deg) of a finger with its paints; the seed is that of everything random.
+Evaluate = Callable[[FingerDesign, Paints, int], float]
+
+ALLOWED_REL: Final = 0.1
+RUNS: Final = 128
+OBJECTIVE: Final = (
+    "expected error of the sensed normal at places of the pad that have not taught the map from colour to normal, mean "
+    "over the contact places, paint draws and the noise of the camera, at an exposure that is set again for each finger"
+)
+
+_MOUNTED, _PRINTED = "assumed: set by hand", "assumed: as cast or printed"
+#: Half-ranges that are assumed where nothing else is given: (half-range, relative to the value, origin).
+_USUAL: Final[dict[str, tuple[float, bool, str]]] = {
+    "light.angle_deg": (2.0, False, _MOUNTED),
+    "light.azimuth_deg": (2.0, False, _MOUNTED),
+    "light.position_mm.x": (0.5, False, _MOUNTED),
+    "light.position_mm.y": (0.5, False, _MOUNTED),
+    "light.position_mm.z": (0.5, False, _MOUNTED),
+    "second_light.angle_deg": (2.0, False, _MOUNTED),
+    "pad.thickness_mm": (0.2, False, _PRINTED),
+    "mirror.radius_mm": (0.1, True, "assumed: sheet bent by hand"),
+    "camera.position_mm.x": (0.5, False, _MOUNTED),
+    "camera.position_mm.y": (0.5, False, _MOUNTED),
+    "camera.position_mm.z": (0.5, False, _MOUNTED),
+    "camera.aim_deg": (1.0, False, _MOUNTED),
+    "paint.red.yield_rel": (0.1, False, "assumed: batch of paint"),
+    "paint.green.yield_rel": (0.1, False, "assumed: batch of paint"),
+    "paint.red.emission_sd": (float(np.sqrt(3.0)), False, "posterior of the calibration"),
+    "paint.green.emission_sd": (float(np.sqrt(3.0)), False, "posterior of the calibration"),
+}
+_NO_LIGHT: Final = ("mechanics.", "skeleton.", "mesh.", "indenter.")
+_UNITS: Final = {"_mm": "mm", "_deg": "deg", "_nm": "nm", "_rel": "1", "_sd": "standard deviations"}
+_AXES: Final = {"x": 0, "y": 1, "z": 2}
+#: Steps over the given half-range that are tried in turn, until the error has grown too much.
+_TRIED: Final = (1.0, 4.0, 8.0, 16.0)
+_REFINED: Final = 2  # further steps within the bracket
+_CLOSE_REL: Final = 0.1  # of what is allowed: near enough to it
+#: The narrowest number may leave its limit at the ends of the box: there all together exceed what is allowed.
+_BOX_OVER_NARROWEST: Final = 1.25
+
+
+@dataclass(frozen=True, slots=True)
+class ToleranceInput:
+    """A number that varies: dotted path (of a place x, y or z last), value, half-range, unit, origin of the range."""
+
+    field: str
+    nominal: float
+    half_range: float
+    unit: str
+    origin: str
+
+
+def tolerance_inputs(
+    design: FingerDesign, paints: Paints, vary: Mapping[str, float] | None = None
+) -> tuple[ToleranceInput, ...]:
+    """Return the numbers that vary: those that a person mounts, casts or mixes, and those of stated uncertainty.
+
+    Parameters
+    ----------
+    design, paints
+        The finger as drawn.
+    vary
+        Half-ranges by field, in its unit; 0 leaves a number out. Others stay as they are usual, and numbers of stated
+        standard uncertainty vary by sqrt(3) of it, which has that standard deviation if uniform.
+
+    Raises
+    ------
+    SimulateError
+        A field is not known, has no number, or its half-range is negative.
+    """
+    ranges: dict[str, tuple[float, str]] = {}
+    for field, (size, is_relative, origin) in _USUAL.items():
+        nominal = _nominal(design, paints, field)
+        if nominal is not None:
+            ranges[field] = (abs(size * nominal) if is_relative else size, origin)
+    for field, uncertainty in design.uncertainty_rel.items():
+        nominal = _nominal(design, paints, field)
+        if nominal and not field.startswith(_NO_LIGHT):
+            ranges[field] = (abs(np.sqrt(3.0) * uncertainty * nominal), "stated in the design: uncertainty_rel")
+    for field, size in (vary or {}).items():
+        if _nominal(design, paints, field) is None:
+            raise SimulateError(
+                f"--vary {field}: is no number of this finger that light depends on. Give a dotted path of the design, "
+                f"the axis last for a place; usual are {', '.join(ranges)}"
+            )
+        if not (np.isfinite(size) and size >= 0.0):
+            raise SimulateError(f"--vary {field}={size:g}: a half-range is 0 (left out) or more")
+        ranges[field] = (size, "given")
+    return tuple(
+        ToleranceInput(field, float(_nominal(design, paints, field) or 0.0), float(size), _unit(field), origin)
+        for field, (size, origin) in ranges.items()
+        if size > 0.0
+    )
+
+
+def _unit(field: str) -> str:
+    """Return the unit that a field's name ends in, 1 for a plain number."""
+    name = field.rsplit(".", 1)[0] if field.rsplit(".", 1)[-1] in _AXES else field
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "1")
+
+
+def _nominal(design: FingerDesign, paints: Paints, field: str) -> float | None:
+    """Return the value of a number as drawn; None where there is none that light depends on."""
+    if field.startswith(_NO_LIGHT):
+        return None
+    if field.startswith("paint."):
+        _, colour, what = [*field.split("."), "", ""][:3]
+        return {"yield_rel": 1.0, "emission_sd": 0.0}.get(what) if colour in paints else None
+    path, axis = _path(field)
+    try:
+        value: Any = design_value(design, path)
+    except AttributeError:
+        return None
+    if value is None and path in _LAID_OUT:
+        value = _LAID_OUT[path](design)
+    if axis is not None:
+        return float(value[axis]) if isinstance(value, tuple) and axis < len(value) else None
+    return float(value) if isinstance(value, float) else None
+
+
+#: Places that a design may leave to the usual lay-out.
+_LAID_OUT: Final[dict[str, Callable[[FingerDesign], tuple[float, ...]]]] = {
+    "camera.position_mm": lambda design: tuple(camera_pose(design).centre_mm.tolist()),
+    "mirror.base_yz_mm": lambda design: _mirror_ends(design)[0],
+    "mirror.tip_yz_mm": lambda design: _mirror_ends(design)[1],
+}
+
+
+def _mirror_ends(design: FingerDesign) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return (y, z) of the places where the mirror's line meets base and tip."""
+    mirror = mirror_shape(design)
+    half = (mirror.half_length_mm - design.mirror.overhang_mm) * mirror.tangent_yz
+    return tuple((mirror.apex_yz_mm - half).tolist()), tuple((mirror.apex_yz_mm + half).tolist())
+
+
+def _path(field: str) -> tuple[str, int | None]:
+    """Return the path of a field, and the number of the coordinate where it names one."""
+    path, _, last = field.rpartition(".")
+    if last not in _AXES:
+        return field, None
+    return path, _AXES[last] - (1 if path.endswith("_yz_mm") else 0)
+
+
+def varied_finger(
+    design: FingerDesign, paints: Paints, inputs: Sequence[ToleranceInput], steps: Sequence[float] | Floats
+) -> tuple[FingerDesign, dict[str, PaintDraws]]:
+    """Return a finger whose numbers have left their values by steps, in half-ranges.
+
+    Raises
+    ------
+    SimulateError
+        The design refuses a value.
+    """
+    found = dict(paints)
+    for one, step in zip(inputs, steps, strict=True):
+        value = one.nominal + float(step) * one.half_range
+        if one.field.startswith("paint."):
+            _, colour, what = one.field.split(".")
+            found[colour] = _scaled(found[colour], value) if what == "yield_rel" else _shifted(found[colour], value)
+            continue
+        path, axis = _path(one.field)
+        given: Any = value
+        if axis is not None:
+            place = design_value(design, path)
+            coordinates = list(_LAID_OUT[path](design) if place is None else place)
+            coordinates[axis] = value
+            given = tuple(coordinates)
+        design = changed_design(design, path, given)
+    return design, found
+
+
+def _scaled(paint: PaintDraws, factor: float) -> PaintDraws:
+    """Return a batch of another yield."""
+    if not factor > 0.0:
+        raise SimulateError(f"a yield of {factor:g} times the calibrated one is no paint")
+    optics = replace(paint.optics, emission_per_nm=factor * paint.optics.emission_per_nm)
+    return replace(paint, optics=optics, emission_per_nm=factor * paint.emission_per_nm)
+
+
+def _shifted(paint: PaintDraws, deviations: float) -> PaintDraws:
+    """Return the paint moved along the first principal component of its draws, all of them alike."""
+    centred = paint.emission_per_nm - paint.emission_per_nm.mean(axis=0)
+    if not centred.any():
+        return paint
+    scores, sizes, components = np.linalg.svd(centred, full_matrices=False)
+    # the sign of a component is arbitrary: more of it is more light
+    component = components[0] * (1.0 if components[0].sum() >= 0.0 else -1.0)
+    move = deviations * sizes[0] / np.sqrt(len(scores)) * component
+    moved = np.maximum(paint.emission_per_nm + move, 0.0)
+    optics = replace(paint.optics, emission_per_nm=np.maximum(paint.optics.emission_per_nm + move, 0.0))
+    return replace(paint, optics=optics, emission_per_nm=moved)
+
+
+@dataclass(frozen=True, slots=True)
+class ToleranceSettings:
+    """What counts as too much, runs of the box, fingers of the last check, and the seed; checks take the next seed."""
+
+    allowed_rel: float = ALLOWED_REL
+    runs: int = RUNS
+    seed: int = 0
+    checked: int = 24
+
+
+class _Growth:
+    """Growth of the error over that of the finger as drawn, for one seed; nothing is evaluated twice."""
+
+    def __init__(
+        self, evaluate: Evaluate, design: FingerDesign, paints: Paints, inputs: Sequence[ToleranceInput], seed: int
+    ) -> None:
+        self.evaluate, self.design, self.paints, self.inputs, self.seed = evaluate, design, paints, inputs, seed
+        self.nominal_deg = evaluate(design, paints, seed)
+        self.count = 0
+
+    def of(self, steps: Floats) -> float:
+        """Return the growth at steps in half-ranges."""
+        self.count += 1
+        design, paints = varied_finger(self.design, self.paints, self.inputs, steps)
+        return self.evaluate(design, paints, self.seed) / self.nominal_deg - 1.0
+
+    def alone(self, number: int, step: float) -> float:
+        """Return the growth with one number moved."""
+        steps = np.zeros(len(self.inputs))
+        steps[number] = step
+        return self.of(steps)
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    """What was tried to one side of a number: steps in half-ranges, growths, and what ended it."""
+
+    number: int
+    sign: float
+    steps: tuple[float, ...]
+    losses: tuple[float, ...]
+    ended_by: str
+
+    def limit(self, allowed: float, noise: float) -> Limit:
+        return limit_of_curve(self.steps, self.losses, allowed, noise) if self.steps else Limit(None, None, None)
+
+
+def study_tolerances(
+    evaluate: Evaluate,
+    design: FingerDesign,
+    paints: Paints,
+    inputs: Sequence[ToleranceInput],
+    settings: ToleranceSettings,
+    progress: Progress | None = None,
+) -> "ToleranceFindings":
+    """Find how far numbers of a finger may vary, alone and together, and which of them matter.
+
+    Parameters
+    ----------
+    evaluate
+        Error of a finger in deg for a seed, see :class:`FingerError`.
+    design, paints
+        The finger as drawn.
+    inputs
+        What varies, see :func:`tolerance_inputs`.
+    settings
+        Allowed growth, runs and seed.
+    progress
+        Called after each evaluated number and each run.
+
+    Raises
+    ------
+    SimulateError
+        Nothing varies, runs are too few, or the finger as drawn cannot be evaluated.
+    """
+    _check(inputs, settings)
+    total = 2 * len(inputs) + settings.runs + 1
+    told = _Steps(progress, total)
+    growth = _Growth(evaluate, design, paints, inputs, settings.seed)
+    sides = []
+    for number, one in enumerate(inputs):
+        for sign in (-1.0, 1.0):
+            sides.append(_search(growth, number, sign, settings.allowed_rel))
+            told.done(f"{one.field} alone")
+    check = _Growth(evaluate, design, paints, inputs, settings.seed + 1)
+    checked = [_checked(check, side, settings.allowed_rel) for side in sides]
+    noise = _noise(checked, settings.allowed_rel)
+    factor = _box_factor(sides, settings.allowed_rel)
+    told.done("limits once more")
+    # a whole power of two is balanced; its first points are still spread
+    whole = 2 ** int(np.ceil(np.log2(settings.runs)))
+    sequence = qmc.Sobol(len(inputs), rng=np.random.default_rng(settings.seed))
+    units = 2.0 * sequence.random(whole)[: settings.runs] - 1.0
+    losses = np.empty(settings.runs)
+    for run, unit in enumerate(units):
+        losses[run] = growth.of(factor * unit)
+        told.done("all together")
+    emulator = fit_chaos(units, losses, settings.seed)
+    together = limit_together(emulator, settings.allowed_rel, seed=settings.seed)
+    reached = 1.0 if together.value is None else together.value
+    within, count = _check_together(check, factor * reached, settings)
+    return ToleranceFindings(
+        growth.nominal_deg,
+        tuple(sides),
+        tuple(checked),
+        noise,
+        factor,
+        units,
+        losses,
+        emulator,
+        together,
+        within,
+        count,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ToleranceFindings:
+    """What :func:`study_tolerances` finds, in half-ranges; `record` makes it a record."""
+
+    nominal_deg: float
+    sides: tuple[_Side, ...]
+    checked: tuple[float | None, ...]
+    noise: float
+    factor: float
+    units: Floats
+    losses: Floats
+    emulator: ChaosEmulator
+    together: Limit
+    within: int
+    count: int
+
+    def record(
+        self,
+        design: FingerDesign,
+        paint_sha256: Mapping[str, str],
+        inputs: Sequence[ToleranceInput],
+        settings: ToleranceSettings,
+        contact_places_mm: Sequence[float],
+        calibration: Calibration,
+        notes: Sequence[str] = (),
+    ) -> FingerTolerances:
+        """Return the record of a study."""
+        indices = sobol_indices(self.emulator)
+        rows = []
+        for k, one in enumerate(inputs):
+            less, more = (self._side(2 * k + side, one, settings.allowed_rel) for side in (0, 1))
+            rows.append(
+                ToleranceRow(
+                    field=one.field, unit=one.unit, nominal=one.nominal, given=one.half_range, origin=one.origin,
+                    less=less, more=more, first=_index(indices.first, k), total=_index(indices.total, k),
+                    is_distinguishable=bool(indices.distinguishable[k]),
+                )
+            )  # fmt: skip
+        together = [None if x is None else self.factor * x for x in (self.together.value, self.together.low,
+                                                                     self.together.high)]  # fmt: skip
+        return FingerTolerances(
+            name=design.name,
+            sentence=_sentence(rows, together[0], settings.allowed_rel, self.nominal_deg, self.factor),
+            objective=OBJECTIVE,
+            calibration=calibration,
+            allowed_rel=settings.allowed_rel,
+            nominal_error_deg=self.nominal_deg,
+            contact_places_mm=tuple(contact_places_mm),
+            rows=tuple(rows),
+            together_factor=together[0],
+            together_low95=together[1],
+            together_high95=together[2],
+            within_given_share=share_within(self.emulator, min(1.0 / self.factor, 1.0), settings.allowed_rel),
+            checked_within=self.within,
+            checked_fingers=self.count,
+            box_factor=self.factor,
+            q2=self.emulator.q2,
+            noise_rel=self.noise,
+            inputs=self.units,
+            losses_rel=self.losses,
+            design=design,
+            paints=dict(paint_sha256),
+            notes=tuple(notes),
+        )
+
+    def _side(self, number: int, one: ToleranceInput, allowed: float) -> ToleranceSide:
+        side = self.sides[number]
+        limit = side.limit(allowed, self.noise)
+        value, low, high = (None if x is None else x * one.half_range for x in (limit.value, limit.low, limit.high))
+        return ToleranceSide(
+            limit=value,
+            low95=low,
+            high95=high,
+            tried=max(side.steps, default=0.0) * one.half_range,
+            ended_by=side.ended_by,
+            checked_loss_rel=self.checked[number],
+        )
+
+
+def _search(growth: _Growth, number: int, sign: float, allowed: float) -> _Side:
+    """Move one number to one side until the error has grown too much, then narrow the bracket."""
+    steps, losses, ended_by = [], [], ""
+    for step in _TRIED:
+        try:
+            losses.append(growth.alone(number, sign * step))
+        except SimulateError as refused:
+            ended_by = str(refused)
+            break
+        steps.append(step)
+        if losses[-1] > allowed:
+            break
+    for _ in range(_REFINED):
+        limit = limit_of_curve(steps, losses, allowed, 0.0).value if steps else None
+        if limit is None or min(abs(loss - allowed) for loss in losses) < _CLOSE_REL * allowed:
+            break
+        losses.append(growth.alone(number, sign * limit))
+        steps.append(limit)
+    return _Side(number, sign, tuple(steps), tuple(losses), ended_by)
+
+
+def _checked(check: _Growth, side: _Side, allowed: float) -> float | None:
+    """Return the growth at a limit with another seed."""
+    limit = side.limit(allowed, 0.0).value
+    return None if limit is None else check.alone(side.number, side.sign * limit)
+
+
+def _noise(checked: Sequence[float | None], allowed: float) -> float:
+    """Return the standard deviation of a growth: what two seeds make of the limits, over sqrt(2)."""
+    known = np.array([loss for loss in checked if loss is not None])
+    return float(np.sqrt(((known - allowed) ** 2).mean() / 2.0)) if known.size else 0.0
+
+
+def _box_factor(sides: Sequence[_Side], allowed: float) -> float:
+    """Return the half-ranges of the box over the given ones."""
+    limits = [limit for side in sides if (limit := side.limit(allowed, 0.0).value) is not None]
+    refused = [max(side.steps, default=0.0) for side in sides if side.ended_by]
+    if refused and min(refused) == 0.0:
+        blocked = next(side for side in sides if side.ended_by and not side.steps)
+        raise SimulateError(
+            f"not even the given half-range can be built: {blocked.ended_by}. Give a smaller one (--vary)"
+        )
+    return min([_BOX_OVER_NARROWEST * min(limits, default=np.inf), *refused, _TRIED[-1]])
+
+
+def _check_together(check: _Growth, factor: float, settings: ToleranceSettings) -> tuple[int, int]:
+    """Return how many fingers at the joint limit stay within what is allowed, of how many, with another seed."""
+    rng = np.random.default_rng(settings.seed + 1)
+    units = rng.uniform(-1.0, 1.0, (settings.checked, len(check.inputs)))
+    return sum(check.of(factor * unit) <= settings.allowed_rel for unit in units), settings.checked
+
+
+def _index(estimates: Estimates, k: int) -> VarianceShare:
+    low, value, high = (float(x[k]) for x in (estimates.low, estimates.value, estimates.high))
+    return VarianceShare(estimate=value, low95=min(low, value), high95=max(high, value))
+
+
+def _sentence(
+    rows: Sequence[ToleranceRow], together: float | None, allowed: float, nominal_deg: float, factor: float
+) -> str:
+    """Say what is found."""
+    sides = [(row, side.limit) for row in rows for side in (row.less, row.more) if side.limit is not None]
+    grown = f"the expected error of the normal, {nominal_deg:.2f} deg, grows by {allowed:.0%}"
+    if together is None:
+        told = f"All numbers together may vary by over {factor:.2g} times the given half-ranges before {grown}"
+    elif together == 0.0:
+        told = f"{len(rows)} numbers need more runs (--runs): the emulator predicts too little to say when {grown}"
+    else:
+        told = f"At {together:.2g} times the given half-ranges of all numbers together, {grown} in 5 % of fingers"
+    if sides:
+        row, limit = min(sides, key=lambda pair: (pair[1] or 0.0) / pair[0].given)
+        told += f"; alone, the narrowest is {row.field}, {limit:.3g} {row.unit}"
+    most = max(rows, key=lambda row: row.total.estimate)
+    return told + (f"; {most.field} makes most of the variance ({most.total.estimate:.0%})." if most.is_distinguishable
+                   else "; no number's share of the variance can be told from 0.")  # fmt: skip
+
+
+def _check(inputs: Sequence[ToleranceInput], settings: ToleranceSettings) -> None:
+    """Refuse a study that tells nothing."""
+    if not inputs:
+        raise SimulateError("nothing varies: give --vary FIELD=HALF_RANGE with a half-range above 0")
+    if settings.runs < 4 * len(inputs):
+        raise SimulateError(
+            f"--runs {settings.runs}: {len(inputs)} numbers need at least {4 * len(inputs)} runs; give more, or leave "
+            "numbers out (--vary FIELD=0)"
+        )
+    if not settings.allowed_rel > 0.0:
+        raise SimulateError(f"--allowed {settings.allowed_rel:g}: the allowed growth must be more than 0, such as 0.1")
+
+
+class _Steps:
+    """Tell how many steps of a known number are done."""
+
+    def __init__(self, progress: Progress | None, total: int) -> None:
+        self.progress, self.total, self.count = progress, total, 0
+
+    def done(self, what: str) -> None:
+        self.count += 1
+        if self.progress is not None:
+            self.progress(self.count, self.total, what)
+
+
+class FingerError:
+    """Error of the normal of a finger, calibrated as it was built or as the finger as drawn was.
+
+    With a shared calibration the map from colour to normal is taught by the finger as drawn, at the same places; each
+    finger still has its own picture without contact. Where a moved camera sees a place in another pixel, the place
+    is taken as known.
+    """
+
+    def __init__(
+        self,
+        open_evaluator: Callable[[int], FingerEvaluator],
+        design: FingerDesign,
+        paints: Paints,
+        calibration: Calibration = "own",
+    ) -> None:
+        """Take what opens an evaluator for a seed, and the finger as drawn."""
+        self.open_evaluator, self.design, self.paints, self.calibration = open_evaluator, design, paints, calibration
+        self._open: dict[int, FingerEvaluator] = {}
+
+    def __call__(self, design: FingerDesign, paints: Paints, seed: int) -> float:
+        """Return the error in deg."""
+        if seed not in self._open:
+            self._open[seed] = self.open_evaluator(seed)
+        evaluator = self._open[seed]
+        found = evaluator.evaluate(design, paints)
+        if self.calibration == "own":
+            return found.normal_error_deg
+        return evaluator.error_taught_by(evaluator.evaluate(self.design, self.paints), found, design)

@@ -1,0 +1,32 @@
+"""The page of tolerances says what its record says, also where numbers of one side of the finger alone vary."""
+
+from pathlib import Path
+
+import numpy as np
+
+from data_schemas import FingerTolerances
+from data_schemas.storage import read_record
+from finray_calib.reports.tolerances import limit_text, tolerance_page
+
+EXAMPLE = Path(__file__).parents[1] / "schemas" / "frozen" / "FingerTolerances" / "v1" / "example.json"
+
+
+def test_the_page_tells_limits_and_shares() -> None:
+    found = read_record(EXAMPLE, FingerTolerances)
+    page = tolerance_page(found, "finray design tolerances <b>", {})
+    assert found.sentence in page
+    assert "24.9 [22.4, 27.4]" in page
+    assert "over 32" in page
+    assert "not distinguishable from 0" in page
+    assert "12 of 12" in page
+    assert "&lt;b&gt;" in page
+    assert "calibrated as it was built" in page
+
+
+def test_a_number_of_the_mirror_alone_is_drawn() -> None:
+    found = read_record(EXAMPLE, FingerTolerances)
+    row = found.rows[0].model_copy(update={"field": "mirror.radius_mm", "unit": "mm"})
+    alone = found.model_copy(update={"rows": (row,), "inputs": np.zeros((3, 1)), "calibration": "shared"})
+    assert "calibration of the finger as drawn" in tolerance_page(alone, "", {})
+    assert limit_text(row.less, "mm") == "24.9 mm"
+    assert limit_text(row.more, "mm") == "over 32 mm"
