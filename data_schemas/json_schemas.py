@@ -14,7 +14,9 @@ from data_schemas import (
     CertificateDetails,
     CheckPlan,
     ComparisonBatch,
+    DesignOptimum,
     DesignStudy,
+    EvaluatedDesign,
     FingerDesign,
     FingerStiffness,
     FingerSurfaces,
@@ -94,6 +96,8 @@ STORED: tuple[type[Record], ...] = (
     StudyPoint,
     StudyResult,
     PaintChoice,
+    EvaluatedDesign,
+    DesignOptimum,
 )
 
 

@@ -4,7 +4,8 @@ The objective's curve f over the angle is a random curve through the renders of 
 p is a draw of the paints and t the sim-to-real error learnt from captures (its prior without any). An angle's value is
 the mean over the places, or the least, of the curve over its greatest value there. Joint draws give the probability
 that another angle is better and by how much; the verdict, the sentences and the next capture that helps most follow.
-`rank_by_draws` ranks other choices, such as paints, by draws that belong to each other.
+`rank_by_draws` ranks other choices, such as paints, by draws that belong to each other. An emulator of a design's
+expensive numbers (`fit_emulator`) proposes the next design (`next_design`), and `design_optimum` judges a search.
 """
 
 from typing import TYPE_CHECKING
@@ -13,6 +14,20 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.decide._decision_record import decide
+    from finray_calib.decide._design_emulator import (
+        DesignEmulator,
+        best_design,
+        emulator_ensemble,
+        fit_emulator,
+        joint_draws,
+        next_design,
+        screening_designs,
+    )
+    from finray_calib.decide._design_optimum import (
+        DesignSearch,
+        design_optimum,
+        losses,
+    )
     from finray_calib.decide._light_angle import AngleDecision, SweptContact, decide_angle, decide_contacts
     from finray_calib.decide._paired_ranking import PairedRanking, paint_choice, rank_by_draws
 else:
@@ -20,11 +35,21 @@ else:
 
 __all__ = [
     "AngleDecision",
+    "DesignEmulator",
+    "DesignSearch",
     "PairedRanking",
     "SweptContact",
+    "best_design",
     "decide",
     "decide_angle",
     "decide_contacts",
+    "design_optimum",
+    "emulator_ensemble",
+    "fit_emulator",
+    "joint_draws",
+    "losses",
+    "next_design",
     "paint_choice",
     "rank_by_draws",
+    "screening_designs",
 ]

@@ -66,15 +66,15 @@ class DesignEmulator:
     ln_parameters: Floats
 
     @cached_property
-    def _centre(self) -> tuple[float, float]:
-        """Mean and spread of the values."""
+    def centre(self) -> tuple[float, float]:
+        """Mean and spread of the values, in their unit."""
         spread = float(self.values.std())
         return float(self.values.mean()), spread if spread > 0.0 else 1.0
 
     @cached_property
     def _solved(self) -> tuple[tuple[Floats, bool], Floats]:
         """Factor of the covariance of the values, and the weights of the mean."""
-        centre, spread = self._centre
+        centre, spread = self.centre
         covariance = self._kernel(self.inputs, self.inputs)
         covariance[np.diag_indices_from(covariance)] += np.exp(2 * self.ln_parameters[-1]) + _JITTER
         factor = cho_factor(covariance, lower=True)
@@ -83,7 +83,14 @@ class DesignEmulator:
     @property
     def noise_sd(self) -> float:
         """Standard deviation of the noise, in the unit of the values."""
-        return float(np.exp(self.ln_parameters[-1])) * self._centre[1]
+        return float(np.exp(self.ln_parameters[-1])) * self.centre[1]
+
+    @property
+    def left_out_error_rel(self) -> float:
+        """Error at each design when it is left out, root mean square over the spread of the values (1: no use)."""
+        factor, weights = self._solved
+        inverse = np.diag(cho_solve(factor, np.eye(len(self.values))))
+        return float(np.sqrt(np.mean((weights / inverse) ** 2)))
 
     def _kernel(self, first: Floats, second: Floats) -> Floats:
         lengths = np.exp(self.ln_parameters[:-2])
@@ -94,7 +101,7 @@ class DesignEmulator:
 
     def mean(self, at: Floats) -> Floats:
         """Return the expected number of designs (M, D), in the unit of the values."""
-        centre, spread = self._centre
+        centre, spread = self.centre
         return np.asarray(centre + spread * (self._kernel(at, self.inputs) @ self._solved[1]))
 
     def covariance(self, at: Floats, other: Floats | None = None) -> Floats:
@@ -102,7 +109,7 @@ class DesignEmulator:
         others = at if other is None else other
         across = cho_solve(self._solved[0], self._kernel(self.inputs, others))
         left = self._kernel(at, others) - self._kernel(at, self.inputs) @ across
-        return np.asarray(self._centre[1] ** 2 * left)
+        return np.asarray(self.centre[1] ** 2 * left)
 
 
 def _matern(square: Floats) -> Floats:
@@ -194,7 +201,7 @@ def emulator_ensemble(fitted: DesignEmulator, rng: np.random.Generator, count: i
     """
     middle, sd = _prior(fitted.inputs.shape[1])
     squares = [(column[:, None] - column) ** 2 for column in fitted.inputs.T]
-    centre, spread = fitted._centre
+    centre, spread = fitted.centre
     scaled = (fitted.values - centre) / spread
     best = fitted.ln_parameters
     precision = np.empty((best.size, best.size))

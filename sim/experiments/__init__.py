@@ -14,6 +14,17 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from sim.experiments._ball_presses import BallPresses, render_ball_presses, render_finger_presses
+    from sim.experiments._design_search import (
+        OBJECTIVES,
+        DesignEvaluations,
+        DesignSpace,
+        LightMeasure,
+        confirmed_losses,
+        design_parameter,
+        is_of_light,
+        search_designs,
+        usual_parameters,
+    )
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
     from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
     from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
@@ -39,10 +50,14 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "OBJECTIVES",
     "BallPresses",
     "BareFinger",
     "CameraResponse",
+    "DesignEvaluations",
+    "DesignSpace",
     "FingerScene",
+    "LightMeasure",
     "OpticsProducts",
     "PaintDraws",
     "PaintedFinger",
@@ -53,9 +68,12 @@ __all__ = [
     "camera_rgb",
     "capture_twin",
     "coat_cells",
+    "confirmed_losses",
+    "design_parameter",
     "finger_scene",
     "hidden_design",
     "increment_record",
+    "is_of_light",
     "light_angle_sweep",
     "paint_finger",
     "paint_optics",
@@ -70,6 +88,7 @@ __all__ = [
     "render_finger_presses",
     "reproduce_paper_paints",
     "require_paints_in_order",
+    "search_designs",
     "simulate_images",
     "simulate_press",
     "simulate_sensor_press",
@@ -79,4 +98,5 @@ __all__ = [
     "study_fluorescent_rendering",
     "study_light_angle",
     "study_two_lights",
+    "usual_parameters",
 ]
