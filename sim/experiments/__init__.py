@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         usual_parameters,
     )
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
+    from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluation, FingerEvaluator
     from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
     from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
     from sim.experiments._light_angle import light_angle_sweep
@@ -56,6 +57,9 @@ __all__ = [
     "CameraResponse",
     "DesignEvaluations",
     "DesignSpace",
+    "EvaluationSettings",
+    "FingerEvaluation",
+    "FingerEvaluator",
     "FingerScene",
     "LightMeasure",
     "OpticsProducts",

@@ -214,11 +214,11 @@ def paint_pairs(
     steps = _Steps(progress, 2 * len(_WALLS) + 1 + len(pairs))
     traced = trace_pairs(finger, bands, paths, steps)
     drawn = {
-        name: _Emission.drawn(paint, finger, draws, np.random.default_rng([seed, k]))
+        name: PaintEmission.drawn(paint, finger, draws, np.random.default_rng([seed, k]))
         for k, (name, paint) in enumerate(paints.items())
     }
     rgb = np.empty((len(pairs), draws, len(traced.places_mm), len(facet_slopes()), 3))
-    led = _camera_column(finger, bands[0], _LED)
+    led = camera_column(finger, bands[0], _LED)
     for k, (pair, of_pair) in enumerate(zip(pairs, bands, strict=True)):
         rgb[k] = _camera_radiance(traced, of_pair, [drawn[name] for name in pair], led)
     table = exposed_table(
@@ -278,14 +278,14 @@ def trace_pairs(
 
 
 @dataclass(frozen=True, slots=True)
-class _Emission:
+class PaintEmission:
     """Draws of what the camera sees of a paint: its band in each channel (draw, 3), and its yield over the mean's."""
 
     camera: Floats
     gain: Floats
 
     @classmethod
-    def drawn(cls, paint: PaintDraws, finger: BareFinger, draws: int, rng: np.random.Generator) -> "_Emission":
+    def drawn(cls, paint: PaintDraws, finger: BareFinger, draws: int, rng: np.random.Generator) -> "PaintEmission":
         light = finger.design.light
         _, mean, _ = emission_band(paint.optics, light)
         count = len(paint.emission_per_nm)
@@ -303,7 +303,7 @@ class _Emission:
         return cls(camera, gain)
 
 
-def _camera_column(finger: BareFinger, bands: PaintBands, band: int) -> Floats:
+def camera_column(finger: BareFinger, bands: PaintBands, band: int) -> Floats:
     """Return what the camera's channels make of a band, (3,)."""
     return np.array(
         [
@@ -313,9 +313,27 @@ def _camera_column(finger: BareFinger, bands: PaintBands, band: int) -> Floats:
     )
 
 
-def _camera_radiance(traced: PairPaths, bands: PaintBands, drawn: Sequence[_Emission], led: Floats) -> Floats:
+def _camera_radiance(traced: PairPaths, bands: PaintBands, drawn: Sequence[PaintEmission], led: Floats) -> Floats:
     """Return the camera's signals of a pair, (draw, point, facet, 3)."""
-    light = traced.of(bands)
+    return camera_radiance(traced.chains, traced.of(bands), bands, drawn, led)
+
+
+def camera_radiance(
+    chains: Sequence[str], light: Floats, bands: PaintBands, drawn: Sequence[PaintEmission], led: Floats
+) -> Floats:
+    """Return the camera's signals of a pair of paints, (draw, point, facet, 3).
+
+    Parameters
+    ----------
+    chains, light
+        Of the facets, for conversions of 1: (repeat, facet, point, chain). Draw d takes repeat d modulo the repeats.
+    bands
+        Conversions of the pair.
+    drawn
+        Draws of the red and of the green paint.
+    led
+        What the camera makes of the LED's band, (3,).
+    """
     of_draws = []
     for d in range(len(drawn[0].gain)):
         gains = {
@@ -324,7 +342,7 @@ def _camera_radiance(traced: PairPaths, bands: PaintBands, drawn: Sequence[_Emis
             for k, band in enumerate(BAND_NAMES)
         }
         to_camera = np.column_stack([*(emission.camera[d] for emission in drawn), led])
-        of_chains = to_camera @ chain_matrix(traced.chains, gains)
+        of_chains = to_camera @ chain_matrix(chains, gains)
         of_draws.append(np.einsum("kc,fpc->pfk", of_chains, light[d % len(light)]))
     return np.array(of_draws)
 

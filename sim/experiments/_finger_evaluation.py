@@ -1,0 +1,364 @@
+"""How well one finger senses the surface normal, cheap enough to be asked some hundred times.
+
+What 'finray decide' decides on, for one design: the error of the normal at places of the pad that have not taught the
+map from colour to normal. All designs share paths, paint draws and the camera's noise (common random numbers), so that
+differences between designs are surer than values. Light is kept chain by chain of fluorescence: a change of yield,
+emission, camera response, exposure or contact places traces nothing again.
+"""
+
+import hashlib
+import json
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from data_schemas import CameraCalibration, FingerDesign, SimulateError
+from finray_calib.sensing import uniformity
+from sim.experiments._light_angle import (
+    OTHER_TILTS_DEG,
+    POINTS_ACROSS,
+    POINTS_ALONG,
+    QUARTERS,
+    SMALL_TILT_DEG,
+    FacetTable,
+    colour_separations_deg,
+    exposed_table,
+    facet_shares,
+    facet_slopes,
+    held_out_errors_deg,
+    in_the_way,
+    normal_sigmas_deg,
+    rows_along,
+)
+from sim.experiments._paint_choice import BareFinger, PaintDraws, PaintEmission, camera_column, camera_radiance
+from sim.experiments._painted_finger import COLOURS, CameraResponse
+from sim.experiments._tactile_camera import tactile_sensor
+from sim.optics import (
+    BAND_NAMES,
+    SCALAR_VARIANT,
+    FacetChains,
+    PaintBands,
+    ProbePaths,
+    SeenPoints,
+    facet_chains,
+    paint_bands,
+    seen_points,
+    tilted_facets,
+)
+from sim.surface_meshes import FingerShape, pressed_shape, rest_shape
+
+Floats = NDArray[np.float64]
+_Kept = TypeVar("_Kept")
+
+_LED: Final = BAND_NAMES.index("led")
+#: Parts of a design that shape the coat, its press and the mirror: equal parts are equal surfaces.
+_SHAPING: Final = ("pad", "indenter", "mirror")
+#: What light does not depend on: words and mechanics.
+_NO_LIGHT: Final = ("provenance", "name", "materials", "origin", "uncertainty_rel", "skeleton", "mechanics", "mesh")
+#: Of reflectances that count as equal: bands that differ in brightness alone differ in the last digit of their means.
+_DIGITS: Final = 6
+#: Results that are kept for equal questions; some 0.5 MB each.
+_KEPT: Final = 64
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationSettings:
+    """How finely fingers are evaluated; two fingers are compared at equal settings.
+
+    Attributes
+    ----------
+    contact_places_mm
+        Middles of the contacts along the pad; by default one at each row of the grid of points, a tenth to nine tenths
+        of the pad's length.
+    rays, repeats
+        Paths per point and repeat, and independent repeats.
+    draws
+        Of both paints; draw d takes repeat d modulo the repeats.
+    seed
+        Of paths, paint draws and noise: the same seed gives the same numbers, and a common error to all designs.
+    """
+
+    contact_places_mm: tuple[float, ...] = ()
+    rays: int = 1024
+    repeats: int = 2
+    draws: int = 4
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FingerEvaluation:
+    """What one finger is worth.
+
+    Attributes
+    ----------
+    normal_error_deg
+        Expected error of the sensed normal: mean over contact places and draws.
+    error_by_place_deg
+        The same for each draw and place, (draw, place).
+    places_mm
+        Contact places along the pad.
+    one_pixel_sigma_deg
+        Standard deviation of the normal from one pixel (Cramer-Rao bound), median over the pad, mean over draws.
+    separation_deg
+        Angle between the colours of facets that tilt 20 deg to opposite sides, median over the pad, mean over draws.
+    evenness_rel
+        5 % over 95 % quantile over the pad of the luminance without contact, mean over draws.
+    brightness_rel
+        Camera signal of the coat without contact, mean over R, G, B and the pad, per radiance of the panel of
+        `power_rel` = 1.
+    electrons_per_radiance
+        Exposure that was used, mean over draws; to be given again where fingers are compared at equal exposure.
+    clipped_share
+        Of the pixels of the pressed coat, with a channel at full scale.
+    seen_share
+        Of the grid over the middle four fifths of the pad, what the camera sees. Errors are of what it sees.
+    blind_error_deg
+        Error where nothing is seen and the coat is taken as not tilted: mean tilt of the facets.
+    in_the_way
+        Surface that the light panel passes through; empty where it can be mounted.
+    table
+        Camera signals of the facets, with draws in the place of repeats; for a calibration by another finger.
+    """
+
+    normal_error_deg: float
+    error_by_place_deg: Floats
+    places_mm: Floats
+    one_pixel_sigma_deg: float
+    separation_deg: float
+    evenness_rel: float
+    brightness_rel: float
+    electrons_per_radiance: float
+    clipped_share: float
+    seen_share: float
+    blind_error_deg: float
+    in_the_way: str
+    table: FacetTable
+
+    @property
+    def error_with_unseen_deg(self) -> float:
+        """Expected error over the whole grid: what the camera does not see counts as not tilted."""
+        return self.seen_share * self.normal_error_deg + (1.0 - self.seen_share) * self.blind_error_deg
+
+
+class FingerEvaluator:
+    """Evaluates designs with common random numbers, and traces nothing twice.
+
+    Light, surfaces and presses are kept by the content of what they depend on: a changed yield, emission or camera
+    response takes the light that is there, a changed light angle the presses.
+    """
+
+    def __init__(
+        self,
+        response: CameraResponse,
+        renderer: ModuleType,
+        settings: EvaluationSettings | None = None,
+        calibration: CameraCalibration | None = None,
+    ) -> None:
+        """Open an evaluator.
+
+        Parameters
+        ----------
+        response
+            Tactile camera: red, green and blue curve.
+        renderer
+            A compiled variant, from :func:`sim.optics.open_renderer`; open it with one thread for equal digits.
+        settings
+            How finely; by default some 1 s of processor time a design.
+        calibration
+            Geometry of the camera; an ideal pinhole without it.
+
+        Raises
+        ------
+        SimulateError
+            With a scalar renderer, or settings that measure nothing.
+        """
+        if renderer.variant() == SCALAR_VARIANT:
+            raise SimulateError(
+                "fingers are evaluated on paths that are traced once for all paints, which needs a compiled variant; "
+                "leave out --engine scalar (LLVM must be installed)"
+            )
+        self.settings = settings or EvaluationSettings()
+        if min(self.settings.rays, self.settings.repeats, self.settings.draws) < 1:
+            raise SimulateError(f"an evaluation needs at least one ray, repeat and draw, got {self.settings}")
+        self.response, self.renderer, self.calibration = response, renderer, calibration
+        self.traced = 0
+        self._kept: OrderedDict[str, object] = OrderedDict()
+
+    def evaluate(
+        self, design: FingerDesign, paints: Mapping[str, PaintDraws], electrons_per_radiance: float | None = None
+    ) -> FingerEvaluation:
+        """Return the expected error of the normal of one finger, and what else its light tells.
+
+        Parameters
+        ----------
+        design
+            The finger.
+        paints
+            The "red" and the "green" paint with their draws.
+        electrons_per_radiance
+            Exposure, from another evaluation; by default it is set again for each draw, as long as it clips less than
+            0.1 % of the pressed coat.
+
+        Raises
+        ------
+        SimulateError
+            When a place lies off the pad, the panel reaches into the gel, a paint is missing or gains energy, the coat
+            is black, or the camera sees less than half of the grid.
+        """
+        places = self._places_mm(design)
+        rgb, points = self._camera_signals(design, paints)
+        shares = self._once("presses", self._presses(design, places), lambda: _mean_shares(design, places))
+        table = self._exposed(design, rgb, points.places_mm, shares, electrons_per_radiance)
+        rest = self._rest(design)
+        blocked = self._once(
+            "panel", [design.light.model_dump(mode="json"), _parts(design)], lambda: in_the_way(design.light, rest)
+        )
+        seen_share = len(points.places_mm) / (POINTS_ACROSS * POINTS_ALONG)
+        return _evaluated(design, table, rgb, places, self.settings.seed, seen_share, blocked)
+
+    def _camera_signals(self, design: FingerDesign, paints: Mapping[str, PaintDraws]) -> tuple[Floats, SeenPoints]:
+        """Return camera signals (draw, point, facet, 3) in units of the panel's radiance, and where they are."""
+        for colour in COLOURS:
+            if colour not in paints:
+                raise SimulateError(f"no paint for the {colour} wall; give --paint {colour}=FILE")
+        red, green = (paints[colour] for colour in COLOURS)
+        bands = paint_bands(red.optics, green.optics, design.light)
+        light, points = self._light(design, bands)
+        finger = BareFinger(design, self.response, self.renderer, self.calibration)
+        drawn = [
+            PaintEmission.drawn(paint, finger, self.settings.draws, np.random.default_rng([self.settings.seed, k]))
+            for k, paint in enumerate((red, green))
+        ]
+        led = camera_column(finger, bands, _LED)
+        return camera_radiance(light.chains, light.radiance_rel, bands, drawn, led), points
+
+    def _light(self, design: FingerDesign, bands: PaintBands) -> tuple[FacetChains, SeenPoints]:
+        """Return the light of the facets, chain by chain for conversions of 1; traced once for equal content."""
+        given = design.model_dump(mode="json", exclude=set(_NO_LIGHT))
+        del given["camera"]["bit_depth"], given["indenter"]
+        reflectance = {wall: np.round(values, _DIGITS).tolist() for wall, values in bands.reflectance.items()}
+
+        def trace() -> tuple[FacetChains, SeenPoints]:
+            self.traced += 1
+            rest = self._rest(design)
+            points = seen_points(design, rest, self.renderer, POINTS_ACROSS, POINTS_ALONG, self.calibration)
+            facets = tilted_facets(points.normals, facet_slopes())
+            paths = ProbePaths(self.settings.rays, self.settings.repeats, self.settings.seed)
+            return facet_chains(design, rest, bands, self.renderer, points.probes, facets, paths), points
+
+        # the coat reflects as at the middle of each band
+        middles = [round(float(np.average(b.wavelength_nm, weights=b.density_per_nm)), 1) for b in bands.bands]
+        return self._once("light", [given, reflectance, middles], trace)
+
+    def _rest(self, design: FingerDesign) -> FingerShape:
+        """Return the surfaces of the finger without contact."""
+        return self._once("rest", _parts(design), lambda: rest_shape(design))
+
+    def _places_mm(self, design: FingerDesign) -> Floats:
+        """Return the middles of the contacts along the pad."""
+        length = design.pad.length_mm
+        if not self.settings.contact_places_mm:
+            return length * np.linspace(0.1, 0.9, POINTS_ALONG)
+        places = np.array(self.settings.contact_places_mm, dtype=np.float64)
+        if not ((places >= 0.0) & (places <= length)).all():
+            raise SimulateError(
+                f"contact places {places.tolist()} mm must lie on the pad, 0 to {length:g} mm (pad.length_mm)"
+            )
+        return places
+
+    def _exposed(
+        self, design: FingerDesign, rgb: Floats, places_mm: Floats, shares: Floats, exposure: float | None
+    ) -> FacetTable:
+        """Return the camera's signals at an exposure of their own, or at a given one."""
+        sensor = tactile_sensor(design, self.settings.seed)
+        if exposure is None:
+            return exposed_table(rgb[None], places_mm, shares, sensor)
+        full_e = (sensor.full_scale_dn - sensor.black_level_dn) * sensor.gain_e_per_dn
+        signal_e = exposure * rgb[None]
+        clipped = (signal_e >= full_e).any(axis=-1).mean(axis=(1, 2)) @ shares
+        return FacetTable(signal_e, facet_slopes(), places_mm, np.ones(1), np.asarray(clipped))
+
+    @staticmethod
+    def _presses(design: FingerDesign, places_mm: Floats) -> object:
+        indenter = design.indenter.model_dump(mode="json", exclude={"position_mm"})
+        return [design.pad.model_dump(mode="json"), indenter, places_mm.tolist()]
+
+    def _once(self, what: str, content: object, make: Callable[[], _Kept]) -> _Kept:
+        """Return what was made of equal content, or make it."""
+        key = hashlib.sha256(json.dumps([what, content], sort_keys=True, allow_nan=False).encode()).hexdigest()
+        if key not in self._kept:
+            self._kept[key] = make()
+            if len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]  # type: ignore[return-value]
+
+
+def _parts(design: FingerDesign) -> object:
+    """Return what shapes the surfaces without contact; the layout's scale is that of the pad."""
+    return [getattr(design, part).model_dump(mode="json") for part in _SHAPING if part != "indenter"]
+
+
+def _mean_shares(design: FingerDesign, places_mm: Floats) -> Floats:
+    """Return which share of the pressed coat each facet stands for, mean over the places."""
+    rest, shares = rest_shape(design), []
+    for place in places_mm:
+        indenter = design.indenter.model_copy(update={"position_mm": float(place)})
+        shares.append(facet_shares(rest, pressed_shape(design.model_copy(update={"indenter": indenter}))))
+    return np.asarray(np.mean(shares, axis=0))
+
+
+def _evaluated(
+    design: FingerDesign, table: FacetTable, rgb: Floats, places_mm: Floats, seed: int, seen_share: float, blocked: str
+) -> FingerEvaluation:
+    """Judge a table of signals."""
+    sensor = tactile_sensor(design, seed)
+    with threadpool_limits(limits=1, user_api="blas"):
+        errors_deg = held_out_errors_deg(table, sensor, seed)[0]
+    by_place = errors_at(table.places_mm, errors_deg, places_mm)
+    white = table.signal_e[0, :, :, 0]
+    even = [uniformity((one / one.mean(axis=0)).mean(axis=-1)) for one in white]
+    return FingerEvaluation(
+        normal_error_deg=float(by_place.mean()),
+        error_by_place_deg=by_place,
+        places_mm=places_mm,
+        one_pixel_sigma_deg=float(np.median(normal_sigmas_deg(table, sensor)[0], axis=-1).mean()),
+        separation_deg=float(np.median(colour_separations_deg(table)[0], axis=-1).mean()),
+        evenness_rel=float(np.mean(even)),
+        brightness_rel=float(rgb[:, :, 0].mean()),
+        electrons_per_radiance=float(np.mean(white.sum(axis=(1, 2)) / rgb[:, :, 0].sum(axis=(1, 2)))),
+        clipped_share=float(table.clipped_share[0]),
+        seen_share=seen_share,
+        blind_error_deg=_blind_error_deg(),
+        in_the_way=blocked,
+        table=table,
+    )
+
+
+def errors_at(points_mm: Floats, errors_deg: Floats, places_mm: Floats) -> Floats:
+    """Return errors at places along the pad, (draw, place): means of the rows of points, linear between rows.
+
+    Parameters
+    ----------
+    points_mm
+        (x, z) of the points, (point, 2).
+    errors_deg
+        (draw, point).
+    places_mm
+        Along the pad; beyond the first and the last row their value is held.
+    """
+    rows_mm, row_of_point = rows_along(points_mm[:, 1])
+    of_rows = np.stack([errors_deg[:, row_of_point == row].mean(axis=1) for row in range(len(rows_mm))], axis=1)
+    return np.stack([np.interp(places_mm, rows_mm, one) for one in of_rows])
+
+
+def _blind_error_deg() -> float:
+    """Return the mean tilt of the facets."""
+    tilts = [0.0, *([SMALL_TILT_DEG] * QUARTERS), *(tilt for tilt, _ in OTHER_TILTS_DEG for _ in range(QUARTERS))]
+    return float(np.mean(tilts))
