@@ -195,6 +195,9 @@ class OptimisedDesign(Model):
     changes: dict[str, float] = Field(description="parameter -> its value")
     values: dict[str, float] = Field(description="objective -> its number, as computed; empty where it failed")
     failure: str = ""
+    expected_95: dict[str, tuple[float, float]] = Field(
+        default={}, description="objective -> 95 % interval of its number by the emulator, all designs together"
+    )
     p_front: Fraction | None = Field(
         default=None, description="that no design within the limits beats it by the tolerance in every objective"
     )

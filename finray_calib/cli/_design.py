@@ -14,11 +14,12 @@ from finray_calib.cli._run import (
     open_engine,
     require_new,
 )
+from finray_calib.cli._study_run import add_optimise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from data_schemas import FingerDesign, Optics, PaintCalibration, PaintChoice, RigFile
+    from data_schemas import Optics, PaintCalibration, PaintChoice, RigFile
     from finray_calib.fit import CatalogueFilter
     from sim.optics import CameraView
 
@@ -88,6 +89,7 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     _add_show(actions)
     _add_export(actions)
     _add_paints(actions)
+    add_optimise(actions)
     _add_filters(actions)
 
 
@@ -392,10 +394,11 @@ def run_paints(arguments: argparse.Namespace) -> None:
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import camera_response, write_record
     from finray_calib.decide import paint_choice
+    from sim import given_design
     from sim.experiments import BareFinger, PaintDraws, paint_pairs
     from sim.optics import read_calibration
 
-    design, files, folder = _given_design(arguments.design)
+    design, files, folder = given_design(arguments.design)
     paints = _calibrations(arguments.paint)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.paint-choice.json"))
     camera = design.camera
@@ -424,15 +427,6 @@ def run_paints(arguments: argparse.Namespace) -> None:
         "finray simulate sweep", arguments.design, f"--paint red={chosen[best.red]} --paint green={chosen[best.green]}",
         "--objectives all",
     )  # fmt: skip
-
-
-def _given_design(path: Path) -> "tuple[FingerDesign, list[Path], Path]":
-    """Return a finger, the files it was read from, and where its relative paths start."""
-    from sim import PRESETS, preset_design, read_design
-
-    if not path.exists() and str(path) in PRESETS:
-        return preset_design(str(path)), [], Path()
-    return read_design(path), [path], path.parent
 
 
 def _calibrations(files: "Sequence[Path]") -> "dict[str, PaintCalibration]":

@@ -114,6 +114,8 @@ class JudgedDesigns:
 
     Attributes
     ----------
+    limits
+        95 % interval of the losses of the designs, (2, N, K).
     p_front
         Probability that no design within the limits beats it by the tolerance in every objective, (N,).
     apart
@@ -124,6 +126,7 @@ class JudgedDesigns:
         Sum of the losses of the chosen design less the least one within the limits, (draws,).
     """
 
+    limits: Floats
     p_front: Floats
     apart: NDArray[np.int64]
     gain_draws: Floats
@@ -134,6 +137,12 @@ def losses(values: Floats, objectives: Sequence[DesignObjective]) -> Floats:
     """Return the losses (N, K) of positive numbers (N, K): their logarithms, with the sign that makes less better."""
     signs = np.array([-1.0 if objective.larger_is_better else 1.0 for objective in objectives])
     return np.asarray(signs * np.log(values))
+
+
+def values_of(lost: Floats, objectives: Sequence[DesignObjective]) -> Floats:
+    """Return the numbers (N, K) whose losses are given."""
+    signs = np.array([-1.0 if objective.larger_is_better else 1.0 for objective in objectives])
+    return np.asarray(np.exp(signs * lost))
 
 
 def gain_rel(difference: Floats | float, objective: DesignObjective) -> Floats:
@@ -173,6 +182,7 @@ def judge_designs(
     worse, better = (above > 0.0).mean(axis=0), (above < 0.0).mean(axis=0)
     on_front = [near_front(one[: len(inputs)], one, np.log1p(TOLERANCE_REL)) for one in draws[: _FRONT_DRAWS * 4 : 4]]
     return JudgedDesigns(
+        np.quantile(own, [0.025, 0.975], axis=0),
         np.mean(on_front, axis=0),
         (worse > REAL).astype(np.int64) - (better > REAL),
         np.stack([above[:, start], above[:, screen]]),
@@ -313,6 +323,7 @@ def _rows(searched: DesignSearch, judged: JudgedDesigns) -> tuple[OptimisedDesig
     for k, (role, changes, found) in enumerate(zip(searched.roles, searched.changes, searched.evaluated, strict=True)):
         row = of_usable.get(k)
         apart = np.zeros(len(names), dtype=np.int64) if row is None else judged.apart[row]
+        limits = None if row is None else values_of(judged.limits[:, row], searched.objectives)
         rows.append(
             OptimisedDesign(
                 number=k + 1,
@@ -320,12 +331,18 @@ def _rows(searched: DesignSearch, judged: JudgedDesigns) -> tuple[OptimisedDesig
                 changes=changes,
                 values={name: found.values[name] for name in names if name in found.values},
                 failure=found.failure,
+                expected_95={} if limits is None else dict(zip(names, _ends(limits), strict=True)),
                 p_front=None if row is None else float(judged.p_front[row]),
                 better_than_chosen=tuple(n for n, a in zip(names, apart, strict=True) if a < 0),
                 worse_than_chosen=tuple(n for n, a in zip(names, apart, strict=True) if a > 0),
             )
         )
     return tuple(rows)
+
+
+def _ends(limits: Floats) -> list[tuple[float, float]]:
+    """Return the lower and the upper end of intervals (2, K)."""
+    return [(float(min(pair)), float(max(pair))) for pair in limits.T]
 
 
 def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: float) -> str:

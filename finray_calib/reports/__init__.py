@@ -81,6 +81,7 @@ if TYPE_CHECKING:
         ReportTable,
         drawing,
         figure_png,
+        files_table,
         found_part,
         light_of,
         one_group,
@@ -101,6 +102,7 @@ if TYPE_CHECKING:
         percent,
         plain,
         probability,
+        signed_percent,
         significant,
     )
     from finray_calib.reports._record_plots import RecordPlot, plot_record
@@ -160,6 +162,7 @@ __all__ = [
     "error_map_figure",
     "error_table",
     "figure_png",
+    "files_table",
     "finger_outline",
     "finger_page",
     "finger_page_png",
@@ -210,6 +213,7 @@ __all__ = [
     "sensor_png",
     "sensor_text",
     "signals_table",
+    "signed_percent",
     "significant",
     "simulation_sentence",
     "skill_number",
