@@ -21,6 +21,8 @@ from finray_calib.decide._gaussian_process import draw_normal
 from finray_calib.decide._next_observation import knowledge_gradient
 
 Floats = NDArray[np.float64]
+#: Matern's nu, equally likely. The first one is used in a search, the intervals hold both.
+SMOOTHNESSES: Final = (2.5, 1.5)
 Allowed = Callable[[Floats], bool]
 
 #: Medians of lengths (of inputs from 0 to 1), amplitude and noise (of values of unit spread), and the standard
@@ -36,6 +38,8 @@ _BOX_SD: Final = 4.0
 #: Draws from which the ensemble is taken by their weights.
 _PROPOSALS: Final = 128
 _STEP: Final = 1e-4
+#: Degrees of freedom of their distribution.
+_FREEDOM: Final = 8.0
 #: Designs between which the knowledge gradient chooses: all over the box, near the best, and very near it.
 _NEAR: Final = ((0.12, 80), (0.04, 50), (0.012, 20))
 _EVERYWHERE: Final = 150
@@ -59,11 +63,14 @@ class DesignEmulator:
         Their numbers, with noise.
     ln_parameters : ndarray, shape (D + 2,)
         Logarithms of the lengths, of the amplitude and of the noise, both over the spread of the values.
+    smoothness : float
+        Matern's nu: 5/2, or 3/2 for numbers whose slope has kinks.
     """
 
     inputs: Floats
     values: Floats
     ln_parameters: Floats
+    smoothness: float = SMOOTHNESSES[0]
 
     @cached_property
     def centre(self) -> tuple[float, float]:
@@ -97,7 +104,7 @@ class DesignEmulator:
         square = np.zeros((len(first), len(second)))
         for k, length in enumerate(lengths):
             square += ((first[:, k, None] - second[:, k]) / length) ** 2
-        return np.asarray(np.exp(2 * self.ln_parameters[-2]) * _matern(square) + _CONSTANT)
+        return np.asarray(np.exp(2 * self.ln_parameters[-2]) * _matern(square, self.smoothness)[0] + _CONSTANT)
 
     def mean(self, at: Floats) -> Floats:
         """Return the expected number of designs (M, D), in the unit of the values."""
@@ -112,13 +119,19 @@ class DesignEmulator:
         return np.asarray(self.centre[1] ** 2 * left)
 
 
-def _matern(square: Floats) -> Floats:
-    """Return the Matern correlation of nu = 5/2 of squared scaled distances."""
-    q = np.sqrt(5.0 * square)
-    return np.asarray((1.0 + q + q * q / 3.0) * np.exp(-q))
+def _matern(square: Floats, smoothness: float) -> tuple[Floats, Floats]:
+    """Return the Matern correlation of squared scaled distances s, and minus twice its derivative by s."""
+    scale = 2.0 * smoothness
+    q = np.sqrt(scale * square)
+    decay = np.exp(-q)
+    if smoothness == SMOOTHNESSES[0]:
+        return (1.0 + q + q * q / 3.0) * decay, scale / 3.0 * (1.0 + q) * decay
+    return (1.0 + q) * decay, scale * decay
 
 
-def fit_emulator(inputs: Floats, values: Floats, start: DesignEmulator | None = None) -> DesignEmulator:
+def fit_emulator(
+    inputs: Floats, values: Floats, start: DesignEmulator | None = None, smoothness: float = SMOOTHNESSES[0]
+) -> DesignEmulator:
     r"""Fit lengths, amplitude and noise of an emulator: the most probable ones.
 
     .. math:: y_i = c + a f(x_i) + n e_i, \quad \mathrm{cov}(f(x), f(x')) = (1 + q + q^2/3) e^{-q},
@@ -135,6 +148,8 @@ def fit_emulator(inputs: Floats, values: Floats, start: DesignEmulator | None = 
         Any unit; finite.
     start : DesignEmulator, optional
         Fitted to fewer of the same designs.
+    smoothness : float
+        Matern's nu, 5/2 or 3/2; the equation is that of 5/2.
 
     References
     ----------
@@ -146,10 +161,10 @@ def fit_emulator(inputs: Floats, values: Floats, start: DesignEmulator | None = 
     scaled = (values - values.mean()) / (spread if spread > 0.0 else 1.0)
     first = middle if start is None else start.ln_parameters
     found = minimize(
-        _negative_ln_posterior, first, (squares, scaled), method="L-BFGS-B", jac=True,
+        _negative_ln_posterior, first, (squares, scaled, smoothness), method="L-BFGS-B", jac=True,
         bounds=list(zip(middle - _BOX_SD * sd, middle + _BOX_SD * sd, strict=True)), options={"maxiter": 60},
     )  # fmt: skip
-    return DesignEmulator(inputs, values, np.asarray(found.x))
+    return DesignEmulator(inputs, values, np.asarray(found.x), smoothness)
 
 
 def _prior(count: int) -> tuple[Floats, Floats]:
@@ -158,20 +173,19 @@ def _prior(count: int) -> tuple[Floats, Floats]:
     return middle, np.array([*[_LENGTH_LN_SD] * count, _AMPLITUDE_LN_SD, _NOISE_LN_SD])
 
 
-def _negative_ln_posterior(ln_parameters: Floats, squares: Sequence[Floats], scaled: Floats) -> tuple[float, Floats]:
+def _negative_ln_posterior(
+    ln_parameters: Floats, squares: Sequence[Floats], scaled: Floats, smoothness: float
+) -> tuple[float, Floats]:
     """Return minus the log posterior of hyperparameters, and its gradient."""
     middle, sd = _prior(len(squares))
     lengths, amplitude2, noise2 = np.exp(ln_parameters[:-2]), *np.exp(2.0 * ln_parameters[-2:])
     parts = [square / length**2 for square, length in zip(squares, lengths, strict=True)]
-    q = np.sqrt(5.0 * np.sum(parts, axis=0))
-    decay = amplitude2 * np.exp(-q)
-    correlated = decay * (1.0 + q + q * q / 3.0)
+    correlated, steep = (amplitude2 * of_kernel for of_kernel in _matern(np.sum(parts, axis=0), smoothness))
     covariance = correlated + _CONSTANT
     covariance[np.diag_indices_from(covariance)] += noise2 + _JITTER
     factor = cho_factor(covariance, lower=True)
     weights = cho_solve(factor, scaled)
     pull = cho_solve(factor, np.eye(len(scaled))) - np.outer(weights, weights)
-    steep = decay * (5.0 / 3.0) * (1.0 + q)
     gradient = np.array(
         [
             *[0.5 * np.sum(pull * steep * part) for part in parts],
@@ -185,9 +199,9 @@ def _negative_ln_posterior(ln_parameters: Floats, squares: Sequence[Floats], sca
 
 
 def emulator_ensemble(fitted: DesignEmulator, rng: np.random.Generator, count: int = 24) -> tuple[DesignEmulator, ...]:
-    """Return emulators with hyperparameters drawn from their posterior, so that intervals hold what is open in them.
+    """Return emulators with smoothness and hyperparameters drawn from their posterior: intervals hold what is open.
 
-    Drawn from the normal about the most probable ones (variances never above those of the prior), and taken by the
+    Drawn from Student's t about the most probable ones of each smoothness, with the curvature there, and taken by the
     ratio of posterior and proposal, with replacement.
 
     Parameters
@@ -199,32 +213,45 @@ def emulator_ensemble(fitted: DesignEmulator, rng: np.random.Generator, count: i
     count
         Of emulators.
     """
-    middle, sd = _prior(fitted.inputs.shape[1])
-    squares = [(column[:, None] - column) ** 2 for column in fitted.inputs.T]
     centre, spread = fitted.centre
     scaled = (fitted.values - centre) / spread
-    best = fitted.ln_parameters
-    precision = np.empty((best.size, best.size))
-    for k in range(best.size):
-        step = _STEP * np.eye(best.size)[k]
-        above = _negative_ln_posterior(best + step, squares, scaled)[1]
-        precision[k] = (above - _negative_ln_posterior(best - step, squares, scaled)[1]) / (2.0 * _STEP)
+    squares = [(column[:, None] - column) ** 2 for column in fitted.inputs.T]
+    proposed, ln_weights = [], []
+    for smoothness in SMOOTHNESSES:
+        best = fit_emulator(fitted.inputs, fitted.values, fitted, smoothness)
+        of_smoothness, weights = _proposals(best, squares, scaled, rng)
+        proposed += [DesignEmulator(fitted.inputs, fitted.values, one, smoothness) for one in of_smoothness]
+        ln_weights.append(weights)
+    weights = np.concatenate(ln_weights)
+    weights = np.exp(weights - weights.max())
+    return tuple(proposed[k] for k in rng.choice(len(proposed), size=count, p=weights / weights.sum()))
+
+
+def _proposals(
+    best: DesignEmulator, squares: Sequence[Floats], scaled: Floats, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Return draws of hyperparameters about the most probable ones, and the logarithms of their weights."""
+    peak = best.ln_parameters
+    middle, sd = _prior(len(squares))
+    precision = np.empty((peak.size, peak.size))
+    for k in range(peak.size):
+        step = _STEP * np.eye(peak.size)[k]
+        above, below = (
+            _negative_ln_posterior(peak + way * step, squares, scaled, best.smoothness)[1] for way in (1.0, -1.0)
+        )
+        precision[k] = (above - below) / (2.0 * _STEP)
     eigenvalues, vectors = np.linalg.eigh((precision + precision.T) / 2.0)
-    root = vectors / np.sqrt(np.maximum(eigenvalues, 1.0 / sd.max() ** 2))
-    normal = rng.standard_normal((_PROPOSALS, best.size))
+    # no proposal is wider than the prior
+    eigenvalues = np.maximum(eigenvalues, 1.0 / sd.max() ** 2)
+    normal = rng.standard_normal((_PROPOSALS, peak.size))
     # heavier tails than a normal, so that no weight is huge
     normal *= np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, size=_PROPOSALS))[:, None]
-    proposed = np.clip(best + normal @ root.T, middle - _BOX_SD * sd, middle + _BOX_SD * sd)
-    size = (normal**2).sum(axis=1)
-    ln_weight = 0.5 * (_FREEDOM + best.size) * np.log1p(size / _FREEDOM)
-    ln_weight -= [_negative_ln_posterior(one, squares, scaled)[0] for one in proposed]
-    weights = np.exp(ln_weight - ln_weight.max())
-    taken = rng.choice(_PROPOSALS, size=count, p=weights / weights.sum())
-    return tuple(DesignEmulator(fitted.inputs, fitted.values, proposed[k]) for k in taken)
-
-
-#: Degrees of freedom of the proposal of the ensemble.
-_FREEDOM: Final = 8.0
+    proposed = peak + (normal / np.sqrt(eigenvalues)) @ vectors.T
+    proposed = np.clip(proposed, middle - _BOX_SD * sd, middle + _BOX_SD * sd)
+    ln_weight = 0.5 * (_FREEDOM + peak.size) * np.log1p((normal**2).sum(axis=1) / _FREEDOM)
+    ln_weight -= 0.5 * np.log(eigenvalues).sum()
+    ln_weight -= [_negative_ln_posterior(one, squares, scaled, best.smoothness)[0] for one in proposed]
+    return proposed, ln_weight
 
 
 def joint_draws(ensemble: Sequence[DesignEmulator], at: Floats, draws: int, rng: np.random.Generator) -> Floats:
@@ -340,7 +367,7 @@ def best_design(
 
 
 def near_front(values: Floats, rivals: Floats, tolerance: float) -> NDArray[np.bool_]:
-    """Return which designs (M,) no rival beats in every number by more than a tolerance.
+    """Return which designs (M,) no rival beats: is as good in every number, and better by a tolerance in one.
 
     Parameters
     ----------
@@ -351,7 +378,9 @@ def near_front(values: Floats, rivals: Floats, tolerance: float) -> NDArray[np.b
         In the unit of the numbers. With 0 these are the designs that no rival dominates; of rivals as close as one
         likes each would then be on the front by chance only.
     """
-    return np.array([not bool((rivals < one - tolerance).all(axis=1).any()) for one in values])
+    return np.array(
+        [not bool(((rivals <= one).all(axis=1) & (rivals < one - tolerance).any(axis=1)).any()) for one in values]
+    )
 
 
 def main_effect(

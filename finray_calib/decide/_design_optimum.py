@@ -34,17 +34,19 @@ from finray_calib.decide._design_emulator import (
 
 Floats = NDArray[np.float64]
 
-#: A design this much worse than another one in every objective is not on the front.
+#: A design is not on the front where another one is as good in all and better by this in one objective.
 TOLERANCE_REL: Final = 0.01
 #: Probability beyond which a difference of two designs is called real, on one side.
 REAL: Final = 0.975
 _DRAWS: Final = 960
 _FRONT_DRAWS: Final = 240
 #: Designs all over the box, and about the chosen one, that might be better than it.
-_ALL_OVER, _ABOUT = 192, 192
+_ALL_OVER, _ABOUT = 128, 128
 _ABOUT_SD: Final = 0.08
-_LEVELS: Final = 21
-_AVERAGED: Final = 64
+_LEVELS: Final = 17
+#: Emulators of an ensemble that main effects are drawn from: one in so many.
+_EVERY: Final = 6
+_AVERAGED: Final = 32
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,8 @@ class JudgedDesigns:
     limits
         95 % interval of the losses of the designs, (2, N, K).
     p_front
-        Probability that no design within the limits beats it by the tolerance in every objective, (N,).
+        Probability that no design within the limits is as good in every objective and better by the tolerance in one,
+        (N,).
     apart
         1 where a design is really worse than the chosen one, -1 where it is really better, 0 elsewhere, (N, K).
     gain_draws
@@ -253,7 +256,7 @@ def main_effects(
     for ensemble, objective in zip(ensembles, objectives, strict=True):
         sign = -1.0 if objective.larger_is_better else 1.0
         for column, parameter in enumerate(parameters):
-            values = np.exp(sign * main_effect(ensemble[::3], column, levels, others, rng))
+            values = np.exp(sign * main_effect(ensemble[::_EVERY], column, levels, others, rng))
             low, mean, high = np.quantile(values, [0.025, 0.5, 0.975], axis=0).tolist()
             found.append(
                 MainEffect(
