@@ -199,7 +199,8 @@ class OptimisedDesign(Model):
         default={}, description="objective -> 95 % interval of its number by the emulator, all designs together"
     )
     p_front: Fraction | None = Field(
-        default=None, description="that no design within the limits is as good in all and better by the tolerance in one"
+        default=None,
+        description="that no design within the limits is as good in all and better by the tolerance in one",
     )
     better_than_chosen: tuple[str, ...] = Field(
         default=(), description="objectives in which it is better with 97.5 % probability"

@@ -352,9 +352,10 @@ def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: fl
     """Say what to build, what it gains, and what could still be gained."""
     changes = ", ".join(f"{name} {value:.4g}" for name, value in searched.changes[-1].items())
     told = "; ".join(_gain_words(gain) for gain in gains if gain.against == "start")
+    whole = "" if len(searched.objectives) == 1 else " in all objectives together (ratios multiplied)"
     return (
         f"Build the finger with {changes}: {told}. With 95 % probability no design within the limits is better by more "
-        f"than {regret_95:.1%}, as far as the emulator knows."
+        f"than {regret_95:.1%}{whole}, as far as the emulator knows."
     )
 
 

@@ -255,8 +255,8 @@ def _front(optimum: DesignOptimum) -> Content:
     """Show the designs of the front in a table."""
     lead = (
         "Designs for which, with at least even odds, no other within the limits is as good in every objective and "
-        f"better by {percent(optimum.tolerance_rel)} in one. The last column says in what they really differ from the recommended one (97.5 % on one "
-        "side); everything else is within the noise."
+        f"better by {percent(optimum.tolerance_rel)} in one. The last column says in what they really differ from the "
+        "recommended one (97.5 % on one side); everything else is within the noise."
     )
     return Content(lead, tables=(_designs_table(optimum, front_rows(optimum), "The front"),), has_wide_tables=True)
 
