@@ -469,13 +469,13 @@ def search_designs(
     run.add(space.place(space.start), "start")
     if run.evaluated[0].failure:
         raise SimulateError(f"the design as it is cannot be evaluated: {run.evaluated[0].failure}")
-    for place in screening_designs(len(space.parameters), screen_size(evaluations, len(space.parameters)), seed,
-                                   space.is_possible):  # fmt: skip
+    count = len(space.parameters)
+    for place in screening_designs(count, screen_size(evaluations, count), seed, space.is_possible):
         run.add(place, "screen")
-    if 2 * len(run.usable) < len(run.evaluated):
-        failure = next(one.failure for one in run.evaluated if one.failure)
+    failures = [one.failure for one in run.evaluated if one.failure]
+    if 2 * len(failures) > len(run.evaluated):
         raise SimulateError(
-            f"most designs of the screen cannot be evaluated; give narrower limits. The first: {failure}"
+            f"most designs of the screen cannot be evaluated; give narrower limits. The first: {failures[0]}"
         )
     emulators: tuple[DesignEmulator, ...] = ()
     for step in range(evaluations - len(run.evaluated) - 1):
