@@ -61,25 +61,27 @@ def optimum_page(optimum: DesignOptimum, command: str, digests: Mapping[str, str
     version
         Of the package.
     """
-    first = _gain(optimum, optimum.objectives[0], "start")
+    first, *others = (_gain(optimum, objective, "start") for objective in optimum.objectives)
     light, reason = _judged(first)
+    lost = [gain for gain in others if _judged(gain)[0] == "bad"]
     return report_html(
         ReportPage(
             verb="finray design optimise",
             title=optimum.name,
             lead=f"{len(optimum.designs)} designs within limits of {', '.join(p.field for p in optimum.parameters)}, "
             f"for {' and '.join(o.name for o in optimum.objectives)}.",
-            verdict=_verdict(first),
-            light=light,
+            verdict="; ".join(_verdict(gain) for gain in (first, *lost)),
+            light="care" if lost and light == "good" else light,
             sentence=optimum.sentence,
             picture=_front_picture(optimum),
             key_numbers=(
-                KeyNumber(f"{first.objective}, against the start", _best_known(first), _how(first), light, reason),
+                KeyNumber(f"{first.objective}, to the start", _best_known(first), _how(first), light, reason),
                 _screen_number(optimum),
                 KeyNumber(
-                    "What another design could still gain",
-                    f"at most {percent(optimum.regret_95_rel)}",
-                    f"95 % bound by the emulator; expected {percent(optimum.regret_rel)}",
+                    "Still to gain",
+                    percent(optimum.regret_95_rel),
+                    f"at most, by another design within the limits (95 %, emulator); {percent(optimum.regret_rel)} "
+                    "expected",
                 ),
             ),
             parts=(
@@ -120,12 +122,13 @@ def _interval(gain: DesignGain) -> tuple[float, float, float]:
 
 
 def _best_known(gain: DesignGain) -> str:
-    value, low, high = _interval(gain)
-    return interval_text(100.0 * value, 100.0 * low, 100.0 * high, "%")
+    return signed_percent(_interval(gain)[0])
 
 
 def _how(gain: DesignGain) -> str:
-    return "better; by the emulator" if gain.confirmed_rel is None else "better, with other seeds and contact places"
+    _, low, high = _interval(gain)
+    how = "by the emulator" if gain.confirmed_rel is None else "with other seeds and contact places"
+    return f"{signed_percent(low)} to {signed_percent(high)} (95 %), {how}; + is better"
 
 
 def _judged(gain: DesignGain) -> tuple[Light, str]:
@@ -152,7 +155,7 @@ def _screen_number(optimum: DesignOptimum) -> KeyNumber:
     count = sum(row.role == "screen" for row in optimum.designs)
     light, reason = _judged(gain)
     return KeyNumber(
-        f"{gain.objective}, against the best of a screen", _best_known(gain), f"{_how(gain)}; of {count} Sobol' points",
+        f"{gain.objective}, to a screen's best", _best_known(gain), f"{_how(gain)}; best of {count} Sobol' points",
         "care" if light == "bad" else light, reason,
     )  # fmt: skip
 
