@@ -365,6 +365,8 @@ def _effects(optimum: DesignOptimum) -> Content:
     pictures = []
     for objective in optimum.objectives:
         effects = [e for e in optimum.effects if e.objective == objective.name]
+        if not effects:
+            continue
         with styled():
             figure = new_figure(max(2.3 * columns, 4.6), 2.2 * rows)
             bottom, top = min(min(e.low95) for e in effects), max(max(e.high95) for e in effects)
