@@ -105,6 +105,8 @@ _AXES: Final = "xyz"
 _FIELD: Final = re.compile(r"([a-z0-9_]+(?:\.[a-z0-9_]+)+)(?:\[([xyz])\])?")
 #: Proposals between two fits of the emulators' lengths and noise.
 _REFIT: Final = 4
+#: Of a parameter: millionths of a mm or a deg.
+_DECIMALS: Final = 6
 #: Less is said in seconds.
 _MINUTES_FROM_S: Final = 90.0
 _POWER: Final = "power_rel"
@@ -227,7 +229,8 @@ class DesignSpace:
         found = {}
         for at, one in zip(place.tolist(), self.parameters, strict=True):
             value = one.low + at * (one.high - one.low)
-            found[one.field] = float(round(value)) if one.is_whole else value
+            # the design of a place has the same digits on the way there and back
+            found[one.field] = float(round(value)) if one.is_whole else round(value, _DECIMALS)
         return found
 
     def snapped(self, place: Floats) -> Floats:
