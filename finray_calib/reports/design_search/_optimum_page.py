@@ -37,6 +37,8 @@ ON_FRONT: Final = 0.5
 #: A parameter nearer to its limit than this share of its range is called at it.
 _AT_LIMIT: Final = 0.02
 _PANELS_IN_A_ROW: Final = 4
+#: A search that may have missed this much is to be read with care.
+_SMALL_REGRET_REL: Final = 0.05
 _MUTED: Final = "#57606a"
 _LOOKS: Final = {
     "screen": ("o", _MUTED, "screen"),
@@ -82,6 +84,8 @@ def optimum_page(optimum: DesignOptimum, command: str, digests: Mapping[str, str
                     percent(optimum.regret_95_rel),
                     f"at most, by another design within the limits (95 %, emulator); {percent(optimum.regret_rel)} "
                     "expected",
+                    "good" if optimum.regret_95_rel < _SMALL_REGRET_REL else "care",
+                    "little is left" if optimum.regret_95_rel < _SMALL_REGRET_REL else "more evaluations may find it",
                 ),
             ),
             parts=(
