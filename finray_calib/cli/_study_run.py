@@ -322,7 +322,8 @@ def run_optimise(arguments: argparse.Namespace) -> None:
     if len({one.field for one in parameters}) < len(parameters):
         raise SimulateError("--within: a field is given twice; give each once")
     out = require_place(arguments.out or Path(f"{file_name(design.name)}.optimised"))
-    light, paints = None, []
+    light: LightMeasure | None = None
+    paints: list[Path] = []
     if any(is_of_light(one) for one in objectives):
         light, paints = _light_measure(arguments, design, folder)
     origin = provenance(command_line(), input_digests([*files, *paints]), arguments.seed)

@@ -314,7 +314,7 @@ def next_design(
     inputs = emulators[0].inputs
 
     def mean_of(at: Floats) -> Floats:
-        return np.sum([w * e.mean(at) for w, e in zip(weights, emulators, strict=True)], axis=0)
+        return np.asarray(np.sum([w * e.mean(at) for w, e in zip(weights, emulators, strict=True)], axis=0))
 
     best = inputs[int(mean_of(inputs).argmin())]
     candidates = _candidates(best, rng)
@@ -352,7 +352,8 @@ def best_design(
     inputs = emulators[0].inputs
 
     def mean_of(at: Floats) -> Floats:
-        return np.sum([w * e.mean(np.atleast_2d(at)) for w, e in zip(weights, emulators, strict=True)], axis=0)
+        found = [w * e.mean(np.atleast_2d(at)) for w, e in zip(weights, emulators, strict=True)]
+        return np.asarray(np.sum(found, axis=0))
 
     best = inputs[int(mean_of(inputs).argmin())]
     near = _candidates(best, rng)
