@@ -1,4 +1,4 @@
-"""Decision on the angle of the blue light."""
+"""Decision on the angle of the blue light, and on the numbers of a whole design."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from data_schemas._arrays import ArraySpec
+from data_schemas._design import FingerDesign
 from data_schemas._model import Model, Record
 from data_schemas._units import AngleDeg, Fraction
 
@@ -147,4 +148,117 @@ class LightAngleDecision(Record):
     next_render: AngleProposal | None = Field(default=None, description="None where no render would change anything")
     next_capture: AngleProposal | None = Field(default=None, description="None where no capture would change anything")
     other_objectives: tuple[OtherObjective, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+class DesignObjective(Model):
+    """One number that a design is to be good in."""
+
+    name: str
+    unit: str
+    meaning: str
+    larger_is_better: bool
+
+
+class DesignParameter(Model):
+    """One number of a design that may be changed, and its limits."""
+
+    field: str = Field(description="dotted field of the design; of a place its coordinate too: light.position_mm[y]")
+    low: float
+    high: float
+    is_whole: bool = Field(default=False, description="whole numbers only, such as a number of ribs")
+    start: float = Field(description="of the design that was given")
+
+
+class EvaluatedDesign(Record):
+    """What one design is worth; kept so that a search that was interrupted continues."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray design optimise'"
+    shown: ClassVar[tuple[str, ...]] = ("values", "failure")
+
+    key: str = Field(description="SHA-256 of what the numbers were computed from")
+    values: dict[str, float] = Field(description="objective -> its number; empty where it failed")
+    failure: str = Field(default="", description="why the design could not be evaluated")
+    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time that it took")
+    design: FingerDesign
+
+
+DesignRole = Literal["start", "screen", "search", "chosen"]
+
+
+class OptimisedDesign(Model):
+    """One design of a search."""
+
+    number: Annotated[int, Field(ge=1)]
+    role: DesignRole = Field(description="as given; of the screen; proposed by the emulator; what is recommended")
+    changes: dict[str, float] = Field(description="parameter -> its value")
+    values: dict[str, float] = Field(description="objective -> its number, as computed; empty where it failed")
+    failure: str = ""
+    expected_95: dict[str, tuple[float, float]] = Field(
+        default={}, description="objective -> 95 % interval of its number by the emulator, all designs together"
+    )
+    p_front: Fraction | None = Field(
+        default=None,
+        description="that no design within the limits is as good in all and better by the tolerance in one",
+    )
+    better_than_chosen: tuple[str, ...] = Field(
+        default=(), description="objectives in which it is better with 97.5 % probability"
+    )
+    worse_than_chosen: tuple[str, ...] = Field(
+        default=(), description="objectives in which it is worse with 97.5 % probability"
+    )
+
+
+class DesignGain(Model):
+    """What the chosen design gains in one objective; positive is better, relative to what it is compared with."""
+
+    objective: str
+    against: Literal["start", "best of the screen"]
+    seen_rel: float = Field(description="as computed in the search, with its random numbers")
+    expected_rel: float = Field(description="by the emulator: median")
+    expected_95_rel: tuple[float, float] = Field(description="its central 95 % interval")
+    confirmed_rel: float | None = Field(
+        default=None, description="with other seeds and contact places, which the search has not seen: mean"
+    )
+    confirmed_95_rel: tuple[float, float] | None = Field(default=None, description="Student's t over these seeds")
+    shrinkage_rel: float | None = Field(default=None, description="seen less confirmed: what was luck of the search")
+
+
+class MainEffect(Model):
+    """How an objective goes with one parameter, averaged over all others within their limits, by the emulator."""
+
+    objective: str
+    parameter: str
+    at: tuple[float, ...]
+    mean: tuple[float, ...]
+    low95: tuple[float, ...]
+    high95: tuple[float, ...]
+
+
+class DesignOptimum(Record):
+    """The best design found within limits, what it gains and trades, and how much better another could be."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray design optimise'"
+    shown: ClassVar[tuple[str, ...]] = ("sentence",)
+
+    name: str
+    sentence: str
+    objectives: tuple[DesignObjective, ...] = Field(min_length=1)
+    parameters: tuple[DesignParameter, ...] = Field(min_length=1)
+    designs: tuple[OptimisedDesign, ...] = Field(min_length=1, description="all that were computed, in order")
+    chosen: Annotated[int, Field(ge=1)] = Field(description="number of the recommended design")
+    screen_best: Annotated[int, Field(ge=1)] = Field(description="number of the best design of the screen, as computed")
+    gains: tuple[DesignGain, ...]
+    regret_rel: float = Field(description="expected loss against the best design within the limits")
+    regret_95_rel: float = Field(description="loss that is not exceeded with 95 % probability, as the emulator knows")
+    unexplained_rel: dict[str, float] = Field(
+        description="objective -> error of the emulator at designs left out, over their spread, of ln(value)"
+    )
+    tolerance_rel: Fraction = Field(description="of p_front")
+    effects: tuple[MainEffect, ...] = ()
+    start: FingerDesign
+    design: FingerDesign = Field(description="the recommended finger")
+    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time of all evaluations")
     notes: tuple[str, ...] = ()

@@ -14,7 +14,9 @@ from data_schemas import (
     CertificateDetails,
     CheckPlan,
     ComparisonBatch,
+    DesignOptimum,
     DesignStudy,
+    EvaluatedDesign,
     FingerDesign,
     FingerStiffness,
     FingerSurfaces,
@@ -96,6 +98,8 @@ STORED: tuple[type[Record], ...] = (
     StudyResult,
     FingerTolerances,
     PaintChoice,
+    EvaluatedDesign,
+    DesignOptimum,
 )
 
 

@@ -155,6 +155,19 @@ def preset_design(name: str) -> FingerDesign:
     return PRESETS[name][1](name)
 
 
+def given_design(path: Path) -> tuple[FingerDesign, list[Path], Path]:
+    """Return the finger of a file or of a preset's name, the files it was read from, and where its paths start.
+
+    Raises
+    ------
+    RecordError, SimulateError
+        When it cannot be read, or describes no finger.
+    """
+    if not path.exists() and str(path) in PRESETS:
+        return preset_design(str(path)), [], Path()
+    return read_design(path), [path], path.parent
+
+
 _FINGER_HEAD = """\
 # A finger: gel pad, coating, light, mirror, camera, indenter. mm and deg; pads are length x width.
 # Axes: x across the pad, y from its inner face into the gel, z along it from the base.

@@ -18,6 +18,7 @@ from finray_calib.cli._run import (
     open_engine,
     require_new,
 )
+from finray_calib.cli._study_run import add_optimise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -114,6 +115,7 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     _add_export(actions)
     _add_paints(actions)
     _add_tolerances(actions)
+    add_optimise(actions)
     _add_filters(actions)
 
 
@@ -460,10 +462,11 @@ def run_paints(arguments: argparse.Namespace) -> None:
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import camera_response, write_record
     from finray_calib.decide import paint_choice
+    from sim import given_design
     from sim.experiments import BareFinger, PaintDraws, paint_pairs
     from sim.optics import read_calibration
 
-    design, files, folder = _given_design(arguments.design)
+    design, files, folder = given_design(arguments.design)
     paints = _calibrations(arguments.paint)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.paint-choice.json"))
     camera = design.camera
@@ -492,15 +495,6 @@ def run_paints(arguments: argparse.Namespace) -> None:
         "finray simulate sweep", arguments.design, f"--paint red={chosen[best.red]} --paint green={chosen[best.green]}",
         "--objectives all",
     )  # fmt: skip
-
-
-def _given_design(path: Path) -> "tuple[FingerDesign, list[Path], Path]":
-    """Return a finger, the files it was read from, and where its relative paths start."""
-    from sim import PRESETS, preset_design, read_design
-
-    if not path.exists() and str(path) in PRESETS:
-        return preset_design(str(path)), [], Path()
-    return read_design(path), [path], path.parent
 
 
 def _calibrations(files: "Sequence[Path]") -> "dict[str, PaintCalibration]":
@@ -541,9 +535,10 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.reports.tolerances import tolerance_page
+    from sim import given_design
     from sim.experiments import FingerError, ToleranceSettings, study_tolerances, tolerance_inputs
 
-    design, files, folder = _given_design(arguments.design)
+    design, files, folder = given_design(arguments.design)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"))
     page = new_page_beside(out)
     paint_paths = both_paint_files(arguments)

@@ -131,11 +131,11 @@ def working_engine(preference: "Preference") -> "Preference":
     return preference
 
 
-def open_engine(preference: "Preference") -> "ModuleType":
-    """Open the renderer of :func:`working_engine`."""
+def open_engine(preference: "Preference", threads: int | None = None) -> "ModuleType":
+    """Open the renderer of :func:`working_engine`, by default with a thread for each processor."""
     from sim.optics import choose_variant, open_renderer
 
-    return open_renderer(choose_variant(working_engine(preference)))
+    return open_renderer(choose_variant(working_engine(preference)), threads)
 
 
 def command_line() -> str:

@@ -14,6 +14,16 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.decide._decision_record import decide
+    from finray_calib.decide._design_emulator import (
+        DesignEmulator,
+        best_design,
+        emulator_ensemble,
+        fit_emulator,
+        joint_draws,
+        next_design,
+        screening_designs,
+    )
+    from finray_calib.decide._design_optimum import DesignSearch, design_optimum, losses
     from finray_calib.decide._light_angle import AngleDecision, SweptContact, decide_angle, decide_contacts
     from finray_calib.decide._paired_ranking import PairedRanking, paint_choice, rank_by_draws
     from finray_calib.decide._tolerances import (
@@ -34,20 +44,30 @@ else:
 __all__ = [
     "AngleDecision",
     "ChaosEmulator",
+    "DesignEmulator",
+    "DesignSearch",
     "Estimates",
     "Limit",
     "PairedRanking",
     "SobolIndices",
     "SweptContact",
+    "best_design",
     "decide",
     "decide_angle",
     "decide_contacts",
+    "design_optimum",
+    "emulator_ensemble",
     "fit_chaos",
+    "fit_emulator",
+    "joint_draws",
     "limit_of_curve",
     "limit_together",
+    "losses",
+    "next_design",
     "paint_choice",
     "pick_freeze_indices",
     "rank_by_draws",
+    "screening_designs",
     "share_within",
     "sobol_indices",
 ]

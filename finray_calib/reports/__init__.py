@@ -104,6 +104,7 @@ if TYPE_CHECKING:
         percent,
         plain,
         probability,
+        signed_percent,
         significant,
     )
     from finray_calib.reports._record_plots import RecordPlot, plot_record
@@ -238,6 +239,7 @@ __all__ = [
     "sensor_png",
     "sensor_text",
     "signals_table",
+    "signed_percent",
     "significant",
     "simulation_sentence",
     "skill_number",

@@ -14,6 +14,17 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from sim.experiments._ball_presses import BallPresses, render_ball_presses, render_finger_presses
+    from sim.experiments._design_search import (
+        OBJECTIVES,
+        DesignEvaluations,
+        DesignSpace,
+        LightMeasure,
+        confirmed_losses,
+        design_parameter,
+        is_of_light,
+        search_designs,
+        usual_parameters,
+    )
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
     from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluation, FingerEvaluator
     from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
@@ -58,14 +69,18 @@ else:
 
 __all__ = [
     "BACK_MM",
+    "OBJECTIVES",
     "BallPresses",
     "BareFinger",
     "CameraResponse",
+    "DesignEvaluations",
+    "DesignSpace",
     "EvaluationSettings",
     "FingerError",
     "FingerEvaluation",
     "FingerEvaluator",
     "FingerScene",
+    "LightMeasure",
     "OpticsProducts",
     "PaintDraws",
     "PaintedFinger",
@@ -82,9 +97,12 @@ __all__ = [
     "camera_rgb",
     "capture_twin",
     "coat_cells",
+    "confirmed_losses",
+    "design_parameter",
     "finger_scene",
     "hidden_design",
     "increment_record",
+    "is_of_light",
     "light_angle_sweep",
     "paint_finger",
     "paint_optics",
@@ -101,6 +119,7 @@ __all__ = [
     "render_finger_presses",
     "reproduce_paper_paints",
     "require_paints_in_order",
+    "search_designs",
     "simulate_images",
     "simulate_press",
     "simulate_sensor_press",
@@ -112,5 +131,6 @@ __all__ = [
     "study_tolerances",
     "study_two_lights",
     "tolerance_inputs",
+    "usual_parameters",
     "varied_finger",
 ]

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from example_records import example_results
 
-from data_schemas import FingerDesign, StudyFailure, StudyMetric, StudyPoint, StudyResult, StudyRow
+from data_schemas import DesignOptimum, FingerDesign, StudyFailure, StudyMetric, StudyPoint, StudyResult, StudyRow
+from data_schemas.storage import read_record
 from finray_calib.acceptance import judge
 from finray_calib.demo import demo_report
 from finray_calib.reports import (
@@ -28,12 +29,14 @@ from finray_calib.reports import (
     finger_page,
     paint_report,
 )
+from finray_calib.reports.design_search import optimum_page
 from rigs import simulated_rig
 from tests.acceptance.facts import PLAN, handshake, spoilt
 from tests.acceptance.paints import example
 from tests.acceptance.test_certificate_command import certificate
 from tests.capture.drivers.programs import require
 from tests.documentation.test_finger_page import PICTURE, VIEW
+from tests.schemas.freeze import example_of
 
 GRAVE = ("serious", "critical")
 RUN = """<script>
@@ -95,6 +98,9 @@ PAGES: dict[str, Callable[[], str]] = {
     "comparison": lambda: comparison_page(RESULTS.report, RESULTS.press, RESULTS.capture, "finray compare", {}),
     "decision": lambda: decision_page(RESULTS.decision, [RESULTS.sweep], "finray decide", {}),
     "study": study_page,
+    "optimum": lambda: optimum_page(
+        read_record(example_of(DesignOptimum, 1), DesignOptimum), "finray design optimise", {}, "0.1.0"
+    ),
     "check": check_page,
     "certificate": lambda: certificate_page(certificate(), example()),
     "finger": lambda: finger_page(FingerDesign(), PICTURE, VIEW),

@@ -1,0 +1,370 @@
+"""Judge the designs of a search: which is best, what it gains, which differences are real, what could still be gained.
+
+Numbers are losses: logarithms of positive numbers, with the sign that makes less better. A difference of losses is then
+a ratio, and their sum weighs 1 % of one objective like 1 % of another.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student_t
+
+from data_schemas import (
+    DesignGain,
+    DesignObjective,
+    DesignOptimum,
+    DesignParameter,
+    DesignRole,
+    EvaluatedDesign,
+    MainEffect,
+    OptimisedDesign,
+)
+from finray_calib.decide._design_emulator import (
+    DesignEmulator,
+    emulator_ensemble,
+    fit_emulator,
+    joint_draws,
+    main_effect,
+    near_front,
+    screening_designs,
+)
+
+Floats = NDArray[np.float64]
+
+#: A design is not on the front where another one is as good in all and better by this in one objective.
+TOLERANCE_REL: Final = 0.01
+#: Probability beyond which a difference of two designs is called real, on one side.
+REAL: Final = 0.975
+_DRAWS: Final = 960
+_FRONT_DRAWS: Final = 240
+#: Designs all over the box, and about the chosen one, that might be better than it.
+_ALL_OVER, _ABOUT = 128, 128
+_ABOUT_SD: Final = 0.08
+_LEVELS: Final = 17
+#: Emulators of an ensemble that main effects are drawn from: one in so many.
+_EVERY: Final = 6
+_AVERAGED: Final = 32
+
+
+@dataclass(frozen=True)
+class DesignSearch:
+    """What a search computed, in order.
+
+    Attributes
+    ----------
+    objectives, parameters
+        K and D of them.
+    places
+        Of the designs within the limits, (N, D) from 0 to 1; the start first, the chosen one last.
+    changes
+        Values of the parameters of each.
+    roles, evaluated
+        Of each.
+    """
+
+    objectives: tuple[DesignObjective, ...]
+    parameters: tuple[DesignParameter, ...]
+    places: Floats
+    changes: tuple[dict[str, float], ...]
+    roles: tuple[DesignRole, ...]
+    evaluated: tuple[EvaluatedDesign, ...]
+
+    @property
+    def usable(self) -> NDArray[np.int64]:
+        """Numbers from 0 of the designs that could be evaluated, (M,)."""
+        return np.array([k for k, one in enumerate(self.evaluated) if not one.failure], dtype=np.int64)
+
+    @property
+    def losses(self) -> Floats:
+        """Losses of the designs that could be evaluated, (M, K)."""
+        rows = [[self.evaluated[k].values[one.name] for one in self.objectives] for k in self.usable]
+        return losses(np.array(rows), self.objectives)
+
+    def emulators(self, before: Sequence[DesignEmulator], is_fitted_again: bool = True) -> tuple[DesignEmulator, ...]:
+        """Return an emulator of each objective's loss; where it is not fitted again, lengths and noise stay.
+
+        Parameters
+        ----------
+        before
+            Emulators of fewer designs, from which to start; may be empty.
+        is_fitted_again
+            Whether lengths and noise are fitted again.
+        """
+        inputs = self.places[self.usable]
+        found = []
+        for k, column in enumerate(self.losses.T):
+            last = before[k] if before else None
+            if last is None or is_fitted_again:
+                found.append(fit_emulator(inputs, column, last))
+            else:
+                found.append(DesignEmulator(inputs, column, last.ln_parameters))
+        return tuple(found)
+
+    @property
+    def screen_best(self) -> int:
+        """Number from 0 of the best design of the screen, as computed: what a search by chance alone would take."""
+        total = self.losses.sum(axis=1)
+        return min((total[row], int(k)) for row, k in enumerate(self.usable) if self.roles[k] == "screen")[1]
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedDesigns:
+    """What a search knows of its designs.
+
+    Attributes
+    ----------
+    limits
+        95 % interval of the losses of the designs, (2, N, K).
+    p_front
+        Probability that no design within the limits is as good in every objective and better by the tolerance in one,
+        (N,).
+    apart
+        1 where a design is really worse than the chosen one, -1 where it is really better, 0 elsewhere, (N, K).
+    gain_draws
+        Losses of the start and of the best of the screen less those of the chosen design, (2, draws, K).
+    regret_draws
+        Sum of the losses of the chosen design less the least one within the limits, (draws,).
+    """
+
+    limits: Floats
+    p_front: Floats
+    apart: NDArray[np.int64]
+    gain_draws: Floats
+    regret_draws: Floats
+
+
+def losses(values: Floats, objectives: Sequence[DesignObjective]) -> Floats:
+    """Return the losses (N, K) of positive numbers (N, K): their logarithms, with the sign that makes less better."""
+    signs = np.array([-1.0 if objective.larger_is_better else 1.0 for objective in objectives])
+    return np.asarray(signs * np.log(values))
+
+
+def values_of(lost: Floats, objectives: Sequence[DesignObjective]) -> Floats:
+    """Return the numbers (N, K) whose losses are given."""
+    signs = np.array([-1.0 if objective.larger_is_better else 1.0 for objective in objectives])
+    return np.asarray(np.exp(signs * lost))
+
+
+def gain_rel(difference: Floats | float, objective: DesignObjective) -> Floats:
+    """Return a gain, relative to what it is compared with, of a difference of losses; positive is better."""
+    found = np.expm1(difference) if objective.larger_is_better else -np.expm1(-np.asarray(difference))
+    return np.asarray(found)
+
+
+def judge_designs(
+    ensembles: Sequence[Sequence[DesignEmulator]], inputs: Floats, compared: tuple[int, int, int], seed: int
+) -> JudgedDesigns:
+    """Judge computed designs by joint draws of what the emulators know of them and of all others.
+
+    Valid where the emulators' priors hold; random numbers that all designs share are part of what was computed, so that
+    a confirmation with others is needed beside it.
+
+    Parameters
+    ----------
+    ensembles
+        Of each objective, on its losses.
+    inputs
+        Computed designs (N, D), from 0 to 1.
+    compared
+        Numbers from 0 of the start, of the best of the screen and of the chosen design.
+    seed
+        Of draws and of the designs that are compared with.
+    """
+    rng = np.random.default_rng([seed, len(inputs)])
+    start, screen, chosen = compared
+    about = inputs[chosen] + rng.normal(0.0, _ABOUT_SD, (_ABOUT, inputs.shape[1]))
+    others = np.concatenate([screening_designs(inputs.shape[1], _ALL_OVER, seed + 1), np.clip(about, 0.0, 1.0)])
+    at = np.concatenate([inputs, others])
+    draws = np.stack([joint_draws(ensemble, at, _DRAWS, rng) for ensemble in ensembles], axis=-1)
+    own = draws[:, : len(inputs)]
+    total = draws.sum(axis=-1)
+    above = own - own[:, chosen][:, None]
+    worse, better = (above > 0.0).mean(axis=0), (above < 0.0).mean(axis=0)
+    on_front = [near_front(one[: len(inputs)], one, np.log1p(TOLERANCE_REL)) for one in draws[: _FRONT_DRAWS * 4 : 4]]
+    return JudgedDesigns(
+        np.quantile(own, [0.025, 0.975], axis=0),
+        np.mean(on_front, axis=0),
+        (worse > REAL).astype(np.int64) - (better > REAL),
+        np.stack([above[:, start], above[:, screen]]),
+        np.asarray(total[:, chosen] - total.min(axis=1)),
+    )
+
+
+def design_gains(
+    judged: JudgedDesigns, seen: Floats, objectives: Sequence[DesignObjective], confirmed: Floats | None
+) -> tuple[DesignGain, ...]:
+    """Return the gains of the chosen design: as computed, as the emulator knows, and as confirmed.
+
+    Parameters
+    ----------
+    judged
+        By :func:`judge_designs`.
+    seen
+        Computed losses of the start, the best of the screen and the chosen design, (3, K).
+    objectives
+        K of them.
+    confirmed
+        The same with other random numbers, (seed, 3, K), at least three of them; None: not confirmed.
+    """
+    found = []
+    against: tuple[Literal["start", "best of the screen"], ...] = ("start", "best of the screen")
+    for k, objective in enumerate(objectives):
+        for row, name in enumerate(against):
+            drawn = gain_rel(np.quantile(judged.gain_draws[row, :, k], [0.025, 0.5, 0.975]), objective)
+            own = float(gain_rel(seen[row, k] - seen[2, k], objective))
+            mean, limits = (None, None) if confirmed is None else _confirmed(confirmed[:, (row, 2), k], objective)
+            found.append(
+                DesignGain(
+                    objective=objective.name,
+                    against=name,
+                    seen_rel=own,
+                    expected_rel=float(drawn[1]),
+                    expected_95_rel=(float(drawn[0]), float(drawn[2])),
+                    confirmed_rel=mean,
+                    confirmed_95_rel=limits,
+                    shrinkage_rel=None if mean is None else own - mean,
+                )
+            )
+    return tuple(found)
+
+
+def _confirmed(pair: Floats, objective: DesignObjective) -> tuple[float, tuple[float, float]]:
+    """Return mean and 95 % limits (Student's t) of the gain between losses (seed, 2)."""
+    difference = pair[:, 0] - pair[:, 1]
+    half = student_t.ppf(0.975, len(difference) - 1) * difference.std(ddof=1) / np.sqrt(len(difference))
+    low, mean, high = (float(gain_rel(difference.mean() + k * half, objective)) for k in (-1.0, 0.0, 1.0))
+    return mean, (low, high)
+
+
+def main_effects(
+    ensembles: Sequence[Sequence[DesignEmulator]],
+    objectives: Sequence[DesignObjective],
+    parameters: Sequence[DesignParameter],
+    seed: int,
+) -> tuple[MainEffect, ...]:
+    """Return how each objective goes with each parameter, all others averaged over their limits, with 95 % limits.
+
+    Values are those of the geometric mean: exp of the mean of ln.
+    """
+    rng = np.random.default_rng([seed, 2])
+    levels = np.linspace(0.0, 1.0, _LEVELS)
+    others = screening_designs(len(parameters), _AVERAGED, seed + 2)
+    found = []
+    for ensemble, objective in zip(ensembles, objectives, strict=True):
+        sign = -1.0 if objective.larger_is_better else 1.0
+        for column, parameter in enumerate(parameters):
+            values = np.exp(sign * main_effect(ensemble[::_EVERY], column, levels, others, rng))
+            low, mean, high = np.quantile(values, [0.025, 0.5, 0.975], axis=0).tolist()
+            found.append(
+                MainEffect(
+                    objective=objective.name,
+                    parameter=parameter.field,
+                    at=tuple((parameter.low + levels * (parameter.high - parameter.low)).tolist()),
+                    mean=tuple(mean),
+                    low95=tuple(low),
+                    high95=tuple(high),
+                )
+            )
+    return tuple(found)
+
+
+def design_optimum(
+    searched: DesignSearch, confirmed: Floats | None, seed: int, notes: Sequence[str] = ()
+) -> DesignOptimum:
+    """Return the outcome of a search as a record.
+
+    Parameters
+    ----------
+    searched
+        The designs, the chosen one last.
+    confirmed
+        Losses of start, best of the screen and chosen design with other random numbers, (seed, 3, K); None: not done.
+    seed
+        Of the draws.
+    notes
+        What the numbers rest on.
+    """
+    objectives, usable = searched.objectives, searched.usable
+    emulators = searched.emulators(())
+    ensembles = [emulator_ensemble(one, np.random.default_rng([seed, k])) for k, one in enumerate(emulators)]
+    last, screen = len(searched.roles) - 1, searched.screen_best
+    compared = tuple(int(np.flatnonzero(usable == k)[0]) for k in (0, screen, last))
+    judged = judge_designs(ensembles, searched.places[usable], (compared[0], compared[1], compared[2]), seed)
+    gains = design_gains(judged, searched.losses[list(compared)], objectives, confirmed)
+    regret = -np.expm1(-judged.regret_draws)
+    regret_95 = float(np.quantile(regret, 0.95))
+    best = searched.evaluated[last]
+    return DesignOptimum(
+        name=f"{best.design.name}, optimised",
+        sentence=_sentence(searched, gains, regret_95),
+        objectives=objectives,
+        parameters=searched.parameters,
+        designs=_rows(searched, judged),
+        chosen=last + 1,
+        screen_best=screen + 1,
+        gains=gains,
+        regret_rel=float(regret.mean()),
+        regret_95_rel=regret_95,
+        unexplained_rel={o.name: e.left_out_error_rel for e, o in zip(emulators, objectives, strict=True)},
+        tolerance_rel=TOLERANCE_REL,
+        effects=main_effects(ensembles, objectives, searched.parameters, seed),
+        start=searched.evaluated[0].design,
+        design=best.design.model_copy(update={"name": f"{best.design.name}-optimised"}),
+        processor_s=sum(one.processor_s for one in searched.evaluated),
+        notes=tuple(notes),
+    )
+
+
+def _rows(searched: DesignSearch, judged: JudgedDesigns) -> tuple[OptimisedDesign, ...]:
+    """Return all designs with what is known of them."""
+    of_usable = {int(k): row for row, k in enumerate(searched.usable)}
+    names = [one.name for one in searched.objectives]
+    rows = []
+    for k, (role, changes, found) in enumerate(zip(searched.roles, searched.changes, searched.evaluated, strict=True)):
+        row = of_usable.get(k)
+        apart = np.zeros(len(names), dtype=np.int64) if row is None else judged.apart[row]
+        limits = None if row is None else values_of(judged.limits[:, row], searched.objectives)
+        rows.append(
+            OptimisedDesign(
+                number=k + 1,
+                role=role,
+                changes=changes,
+                values={name: found.values[name] for name in names if name in found.values},
+                failure=found.failure,
+                expected_95={} if limits is None else dict(zip(names, _ends(limits), strict=True)),
+                p_front=None if row is None else float(judged.p_front[row]),
+                better_than_chosen=tuple(n for n, a in zip(names, apart, strict=True) if a < 0),
+                worse_than_chosen=tuple(n for n, a in zip(names, apart, strict=True) if a > 0),
+            )
+        )
+    return tuple(rows)
+
+
+def _ends(limits: Floats) -> list[tuple[float, float]]:
+    """Return the lower and the upper end of intervals (2, K)."""
+    return [(float(min(pair)), float(max(pair))) for pair in limits.T]
+
+
+def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: float) -> str:
+    """Say what to build, what it gains, and what could still be gained."""
+    changes = ", ".join(f"{name} {value:.4g}" for name, value in searched.changes[-1].items())
+    told = "; ".join(_gain_words(gain) for gain in gains if gain.against == "start")
+    whole = "" if len(searched.objectives) == 1 else " in all objectives together (ratios multiplied)"
+    return (
+        f"Build the finger with {changes}: {told}. With 95 % probability no design within the limits is better by more "
+        f"than {regret_95:.1%}{whole}, as far as the emulator knows."
+    )
+
+
+def _gain_words(gain: DesignGain) -> str:
+    """Say what is gained in one objective against the start, as far as it is confirmed."""
+    value, limits, how = gain.expected_rel, gain.expected_95_rel, "by the emulator, not confirmed"
+    if gain.confirmed_rel is not None and gain.confirmed_95_rel is not None:
+        value, limits, how = gain.confirmed_rel, gain.confirmed_95_rel, "with other seeds and contact places"
+    real = "" if limits[0] > 0.0 or limits[1] < 0.0 else ", no real difference"
+    word = "better" if value >= 0.0 else "worse"
+    ends = sorted(abs(end) for end in limits) if real == "" else limits
+    return f"{gain.objective} {abs(value):.1%} {word} than the start ({ends[0]:.1%} to {ends[1]:.1%}, {how}{real})"
