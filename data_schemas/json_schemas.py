@@ -14,12 +14,14 @@ from data_schemas import (
     CertificateDetails,
     CheckPlan,
     ComparisonBatch,
+    DatasetShard,
     DesignStudy,
     FingerDesign,
     FingerStiffness,
     FingerSurfaces,
     FluorescentRendering,
     ForceComparison,
+    LearningDataset,
     LightAngleDecision,
     LightAngleIntensity,
     LightAngleSweep,
@@ -94,6 +96,8 @@ STORED: tuple[type[Record], ...] = (
     StudyPoint,
     StudyResult,
     PaintChoice,
+    DatasetShard,
+    LearningDataset,
 )
 
 

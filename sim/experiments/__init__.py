@@ -17,6 +17,14 @@ if TYPE_CHECKING:
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
     from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
     from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
+    from sim.experiments._learning_samples import (
+        DEPTH_ZERO,
+        LookTruth,
+        PaintLook,
+        drawn_paints,
+        render_looks,
+        render_noise_rel,
+    )
     from sim.experiments._light_angle import light_angle_sweep
     from sim.experiments._mechanical_press import increment_record, press_records, stored_press
     from sim.experiments._optics_products import OpticsProducts, simulate_images
@@ -39,12 +47,15 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "DEPTH_ZERO",
     "BallPresses",
     "BareFinger",
     "CameraResponse",
     "FingerScene",
+    "LookTruth",
     "OpticsProducts",
     "PaintDraws",
+    "PaintLook",
     "PaintedFinger",
     "PaintedPairs",
     "PressedCoat",
@@ -53,6 +64,7 @@ __all__ = [
     "camera_rgb",
     "capture_twin",
     "coat_cells",
+    "drawn_paints",
     "finger_scene",
     "hidden_design",
     "increment_record",
@@ -68,6 +80,8 @@ __all__ = [
     "recoloured",
     "render_ball_presses",
     "render_finger_presses",
+    "render_looks",
+    "render_noise_rel",
     "reproduce_paper_paints",
     "require_paints_in_order",
     "simulate_images",
