@@ -590,6 +590,7 @@ class LearningDataset(Record):
     paints: dict[str, str] = Field(description="colour -> where the paint's optics come from")
     presses: Annotated[int, Field(ge=1)]
     samples: Annotated[int, Field(ge=1)]
+    rest_level: Fraction = Field(description="mean of each channel over the coat without contact, as a share of white")
     split_presses: dict[DatasetSplit, int] = Field(description="presses in each part")
     shards: tuple[DatasetShardRow, ...]
     failures: tuple[DatasetFailure, ...] = ()

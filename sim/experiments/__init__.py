@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
     from sim.experiments._learning_samples import (
         DEPTH_ZERO,
+        REST_LEVEL,
         LookTruth,
         PaintLook,
         drawn_paints,
@@ -48,6 +49,7 @@ else:
 
 __all__ = [
     "DEPTH_ZERO",
+    "REST_LEVEL",
     "BallPresses",
     "BareFinger",
     "CameraResponse",

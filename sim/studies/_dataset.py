@@ -1,7 +1,7 @@
 """A data set for learning: random presses of a design, rendered in worker processes, stored in shards of TAR.
 
-A press is drawn from its number and the seed, and so are its lights and paints: which worker computes it, and when, does
-not matter. A shard holds a range of presses. It is written under a hidden name and gets its own together with its
+A press is drawn from its number and the seed, and so are its lights and paints: which worker computes it, and when,
+does not matter. A shard holds a range of presses. It is written under a hidden name and gets its own together with its
 record, so that whatever ends the run loses the shards in flight only, and the same command continues with the others.
 """
 
@@ -44,9 +44,9 @@ from sim.experiments import (
     render_noise_rel,
 )
 from sim.mechanics import PressSettings, press_finger
-from sim.optics import Preference, RenderSettings, choose_variant, open_renderer, pixel_maps
+from sim.optics import Preference, RenderSettings, camera_view, choose_variant, open_renderer
 from sim.studies._engine import Progress, each_computed
-from sim.surface_meshes import FingerShape, check_analytic_press, contact_half_width_mm, rest_shape, restore_shapes
+from sim.surface_meshes import FingerShape, check_analytic_press, contact_half_width_mm, restore_shapes
 
 Floats = NDArray[np.float64]
 
@@ -69,8 +69,6 @@ class DatasetTask:
     ----------
     plan
         What is drawn.
-    presses
-        How many.
     paints
         "red" and "green": their optics and the draws of their emission, one draw where there is no posterior.
     sources
@@ -86,7 +84,6 @@ class DatasetTask:
     """
 
     plan: DatasetPlan
-    presses: int
     paints: Mapping[str, PaintDraws]
     sources: Mapping[str, str]
     engine: Preference
@@ -130,8 +127,8 @@ def _require_room(plan: DatasetPlan) -> None:
         room = _room_mm(largest)
         if min(room) <= 0.0:
             raise SimulateError(
-                f"a {shape} of {plan.radius_mm[1]:g} mm radius, {plan.depth_mm[1]:g} mm deep, leaves no room on the pad "
-                f"of {plan.design.pad.length_mm:g} x {plan.design.pad.width_mm:g} mm: its contact is "
+                f"a {shape} of {plan.radius_mm[1]:g} mm radius, {plan.depth_mm[1]:g} mm deep, leaves no room on the "
+                f"pad of {plan.design.pad.length_mm:g} x {plan.design.pad.width_mm:g} mm: its contact is "
                 f"{2.0 * float(contact_half_width_mm(largest)):.3g} mm wide; give a smaller --radius-mm or --depth-mm"
             )
 
@@ -416,14 +413,18 @@ def _normal_force_n(mechanics: PressMechanics) -> float:
     return float(mechanics.force_n[-1, 1])
 
 
-def pixel_places_mm(plan: DatasetPlan, engine: Preference) -> Floats:
+def pixel_places_mm(task: DatasetTask) -> Floats:
     """Return the place (x across, z along) on the undeformed coat that each pixel sees without contact, NaN off it.
 
     Shape (rows, columns, 2); it serves all samples, as camera and finger are the same.
+
+    Parameters
+    ----------
+    task
+        Design, renderer, and where the file of the camera's calibration is looked for.
     """
-    renderer = open_renderer(choose_variant(engine), threads=1)
-    rest = rest_shape(plan.design)
-    place = pixel_maps(plan.design, rest, rest, renderer).coat_mm(plan.design)
+    design, renderer = task.plan.design, open_renderer(choose_variant(task.engine), threads=1)
+    place = camera_view(design, task.design_folder, renderer).maps.coat_mm(design)
     return np.asarray(place[..., ::-1])
 
 
