@@ -259,7 +259,7 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
         kept, failures = run_dataset(task, shards, arguments.workers, arguments.scheduler, progress)
     if not any(shard.samples for shard in kept):
         raise SimulateError(f"no press could be computed; the first failed because: {failures[0].reason}")
-    _store_dataset(task, arguments.presses, kept, failures)
+    _store_dataset(task, out, arguments.presses, kept, failures)
 
 
 def _dataset_plan(arguments: argparse.Namespace) -> "tuple[DatasetPlan, Path | None]":
@@ -321,14 +321,17 @@ _DATASET_NOTES = (
 
 
 def _store_dataset(
-    task: "DatasetTask", presses: int, shards: "Sequence[DatasetShard]", failures: "Sequence[DatasetFailure]"
+    task: "DatasetTask",
+    out: Path,
+    presses: int,
+    shards: "Sequence[DatasetShard]",
+    failures: "Sequence[DatasetFailure]",
 ) -> None:
     """Store index, card, places, checksums and record together, in place of those of an earlier run; tell them."""
     from data_schemas.storage import MANIFEST_NAME, ProductSet, manifest_text, write_record
     from finray_calib.exchange import dataset_card, index_csv, index_parquet
     from sim.studies import pixel_places_mm
 
-    out = task.folder
     record, parquet = _dataset_record(task, presses, shards, failures), index_parquet(shards)
     contents = {CARD_NAME: dataset_card(record, task.origin, parquet is not None), INDEX_NAME: index_csv(shards)}
     contents |= {PLACES_NAME: _npy(pixel_places_mm(task))} | ({} if parquet is None else {"index.parquet": parquet})
