@@ -91,7 +91,8 @@ def _long_work(arguments: argparse.Namespace) -> "LongWork":
     if arguments.study == "run":
         return LongWork("the design study", "Finished points are kept: the same command continues with the others")
     if arguments.study == "dataset":
-        return LongWork("the data set", "Finished shards are kept: the same command continues with the others")
+        kept = "Finished shards are kept: the same command continues with the others"
+        return LongWork("the data set", kept, arguments.out)
     return LongWork(f"the study {arguments.study}", kept, getattr(arguments, "out", None))
 
 
