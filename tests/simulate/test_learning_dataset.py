@@ -27,7 +27,7 @@ from sim.optics import RenderSettings, choose_variant, open_renderer, pixel_maps
 from sim.optics import _render as renders
 from sim.studies import DatasetTask, drawn_light, drawn_press, planned_shards
 from sim.studies import _dataset as datasets
-from sim.surface_meshes import contact_half_width_mm, pressed_shape, rest_shape
+from sim.surface_meshes import FingerShape, contact_half_width_mm, gel_faces, pressed_shape, rest_shape
 
 
 def plan_of(**changes):
@@ -185,7 +185,9 @@ def test_only_shapes_that_may_pass_through_themselves_are_searched(monkeypatch):
     assert not searched
     renders.check_apart(shape, is_analytic=False)
     assert len(searched) == 1
-    deep = plan_of().design
-    deep = deep.model_copy(update={"indenter": deep.indenter.model_copy(update={"depth_mm": 3.98, "radius_mm": 5.0})})
-    renders.check_apart(pressed_shape(deep), is_analytic=True)
+    x, z = np.linspace(-9.0, 9.0, 19), np.linspace(0.0, 48.0, 49)
+    through = 4.0 - 4.1 * np.exp(-(x[:, None] ** 2 + (z - 24.0) ** 2) / 10.0)
+    faces = gel_faces(x, through, z)
+    nowhere = np.full(len(faces["coat"].vertices_mm), np.nan)
+    renders.check_apart(FingerShape({**shape.surfaces, **faces}, nowhere, "below its plane"), is_analytic=True)
     assert len(searched) == 2
