@@ -169,16 +169,18 @@ the light panel's. `clipped_share` of the coat's pixels are at 255 in a channel.
 | each press | shape of the indenter | {shapes} |
 | each press | radius | {radius} mm, evenly |
 | each press | push from first touch | {depth} mm, evenly |
-| each press | place | evenly where all of the contact lies on the pad |
+| each press | place | evenly where all of the contact lies on the pad, seen by the camera or not |
 | {lights} times each press | angle of each light panel | the design's +- {reach:g} deg, evenly |
 | {paints} times each light | emission of each paint | a posterior draw, or its own times {lowest:.3g} to {ratio:g} |
 
-Press: {press}. Render: baked walls (level b), {spp} paths per pixel and twice as many near the contact, the same random
-numbers without and with contact.
+The press is {press}.
+
+Rendered with baked walls (level b), {spp} paths per pixel and twice as many near the contact, and the same random numbers
+without and with contact.
 {sources}
 **One press appears in {reuse} samples.** Keep its samples together: the column `split` of the index (and of `KEY.json`)
-does, with eight of ten presses to train, one to validate and one to test ({split}). Samples of one press count once
-when an error is averaged: its interval comes from presses, not from samples.
+does, with eight of ten presses to train, one to validate and one to test (here {split}).
+Samples of one press count once when an error is averaged: its interval comes from presses, not from samples.
 
 ## What it does not hold
 
@@ -210,7 +212,7 @@ train = (
 ```
 
 Or with the standard library: `tarfile` yields the files in order; the key ends at the first dot. Check the files with
-`sha256sum --check manifest-sha256.txt`. The same command goes on with an interrupted data set, and with a larger
+`sha256sum --check manifest-sha256.txt`. The same command continues an interrupted data set, and with a larger
 `--presses` adds whole shards.
 
 ## Licence
