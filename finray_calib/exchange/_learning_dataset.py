@@ -175,8 +175,8 @@ the light panel's. `clipped_share` of the coat's pixels are at 255 in a channel.
 
 The press is {press}.
 
-Rendered with baked walls (level b), {spp} paths per pixel and twice as many near the contact, and the same random numbers
-without and with contact.
+Rendered with baked walls (level b), {spp} paths per pixel and twice as many near the contact, and the same random
+numbers without and with contact.
 {sources}
 **One press appears in {reuse} samples.** Keep its samples together: the column `split` of the index (and of `KEY.json`)
 does, with eight of ten presses to train, one to validate and one to test (here {split}).
