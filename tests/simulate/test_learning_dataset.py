@@ -129,16 +129,26 @@ def test_depth_and_normals_are_those_of_the_pressed_surface():
     x, z = maps.position_mm[seen][:, 0], maps.position_mm[seen][:, 2]
 
     surface = surface_of(design)
+    everywhere = np.meshgrid(np.linspace(-9.0, 9.0, 181), np.linspace(0.0, 48.0, 481), indexing="ij")
+    bent_xx, bent_xz, bent_zz = (
+        np.abs(surface.ev(*everywhere, dx=dx, dy=dy)).max() for dx, dy in ((2, 0), (1, 1), (0, 2))
+    )
     depth_mm = (encoded_depth(maps)[seen].astype(float) - DEPTH_ZERO) / 1e3
-    # triangles of 0.5 x 0.1 mm on a ball of 3 mm and more: a sag of 0.5^2 / (8 R), and half a micrometre of rounding
-    assert np.abs(depth_mm - (design.pad.thickness_mm - surface.ev(x, z))).max() < 0.5**2 / (8.0 * 3.0) + 2e-3
+    off_mm = np.abs(depth_mm - (design.pad.thickness_mm - surface.ev(x, z)))
+    # sag of triangles of 0.5 x 0.1 mm where the surface is bent most, and half a micrometre of rounding
+    assert off_mm.max() < bent_xx * 0.5**2 / 8.0 + bent_xz * 0.5 * 0.1 / 4.0 + bent_zz * 0.1**2 / 8.0 + 0.5e-3
+    # most of the coat is hardly bent: rounding alone
+    assert np.median(off_mm) < 0.5e-3
     normal = (encoded_normal(maps)[seen].astype(float) - 1.0) / 32767.0 - 1.0
     assert np.abs(np.linalg.norm(normal, axis=1) - 1.0).max() < 1e-4
-    slope_x, slope_z = surface.ev(x, z, dx=1), surface.ev(x, z, dy=1)
-    # normals of vertices are means over half a millimetre, of a surface whose slope turns by 0.5 / R there
-    assert np.median(np.abs(-normal[:, 0] / normal[:, 1] - slope_x)) < 0.02
-    assert np.quantile(np.abs(-normal[:, 0] / normal[:, 1] - slope_x), 0.95) < 0.5 / 3.0
-    assert np.quantile(np.abs(-normal[:, 2] / normal[:, 1] - slope_z), 0.95) < 0.5 / 3.0
+    for across, cell_mm, bent, slope in (
+        (0, 0.5, bent_xx, surface.ev(x, z, dx=1)),
+        (2, 0.1, bent_zz, surface.ev(x, z, dy=1)),
+    ):
+        off = np.abs(-normal[:, across] / normal[:, 1] - slope)
+        # a vertex's normal is a mean over the faces around it: a slope turns by its bend over half a cell
+        assert off.max() < bent * cell_mm / 2.0
+        assert np.median(off) < 1e-4
     assert (encoded_depth(maps)[~seen] == 0).all()
     assert (encoded_normal(maps)[~seen] == 0).all()
 
