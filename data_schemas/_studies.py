@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._curves import SpectralCurve
 from data_schemas._design import FingerDesign
+from data_schemas._design_parts import Indenter
 from data_schemas._fit import Reradiation, SamplingMethod
 from data_schemas._model import Estimate, Model, Record
 from data_schemas._units import AngleDeg, Fraction, LengthMm, PositionMm, WavelengthNm
@@ -475,6 +476,127 @@ class StudyResult(Record):
     varied: tuple[str, ...] = Field(description="fields of the design")
     points: tuple[StudyRow, ...]
     failures: tuple[StudyFailure, ...] = ()
+
+
+LengthRangeMm = tuple[LengthMm, LengthMm]
+
+
+class DatasetPlan(Model):
+    """What the presses of a data set are drawn from; how many they are is no part of it, so that a set can grow."""
+
+    design: FingerDesign
+    press: Literal["analytic", "finite elements"] = Field(
+        default="analytic", description="the pad takes the indenter's shape at once, or finite elements with force"
+    )
+    increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="steps of a push by finite elements")
+    shapes: tuple[Literal["ball", "cylinder"], ...] = Field(default=("ball",), min_length=1)
+    radius_mm: LengthRangeMm = Field(default=(3.0, 10.0), description="range of the indenter's radius, drawn evenly")
+    depth_mm: LengthRangeMm = Field(default=(0.3, 2.0), description="range of the push, drawn evenly")
+    lights: Annotated[int, Field(ge=1, le=1000)] = Field(default=2, description="draws of the light for each press")
+    light_angle_reach_deg: Annotated[float, Field(ge=0.0, le=45.0)] = Field(
+        default=5.0, description="each panel's angle is drawn evenly from the design's less and plus this"
+    )
+    paints: Annotated[int, Field(ge=1, le=1000)] = Field(default=4, description="draws of the paints for each light")
+    emission_ratio: Annotated[float, Field(ge=1.0, le=10.0)] = Field(
+        default=1.25,
+        description="the emission of a paint without posterior is drawn between 1 / this and this times its own",
+    )
+    samples_per_pixel: Annotated[int, Field(ge=2, le=100_000, multiple_of=2)] = Field(
+        default=32, description="paths per pixel of the pad; twice as many near the contact"
+    )
+    presses_per_shard: Annotated[int, Field(ge=1, le=100_000)] = 10
+    seed: Annotated[int, Field(ge=0)] = 1
+
+    @model_validator(mode="after")
+    def _ranges_ascend(self) -> "DatasetPlan":
+        for name in ("radius_mm", "depth_mm"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name}: the range runs from {low:g} to {high:g} mm; give the smaller one first")
+        return self
+
+
+DatasetSplit = Literal["train", "validation", "test"]
+
+
+class DatasetSample(Model):
+    """Labels of one sample of a data set: how it was pressed, lit and painted."""
+
+    sample: Annotated[int, Field(ge=0)] = Field(description="its key in the shard has six digits or more")
+    press: Annotated[int, Field(ge=0)]
+    split: DatasetSplit = Field(description="the same for all samples of a press")
+    light: Annotated[int, Field(ge=0)] = Field(description="number of the light's draw for this press")
+    paint: Annotated[int, Field(ge=0)] = Field(description="number of the paints' draw for this light")
+    indenter: Indenter = Field(description="as it was pressed; with finite elements its depth is the push reached")
+    light_angles_deg: tuple[AngleDeg, ...] = Field(description="of each panel")
+    emission_draws: dict[str, int] = Field(
+        description="colour -> number of the draw of the paint's posterior; or empty"
+    )
+    emission_factors: dict[str, float] = Field(
+        description="colour -> factor on the paint's emission, without posterior"
+    )
+    render_seed: Annotated[int, Field(ge=0)]
+    gains: tuple[float, float, float] = Field(description="linear camera RGB was multiplied by these before encoding")
+    clipped_share: Fraction = Field(description="of the coat's pixels with contact: a channel at 255")
+    render_noise_rel: Annotated[float, Field(ge=0.0)] = Field(
+        description="standard deviation of a pixel of the coat by the render, rms over channels and coat, over the mean"
+    )
+    largest_depth_mm: float = Field(description="of depth.png")
+    force_n: float | None = Field(default=None, description="of the indenter along the pad's normal; finite elements")
+    slip_torque_per_friction_n_mm: float | None = Field(
+        default=None, description="torque about the normal at which the contact slips, over Coulomb's coefficient"
+    )
+
+
+class DatasetFailure(Model):
+    """A press that could not be computed, and why."""
+
+    press: Annotated[int, Field(ge=0)]
+    reason: str
+
+
+class DatasetShard(Record):
+    """What one shard of a data set holds; it is stored together with the shard."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray study dataset'"
+    shown: ClassVar[tuple[str, ...]] = ("number", "key")
+
+    number: Annotated[int, Field(ge=0)]
+    key: str = Field(description="SHA-256 of what the shard is computed from; another plan gives another one")
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] = Field(description="of the TAR file")
+    samples: tuple[DatasetSample, ...]
+    failures: tuple[DatasetFailure, ...] = ()
+    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time that the shard took")
+
+
+class DatasetShardRow(Model):
+    """One shard as the whole data set lists it."""
+
+    file: str
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    samples: Annotated[int, Field(ge=0)]
+
+
+class LearningDataset(Record):
+    """A data set of presses for learning: its plan, its shards, and what it does not hold."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray study dataset'"
+    shown: ClassVar[tuple[str, ...]] = ("name", "samples", "split_presses")
+
+    name: str
+    plan: DatasetPlan
+    paints: dict[str, str] = Field(description="colour -> where the paint's optics come from")
+    presses: Annotated[int, Field(ge=1)]
+    samples: Annotated[int, Field(ge=1)]
+    rest_level: Fraction = Field(description="mean of each channel over the coat without contact, as a share of white")
+    split_presses: dict[DatasetSplit, int] = Field(description="presses in each part")
+    shards: tuple[DatasetShardRow, ...]
+    failures: tuple[DatasetFailure, ...] = ()
+    processor_s: Annotated[float, Field(ge=0.0)]
+    bytes_per_sample: Annotated[float, Field(ge=0.0)]
+    notes: tuple[str, ...] = ()
 
 
 class PaintPairRow(Model):

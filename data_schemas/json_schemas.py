@@ -14,6 +14,7 @@ from data_schemas import (
     CertificateDetails,
     CheckPlan,
     ComparisonBatch,
+    DatasetShard,
     DesignOptimum,
     DesignStudy,
     EvaluatedDesign,
@@ -23,6 +24,7 @@ from data_schemas import (
     FingerTolerances,
     FluorescentRendering,
     ForceComparison,
+    LearningDataset,
     LightAngleDecision,
     LightAngleIntensity,
     LightAngleSweep,
@@ -100,6 +102,8 @@ STORED: tuple[type[Record], ...] = (
     PaintChoice,
     EvaluatedDesign,
     DesignOptimum,
+    DatasetShard,
+    LearningDataset,
 )
 
 

@@ -90,6 +90,9 @@ def _long_work(arguments: argparse.Namespace) -> "LongWork":
     kept = "Nothing is stored before its end: the same command begins again"
     if arguments.study == "run":
         return LongWork("the design study", "Finished points are kept: the same command continues with the others")
+    if arguments.study == "dataset":
+        kept = "Finished shards are kept: the same command continues with the others"
+        return LongWork("the data set", kept, arguments.out)
     return LongWork(f"the study {arguments.study}", kept, getattr(arguments, "out", None))
 
 

@@ -1,12 +1,13 @@
-"""``finray study run`` and ``show``, and ``finray design optimise``: what varies a design, kept in a folder.
+"""``finray study run``, ``show`` and ``dataset``, and ``finray design optimise``: what varies a design, in a folder.
 
 A study varies it by a plan, a search within limits. Also their paints: calibrated ones, or those of the simulated rig.
 """
 
 import argparse
 import csv
+import hashlib
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,18 +26,25 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from data_schemas import (
+        DatasetFailure,
+        DatasetPlan,
+        DatasetShard,
         DesignObjective,
         DesignOptimum,
         FingerDesign,
+        LearningDataset,
         Provenance,
         StudyMetric,
         StudyPoint,
         StudyResult,
     )
-    from sim.experiments import LightMeasure
+    from sim.experiments import LightMeasure, PaintDraws
     from sim.optics import PaintOptics
-    from sim.studies import StudyPaints
+    from sim.studies import DatasetTask, StudyPaints
 
 RUN_HELP = "run a design study by its plan: change a finger, and press, render and measure each variant"
 RUN_DESCRIPTION = """\
@@ -99,6 +107,23 @@ examples:
       --within light.angle_deg=0:60 --within skeleton.rib_thickness_mm
       --within "light.position_mm[y]=-14:-7" --evaluations 80"""
 OPTIMUM_NAME, OPTIMUM_PAGE_NAME, EVALUATIONS = "optimum.json", "optimum.html", "evaluations"
+DATASET_HELP = "make a data set for learning: random presses of a finger, rendered, with depth, normals and labels"
+DATASET_DESCRIPTION = """\
+Draw random presses of a finger, render each without and with contact under several draws of the light and of the
+paints, and store pictures with depth, normals and labels as shards that WebDataset reads (TAR of PNG and JSON).
+
+One render of a press serves all its paints, and one press all its lights: samples of one press belong together, and the
+index puts whole presses into training, validation and test. A shard is stored as soon as it is finished: an interrupted
+data set continues with the same command, and grows with a larger --presses.
+
+Writes into the folder: shards/, index.csv (and index.parquet where pyarrow is installed), places_mm.npy (what each
+pixel sees of the pad), README.md (the card of the data set), dataset.json and manifest-sha256.txt."""
+DATASET_EPILOG = """\
+examples:
+  finray study dataset flat-70x35 --presses 20 --size 160x120 --out presses
+  finray study dataset finger.toml --presses 1000 --paint red=r.json --paint green=g.json --out presses
+  finray study dataset finger.toml --presses 200 --press "finite elements" --shape ball --shape cylinder"""
+DATASET_NAME, INDEX_NAME, CARD_NAME, PLACES_NAME = "dataset.json", "index.csv", "README.md", "places_mm.npy"
 TABLE_NAME, RESULT_NAME, PAGE_NAME = "table.csv", "study.json", "study.html"
 
 
@@ -118,9 +143,71 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
     run.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
     run.add_argument("--out", type=Path, metavar="DIR", help="folder of the study (default: its name)")
     run.set_defaults(run=run_design_study)
+    _add_dataset(studies)
     show = studies.add_parser("show", help=SHOW_HELP, description=SHOW_HELP)
     show.add_argument("study", type=Path, metavar="DIR", help="folder that 'finray study run' wrote")
     show.set_defaults(run=show_study)
+
+
+def _add_dataset(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register ``dataset``."""
+    made = studies.add_parser("dataset", help=DATASET_HELP, description=DATASET_DESCRIPTION, epilog=DATASET_EPILOG)
+    made.add_argument("design", metavar="DESIGN", help="finger design (TOML), or a ready-made finger by its name")
+    made.add_argument("--presses", type=_whole(1, 1_000_000), default=100, metavar="N", help="presses (default: 100)")
+    made.add_argument("--shape", action="append", choices=["ball", "cylinder"], help="indenter; may be given twice "
+                      "(default: ball)")  # fmt: skip
+    for name, range_mm, what in (("radius", (3.0, 10.0), "indenter's radius"), ("depth", (0.3, 2.0), "push")):
+        made.add_argument(f"--{name}-mm", type=float, nargs=2, metavar=("LOW", "HIGH"), default=range_mm,
+                          help=f"range of the {what} (default: {range_mm[0]:g} {range_mm[1]:g})")  # fmt: skip
+    made.add_argument("--press", choices=["analytic", "finite elements"], default="analytic",
+                      help="finite elements give the force, but take longer (default: analytic)")  # fmt: skip
+    made.add_argument("--lights", type=_whole(1, 1000), default=2, metavar="N", help="lights a press (default: 2)")
+    made.add_argument("--light-angle-deg", type=float, default=5.0, metavar="REACH",
+                      help="panels turn by up to this from their angle (default: 5)")  # fmt: skip
+    made.add_argument("--paints", type=_whole(1, 1000), default=4, metavar="N", help="paints a light (default: 4)")
+    made.add_argument("--emission-ratio", type=float, default=1.25, metavar="R",
+                      help="paints without posterior: emission times 1/R to R (default: 1.25)")  # fmt: skip
+    made.add_argument("--size", type=_size, metavar="COLUMNSxROWS",
+                      help="of the pictures, one pixel a Bayer cell (default: the design's camera)")  # fmt: skip
+    made.add_argument("--samples", type=_even, default=32, metavar="N", help="paths per pixel (default: 32)")
+    made.add_argument("--presses-per-shard", type=_whole(1, 100_000), default=10, metavar="N",
+                      help="presses in a shard (default: 10)")  # fmt: skip
+    add_paint(made)
+    add_paints_as_given(made)
+    made.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
+    made.add_argument("--workers", type=_count, metavar="N", help="worker processes (default: by cores and memory)")
+    made.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
+    add_seed(made)
+    made.add_argument("--out", type=Path, metavar="DIR", help="folder of the data set (default: DESIGN-dataset)")
+    made.set_defaults(run=run_learning_dataset)
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    """Return what parses a whole number of a range."""
+
+    def parse(text: str) -> int:
+        if not text.isdecimal() or not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from {low} to {high}")
+        return int(text)
+
+    return parse
+
+
+def _even(text: str) -> int:
+    """Parse a number of paths."""
+    if not text.isdecimal() or not 2 <= int(text) <= 100_000 or int(text) % 2:
+        raise argparse.ArgumentTypeError(f"{text!r} must be an even whole number from 2 to 100000, for example 32")
+    return int(text)
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Parse the size of a picture; the camera has two pixels each way for each of them."""
+    columns, separator, rows = text.partition("x")
+    if not (separator and columns.isdecimal() and rows.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} must be columns x rows of the pictures, such as 160x120")
+    if not (32 <= int(columns) <= 2048 and 24 <= int(rows) <= 2048):
+        raise argparse.ArgumentTypeError(f"{text!r} must be 32x24 to 2048x2048 pixels")
+    return int(columns), int(rows)
 
 
 def _count(text: str) -> int:
@@ -178,6 +265,175 @@ def _paints(arguments: argparse.Namespace) -> "tuple[StudyPaints, list[Path]]":
     files = paint_files(arguments, without="the simulated rig's paints")
     optics, sources = calibrated_paints(files, arguments.paints_as_given) if files else stand_in_paints()
     return StudyPaints(optics, sources), list(files.values())
+
+
+def run_learning_dataset(arguments: argparse.Namespace) -> None:
+    """Make a data set for learning; store its shards, index, card and record."""
+    from data_schemas import SimulateError, provenance
+    from data_schemas.storage import clear_leftovers
+    from sim import design_inputs
+    from sim.studies import DatasetTask, planned_shards, run_dataset
+
+    plan, path = _dataset_plan(arguments)
+    shards = planned_shards(plan, arguments.presses)
+    paints, sources, files = _drawn_paints(arguments)
+    out = require_place(arguments.out or Path(f"{file_name(plan.design.name)}-dataset"))
+    if out.exists() and any(out.iterdir()) and not (out / "shards").is_dir():
+        raise SimulateError(f"{out}: holds something else than a data set; choose another --out")
+    out.mkdir(parents=True, exist_ok=True)
+    clear_leftovers(out)
+    read = [] if path is None else design_inputs(plan.design, path)
+    origin = provenance(command_line(), input_digests([*read, *files]), plan.seed)
+    folder = Path() if path is None else path.parent
+    task = DatasetTask(plan, paints, sources, arguments.engine, out.absolute(), folder.absolute(), origin)
+    with progress_bar("data set") as progress:
+        kept, failures = run_dataset(task, shards, arguments.workers, arguments.scheduler, progress)
+    if not any(shard.samples for shard in kept):
+        raise SimulateError(f"no press could be computed; the first failed because: {failures[0].reason}")
+    _store_dataset(task, out, arguments.presses, kept, failures)
+
+
+def _dataset_plan(arguments: argparse.Namespace) -> "tuple[DatasetPlan, Path | None]":
+    """Return what the presses are drawn from, and the file of the design if it is one."""
+    from pydantic import ValidationError
+
+    from data_schemas import DatasetPlan, SimulateError, explain
+    from sim import PRESETS, preset_design, read_design
+
+    path = None if arguments.design in PRESETS else Path(arguments.design)
+    design = preset_design(arguments.design) if path is None else read_design(path)
+    if arguments.size is not None:
+        columns, rows = arguments.size
+        camera = design.camera.model_copy(update={"width_px": 2 * columns, "height_px": 2 * rows})
+        design = design.model_copy(update={"camera": camera})
+    try:
+        plan = DatasetPlan(
+            design=design,
+            press=arguments.press,
+            shapes=tuple(dict.fromkeys(arguments.shape or ["ball"])),
+            radius_mm=tuple(arguments.radius_mm),
+            depth_mm=tuple(arguments.depth_mm),
+            lights=arguments.lights,
+            light_angle_reach_deg=arguments.light_angle_deg,
+            paints=arguments.paints,
+            emission_ratio=arguments.emission_ratio,
+            samples_per_pixel=arguments.samples,
+            presses_per_shard=arguments.presses_per_shard,
+            seed=arguments.seed,
+        )
+    except ValidationError as error:
+        raise SimulateError(f"finray study dataset: {explain(error, DatasetPlan)}") from None
+    return plan, path
+
+
+def _drawn_paints(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws], dict[str, str], list[Path]]":
+    """Return both paints with the draws of their emission, where they come from, and their files."""
+    from data_schemas import PaintCalibration
+    from data_schemas.storage import read_record
+    from sim.experiments import PaintDraws
+
+    files = paint_files(arguments, without="the simulated rig's paints")
+    if not files:
+        optics, sources = stand_in_paints()
+        return {c: PaintDraws(paint, paint.emission_per_nm[None]) for c, paint in optics.items()}, sources, []
+    _, sources = calibrated_paints(files, arguments.paints_as_given)
+    paints = {colour: PaintDraws.of(read_record(file, PaintCalibration)) for colour, file in files.items()}
+    return paints, sources, list(files.values())
+
+
+_DATASET_NOTES = (
+    "no camera: no shot or read noise, no defocus, no lens beside that of the design; the render's own noise is in "
+    "render_noise_rel, and is the same without and with contact where nothing moves, so a difference of the two "
+    "pictures is calmer than a camera's: add the noise of yours while training",
+    "no error of the model: materials, dimensions and the camera's response are those of the design in every sample, "
+    "and a network trained here has not seen a real finger",
+    "no wear, dirt, or other light; no more than one contact; no slip of the indenter along the pad",
+)
+
+
+def _store_dataset(
+    task: "DatasetTask",
+    out: Path,
+    presses: int,
+    shards: "Sequence[DatasetShard]",
+    failures: "Sequence[DatasetFailure]",
+) -> None:
+    """Store index, card, places, checksums and record together, in place of those of an earlier run; tell them."""
+    from data_schemas.storage import MANIFEST_NAME, ProductSet, manifest_text, write_record
+    from finray_calib.exchange import dataset_card, index_csv, index_parquet
+    from sim.studies import pixel_places_mm
+
+    record, parquet = _dataset_record(task, presses, shards, failures), index_parquet(shards)
+    contents = {CARD_NAME: dataset_card(record, task.origin, parquet is not None), INDEX_NAME: index_csv(shards)}
+    contents |= {PLACES_NAME: _npy(pixel_places_mm(task))} | ({} if parquet is None else {"index.parquet": parquet})
+    for name in (DATASET_NAME, *contents, "index.parquet", MANIFEST_NAME):
+        (out / name).unlink(missing_ok=True)  # made again from the shards, which are what is kept
+    with ProductSet(out / DATASET_NAME) as products:
+        for name, content in contents.items():
+            products.add(out / name, content)
+        digests = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+        products.add(out / MANIFEST_NAME, manifest_text(out, digests))
+        write_record(record, out / DATASET_NAME, task.origin, products)
+    _tell_dataset(record, out)
+
+
+def _dataset_record(
+    task: "DatasetTask", presses: int, shards: "Sequence[DatasetShard]", failures: "Sequence[DatasetFailure]"
+) -> "LearningDataset":
+    """Return the record of a data set."""
+    from data_schemas import DatasetShardRow, LearningDataset
+    from sim.experiments import REST_LEVEL
+    from sim.studies import shard_file
+
+    files = [shard_file(task.folder, shard.number) for shard in shards]
+    samples = [sample for shard in shards for sample in shard.samples]
+    parts = {sample.press: sample.split for sample in samples}
+    rows = [
+        DatasetShardRow(file=f"shards/{file.name}", sha256=shard.sha256, samples=len(shard.samples))
+        for file, shard in zip(files, shards, strict=True)
+    ]
+    analytic = ("no force and no mechanics: the analytic press is the indenter's shape with a bulge around it",)
+    return LearningDataset(
+        name=task.folder.name,
+        plan=task.plan,
+        paints=dict(task.sources),
+        presses=presses,
+        samples=len(samples),
+        rest_level=REST_LEVEL,
+        split_presses={part: sum(1 for p in parts.values() if p == part) for part in ("train", "validation", "test")},
+        shards=tuple(rows),
+        failures=tuple(failures),
+        processor_s=sum(shard.processor_s for shard in shards),
+        bytes_per_sample=sum(file.stat().st_size for file in files) / len(samples),
+        notes=(*(analytic if task.plan.press == "analytic" else ()), *_DATASET_NOTES),
+    )
+
+
+def _npy(array: "NDArray[np.float64]") -> bytes:
+    """Return an array as NPY."""
+    import numpy as np
+
+    stream = io.BytesIO()
+    np.save(stream, array.astype(np.float32), allow_pickle=False)
+    return stream.getvalue()
+
+
+def _tell_dataset(record: "LearningDataset", out: Path) -> None:
+    """Say what a data set holds and what it took."""
+    wrote(out, f"{len(record.shards)} shards, {INDEX_NAME}, {CARD_NAME}, {PLACES_NAME}, {DATASET_NAME}")
+    give(
+        name=record.name, samples=record.samples, split_presses=record.split_presses, failures=record.failures,
+        processor_s=record.processor_s, bytes_per_sample=record.bytes_per_sample,
+    )  # fmt: skip
+    parts = ", ".join(f"{count} {part}" for part, count in record.split_presses.items())
+    say(f"{record.samples} samples; presses: {parts}")
+    say(
+        f"{record.processor_s / record.samples:.2g} s of processor time and {record.bytes_per_sample / 1e6:.2g} MB a "
+        "sample"
+    )
+    for failure in record.failures:
+        say(f"press {failure.press} failed: {failure.reason}")
+    look_at(out / CARD_NAME)
 
 
 STAND_IN = "stand-in: default hidden paint of the simulated rig, not the paper's paint"

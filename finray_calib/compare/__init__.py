@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         compare_press,
         shown_press,
     )
-    from finray_calib.compare._displayed_images import ciede2000, srgb_to_lab
+    from finray_calib.compare._displayed_images import ciede2000, displayed_image, srgb_to_lab
     from finray_calib.compare._mismatch import find_mismatches
     from finray_calib.compare._press_table import PressTable, predict_press, spread_over, teach_table
     from finray_calib.compare._regions import DILATED, Region, contact_regions, disc, strip_from_distance
@@ -53,6 +53,7 @@ __all__ = [
     "compare_press",
     "contact_regions",
     "disc",
+    "displayed_image",
     "find_mismatches",
     "multi_scale_similarity",
     "pair_by_name",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._capture_request import PlannedView, capture_request
     from finray_calib.exchange._force_csv import read_force_csv
     from finray_calib.exchange._junit_xml import junit_xml
+    from finray_calib.exchange._learning_dataset import dataset_card, index_csv, index_parquet, read_shard
     from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
     from finray_calib.exchange._package_formats import ImportFormat, capture_by_package
@@ -68,7 +69,10 @@ __all__ = [
     "capture_by_package",
     "capture_container",
     "capture_request",
+    "dataset_card",
     "import_band_folder",
+    "index_csv",
+    "index_parquet",
     "inference_data",
     "junit_xml",
     "led_camera_matrix",
@@ -86,6 +90,7 @@ __all__ = [
     "read_force_csv",
     "read_recipe",
     "read_renders",
+    "read_shard",
     "read_taxim",
     "read_tuning",
     "recipe_names",

@@ -29,6 +29,15 @@ if TYPE_CHECKING:
     from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluation, FingerEvaluator
     from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
     from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
+    from sim.experiments._learning_samples import (
+        DEPTH_ZERO,
+        REST_LEVEL,
+        LookTruth,
+        PaintLook,
+        drawn_paints,
+        render_looks,
+        render_noise_rel,
+    )
     from sim.experiments._light_angle import light_angle_sweep
     from sim.experiments._mechanical_press import increment_record, press_records, stored_press
     from sim.experiments._optics_products import OpticsProducts, simulate_images
@@ -69,7 +78,9 @@ else:
 
 __all__ = [
     "BACK_MM",
+    "DEPTH_ZERO",
     "OBJECTIVES",
+    "REST_LEVEL",
     "BallPresses",
     "BareFinger",
     "CameraResponse",
@@ -81,8 +92,10 @@ __all__ = [
     "FingerEvaluator",
     "FingerScene",
     "LightMeasure",
+    "LookTruth",
     "OpticsProducts",
     "PaintDraws",
+    "PaintLook",
     "PaintedFinger",
     "PaintedPairs",
     "PressProtocol",
@@ -99,6 +112,7 @@ __all__ = [
     "coat_cells",
     "confirmed_losses",
     "design_parameter",
+    "drawn_paints",
     "finger_scene",
     "hidden_design",
     "increment_record",
@@ -117,6 +131,8 @@ __all__ = [
     "recoloured",
     "render_ball_presses",
     "render_finger_presses",
+    "render_looks",
+    "render_noise_rel",
     "reproduce_paper_paints",
     "require_paints_in_order",
     "search_designs",

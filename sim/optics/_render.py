@@ -293,7 +293,7 @@ def render_press(
     rest, pressed = shapes or (rest_shape(design), pressed_shape(design))
     _check_size(design, rest)
     for shape in (rest, pressed):
-        check_no_intersections(shape.gel)
+        check_apart(shape, is_analytic=shapes is None)
     maps = [pixel_maps(design, shape, rest, renderer, calibration) for shape in (rest, pressed)]
     timings = {"pixel maps": time.monotonic() - start}
     camera = CameraWindows.of(design, calibration, maps)
@@ -328,6 +328,16 @@ def _level_name(level: RenderLevel) -> str:
 def _left_out(design: FingerDesign, variant: str) -> str:
     """Say what Mitsuba's own integrators, which a scalar variant needs, cannot render."""
     return ", without the film" if variant == SCALAR_VARIANT and design.pad.film is not None else ""
+
+
+def check_apart(shape: FingerShape, is_analytic: bool) -> None:
+    """Refuse a gel that passes through itself.
+
+    An analytic coat is a height over the plane of the inner face, and meets nothing while it stays above it. Other
+    shapes are searched, which takes longer than a small picture.
+    """
+    if not is_analytic or shape.surfaces["coat"].vertices_mm[:, 1].min() <= 0.0:
+        check_no_intersections(shape.gel)
 
 
 def _check_size(design: FingerDesign, rest: FingerShape) -> None:

@@ -3,7 +3,8 @@
 A plan (TOML, `read_plan`; `SHIPPED_PLANS` come with the package) becomes points (`study_points`), each a whole design.
 `run_study` presses, renders and measures them in worker processes of Dask, computes once what points share, keeps what
 is finished, and goes on where it was interrupted. A point is stored as soon as it is computed; one that fails leaves
-its reason and stops no other.
+its reason and stops no other. `run_dataset` draws, presses and renders the samples of a data set for learning in the
+same way, a shard at a time.
 """
 
 from typing import TYPE_CHECKING
@@ -11,6 +12,16 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from sim.studies._dataset import (
+        DatasetTask,
+        PlannedShard,
+        drawn_light,
+        drawn_press,
+        pixel_places_mm,
+        planned_shards,
+        run_dataset,
+        shard_file,
+    )
     from sim.studies._engine import run_study
     from sim.studies._plan import SHIPPED_PLANS, PlannedPoint, read_plan, study_points
     from sim.studies._point import StudyPaints, StudyTask, point_file
@@ -19,11 +30,19 @@ else:
 
 __all__ = [
     "SHIPPED_PLANS",
+    "DatasetTask",
     "PlannedPoint",
+    "PlannedShard",
     "StudyPaints",
     "StudyTask",
+    "drawn_light",
+    "drawn_press",
+    "pixel_places_mm",
+    "planned_shards",
     "point_file",
     "read_plan",
+    "run_dataset",
     "run_study",
+    "shard_file",
     "study_points",
 ]

@@ -11,12 +11,24 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any, Final, Protocol, TypeVar
 
 from data_schemas import FinrayError, MissingExtraError, SimulateError, StudyFailure, StudyPoint
 from sim.studies._plan import PlannedPoint
 from sim.studies._point import StudyTask, compute_point, compute_press, press_file, stored_point
 
+
+class Numbered(Protocol):
+    """Something that is computed by itself and known by its number."""
+
+    @property
+    def number(self) -> int:
+        """Its number."""
+        ...
+
+
+T = TypeVar("T")
+P = TypeVar("P", bound=Numbered)
 Progress = Callable[[int, int, str], None]
 Outcome = str | None
 
@@ -80,12 +92,12 @@ def run_study(
             steps = _Steps(len(presses) + len(todo), progress)
             broken = {
                 press_file(task, point.design): reason
-                for point, reason in _each(client, _try_press, task, list(presses.values()), steps, "press of ")
+                for point, reason in _each(client, _try_press, task, list(presses.values()), steps, "press of point ")
                 if reason is not None
             }
             whole = [point for point in todo if press_file(task, point.design) not in broken]
             failed = {p.number: f"its press: {broken[press_file(task, p.design)]}" for p in todo if p not in whole}
-            for point, reason in _each(client, _try_point, task, whole, steps, ""):
+            for point, reason in _each(client, _try_point, task, whole, steps, "point "):
                 if reason is not None:
                     failed[point.number] = reason
     found = {point.number: stored_point(task, point) for point in points if point.number not in failed}
@@ -119,28 +131,60 @@ class _Steps:
 
 def _each(
     client: Any,
-    compute: Callable[[StudyTask, PlannedPoint], Outcome],
-    task: StudyTask,
-    points: Sequence[PlannedPoint],
+    compute: Callable[[T, P], Outcome],
+    task: T,
+    points: Sequence[P],
     steps: _Steps,
     what: str,
-) -> Iterator[tuple[PlannedPoint, Outcome]]:
+) -> Iterator[tuple[P, Outcome]]:
     """Yield each point with why it failed, or None, as they end.
 
     A worker that dies takes with it what was given to it. These points are tried again one by one: the one that kills
     its worker alone is at fault.
     """
     window = POINTS_IN_FLIGHT_PER_WORKER * max(1, len(client.scheduler_info()["workers"]))
-    died: list[PlannedPoint] = []
+    died: list[P] = []
     for point, outcome, has_died in _ended(client, compute, task, points, window):
         if has_died:
             died.append(point)
             continue
         yield point, outcome
-        steps.done(f"{what}point {point.number}")
+        steps.done(f"{what}{point.number}")
     for point, outcome, has_died in _ended(client, compute, task, died, 1):
         yield point, _DIED_TWICE if has_died else outcome
-        steps.done(f"{what}point {point.number}")
+        steps.done(f"{what}{point.number}")
+
+
+def each_computed(
+    compute: Callable[[T, P], Outcome],
+    task: T,
+    jobs: Sequence[P],
+    what: str,
+    where: tuple[int | None, str | None] = (None, None),
+    progress: Progress | None = None,
+) -> Iterator[tuple[P, Outcome]]:
+    """Yield each of some numbered jobs with why it failed, or None, as worker processes end them.
+
+    Parameters
+    ----------
+    compute
+        Computes a job in a worker and keeps what it finds; returns why it failed.
+    task
+        What all jobs need.
+    jobs
+        What is to be computed; no worker is started for none.
+    what
+        Words before a job's number in what `progress` is told.
+    where
+        Worker processes on this machine, and the address of a scheduler, as of :func:`run_study`.
+    progress
+        Called with jobs done, jobs in all, and what was done.
+    """
+    if not jobs:
+        return
+    workers, scheduler = where
+    with _client(min(workers or most_workers(), len(jobs)), scheduler) as client:
+        yield from _each(client, compute, task, jobs, _Steps(len(jobs), progress), what)
 
 
 _DIED_TWICE = "its worker process died twice: a crash of a compiled library, or too little memory"
@@ -148,14 +192,14 @@ _DIED_TWICE = "its worker process died twice: a crash of a compiled library, or 
 
 def _ended(
     client: Any,
-    compute: Callable[[StudyTask, PlannedPoint], Outcome],
-    task: StudyTask,
-    points: Sequence[PlannedPoint],
+    compute: Callable[[T, P], Outcome],
+    task: T,
+    points: Sequence[P],
     window: int,
-) -> Iterator[tuple[PlannedPoint, Outcome, bool]]:
+) -> Iterator[tuple[P, Outcome, bool]]:
     """Yield each point with why it failed and whether its worker died, as they end; a window of them is in flight."""
     distributed = importlib.import_module("distributed")
-    running: dict[str, PlannedPoint] = {}
+    running: dict[str, P] = {}
     waiting, ended = iter(points), distributed.as_completed()
     while True:
         for point in itertools.islice(waiting, window - len(running)):

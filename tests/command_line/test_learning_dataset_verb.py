@@ -1,0 +1,123 @@
+"""``finray study dataset``: killed in the middle it goes on, and index, card, checksums and shards say the same."""
+
+import csv
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from data_schemas import DatasetShard, LearningDataset
+from data_schemas.storage import manifest_faults, read_record
+from finray_calib.cli.main import main
+from finray_calib.exchange import read_shard
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = "--size 40x30 --presses-per-shard 1 --lights 1 --paints 2 --samples 2 --radius-mm 3 5 --depth-mm 0.4 1.2"
+WORDS = ("baby-48x18", *SMALL.split(), "--out", "out")
+
+
+def begin(tmp_path, *more):
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "finray_calib.cli.main", "study", "dataset", *WORDS, *more],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
+    )  # fmt: skip
+
+
+def decoded(content):
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+@pytest.mark.renderer
+@pytest.mark.timeout(3600)
+def test_a_killed_data_set_goes_on_and_grows(tmp_path):
+    first = begin(tmp_path, "--presses", "3", "--workers", "1")
+    shards = tmp_path / "out" / "shards"
+    deadline = time.monotonic() + 1500.0
+    while not (shards / "shard-000000.json").exists():
+        assert first.poll() is None, first.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.communicate()
+    kept = {path: path.read_bytes() for path in shards.glob("shard-*")}
+
+    again = begin(tmp_path, "--presses", "2", "--workers", "1")
+    said, warned = again.communicate(timeout=1500.0)
+    assert again.returncode == 0, warned
+    assert all(path.read_bytes() == content for path, content in kept.items())
+    assert not list((tmp_path / "out").rglob(".*"))
+    assert said.endswith("look at: out/README.md\n")
+    assert "4 samples; presses: 2 train, 0 validation, 0 test" in said
+
+    dataset = read_record(tmp_path / "out" / "dataset.json", LearningDataset)
+    rows = list(csv.DictReader((tmp_path / "out" / "index.csv").read_text().splitlines()))
+    assert [row["sample"] for row in rows] == ["0", "1", "2", "3"]
+    assert len({row["red_emission_factor"] for row in rows}) == 4
+    for listed in dataset.shards:
+        file = tmp_path / "out" / listed.file
+        assert hashlib.sha256(file.read_bytes()).hexdigest() == listed.sha256
+        record = read_record(file.with_suffix(".json"), DatasetShard)
+        for sample, labels in zip(read_shard(file), record.samples, strict=True):
+            assert sample["json"] == labels.model_dump(mode="json")
+            pictures = {name: decoded(sample[name]) for name in ("rgb.png", "rest.png", "depth.png", "normals.png")}
+            assert {name: (image.dtype, image.shape) for name, image in pictures.items()} == {
+                "rgb.png": (np.uint8, (30, 40, 3)), "rest.png": (np.uint8, (30, 40, 3)),
+                "depth.png": (np.uint16, (30, 40)), "normals.png": (np.uint16, (30, 40, 3)),
+            }  # fmt: skip
+            coat = pictures["depth.png"] > 0
+            assert 0.1 < coat.mean() < 0.9
+            assert (coat == (pictures["normals.png"] > 0).all(axis=-1)).all()
+            deepest_mm = (pictures["depth.png"].max() - 32768.0) / 1e3
+            assert deepest_mm == pytest.approx(labels.largest_depth_mm, abs=0.51e-3)
+            assert deepest_mm <= labels.indenter.depth_mm + 0.15 * np.log(2.0) + 1e-3
+    places = np.load(tmp_path / "out" / "places_mm.npy")
+    assert places.shape == (30, 40, 2)
+    assert np.nanmax(np.abs(places[..., 0])) <= 9.0 + 1e-3
+    faults, unlisted = manifest_faults(tmp_path / "out")
+    assert not faults
+    assert {path.name for path in unlisted} <= {"dataset.json", "manifest-sha256.txt"}
+
+    before = {path: path.read_bytes() for path in shards.glob("shard-*")}
+    more = begin(tmp_path, "--presses", "3", "--workers", "1")
+    said, warned = more.communicate(timeout=1500.0)
+    assert more.returncode == 0, warned
+    assert "6 samples" in said
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+    other = begin(tmp_path, "--presses", "3", "--seed", "2")
+    _, warned = other.communicate(timeout=1500.0)
+    assert other.returncode == 2
+    assert "was computed from another design, other ranges, paints or seed" in " ".join(warned.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--radius-mm", "5", "3"), "the range runs from 5 to 3 mm; give the smaller one first"),
+        (("--depth-mm", "0.5", "30"), "goes through the pad"),
+        (("--radius-mm", "3", "80", "--depth-mm", "1", "3"), "leaves no room on the pad of 48 x 18 mm"),
+        (("--emission-ratio", "0.5"), "emission_ratio"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told_before_a_worker_starts(tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["study", "dataset", "baby-48x18", "--presses", "2", *words]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.glob("*-dataset"))
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "mine.txt").write_text("keep")
+    assert main(["study", "dataset", "baby-48x18", "--radius-mm", "3", "5", "--presses", "2", "--out", "notes"]) == 2
+    assert "holds something else than a data set" in capsys.readouterr().err
+    assert (tmp_path / "notes" / "mine.txt").read_text() == "keep"
