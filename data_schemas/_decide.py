@@ -1,14 +1,14 @@
-"""Decision on the angle of the blue light, and on the numbers of a whole design."""
+"""Decisions: on the angle of the blue light, on the numbers of a design, its paints and its tolerances."""
 
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from data_schemas._arrays import ArraySpec
 from data_schemas._design import FingerDesign
-from data_schemas._model import Model, Record
+from data_schemas._model import Estimate, Model, Record
 from data_schemas._units import AngleDeg, Fraction
 
 Floats = NDArray[np.float64]
@@ -262,3 +262,125 @@ class DesignOptimum(Record):
     design: FingerDesign = Field(description="the recommended finger")
     processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time of all evaluations")
     notes: tuple[str, ...] = ()
+
+
+class PaintPairRow(Model):
+    """How well a finger would tell normals with one paint on each wall."""
+
+    red: str = Field(description="paint of the red wall")
+    green: str = Field(description="paint of the green wall")
+    normal_error_deg: Estimate = Field(description="error of the sensed normal, mean over the pad")
+    above_best_deg: Estimate = Field(description="the same less that of the best pair, draw by draw")
+    is_worse: bool = Field(description="whether the difference to the best pair is real, all pairs together at 95 %")
+    best_share: Fraction = Field(description="of the draws: where it is the best")
+    separation_deg: Annotated[float, Field(ge=0.0)] = Field(
+        description="angle between the colours of facets tilted to opposite sides"
+    )
+    exposure_rel: Annotated[float, Field(gt=0.0)] = Field(description="exposure time relative to the shortest")
+
+
+class PaintChoice(Record):
+    """Pairs of paints ranked for one finger by the error of the sensed normal, before anything is moulded."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray design paints'"
+    shown: ClassVar[tuple[str, ...]] = ("sentence",)
+
+    name: str
+    sentence: str
+    paints: tuple[str, ...]
+    pairs: tuple[PaintPairRow, ...] = Field(min_length=2, description="best first")
+    normal_error_draws_deg: Annotated[Floats, ArraySpec("<f8", ("pair", "draw"), "deg")] = Field(
+        description="in the order of the pairs; a draw is the same of all pairs"
+    )
+    design: FingerDesign
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_row_a_pair(self) -> "PaintChoice":
+        if len(self.normal_error_draws_deg) != len(self.pairs):
+            raise ValueError(f"{len(self.normal_error_draws_deg)} rows of draws for {len(self.pairs)} pairs")
+        return self
+
+
+class ToleranceSide(Model):
+    """How far one number may leave its value to one side, everything else as designed."""
+
+    limit: float | None = Field(description="distance at which the error has grown by what is allowed; null: not found")
+    low95: float | None = None
+    high95: float | None = None
+    tried: float = Field(description="farthest distance that was evaluated")
+    ended_by: str = Field(default="", description="why no farther one was: what the design refused")
+    checked_loss_rel: float | None = Field(
+        default=None, description="growth of the error at the limit, with other paths, draws and noise"
+    )
+
+
+class VarianceShare(Model):
+    """A Sobol' index with its 95 % interval."""
+
+    estimate: Fraction
+    low95: Fraction
+    high95: Fraction
+
+
+class ToleranceRow(Model):
+    """One number of a finger that varies."""
+
+    field: str
+    unit: str
+    nominal: float
+    given: Annotated[float, Field(gt=0.0)] = Field(description="half-range within which it was said to vary")
+    origin: str = Field(description="where the half-range comes from")
+    less: ToleranceSide
+    more: ToleranceSide
+    first: VarianceShare = Field(description="share of the variance that it makes alone")
+    total: VarianceShare = Field(description="share of the variance that would be gone without it")
+    is_distinguishable: bool = Field(description="whether the total share is above what the emulator does not explain")
+
+
+class FingerTolerances(Record):
+    """How far a finger may vary before its sensed normals are too much worse, alone and together."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray design tolerances'"
+    shown: ClassVar[tuple[str, ...]] = ("sentence",)
+
+    name: str
+    sentence: str
+    objective: str
+    calibration: Literal["own", "shared"] = Field(
+        description="whether each finger is calibrated as it was built, or takes the calibration of the finger as drawn"
+    )
+    allowed_rel: Annotated[float, Field(gt=0.0)] = Field(description="allowed growth of the error")
+    nominal_error_deg: Annotated[float, Field(gt=0.0)] = Field(description="expected error of the finger as designed")
+    contact_places_mm: tuple[float, ...] = Field(description="middles of the contacts along the pad")
+    rows: tuple[ToleranceRow, ...] = Field(min_length=1)
+    together_factor: float | None = Field(
+        description="all half-ranges times this: 95 % of the fingers stay within what is allowed; null: beyond the box"
+    )
+    together_low95: float | None = None
+    together_high95: float | None = None
+    within_given_share: Fraction = Field(description="of fingers that vary as given, those within what is allowed")
+    checked_within: Annotated[int, Field(ge=0)] = Field(
+        description="of the fingers evaluated directly at the factor, with other paths, those within what is allowed"
+    )
+    checked_fingers: Annotated[int, Field(ge=0)]
+    box_factor: Annotated[float, Field(gt=0.0)] = Field(
+        description="half-ranges of the emulated box over the given ones"
+    )
+    q2: float = Field(description="share of the variance that the emulator predicts of runs that are left out")
+    noise_rel: Annotated[float, Field(ge=0.0)] = Field(
+        description="standard deviation of a growth by its random numbers"
+    )
+    inputs: Annotated[Floats, ArraySpec("<f8", ("run", "input"))] = Field(description="-1 to 1 of the emulated box")
+    losses_rel: Annotated[Floats, ArraySpec("<f8", ("run",))] = Field(description="growth of the error of each run")
+    design: FingerDesign
+    paints: dict[str, str] = Field(description="colour -> SHA-256 of the calibration")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_column_a_row(self) -> "FingerTolerances":
+        if self.inputs.shape != (len(self.losses_rel), len(self.rows)):
+            raise ValueError(f"inputs {self.inputs.shape} for {len(self.losses_rel)} runs of {len(self.rows)} numbers")
+        return self

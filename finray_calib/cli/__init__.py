@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from finray_calib.cli._certificate import add_certificate
     from finray_calib.cli._check import add_check, add_history
     from finray_calib.cli._compare import add_compare
-    from finray_calib.cli._completion import add_completion
     from finray_calib.cli._decide import add_decide
     from finray_calib.cli._demo import add_demo, add_doctor
     from finray_calib.cli._design import add_design
@@ -37,7 +36,6 @@ __all__ = [
     "add_certificate",
     "add_check",
     "add_compare",
-    "add_completion",
     "add_decide",
     "add_demo",
     "add_design",

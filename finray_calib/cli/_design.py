@@ -4,28 +4,23 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._design_search import add_optimise, add_tolerances
 from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
-    add_paint,
-    add_paints_as_given,
     add_seed,
-    both_paint_files,
     command_line,
     file_name,
     input_digests,
     naming,
-    new_page_beside,
     open_engine,
     require_new,
 )
-from finray_calib.cli._study_run import add_optimise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from data_schemas import FingerDesign, FingerTolerances, Optics, PaintCalibration, PaintChoice, RigFile
+    from data_schemas import Optics, PaintCalibration, PaintChoice, RigFile
     from finray_calib.fit import CatalogueFilter
-    from sim.experiments import FingerEvaluator, PaintDraws
     from sim.optics import CameraView
 
 
@@ -68,26 +63,6 @@ share."""
 PAINTS_EPILOG = """\
 example:
   finray design paints flat-70x35 --paint a.paint.json --paint b.paint.json --paint c.paint.json"""
-TOLERANCES_HELP = "how far light, camera, mirror, pad and paints may vary before the sensed normal gets worse"
-TOLERANCES_DESCRIPTION = """\
-Find how far a finger may vary before the expected error of its sensed normals has grown by a tenth (--allowed): each
-number alone, by evaluating it, and all together, by an emulator of the error; and which numbers make most of the
-variance (Sobol' indices). The error is that which 'finray decide' decides on. Limits are evaluated once more with other
-paths, paint draws and noise.
-
-What varies: what a person mounts, casts or mixes (angle and place of the light, pose of the camera, bow of the mirror,
-thickness of the pad, yield of the paints), the emission of the paints by their calibrations, and every number of the
-design with an uncertainty_rel that light depends on. Half-ranges that nobody has given are assumed; the page says so.
---vary FIELD=HALF_RANGE gives one in the field's own unit, --vary FIELD=0 leaves a number out. A place has its axis
-last.
-
-By default each finger is calibrated as it was built. With --calibration shared all take the calibration of the finger
-as drawn, which says how well a calibration serves other fingers of the same drawing."""
-TOLERANCES_EPILOG = """\
-examples:
-  finray design tolerances flat-70x35 --paint red=red.paint.json --paint green=green.paint.json
-  finray design tolerances finger.toml --paint red=r.json --paint green=g.json --vary light.angle_deg=1 \\
-      --vary camera.position_mm.z=0.2 --calibration shared"""
 FILTERS_DESCRIPTION = """\
 Of a rig (TOML): choose the emission filters that give the smallest expected error of the emission spectrum of a paint,
 from a catalogue, with the rig's own laser, lamp and camera, and fit simulated paints with these and with the rig's
@@ -114,7 +89,7 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     _add_show(actions)
     _add_export(actions)
     _add_paints(actions)
-    _add_tolerances(actions)
+    add_tolerances(actions)
     add_optimise(actions)
     _add_filters(actions)
 
@@ -176,48 +151,6 @@ def _add_paints(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     paints.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.paint-choice.json; must be new")
     add_seed(paints)
     paints.set_defaults(run=run_paints)
-
-
-def _add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    tolerances = actions.add_parser(
-        "tolerances", help=TOLERANCES_HELP, description=TOLERANCES_DESCRIPTION, epilog=TOLERANCES_EPILOG
-    )
-    tolerances.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
-    add_paint(tolerances)
-    add_paints_as_given(tolerances)
-    tolerances.add_argument(
-        "--vary", type=_half_range, action="append", default=[], metavar="FIELD=HALF_RANGE",
-        help="how far a number varies to either side, such as light.angle_deg=2 (repeatable)",
-    )  # fmt: skip
-    tolerances.add_argument(
-        "--contact", type=float, action="append", default=[], metavar="MM", dest="places_mm",
-        help="middle of a contact along the pad, mm (repeatable; default: six from a tenth to nine tenths of the pad)",
-    )  # fmt: skip
-    tolerances.add_argument(
-        "--allowed", type=float, default=0.1, metavar="SHARE", help="growth of the error, default 0.1"
-    )
-    tolerances.add_argument(
-        "--calibration", choices=["own", "shared"], default="own", help="of each finger, or of the finger as drawn"
-    )
-    tolerances.add_argument("--runs", type=int, default=128, metavar="N", help="fingers in which all varies: 128")
-    tolerances.add_argument(
-        "--samples", type=int, default=1024, metavar="N", help="paths per point and repeat: 1024, some 1 s a finger"
-    )
-    tolerances.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
-    tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
-    add_seed(tolerances)
-    tolerances.set_defaults(run=run_tolerances)
-
-
-def _half_range(text: str) -> tuple[str, float]:
-    """Parse FIELD=HALF_RANGE."""
-    field, _, size = text.partition("=")
-    try:
-        return field, float(size)
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} must be FIELD=HALF_RANGE, such as light.angle_deg=2 (in the field's own unit)"
-        ) from None
 
 
 def _add_filters(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -524,104 +457,6 @@ def _paint_table(choice: "PaintChoice") -> "Iterator[str]":
             "" if place == 0 else "worse" if row.is_worse else "not distinguishable",
         )
         for place, row in enumerate(choice.pairs)
-    ]
-    widths = [max(len(line[k]) for line in (head, *rows)) for k in range(len(head))]
-    for line in (head, *rows):
-        yield "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
-
-
-def run_tolerances(arguments: argparse.Namespace) -> None:
-    """Find a finger's tolerances; store them with their page."""
-    from data_schemas import SimulateError, provenance
-    from data_schemas.storage import ProductSet, write_record
-    from finray_calib.reports.tolerances import tolerance_page
-    from sim import given_design
-    from sim.experiments import FingerError, ToleranceSettings, study_tolerances, tolerance_inputs
-
-    design, files, folder = given_design(arguments.design)
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"))
-    page = new_page_beside(out)
-    paint_paths = both_paint_files(arguments)
-    paints = _paint_draws(paint_paths, arguments.paints_as_given)
-    settings = ToleranceSettings(arguments.allowed, arguments.runs, arguments.seed)
-    with naming(SimulateError, arguments.design):
-        varied = tolerance_inputs(design, paints, dict(arguments.vary))
-        evaluators = _evaluators(design, folder, arguments)
-        error = FingerError(evaluators, design, paints, arguments.calibration)
-        with progress_bar(f"tolerances of {design.name}") as progress:
-            found = study_tolerances(error, design, paints, varied, settings, progress)
-    inputs = input_digests([*files, *paint_paths.values()])
-    digests = {colour: inputs[str(path)] for colour, path in paint_paths.items()}
-    places = evaluators(arguments.seed).contact_places_mm(design)
-    record = found.record(design, digests, varied, settings, places, arguments.calibration)
-    with ProductSet(out) as products:
-        products.add(page, tolerance_page(record, command_line(), inputs).encode())
-        write_record(record, out, provenance(command_line(), inputs, arguments.seed), products)
-    say(record.sentence)
-    for line in _tolerance_table(record):
-        say(line)
-    wrote(out, "limits, shares and all runs")
-    wrote(page, "for whoever builds the finger")
-    give(
-        sentence=record.sentence, rows=record.rows, nominal_error_deg=record.nominal_error_deg,
-        together_factor=record.together_factor, together_low95=record.together_low95,
-        together_high95=record.together_high95, within_given_share=record.within_given_share, q2=record.q2,
-        calibration=record.calibration,
-    )  # fmt: skip
-    look_at(page)
-
-
-def _paint_draws(files: "Mapping[str, Path]", as_given: bool) -> "dict[str, PaintDraws]":
-    """Return both paints with their draws, which must not look swapped."""
-    from data_schemas import PaintCalibration
-    from data_schemas.storage import read_record
-    from sim.experiments import PaintDraws, require_paints_in_order
-
-    paints = {colour: PaintDraws.of(read_record(file, PaintCalibration)) for colour, file in files.items()}
-    if not as_given:
-        modes_nm = {
-            colour: float(one.optics.wavelength_nm[one.optics.emission_per_nm.argmax()])
-            for colour, one in paints.items()
-        }
-        require_paints_in_order(modes_nm, {colour: str(file) for colour, file in files.items()}, "--paints-as-given")
-    return paints
-
-
-def _evaluators(
-    design: "FingerDesign", folder: Path, arguments: argparse.Namespace
-) -> "Callable[[int], FingerEvaluator]":
-    """Return what opens an evaluator of fingers for a seed."""
-    from data_schemas.storage import camera_response
-    from sim.experiments import EvaluationSettings, FingerEvaluator
-    from sim.optics import read_calibration
-
-    camera = design.camera
-    response, engine = camera_response(camera.response, folder), open_engine(arguments.engine)
-    calibration = None if camera.calibration is None else read_calibration(folder / camera.calibration)
-
-    def opened(seed: int) -> "FingerEvaluator":
-        settings = EvaluationSettings(tuple(arguments.places_mm), arguments.samples, seed=seed)
-        return FingerEvaluator(response, engine, settings, calibration)
-
-    return opened
-
-
-def _tolerance_table(record: "FingerTolerances") -> "Iterator[str]":
-    """Yield the lines of the table: limits alone and shares of the variance."""
-    from finray_calib.reports.tolerances import limit_text
-
-    head = ("number", "drawn", "less by", "more by", "assumed or given", "share of variance", "")
-    rows = [
-        (
-            row.field,
-            f"{row.nominal:.4g}",
-            limit_text(row.less, row.unit),
-            limit_text(row.more, row.unit),
-            f"{row.given:.3g}",
-            f"{row.total.estimate:.2f} [{row.total.low95:.2f}, {row.total.high95:.2f}]",
-            "" if row.is_distinguishable else "not distinguishable from 0",
-        )
-        for row in record.rows
     ]
     widths = [max(len(line[k]) for line in (head, *rows)) for k in range(len(head))]
     for line in (head, *rows):

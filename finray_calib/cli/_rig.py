@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from data_schemas import CaptureError, FinrayError
+from data_schemas.storage import read_text
 from finray_calib.cli._capture import Attended, capture, resume, tell_of_laser
 from finray_calib.cli._output import give, go_on_with, guide, is_for_a_terminal, say, warn, wrote
 from finray_calib.cli._run import (
@@ -363,11 +364,11 @@ def _require_unseen(file: Path, out: Path) -> None:
     """
     if not file.is_file():
         return
-    url = file.read_text(encoding="utf-8", errors="replace").strip()
     try:
+        url = read_text(file, "the address of a session's view", CaptureError).strip()
         port = urlsplit(url).port
         with socket.create_connection(("127.0.0.1", port or 0), timeout=1.0):
             pass
-    except (OSError, ValueError, OverflowError):
+    except (FinrayError, OSError, ValueError, OverflowError):
         return
     raise CaptureError(f"{out}: its session is shown already, at {url}; open that address, or end that session first")

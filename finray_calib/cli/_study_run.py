@@ -1,6 +1,6 @@
-"""``finray study run``, ``show`` and ``dataset``, and ``finray design optimise``: what varies a design, in a folder.
+"""``finray study run``, ``show`` and ``dataset``: a design study by its plan, its table, and a data set for learning.
 
-A study varies it by a plan, a search within limits. Also their paints: calibrated ones, or those of the simulated rig.
+And the paints of a study: calibrated ones, or those of the simulated rig in their place.
 """
 
 import argparse
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_paint,
     add_paints_as_given,
@@ -19,8 +19,6 @@ from finray_calib.cli._run import (
     command_line,
     file_name,
     input_digests,
-    naming,
-    open_engine,
     paint_files,
     require_place,
 )
@@ -33,16 +31,13 @@ if TYPE_CHECKING:
         DatasetFailure,
         DatasetPlan,
         DatasetShard,
-        DesignObjective,
-        DesignOptimum,
-        FingerDesign,
         LearningDataset,
         Provenance,
         StudyMetric,
         StudyPoint,
         StudyResult,
     )
-    from sim.experiments import LightMeasure, PaintDraws
+    from sim.experiments import PaintDraws
     from sim.optics import PaintOptics
     from sim.studies import DatasetTask, StudyPaints
 
@@ -81,32 +76,6 @@ examples:
 A Dask scheduler is one whose workers see the same folders.
 Plans that come with finray: """
 SHOW_HELP = "show the table of a design study"
-OPTIMISE_HELP = "search the numbers of a finger for what it is to be good in, within limits"
-OPTIMISE_DESCRIPTION = """\
-Change the numbers of a finger within limits, and find the design that is best in what is asked for:
-
-  normal-error       expected error of the sensed normal, over the pad
-  evenness           of the light on the coat without contact
-  brightness         of the coat without contact
-  softness           the finger gives way under the pad
-  bending-stiffness  against a force at the tip
-  twist-stiffness    against a turn of the tip
-
-A third of the evaluations screens the limits (Sobol' points); an emulator proposes the others one by one. The design of
-the best expected value is recommended, and compared with the start and with the best of the screen by other seeds and
-contact places, which the search has not seen. With several objectives (--and) the page shows the front: what can be had
-for what, and which differences are real. 1 % of one objective then counts as 1 % of another.
-
-Each evaluation is stored as soon as it is finished: the same command continues where it was interrupted. Writes into
-the folder: evaluations/, the recommended finger (TOML), optimum.json and optimum.html. Where panels' powers are varied,
-their sum stays that of the start."""
-OPTIMISE_EPILOG = """\
-examples:
-  finray design optimise flat-70x35 --for normal-error
-  finray design optimise my.toml --for normal-error --and softness
-      --within light.angle_deg=0:60 --within skeleton.rib_thickness_mm
-      --within "light.position_mm[y]=-14:-7" --evaluations 80"""
-OPTIMUM_NAME, OPTIMUM_PAGE_NAME, EVALUATIONS = "optimum.json", "optimum.html", "evaluations"
 DATASET_HELP = "make a data set for learning: random presses of a finger, rendered, with depth, normals and labels"
 DATASET_DESCRIPTION = """\
 Draw random presses of a finger, render each without and with contact under several draws of the light and of the
@@ -399,12 +368,12 @@ def _dataset_record(
         paints=dict(task.sources),
         presses=presses,
         samples=len(samples),
-        rest_level=REST_LEVEL,
+        rest_level_rel=REST_LEVEL,
         split_presses={part: sum(1 for p in parts.values() if p == part) for part in ("train", "validation", "test")},
         shards=tuple(rows),
         failures=tuple(failures),
         processor_s=sum(shard.processor_s for shard in shards),
-        bytes_per_sample=sum(file.stat().st_size for file in files) / len(samples),
+        sample_bytes=sum(file.stat().st_size for file in files) // len(samples),
         notes=(*(analytic if task.plan.press == "analytic" else ()), *_DATASET_NOTES),
     )
 
@@ -423,13 +392,12 @@ def _tell_dataset(record: "LearningDataset", out: Path) -> None:
     wrote(out, f"{len(record.shards)} shards, {INDEX_NAME}, {CARD_NAME}, {PLACES_NAME}, {DATASET_NAME}")
     give(
         name=record.name, samples=record.samples, split_presses=record.split_presses, failures=record.failures,
-        processor_s=record.processor_s, bytes_per_sample=record.bytes_per_sample,
+        processor_s=record.processor_s, sample_bytes=record.sample_bytes,
     )  # fmt: skip
     parts = ", ".join(f"{count} {part}" for part, count in record.split_presses.items())
     say(f"{record.samples} samples; presses: {parts}")
     say(
-        f"{record.processor_s / record.samples:.2g} s of processor time and {record.bytes_per_sample / 1e6:.2g} MB a "
-        "sample"
+        f"{record.processor_s / record.samples:.2g} s of processor time and {record.sample_bytes / 1e6:.2g} MB a sample"
     )
     for failure in record.failures:
         say(f"press {failure.press} failed: {failure.reason}")
@@ -507,180 +475,4 @@ def show_study(arguments: argparse.Namespace) -> None:
         look_at(arguments.study / PAGE_NAME)
 
 
-def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register ``finray design optimise``."""
-    search = actions.add_parser(
-        "optimise", help=OPTIMISE_HELP, description=OPTIMISE_DESCRIPTION, epilog=OPTIMISE_EPILOG
-    )
-    search.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
-    search.add_argument("--for", dest="first", required=True, metavar="OBJECTIVE", help="what it is to be good in")
-    search.add_argument(
-        "--and", dest="further", action="append", default=[], metavar="OBJECTIVE", help="a further one (repeatable)"
-    )
-    search.add_argument(
-        "--within", action="append", default=[], metavar="FIELD[=LOW:HIGH]",
-        help="a number that may change, and its limits (repeatable; default: light angle and place, pad thickness, and "
-        "ribs and fin where stiffness is asked for)",
-    )  # fmt: skip
-    search.add_argument(
-        "--evaluations", type=_evaluation_count, default=60, metavar="N", help="designs to compute (default: 60)"
-    )
-    search.add_argument(
-        "--confirm", type=_confirmation_count, default=6, metavar="N",
-        help="other seeds and contact places that confirm the gain (default: 6; 0: none)",
-    )  # fmt: skip
-    add_paint(search)
-    add_paints_as_given(search)
-    search.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
-    search.add_argument("--out", type=Path, metavar="DIR", help="folder of the search (default: NAME.optimised)")
-    add_seed(search)
-    search.set_defaults(run=run_optimise)
-
-
-def _evaluation_count(text: str) -> int:
-    """Parse a number of evaluations."""
-    if not text.isdecimal() or not 1 <= int(text) <= _MOST_EVALUATIONS:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to {_MOST_EVALUATIONS}")
-    return int(text)
-
-
 #: The covariance of as many designs is factored before each proposal.
-_MOST_EVALUATIONS = 1000
-
-
-def _confirmation_count(text: str) -> int:
-    """Parse a number of confirmations: an interval needs three."""
-    if not text.isdecimal() or not (int(text) == 0 or 3 <= int(text) <= 100):
-        raise argparse.ArgumentTypeError(f"{text!r} must be 0, or a whole number from 3 to 100")
-    return int(text)
-
-
-def run_optimise(arguments: argparse.Namespace) -> None:
-    """Search designs within limits; store the recommended finger, the search and its page."""
-    from data_schemas import SimulateError, provenance
-    from data_schemas.storage import clear_leftovers
-    from finray_calib.decide import design_optimum
-    from sim import given_design
-    from sim.experiments import (
-        DesignEvaluations,
-        DesignSpace,
-        confirmed_losses,
-        design_parameter,
-        is_of_light,
-        search_designs,
-        usual_parameters,
-    )
-
-    objectives = _objectives([arguments.first, *arguments.further])
-    design, files, folder = given_design(arguments.design)
-    parameters = tuple(design_parameter(design, text) for text in arguments.within)
-    parameters = parameters or usual_parameters(design, objectives)
-    if len({one.field for one in parameters}) < len(parameters):
-        raise SimulateError("--within: a field is given twice; give each once")
-    out = require_place(arguments.out or Path(f"{file_name(design.name)}.optimised"))
-    light: LightMeasure | None = None
-    paints: list[Path] = []
-    if any(is_of_light(one) for one in objectives):
-        light, paints = _light_measure(arguments, design, folder)
-    origin = provenance(command_line(), input_digests([*files, *paints]), arguments.seed)
-    out.mkdir(parents=True, exist_ok=True)
-    clear_leftovers(out)
-    evaluations = DesignEvaluations(out / EVALUATIONS, objectives, origin, light)
-    with naming(SimulateError, arguments.design), progress_bar(f"search of {design.name}") as progress:
-        searched = search_designs(
-            DesignSpace(design, parameters), objectives, evaluations.evaluate, arguments.evaluations, arguments.seed,
-            progress,
-        )  # fmt: skip
-        compared = [searched.evaluated[k].design for k in (0, searched.screen_best, -1)]
-        again = confirmed_losses(compared, objectives, evaluations, arguments.confirm, progress)
-    notes = () if light is None else tuple(f"{colour} paint: {where}" for colour, where in light.sources.items())
-    optimum = design_optimum(searched, again, arguments.seed, notes)
-    finger = _store_optimum(out, optimum, origin)
-    _tell_optimum(optimum)
-    wrote(finger, "the recommended finger")
-    wrote(out, f"{OPTIMUM_NAME}, {OPTIMUM_PAGE_NAME} and {EVALUATIONS}/ ({evaluations.computed} computed now)")
-    go_on_with("finray design export", finger)
-    look_at(out / OPTIMUM_PAGE_NAME)
-
-
-def _objectives(names: Sequence[str]) -> "tuple[DesignObjective, ...]":
-    """Return the objectives of these names."""
-    from data_schemas import SimulateError
-    from sim.experiments import OBJECTIVES
-
-    for name in names:
-        if name not in OBJECTIVES:
-            raise SimulateError(f"--for, --and: there is no objective '{name}'; there are {', '.join(OBJECTIVES)}")
-        if names.count(name) > 1:
-            raise SimulateError(f"--for, --and: '{name}' is given twice; give each objective once")
-    return tuple(OBJECTIVES[name] for name in names)
-
-
-def _light_measure(
-    arguments: argparse.Namespace, design: "FingerDesign", folder: Path
-) -> "tuple[LightMeasure, list[Path]]":
-    """Return what light is measured with, and the files of the paints."""
-    import numpy as np
-
-    from data_schemas import PaintCalibration
-    from data_schemas.storage import camera_response, read_record
-    from sim.experiments import EvaluationSettings, LightMeasure, PaintDraws
-    from sim.optics import read_calibration
-
-    files = paint_files(arguments, without="the simulated rig's paints")
-    optics, sources = calibrated_paints(files, arguments.paints_as_given) if files else stand_in_paints()
-    if files:
-        paints = {colour: PaintDraws.of(read_record(file, PaintCalibration)) for colour, file in files.items()}
-    else:
-        paints = {colour: PaintDraws(one, np.atleast_2d(one.emission_per_nm)) for colour, one in optics.items()}
-    camera = design.camera
-    return LightMeasure(
-        response=camera_response(camera.response, folder),
-        renderer=open_engine(arguments.engine, threads=1),
-        paints=paints,
-        sources=sources,
-        settings=EvaluationSettings(seed=arguments.seed),
-        calibration=None if camera.calibration is None else read_calibration(folder / camera.calibration),
-    ), list(files.values())
-
-
-def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") -> Path:
-    """Store finger, page and search together, in place of those of an earlier run; return the finger's file."""
-    from data_schemas.storage import ProductSet, write_record
-    from finray_calib.reports.design_search import optimum_page
-    from sim import design_toml
-
-    finger = out / f"{file_name(optimum.design.name)}.toml"
-    for file in (
-        out / OPTIMUM_NAME,
-        out / OPTIMUM_PAGE_NAME,
-        finger,
-    ):  # made again from the evaluations, which are kept
-        file.unlink(missing_ok=True)
-    page = optimum_page(optimum, origin.command, origin.input_sha256, origin.package_version)
-    with ProductSet(out / OPTIMUM_NAME) as products:
-        products.add(finger, design_toml(optimum.design).encode())
-        products.add(out / OPTIMUM_PAGE_NAME, page.encode())
-        write_record(optimum, out / OPTIMUM_NAME, origin, products)
-    return finger
-
-
-def _tell_optimum(optimum: "DesignOptimum") -> None:
-    """Tell what was found."""
-    from finray_calib.reports.design_search import front_rows
-
-    say(optimum.sentence)
-    for gain in optimum.gains:
-        confirmed = ""
-        if gain.confirmed_rel is not None and gain.confirmed_95_rel is not None:
-            low, high = gain.confirmed_95_rel
-            confirmed = f", confirmed {gain.confirmed_rel:+.1%} ({low:+.1%} to {high:+.1%})"
-        say(f"  {gain.objective} against the {gain.against}: seen {gain.seen_rel:+.1%}{confirmed}")
-    front = front_rows(optimum)
-    if len(optimum.objectives) > 1:
-        say(f"  on the front: {len(front)} of {len(optimum.designs)} designs")
-    give(
-        sentence=optimum.sentence, objectives=optimum.objectives, parameters=optimum.parameters,
-        chosen=optimum.designs[optimum.chosen - 1], gains=optimum.gains, front=front,
-        regret_rel=optimum.regret_rel, regret_95_rel=optimum.regret_95_rel,
-    )  # fmt: skip

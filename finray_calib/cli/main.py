@@ -1,4 +1,4 @@
-"""The command ``finray``: six verbs, one per stage, and what stands beside them."""
+"""The command ``finray``: six verbs, one per stage, what stands beside them, and the script that completes them."""
 
 import argparse
 import atexit
@@ -11,7 +11,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
 from data_schemas import DiedError, FinrayError, system_words
@@ -22,7 +22,6 @@ from finray_calib.cli import (
     add_certificate,
     add_check,
     add_compare,
-    add_completion,
     add_decide,
     add_demo,
     add_design,
@@ -42,7 +41,7 @@ from finray_calib.cli import (
     add_verify,
     spelled_now,
 )
-from finray_calib.cli._output import AS_JSON, QUIET, WIDTH, begin, fail, finish, say
+from finray_calib.cli._output import AS_JSON, QUIET, WIDTH, begin, fail, finish, give, say
 
 USER_MISTAKE = 2
 DIED = 3
@@ -60,6 +59,79 @@ TO_DO = {
     errno.ECONNRESET: "a process that finray talked to has ended: run the command again",
 }
 """What to do about an error of the operating system that names no file."""
+COMPLETION_HELP = "print the script by which bash or zsh completes what you type"
+COMPLETION_DESCRIPTION = """\
+Print a script by which the shell completes commands, options and the choices of options when you press Tab; where a
+file is wanted it completes files. Load it in the start file of your shell:
+
+  bash   echo 'source <(finray completion bash)' >> ~/.bashrc
+  zsh    echo 'source <(finray completion zsh)' >> ~/.zshrc"""
+FOR_ZSH = "autoload -U +X compinit && compinit\nautoload -U +X bashcompinit && bashcompinit\n"
+COMPLETION = """\
+_finray() {{
+  local current="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}" command="" word words=""
+  for word in "${{COMP_WORDS[@]:1:COMP_CWORD-1}}"; do
+    case "$command $word" in
+      {commands}) command="$command $word" ;;
+    esac
+  done
+  case "$command|$current" in
+{options}
+  esac
+  case "$command $before" in
+{choices}
+  esac
+  COMPREPLY=($(compgen -W "$words" -- "$current"))
+}}
+complete -o default -F _finray finray
+"""
+
+
+def add_completion(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser("completion", help=COMPLETION_HELP, description=COMPLETION_DESCRIPTION)
+    parser.add_argument("shell", choices=["bash", "zsh"], help="your shell")
+    parser.set_defaults(run=run_completion)
+
+
+def run_completion(arguments: argparse.Namespace) -> None:
+    """Print the script."""
+    script = completion_script(build_parser(), arguments.shell)
+    give(shell=arguments.shell, script=script)
+    say(script.rstrip("\n"), fold=False)
+
+
+def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
+    """Return the script for a shell, "bash" or "zsh", of what a parser understands."""
+    rooms = dict(_rooms(parser, ""))
+    options, choices = [], []
+    for command, room in rooms.items():
+        known = room._actions  # noqa: SLF001 - argparse offers no other way to what it knows
+        first = " ".join(str(word) for action in known if not action.option_strings for word in action.choices or ())
+        flags = " ".join(flag for action in known for flag in action.option_strings if flag.startswith("--"))
+        options += [f'    "{command}|-"*) words="{flags}" ;;', f'    "{command}|"*) words="{first}" ;;']
+        for action in known:
+            if action.option_strings and action.choices:
+                chosen = " ".join(map(str, action.choices))
+                choices += [f'    "{command} {flag}") words="{chosen}" ;;' for flag in action.option_strings]
+    names = "|".join(f'"{command}"' for command in rooms if command)
+    script = COMPLETION.format(commands=names, options="\n".join(options), choices="\n".join(choices))
+    return FOR_ZSH + script if shell == "zsh" else script
+
+
+def _rooms(parser: argparse.ArgumentParser, command: str) -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    """Yield each command, a blank before each of its words, with its parser; the first is empty."""
+    yield command, parser
+    for name, inner in _verbs(parser).items():
+        yield from _rooms(inner, f"{command} {name}")
+
+
+def _verbs(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """Return what a parser has below it."""
+    below = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]  # noqa: SLF001
+    return dict(below[0].choices) if below else {}
+
+
 VERBS = {
     "capture": add_capture,
     "radiometry": add_radiometry,

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.stats import qmc
 
 from data_schemas import CompareError
@@ -325,7 +325,7 @@ def next_design(
     rivals = np.argsort(mean - 2.0 * np.sqrt(variance))[:_RIVALS]
     gains = knowledge_gradient(-mean[rivals], covariance[rivals], variance, noise + _JITTER * variance.max())
     order = np.argsort(-gains, kind="stable")
-    return next((candidates[k] for k in order if allowed is None or allowed(candidates[k])), best)
+    return np.asarray(next((candidates[k] for k in order if allowed is None or allowed(candidates[k])), best))
 
 
 def _candidates(best: Floats, rng: np.random.Generator) -> Floats:
@@ -358,10 +358,8 @@ def best_design(
     best = inputs[int(mean_of(inputs).argmin())]
     near = _candidates(best, rng)
     starts = np.concatenate([best[None], near[np.argsort(mean_of(near))[:_STARTS]]])
-    ends = [
-        minimize(lambda x: float(mean_of(x)[0]), start, method="L-BFGS-B", bounds=[(0.0, 1.0)] * best.size).x
-        for start in starts
-    ]
+    bounds = Bounds(np.zeros(best.size), np.ones(best.size))
+    ends = [minimize(lambda x: float(mean_of(x)[0]), start, method="L-BFGS-B", bounds=bounds).x for start in starts]
     tried = np.concatenate([np.clip(ends, 0.0, 1.0), near, inputs])
     order = np.argsort(mean_of(tried), kind="stable")
     return next((tried[k] for k in order if allowed is None or allowed(tried[k])), best)

@@ -7,14 +7,13 @@ import csv
 import importlib
 import importlib.util
 import io
-import json
 import tarfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
 from data_schemas import DatasetSample, DatasetShard, LearningDataset, Provenance, RecordError
-from data_schemas.storage import open_regular
+from data_schemas.storage import open_regular, parse_json
 
 _LARGEST_MEMBER_BYTES: Final = 256 << 20
 _FIELDS: Final = (
@@ -131,7 +130,7 @@ def _grouped(archive: tarfile.TarFile, path: Path) -> Iterator[dict[str, Any]]:
             sample = {}
         content = stream.read()
         sample["__key__"] = key
-        sample[ending] = json.loads(content) if ending == "json" else content
+        sample[ending] = parse_json(content, path) if ending == "json" else content
     if sample:
         yield sample
 
@@ -273,7 +272,7 @@ def _drawn_words(dataset: LearningDataset) -> dict[str, Any]:
     sources = "".join(f"Paint of the {colour} wall: {source}.\n" for colour, source in dataset.paints.items())
     return {
         "bending": ", and part of a depth is the bending of the whole finger" if by_elements else "",
-        "level": dataset.rest_level,
+        "level": dataset.rest_level_rel,
         "shapes": " or ".join(plan.shapes),
         "radius": "{:g} to {:g}".format(*plan.radius_mm),
         "depth": "{:g} to {:g}".format(*plan.depth_mm),

@@ -234,7 +234,7 @@ def indenter_path_png(mechanics: PressMechanics) -> bytes:
     shown = np.unique(np.round(np.linspace(0, count - 1, min(count, _MOST_PATCHES))).astype(int))
     rows = -(-len(shown) // _PATCHES_A_ROW)
     figure = new_figure(13.0, 3.6 + 3.2 * rows)
-    above, below = figure.subfigures(2, 1, height_ratios=(3.6, 3.2 * rows))
+    above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(3.6, 3.2 * rows)))
     _draw_wrench(above, mechanics, motion)
     axes = below.subplots(rows, _PATCHES_A_ROW, squeeze=False, sharex=True, sharey=True)
     for place in axes.flat[len(shown) :]:

@@ -275,6 +275,13 @@ class _Side:
         return limit_of_curve(self.steps, self.losses, allowed, noise) if self.steps else Limit(None, None, None)
 
 
+def _spread(numbers: int, settings: ToleranceSettings) -> Floats:
+    """Return Sobol' points in [-1, 1] for the runs: a whole power of two is balanced, its first points still spread."""
+    whole = 2 ** int(np.ceil(np.log2(settings.runs)))
+    sequence = qmc.Sobol(numbers, rng=np.random.default_rng(settings.seed))
+    return np.asarray(2.0 * sequence.random(whole)[: settings.runs] - 1.0)
+
+
 def study_tolerances(
     evaluate: Evaluate,
     design: FingerDesign,
@@ -317,10 +324,7 @@ def study_tolerances(
     noise = _noise(checked, settings.allowed_rel)
     factor = _box_factor(sides, settings.allowed_rel)
     told.done("limits once more")
-    # a whole power of two is balanced; its first points are still spread
-    whole = 2 ** int(np.ceil(np.log2(settings.runs)))
-    sequence = qmc.Sobol(len(inputs), rng=np.random.default_rng(settings.seed))
-    units = 2.0 * sequence.random(whole)[: settings.runs] - 1.0
+    units = _spread(len(inputs), settings)
     losses = np.empty(settings.runs)
     for run, unit in enumerate(units):
         losses[run] = growth.of(factor * unit)
@@ -371,17 +375,7 @@ class ToleranceFindings:
         notes: Sequence[str] = (),
     ) -> FingerTolerances:
         """Return the record of a study."""
-        indices = sobol_indices(self.emulator)
-        rows = []
-        for k, one in enumerate(inputs):
-            less, more = (self._side(2 * k + side, one, settings.allowed_rel) for side in (0, 1))
-            rows.append(
-                ToleranceRow(
-                    field=one.field, unit=one.unit, nominal=one.nominal, given=one.half_range, origin=one.origin,
-                    less=less, more=more, first=_index(indices.first, k), total=_index(indices.total, k),
-                    is_distinguishable=bool(indices.distinguishable[k]),
-                )
-            )  # fmt: skip
+        rows = self._rows(inputs, settings.allowed_rel)
         together = [None if x is None else self.factor * x for x in (self.together.value, self.together.low,
                                                                      self.together.high)]  # fmt: skip
         return FingerTolerances(
@@ -392,7 +386,7 @@ class ToleranceFindings:
             allowed_rel=settings.allowed_rel,
             nominal_error_deg=self.nominal_deg,
             contact_places_mm=tuple(contact_places_mm),
-            rows=tuple(rows),
+            rows=rows,
             together_factor=together[0],
             together_low95=together[1],
             together_high95=together[2],
@@ -408,6 +402,20 @@ class ToleranceFindings:
             paints=dict(paint_sha256),
             notes=tuple(notes),
         )
+
+    def _rows(self, inputs: Sequence[ToleranceInput], allowed: float) -> tuple[ToleranceRow, ...]:
+        indices = sobol_indices(self.emulator)
+        rows = []
+        for k, one in enumerate(inputs):
+            less, more = (self._side(2 * k + side, one, allowed) for side in (0, 1))
+            rows.append(
+                ToleranceRow(
+                    field=one.field, unit=one.unit, nominal=one.nominal, given=one.half_range, origin=one.origin,
+                    less=less, more=more, first=_index(indices.first, k), total=_index(indices.total, k),
+                    is_distinguishable=bool(indices.distinguishable[k]),
+                )
+            )  # fmt: skip
+        return tuple(rows)
 
     def _side(self, number: int, one: ToleranceInput, allowed: float) -> ToleranceSide:
         side = self.sides[number]

@@ -14,8 +14,7 @@ import pytest
 
 from data_schemas import package_version
 from finray_calib.cli import _output as output
-from finray_calib.cli._completion import completion_script
-from finray_calib.cli.main import build_parser, commands
+from finray_calib.cli.main import build_parser, commands, completion_script
 from tests.command_line.running import documented, finray, succeed
 
 KEYS = {

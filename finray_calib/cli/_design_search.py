@@ -1,0 +1,405 @@
+"""``finray design optimise`` and ``design tolerances``: the best numbers of a finger, and how far they may be off."""
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._run import (
+    add_paint,
+    add_paints_as_given,
+    add_seed,
+    both_paint_files,
+    command_line,
+    file_name,
+    input_digests,
+    naming,
+    new_page_beside,
+    open_engine,
+    paint_files,
+    require_new,
+    require_place,
+)
+from finray_calib.cli._study_run import calibrated_paints, stand_in_paints
+
+if TYPE_CHECKING:
+    from data_schemas import (
+        DesignObjective,
+        DesignOptimum,
+        FingerDesign,
+        FingerTolerances,
+        Provenance,
+    )
+    from sim.experiments import FingerEvaluator, LightMeasure, PaintDraws
+
+OPTIMISE_HELP = "search the numbers of a finger for what it is to be good in, within limits"
+
+OPTIMISE_DESCRIPTION = """\
+Change the numbers of a finger within limits, and find the design that is best in what is asked for:
+
+  normal-error       expected error of the sensed normal, over the pad
+  evenness           of the light on the coat without contact
+  brightness         of the coat without contact
+  softness           the finger gives way under the pad
+  bending-stiffness  against a force at the tip
+  twist-stiffness    against a turn of the tip
+
+A third of the evaluations screens the limits (Sobol' points); an emulator proposes the others one by one. The design of
+the best expected value is recommended, and compared with the start and with the best of the screen by other seeds and
+contact places, which the search has not seen. With several objectives (--and) the page shows the front: what can be had
+for what, and which differences are real. 1 % of one objective then counts as 1 % of another.
+
+Each evaluation is stored as soon as it is finished: the same command continues where it was interrupted. Writes into
+the folder: evaluations/, the recommended finger (TOML), optimum.json and optimum.html. Where panels' powers are varied,
+their sum stays that of the start."""
+
+OPTIMISE_EPILOG = """\
+examples:
+  finray design optimise flat-70x35 --for normal-error
+  finray design optimise my.toml --for normal-error --and softness
+      --within light.angle_deg=0:60 --within skeleton.rib_thickness_mm
+      --within "light.position_mm[y]=-14:-7" --evaluations 80"""
+
+OPTIMUM_NAME, OPTIMUM_PAGE_NAME, EVALUATIONS = "optimum.json", "optimum.html", "evaluations"
+
+TOLERANCES_HELP = "how far light, camera, mirror, pad and paints may vary before the sensed normal gets worse"
+
+TOLERANCES_DESCRIPTION = """\
+Find how far a finger may vary before the expected error of its sensed normals has grown by a tenth (--allowed): each
+number alone, by evaluating it, and all together, by an emulator of the error; and which numbers make most of the
+variance (Sobol' indices). The error is that which 'finray decide' decides on. Limits are evaluated once more with other
+paths, paint draws and noise.
+
+What varies: what a person mounts, casts or mixes (angle and place of the light, pose of the camera, bow of the mirror,
+thickness of the pad, yield of the paints), the emission of the paints by their calibrations, and every number of the
+design with an uncertainty_rel that light depends on. Half-ranges that nobody has given are assumed; the page says so.
+--vary FIELD=HALF_RANGE gives one in the field's own unit, --vary FIELD=0 leaves a number out. A place has its axis
+last.
+
+By default each finger is calibrated as it was built. With --calibration shared all take the calibration of the finger
+as drawn, which says how well a calibration serves other fingers of the same drawing."""
+
+TOLERANCES_EPILOG = """\
+examples:
+  finray design tolerances flat-70x35 --paint red=red.paint.json --paint green=green.paint.json
+  finray design tolerances finger.toml --paint red=r.json --paint green=g.json --vary light.angle_deg=1 \\
+      --vary camera.position_mm.z=0.2 --calibration shared"""
+
+
+def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register ``finray design optimise``."""
+    search = actions.add_parser(
+        "optimise", help=OPTIMISE_HELP, description=OPTIMISE_DESCRIPTION, epilog=OPTIMISE_EPILOG
+    )
+    search.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
+    search.add_argument("--for", dest="first", required=True, metavar="OBJECTIVE", help="what it is to be good in")
+    search.add_argument(
+        "--and", dest="further", action="append", default=[], metavar="OBJECTIVE", help="a further one (repeatable)"
+    )
+    search.add_argument(
+        "--within", action="append", default=[], metavar="FIELD[=LOW:HIGH]",
+        help="a number that may change, and its limits (repeatable; default: light angle and place, pad thickness, and "
+        "ribs and fin where stiffness is asked for)",
+    )  # fmt: skip
+    search.add_argument(
+        "--evaluations", type=_evaluation_count, default=60, metavar="N", help="designs to compute (default: 60)"
+    )
+    search.add_argument(
+        "--confirm", type=_confirmation_count, default=6, metavar="N",
+        help="other seeds and contact places that confirm the gain (default: 6; 0: none)",
+    )  # fmt: skip
+    add_paint(search)
+    add_paints_as_given(search)
+    search.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
+    search.add_argument("--out", type=Path, metavar="DIR", help="folder of the search (default: NAME.optimised)")
+    add_seed(search)
+    search.set_defaults(run=run_optimise)
+
+
+def _evaluation_count(text: str) -> int:
+    """Parse a number of evaluations."""
+    if not text.isdecimal() or not 1 <= int(text) <= _MOST_EVALUATIONS:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to {_MOST_EVALUATIONS}")
+    return int(text)
+
+
+_MOST_EVALUATIONS = 1000
+
+
+def _confirmation_count(text: str) -> int:
+    """Parse a number of confirmations: an interval needs three."""
+    if not text.isdecimal() or not (int(text) == 0 or 3 <= int(text) <= 100):
+        raise argparse.ArgumentTypeError(f"{text!r} must be 0, or a whole number from 3 to 100")
+    return int(text)
+
+
+def run_optimise(arguments: argparse.Namespace) -> None:
+    """Search designs within limits; store the recommended finger, the search and its page."""
+    from data_schemas import SimulateError, provenance
+    from data_schemas.storage import clear_leftovers
+    from finray_calib.decide import design_optimum
+    from sim import given_design
+    from sim.experiments import (
+        DesignEvaluations,
+        DesignSpace,
+        confirmed_losses,
+        design_parameter,
+        is_of_light,
+        search_designs,
+        usual_parameters,
+    )
+
+    objectives = _objectives([arguments.first, *arguments.further])
+    design, files, folder = given_design(arguments.design)
+    parameters = tuple(design_parameter(design, text) for text in arguments.within)
+    parameters = parameters or usual_parameters(design, objectives)
+    if len({one.field for one in parameters}) < len(parameters):
+        raise SimulateError("--within: a field is given twice; give each once")
+    out = require_place(arguments.out or Path(f"{file_name(design.name)}.optimised"))
+    light: LightMeasure | None = None
+    paints: list[Path] = []
+    if any(is_of_light(one) for one in objectives):
+        light, paints = _light_measure(arguments, design, folder)
+    origin = provenance(command_line(), input_digests([*files, *paints]), arguments.seed)
+    out.mkdir(parents=True, exist_ok=True)
+    clear_leftovers(out)
+    evaluations = DesignEvaluations(out / EVALUATIONS, objectives, origin, light)
+    with naming(SimulateError, arguments.design), progress_bar(f"search of {design.name}") as progress:
+        searched = search_designs(
+            DesignSpace(design, parameters), objectives, evaluations.evaluate, arguments.evaluations, arguments.seed,
+            progress,
+        )  # fmt: skip
+        compared = [searched.evaluated[k].design for k in (0, searched.screen_best, -1)]
+        again = confirmed_losses(compared, objectives, evaluations, arguments.confirm, progress)
+    notes = () if light is None else tuple(f"{colour} paint: {where}" for colour, where in light.sources.items())
+    optimum = design_optimum(searched, again, arguments.seed, notes)
+    finger = _store_optimum(out, optimum, origin)
+    _tell_optimum(optimum)
+    wrote(finger, "the recommended finger")
+    wrote(out, f"{OPTIMUM_NAME}, {OPTIMUM_PAGE_NAME} and {EVALUATIONS}/ ({evaluations.computed} computed now)")
+    go_on_with("finray design export", finger)
+    look_at(out / OPTIMUM_PAGE_NAME)
+
+
+def _objectives(names: Sequence[str]) -> "tuple[DesignObjective, ...]":
+    """Return the objectives of these names."""
+    from data_schemas import SimulateError
+    from sim.experiments import OBJECTIVES
+
+    for name in names:
+        if name not in OBJECTIVES:
+            raise SimulateError(f"--for, --and: there is no objective '{name}'; there are {', '.join(OBJECTIVES)}")
+        if names.count(name) > 1:
+            raise SimulateError(f"--for, --and: '{name}' is given twice; give each objective once")
+    return tuple(OBJECTIVES[name] for name in names)
+
+
+def _light_measure(
+    arguments: argparse.Namespace, design: "FingerDesign", folder: Path
+) -> "tuple[LightMeasure, list[Path]]":
+    """Return what light is measured with, and the files of the paints."""
+    import numpy as np
+
+    from data_schemas import PaintCalibration
+    from data_schemas.storage import camera_response, read_record
+    from sim.experiments import EvaluationSettings, LightMeasure, PaintDraws
+    from sim.optics import read_calibration
+
+    files = paint_files(arguments, without="the simulated rig's paints")
+    optics, sources = calibrated_paints(files, arguments.paints_as_given) if files else stand_in_paints()
+    if files:
+        paints = {colour: PaintDraws.of(read_record(file, PaintCalibration)) for colour, file in files.items()}
+    else:
+        paints = {colour: PaintDraws(one, np.atleast_2d(one.emission_per_nm)) for colour, one in optics.items()}
+    camera = design.camera
+    return LightMeasure(
+        response=camera_response(camera.response, folder),
+        renderer=open_engine(arguments.engine, threads=1),
+        paints=paints,
+        sources=sources,
+        settings=EvaluationSettings(seed=arguments.seed),
+        calibration=None if camera.calibration is None else read_calibration(folder / camera.calibration),
+    ), list(files.values())
+
+
+def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") -> Path:
+    """Store finger, page and search together, in place of those of an earlier run; return the finger's file."""
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.reports.design_search import optimum_page
+    from sim import design_toml
+
+    finger = out / f"{file_name(optimum.design.name)}.toml"
+    for file in (
+        out / OPTIMUM_NAME,
+        out / OPTIMUM_PAGE_NAME,
+        finger,
+    ):  # made again from the evaluations, which are kept
+        file.unlink(missing_ok=True)
+    page = optimum_page(optimum, origin.command, origin.input_sha256, origin.package_version)
+    with ProductSet(out / OPTIMUM_NAME) as products:
+        products.add(finger, design_toml(optimum.design).encode())
+        products.add(out / OPTIMUM_PAGE_NAME, page.encode())
+        write_record(optimum, out / OPTIMUM_NAME, origin, products)
+    return finger
+
+
+def _tell_optimum(optimum: "DesignOptimum") -> None:
+    """Tell what was found."""
+    from finray_calib.reports.design_search import front_rows
+
+    say(optimum.sentence)
+    for gain in optimum.gains:
+        confirmed = ""
+        if gain.confirmed_rel is not None and gain.confirmed_95_rel is not None:
+            low, high = gain.confirmed_95_rel
+            confirmed = f", confirmed {gain.confirmed_rel:+.1%} ({low:+.1%} to {high:+.1%})"
+        say(f"  {gain.objective} against the {gain.against}: seen {gain.seen_rel:+.1%}{confirmed}")
+    front = front_rows(optimum)
+    if len(optimum.objectives) > 1:
+        say(f"  on the front: {len(front)} of {len(optimum.designs)} designs")
+    give(
+        sentence=optimum.sentence, objectives=optimum.objectives, parameters=optimum.parameters,
+        chosen=optimum.designs[optimum.chosen - 1], gains=optimum.gains, front=front,
+        regret_rel=optimum.regret_rel, regret_95_rel=optimum.regret_95_rel,
+    )  # fmt: skip
+
+
+def add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    tolerances = actions.add_parser(
+        "tolerances", help=TOLERANCES_HELP, description=TOLERANCES_DESCRIPTION, epilog=TOLERANCES_EPILOG
+    )
+    tolerances.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
+    add_paint(tolerances)
+    add_paints_as_given(tolerances)
+    tolerances.add_argument(
+        "--vary", type=_half_range, action="append", default=[], metavar="FIELD=HALF_RANGE",
+        help="how far a number varies to either side, such as light.angle_deg=2 (repeatable)",
+    )  # fmt: skip
+    tolerances.add_argument(
+        "--contact", type=float, action="append", default=[], metavar="MM", dest="places_mm",
+        help="middle of a contact along the pad, mm (repeatable; default: six from a tenth to nine tenths of the pad)",
+    )  # fmt: skip
+    tolerances.add_argument(
+        "--allowed", type=float, default=0.1, metavar="SHARE", help="growth of the error, default 0.1"
+    )
+    tolerances.add_argument(
+        "--calibration", choices=["own", "shared"], default="own", help="of each finger, or of the finger as drawn"
+    )
+    tolerances.add_argument("--runs", type=int, default=128, metavar="N", help="fingers in which all varies: 128")
+    tolerances.add_argument(
+        "--samples", type=int, default=1024, metavar="N", help="paths per point and repeat: 1024, some 1 s a finger"
+    )
+    tolerances.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
+    tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
+    add_seed(tolerances)
+    tolerances.set_defaults(run=run_tolerances)
+
+
+def _half_range(text: str) -> tuple[str, float]:
+    """Parse FIELD=HALF_RANGE."""
+    field, _, size = text.partition("=")
+    try:
+        return field, float(size)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must be FIELD=HALF_RANGE, such as light.angle_deg=2 (in the field's own unit)"
+        ) from None
+
+
+def run_tolerances(arguments: argparse.Namespace) -> None:
+    """Find a finger's tolerances; store them with their page."""
+    from data_schemas import SimulateError, provenance
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.reports.tolerances import tolerance_page
+    from sim import given_design
+    from sim.experiments import FingerError, ToleranceSettings, study_tolerances, tolerance_inputs
+
+    design, files, folder = given_design(arguments.design)
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"))
+    page = new_page_beside(out)
+    paint_paths = both_paint_files(arguments)
+    paints = _paint_draws(paint_paths, arguments.paints_as_given)
+    settings = ToleranceSettings(arguments.allowed, arguments.runs, arguments.seed)
+    with naming(SimulateError, arguments.design):
+        varied = tolerance_inputs(design, paints, dict(arguments.vary))
+        evaluators = _evaluators(design, folder, arguments)
+        error = FingerError(evaluators, design, paints, arguments.calibration)
+        with progress_bar(f"tolerances of {design.name}") as progress:
+            found = study_tolerances(error, design, paints, varied, settings, progress)
+    inputs = input_digests([*files, *paint_paths.values()])
+    digests = {colour: inputs[str(path)] for colour, path in paint_paths.items()}
+    places = [float(place) for place in evaluators(arguments.seed).contact_places_mm(design)]
+    record = found.record(design, digests, varied, settings, places, arguments.calibration)
+    with ProductSet(out) as products:
+        products.add(page, tolerance_page(record, command_line(), inputs).encode())
+        write_record(record, out, provenance(command_line(), inputs, arguments.seed), products)
+    say(record.sentence)
+    for line in _tolerance_table(record):
+        say(line)
+    wrote(out, "limits, shares and all runs")
+    wrote(page, "for whoever builds the finger")
+    give(
+        sentence=record.sentence, rows=record.rows, nominal_error_deg=record.nominal_error_deg,
+        together_factor=record.together_factor, together_low95=record.together_low95,
+        together_high95=record.together_high95, within_given_share=record.within_given_share, q2=record.q2,
+        calibration=record.calibration,
+    )  # fmt: skip
+    look_at(page)
+
+
+def _paint_draws(files: "Mapping[str, Path]", as_given: bool) -> "dict[str, PaintDraws]":
+    """Return both paints with their draws, which must not look swapped."""
+    from data_schemas import PaintCalibration
+    from data_schemas.storage import read_record
+    from sim.experiments import PaintDraws, require_paints_in_order
+
+    paints = {colour: PaintDraws.of(read_record(file, PaintCalibration)) for colour, file in files.items()}
+    if not as_given:
+        modes_nm = {
+            colour: float(one.optics.wavelength_nm[one.optics.emission_per_nm.argmax()])
+            for colour, one in paints.items()
+        }
+        require_paints_in_order(modes_nm, {colour: str(file) for colour, file in files.items()}, "--paints-as-given")
+    return paints
+
+
+def _evaluators(
+    design: "FingerDesign", folder: Path, arguments: argparse.Namespace
+) -> "Callable[[int], FingerEvaluator]":
+    """Return what opens an evaluator of fingers for a seed."""
+    from data_schemas.storage import camera_response
+    from sim.experiments import EvaluationSettings, FingerEvaluator
+    from sim.optics import read_calibration
+
+    camera = design.camera
+    response, engine = camera_response(camera.response, folder), open_engine(arguments.engine)
+    calibration = None if camera.calibration is None else read_calibration(folder / camera.calibration)
+
+    def opened(seed: int) -> "FingerEvaluator":
+        settings = EvaluationSettings(tuple(arguments.places_mm), arguments.samples, seed=seed)
+        return FingerEvaluator(response, engine, settings, calibration)
+
+    return opened
+
+
+def _tolerance_table(record: "FingerTolerances") -> "Iterator[str]":
+    """Yield the lines of the table: limits alone and shares of the variance."""
+    from finray_calib.reports.tolerances import limit_text
+
+    head = ("number", "drawn", "less by", "more by", "assumed or given", "share of variance", "")
+    rows = [
+        (
+            row.field,
+            f"{row.nominal:.4g}",
+            limit_text(row.less, row.unit),
+            limit_text(row.more, row.unit),
+            f"{row.given:.3g}",
+            f"{row.total.estimate:.2f} [{row.total.low95:.2f}, {row.total.high95:.2f}]",
+            "" if row.is_distinguishable else "not distinguishable from 0",
+        )
+        for row in record.rows
+    ]
+    widths = [max(len(line[k]) for line in (head, *rows)) for k in range(len(head))]
+    for line in (head, *rows):
+        yield "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
