@@ -1,0 +1,527 @@
+"""Shared gathers: pixels share the light that arrives at nodes of the coat, and read the painted walls themselves.
+
+A path tracer finds the light of each pixel anew, by chance, and most paths find none. Neighbouring pixels see nearly
+the same light arrive. Here it is traced once, from nodes spread over the coat, along directions in which the coat
+sends light to the camera; each pixel weights it with the coat's reflection at its own point, towards its own ray, by
+its own normal. What changes within less than the nodes' distance is left out of that and found by the pixel: the
+light straight from the walls, by points drawn on them, and straight from the panels, by connections through the gel's
+face. So are the reflections on the way from the camera.
+
+The walls are Lambertian: what they reflect is part of a map of their whole radiance, traced from the walls as their
+emission is, and every path ends where it meets one. All else is unbiased but for the interpolation between nodes.
+
+Import this module only after a compiled variant has been set (see :func:`sim.optics.open_renderer`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.optics._band_paths import BandPaths, band_paths, first_texel
+from sim.optics._mirror_guide import GUIDE_CHANCE
+from sim.optics._paint_bands import BAND_NAMES
+from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP, WALLS, WallLight, last_band, wall_map
+from sim.optics._panel_light import FROM_SURFACE, state_after
+from sim.optics._path_rules import LARGEST_SURVIVAL, MAX_DEPTH, ROULETTE_DEPTH, LookupTable, cell_at
+from sim.optics._pixel_maps import PixelMaps
+from sim.optics._position_map import PositionMap
+from sim.optics._scene import LoadedScene
+from sim.surface_meshes import FingerShape
+
+Floats = NDArray[np.float64]
+
+NODE_MM: Final = (1.0, 2.0)
+"""Distance of the nodes across and along the pad: across it the light of the walls falls off."""
+
+RAYS: Final = 64
+"""Paths of each node in one batch."""
+
+_RIM_MM = 0.1
+# nodes start their paths from here below the coat's surface
+_BELOW_MM = 0.3
+_PACKET = 4
+# a wall's points, up and along: linear between them, a mesh bent by a press leaves them by micrometres
+_WALL_POINTS = (17, 141)
+# shadow rays stop before a wall by more than its mesh and these points differ
+_BEFORE_WALL_MM = 0.05
+# share of the points on a wall that are drawn evenly up it: weights stay bounded on facets that lean to the wall
+_EVENLY = 0.25
+_SMALLEST_MM = 1e-3
+_MOST_PATHS = 1 << 21
+# the plastic number's reciprocals spread points over a square, and their like over a cube
+_STEPS_2 = (0.7548776662466927, 0.5698402909980532)
+_STEPS_4 = (0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101)
+
+
+@dataclass(frozen=True, slots=True)
+class GatherCounts:
+    """What one path from the camera does where it meets the coat.
+
+    Attributes
+    ----------
+    rays
+        Paths of the nodes around it that it weights.
+    points
+        Points drawn on each wall, and on the panels.
+    """
+
+    rays: int = 64
+    points: int = 4
+
+
+class LitWalls:
+    """The radiance of both walls in all channels, and points drawn on them by the light they send to a place.
+
+    Parameters
+    ----------
+    radiance
+        Shape (batch, wall, TEXELS_ALONG, TEXELS_UP, channel).
+    shape
+        Where the walls are.
+    thickness_mm, length_mm
+        Sizes of the pad: they shape the density of the points only.
+    """
+
+    def __init__(self, radiance: Floats, shape: FingerShape, thickness_mm: float, length_mm: float) -> None:
+        batches, _, _, _, self.channels = radiance.shape
+        self.packets = -(-self.channels // _PACKET)
+        texels = np.zeros((*radiance.shape[:-1], self.packets * _PACKET), dtype=np.float32)
+        texels[..., : self.channels] = radiance
+        self.texels = LookupTable(texels.reshape(-1, _PACKET), mi)
+        self.per_batch = dr.opaque(mi.UInt32, 2 * TEXELS_ALONG * TEXELS_UP if batches > 1 else 0)
+        self.height, self.length = mi.Float(thickness_mm), mi.Float(length_mm)
+        self.points = LookupTable(np.concatenate([_wall_points(wall_map(shape, wall)) for wall in WALLS]), mi)
+        dr.make_opaque(self.height, self.length)
+
+    def at(self, place: Any, is_green: Any, batch: Any, active: Any) -> list[Any]:
+        """Return the radiance of wall points (what has ``uv``), one value per channel."""
+        first, s, t = first_texel(place, is_green)
+        first += batch * self.per_batch
+        radiance: list[Any] = []
+        for packet in range(self.packets):
+            a, b, c, d = (
+                self.texels.row((first + (j * TEXELS_UP + i)) * self.packets + packet, active)
+                for j in (0, 1)
+                for i in (0, 1)
+            )
+            mixed = (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * c + s * d)
+            radiance += [mixed[k] for k in range(_PACKET)]
+        return radiance[: self.channels]
+
+    def place(self, wall: int, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return points of a wall and their derivatives by u (up) and v (along)."""
+        across, along = (count - 1 for count in _WALL_POINTS)
+        x, y = u * across, v * along
+        i, j = cell_at(x, across), cell_at(y, along)
+        s, t = x - mi.Float(i), y - mi.Float(j)
+        first = (wall * (along + 1) + j) * (across + 1) + i
+        a, b, c, d = (
+            mi.Vector3f(row.x, row.y, row.z)
+            for row in (
+                self.points.row(first + step, active) for step in (0, 1, across + 1, across + 2)
+            )
+        )  # fmt: skip
+        point = (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * c + s * d)
+        return point, ((1 - t) * (b - a) + t * (d - c)) * across, ((1 - s) * (c - a) + s * (d - b)) * along
+
+    def aim(self, scene: Any, si: Any, wall: int, sample: tuple[Any, Any, Any], active: Any) -> tuple[Any, Any, Any]:
+        r"""Return (seen, direction, solid angle per point, place) of a point drawn on a wall from points of the coat.
+
+        With the distance d from the wall at the coat, a depth t below it and a place z along, the light of an even wall
+        on an even coat is :math:`t d / (d^2 + t^2 + z^2)^2 dt dz`: t is drawn by :math:`t / (d^2 + t^2)` and z by
+        :math:`D / (D^2 + z^2)`, :math:`D^2 = d^2 + t^2`. Left over is the product of two cosines.
+        """
+        rim = self.place(wall, mi.Float(1), si.uv.y, active)[0]
+        d = dr.maximum(dr.norm(rim - si.p), _SMALLEST_MM)
+        reach = 0.5 * dr.log(1.0 + dr.square(self.height / d))
+        even = sample[2] < _EVENLY
+        t = d * dr.safe_sqrt(dr.exp(2.0 * reach * sample[0]) - 1.0)
+        t = dr.select(even, sample[0] * self.height, dr.minimum(t, self.height))
+        up_density = (1.0 - _EVENLY) * t / (d * d + t * t) / reach * self.height + _EVENLY
+        across = dr.sqrt(d * d + t * t)
+        from_end = si.uv.y * self.length
+        low, high = dr.atan(-from_end / across), dr.atan((self.length - from_end) / across)
+        z = across * dr.tan(low + (high - low) * sample[1])
+        along_density = across / (across * across + z * z) / (high - low) * self.length
+        u, v = 1.0 - t / self.height, dr.clip(si.uv.y + z / self.length, 0.0, 1.0)
+        point, du, dv = self.place(wall, u, v, active)
+        way = point - si.p
+        r2: Any = dr.maximum(dr.squared_norm(way), _SMALLEST_MM**2)
+        r = dr.sqrt(r2)
+        direction = way / r
+        # |n . direction| dA = |(du x dv) . direction| du dv
+        solid_angle = dr.abs(dr.dot(dr.cross(du, dv), direction)) / (r2 * up_density * along_density)
+        ray = si.spawn_ray(direction)
+        ray.maxt = dr.maximum(r - _BEFORE_WALL_MM, 0.0)
+        seen = active & (solid_angle > 0.0)
+        seen &= ~scene.ray_test(ray, seen & (r > 2.0 * _BEFORE_WALL_MM))
+        return seen, direction, solid_angle, _Place(mi.Point2f(u, v))
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Texture coordinates, as those of an interaction."""
+
+    uv: Any
+
+
+def _wall_points(where: PositionMap) -> Floats:
+    """Return points of a wall, (along * up, 4), the last number zero."""
+    u, v = (np.linspace(0.0, 1.0, count) for count in _WALL_POINTS)
+    points = where.positions_mm(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+    return np.column_stack([points, np.zeros(len(points))])
+
+
+class SharedGathers:
+    """What renders pixels from shared gathers; as :class:`sim.optics._band_paths.BandPaths` it has ``chains``.
+
+    Parameters
+    ----------
+    finger
+        The scene.
+    light
+        Batches of the walls' emission, per chain (batch, TEXELS_ALONG, TEXELS_UP).
+    reflected
+        What the walls reflect, (batch, wall, TEXELS_ALONG, TEXELS_UP, chain); see :func:`reflected_light`.
+    maps
+        What the pixels see: nodes aim their paths by it.
+    guide
+        From :func:`sim.optics._band_paths.mirror_guide`.
+    seed
+        Random seed of the nodes' paths, 32 bit.
+    counts
+        Work per path from the camera.
+    """
+
+    def __init__(
+        self,
+        finger: LoadedScene,
+        light: WallLight,
+        reflected: Floats,
+        maps: PixelMaps,
+        guide: Any,
+        seed: int,
+        counts: GatherCounts | None = None,
+    ) -> None:
+        self.finger, self.counts = finger, counts or GatherCounts()
+        self.paths: BandPaths = band_paths(finger.scene, finger.design, finger.shape, light, guide=guide)
+        self.chains = self.paths.chains
+        self.band_of = [BAND_NAMES.index(last_band(chain)) for chain in self.chains]
+        radiance = reflected.copy()
+        for channel, chain in enumerate(self.chains):
+            if chain in light:
+                radiance[:, WALLS.index(last_band(chain)), ..., channel] += light[chain]
+        pad = finger.design.pad
+        self.walls = LitWalls(radiance, finger.shape, pad.thickness_mm, pad.length_mm)
+        self.mirror = mi.ShapePtr(next(s for s in finger.scene.shapes() if s.id() == "mirror"))
+        dr.make_opaque(self.mirror)
+        self.nodes = _Nodes.of(finger, maps)
+        self.batch = dr.opaque(mi.UInt32, 0)
+        self.batches = len(radiance)
+        self._gather(seed)
+
+    def divide_lanes(self, batch: Any) -> None:
+        """Tell which batch of the walls' light and of the nodes' paths each lane of the next rays sees."""
+        self.batch = batch
+        self.paths.divide_lanes(batch)
+
+    def _gather(self, seed: int) -> None:
+        """Trace the paths of all nodes, batch after batch, and keep their directions and light."""
+        rng = np.random.default_rng(seed)
+        count = self.nodes.count * RAYS
+        packets = self.walls.packets
+        directions = np.empty((self.batches, count, 4), dtype=np.float32)
+        light = np.empty((self.batches, count, packets, _PACKET), dtype=np.float32)
+        together = max(1, _MOST_PATHS // count)
+        for start in range(0, self.batches, together):
+            batches = min(together, self.batches - start)
+            sampler = mi.load_dict({"type": "independent"})
+            sampler.seed(int(rng.integers(2**32)), count * batches)
+            lane = dr.arange(mi.UInt32, count * batches)
+            group = lane // dr.opaque(mi.UInt32, RAYS)
+            number = lane - group * dr.opaque(mi.UInt32, RAYS)
+            shifts = LookupTable(rng.random((self.nodes.count * batches, 4)), mi).row(group)
+            first = dr.opaque(mi.UInt32, start)
+            batch = group // dr.opaque(mi.UInt32, self.nodes.count)
+            node = group - batch * dr.opaque(mi.UInt32, self.nodes.count)
+            si = self.nodes.seen(self.finger.scene, node)
+            numbers = [dr.fma(mi.Float(number), step, shifts[k]) for k, step in enumerate(_STEPS_4)]
+            numbers = [x - dr.floor(x) for x in numbers]
+            direction, density = self._drawn(si, numbers, sampler)
+            found = _follow(self, self.finger.scene, sampler, si.spawn_ray(direction), batch + first)  # type: ignore[no-untyped-call]
+            per_density = dr.select(density > 0.0, dr.rcp(density), 0.0)
+            dr.eval(direction, per_density, found)
+            here = slice(start, start + batches)
+            drawn = np.concatenate([direction.numpy(), per_density.numpy()[None]]).T
+            directions[here] = drawn.reshape(batches, count, 4)
+            channels = np.zeros((count * batches, packets * _PACKET), dtype=np.float32)
+            channels[:, : len(found)] = np.stack([np.array(value) for value in found], axis=-1)
+            light[here] = channels.reshape(batches, count, packets, _PACKET)
+        self.directions = LookupTable(directions.reshape(-1, 4), mi)
+        self.light = LookupTable(light.reshape(-1, _PACKET), mi)
+
+    def _drawn(self, si: Any, numbers: Sequence[Any], sampler: Any) -> tuple[Any, Any]:
+        """Return directions from nodes, drawn as the coat reflects and along the guide, and their density."""
+        bsdf, context, guide = si.bsdf(), mi.BSDFContext(), self.paths.guide
+        sample, _ = bsdf.sample(context, si, numbers[2], mi.Point2f(numbers[0], numbers[1]))
+        onward = si.to_world(sample.wo)
+        if guide is None:
+            return onward, bsdf.pdf(context, si, si.to_local(onward))
+        lobes = guide.lobes(si, mi.Bool(True))
+        known = guide.known(lobes)
+        drawn = guide.direction(lobes, sampler.next_1d(), sampler.next_2d())
+        onward = dr.select(known & (numbers[3] < GUIDE_CHANCE), drawn, onward)
+        usual = bsdf.pdf(context, si, si.to_local(onward))
+        mixed = GUIDE_CHANCE * guide.density(lobes, onward) + (1.0 - GUIDE_CHANCE) * usual
+        return onward, dr.select(known, mixed, usual)
+
+    def straight(self, scene: Any, si: Any, bsdf: Any, numbers: Sequence[Any], active: Any) -> list[Any]:
+        """Return what points of the coat send on of the light straight from the walls, per channel."""
+        sums = [mi.Float(0) for _ in self.chains]
+        for wall in range(len(WALLS)):
+            sample = tuple(numbers[3 * wall : 3 * wall + 3])
+            seen, direction, solid_angle, place = self.walls.aim(scene, si, wall, sample, active)
+            value = bsdf.eval(mi.BSDFContext(), si, si.to_local(direction), seen) * solid_angle
+            glow = self.walls.at(place, mi.Bool(wall == 1), self.batch_of_lane, seen)
+            for k, band in enumerate(self.band_of):
+                sums[k] += dr.select(seen, value[band] * glow[k], 0)
+        return sums
+
+    def film(self, si: Any, transmitted: bool) -> Any:
+        """Return what a film on the inner face changes for rays that meet it."""
+        return mi.Float(1) if self.paths.face.film is None else self.paths.film_factor(si, mi.Bool(transmitted))
+
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> tuple[Any, Any, Any]:
+        """Return radiance along rays, as :meth:`sim.optics._band_paths.BandPaths.sample` does."""
+        return _seen_radiance(self, scene, sampler, ray)
+
+
+@dataclass(frozen=True, slots=True)
+class _Nodes:
+    """A grid of points on the coat, across before along; how the camera looks at each, and numbers for the renderer."""
+
+    across: int
+    along: int
+    share: tuple[float, float]
+    table: LookupTable
+
+    @classmethod
+    def of(cls, finger: LoadedScene, maps: PixelMaps) -> "_Nodes":
+        """Spread nodes over the coat of a finger."""
+        from scipy.spatial import cKDTree
+
+        pad, coat = finger.design.pad, PositionMap.of(finger.shape.surfaces["coat"], "coat")
+        sizes = (pad.width_mm, pad.length_mm)
+        counts = [max(3, round(size / step) + 1) for size, step in zip(sizes, NODE_MM, strict=True)]
+        rims = [_RIM_MM / size for size in sizes]
+        u, v = (np.linspace(rim, 1.0 - rim, count) for rim, count in zip(rims, counts, strict=True))
+        uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        normals = coat.normals(uv)
+        on_coat = maps.sees("coat")
+        _, nearest = cKDTree(maps.uv[on_coat] * sizes).query(uv * sizes)
+        rows = np.zeros((len(uv), 3, 4))
+        rows[:, 0, :3] = coat.positions_mm(uv) - _BELOW_MM * normals
+        rows[:, 1, :3], rows[:, 2, :3] = normals, maps.last_leg[on_coat][nearest]
+        return cls(counts[0], counts[1], (rims[0], rims[1]), LookupTable(rows.reshape(-1, 4), mi))
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return self.across * self.along
+
+    def seen(self, scene: Any, number: Any) -> Any:
+        """Return the interactions of nodes, seen as the camera sees them."""
+        start, normal, look = (self.table.row(number * 3 + k) for k in range(3))
+        ray = mi.Ray3f(mi.Point3f(start.x, start.y, start.z), mi.Vector3f(normal.x, normal.y, normal.z))
+        si = scene.ray_intersect(ray)
+        si.wi = si.to_local(-mi.Vector3f(look.x, look.y, look.z))
+        return si
+
+    def near(self, uv: Any, chance_u: Any, chance_v: Any) -> Any:
+        """Return the number of one of the four nodes around places, drawn by its bilinear weight."""
+        picked = []
+        for place, count, rim, chance in zip(
+            (uv.x, uv.y), (self.across, self.along), self.share, (chance_u, chance_v), strict=True
+        ):
+            x = dr.clip((place - rim) / (1.0 - 2.0 * rim), 0.0, 1.0) * (count - 1)
+            i = cell_at(x, count - 1)
+            picked.append(i + dr.select(chance < x - mi.Float(i), mi.UInt32(1), mi.UInt32(0)))
+        return picked[1] * self.across + picked[0]
+
+
+@dr.syntax
+def _follow(gathers, scene, sampler, ray, batch):  # type: ignore[no-untyped-def]
+    """Return what arrives along rays from the coat, per channel, but for what comes straight from walls and panels."""
+    paths, walls = gathers.paths, gathers.walls
+    ray = mi.Ray3f(ray)
+    throughput: Any = mi.Color3f(1)
+    sums = [mi.Float(0) for _ in gathers.chains]
+    depth, eta, active = mi.UInt32(0), mi.Float(1), mi.Bool(True)
+    state, straight = mi.UInt32(FROM_SURFACE), mi.Bool(True)
+    gathers.batch_of_lane = batch
+    while dr.hint(active, max_iterations=MAX_DEPTH):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        front = mi.Frame3f.cos_theta(si.wi) > 0
+        sums[2] += dr.select(active & front, throughput.z * paths.panel_met(si, state), 0)
+        is_green = si.shape == paths.green
+        on_wall = active & front & (is_green | (si.shape == paths.red))
+        glow = walls.at(si, is_green, batch, on_wall & ~straight)
+        for k in range(len(sums)):
+            sums[k] += dr.select(on_wall & ~straight, throughput[gathers.band_of[k]] * glow[k], 0)
+        active &= ~on_wall & ((depth + 1) < MAX_DEPTH)
+        on_coat = active & ~front & (si.shape == paths.coat)
+        seen, direction, weight = paths.connect(scene, si, sampler.next_2d(on_coat), on_coat)
+        bsdf = si.bsdf(ray)
+        value, chosen, onward, usual_weight, chosen_weight = paths.scatter(
+            si, bsdf, sampler, direction, on_coat, active
+        )
+        sums[2] += dr.select(seen, throughput.z * value.z * weight, 0)
+        numbers = [sampler.next_1d(on_coat) for _ in range(6)]
+        lit = gathers.straight(scene, si, bsdf, numbers, on_coat)
+        for k in range(len(sums)):
+            sums[k] += dr.select(on_coat, throughput[gathers.band_of[k]] * lit[k], 0)
+        smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+        transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        carried_usually = dr.max(throughput * usual_weight)
+        throughput *= chosen_weight
+        on_inner = si.shape == paths.inner
+        if dr.hint(paths.face.film is not None, mode="scalar"):
+            throughput *= dr.select(on_inner & smooth, paths.film_factor(si, transmitted), 1)
+        eta *= dr.select(smooth, chosen.eta, 1.0)
+        state = state_after(state, smooth, transmitted & on_inner & ~front)
+        straight = on_coat
+        ray = si.spawn_ray(onward)
+        depth += 1
+        active &= dr.max(throughput) > 0
+        survival = dr.minimum(carried_usually * eta * eta, LARGEST_SURVIVAL)
+        survival = dr.select((depth >= ROULETTE_DEPTH) & ~smooth, survival, 1.0)
+        active &= sampler.next_1d(active) < survival
+        throughput /= survival
+    return sums
+
+
+def _straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+    """Return what one point on each wall and one on the panels bring to the camera, per channel."""
+    bsdf = si.bsdf()
+    x = [_spread(shift[k], number, _STEPS_4[k % 4]) for k in range(8)]
+    seen, direction, weight = gathers.paths.connect(scene, si, mi.Point2f(x[6], x[7]), active)
+    value = bsdf.eval(mi.BSDFContext(), si, si.to_local(direction), seen)
+    lit = gathers.straight(scene, si, bsdf, x[:6], active)
+    lit[2] += dr.select(seen, value.z * weight, 0)
+    return lit
+
+
+def _shared_light(gathers: SharedGathers, si: Any, row: Any, active: Any) -> Any:
+    """Return what the light along one path of a node brings to the camera, per channel."""
+    drawn = gathers.directions.row(row, active)
+    direction = si.to_local(mi.Vector3f(drawn.x, drawn.y, drawn.z))
+    value = si.bsdf().eval(mi.BSDFContext(), si, direction, active) * drawn.w
+    packets = gathers.walls.packets
+    light = [gathers.light.row(row * packets + packet, active) for packet in range(packets)]
+    return [value[band] * light[k // _PACKET][k % _PACKET] for k, band in enumerate(gathers.band_of)]
+
+
+@dr.syntax
+def _coat_radiance(gathers, scene, si, shift, start, active):  # type: ignore[no-untyped-def]
+    """Return the radiance of points of the coat, per channel."""
+    sums = [mi.Float(0) for _ in gathers.chains]
+    points, rays = (dr.opaque(mi.UInt32, n) for n in (gathers.counts.points, gathers.counts.rays))
+    number = mi.UInt32(0)
+    while active & (number < points):
+        found = _straight_light(gathers, scene, si, shift, number, active)
+        for k in range(len(sums)):
+            sums[k] += found[k] / gathers.counts.points
+        number += 1
+    number = mi.UInt32(0)
+    first = gathers.batch_of_lane * gathers.nodes.count
+    while active & (number < rays):
+        node = gathers.nodes.near(si.uv, _spread(shift[0], number, _STEPS_2[0]), _spread(shift[1], number, _STEPS_2[1]))
+        found = _shared_light(gathers, si, (first + node) * RAYS + ((start + number) & (RAYS - 1)), active)
+        for k in range(len(sums)):
+            sums[k] += found[k] / gathers.counts.rays
+        number += 1
+    return sums
+
+
+def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -> tuple[Any, Any, Any]:
+    """Return radiance along rays from the camera: of the first three chains, whether anything was met, of the others."""
+    gathers.batch_of_lane = gathers.batch
+    sight = _Sight.along(gathers, scene, ray)
+    glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
+    shift = [sampler.next_1d() for _ in range(8)]
+    start = mi.UInt32(sampler.next_1d() * RAYS)
+    lit = _coat_radiance(gathers, scene, sight.si, shift, start, sight.on_coat)  # type: ignore[no-untyped-call]
+    rest, valid, further = gathers.paths.sample(scene, sampler, sight.rest)  # type: ignore[no-untyped-call]
+    sums = [
+        dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0)) * sight.through + sight.rest_weight * other
+        for k, other in enumerate([rest.x, rest.y, rest.z, *further])
+    ]
+    return mi.Color3f(sums[0], sums[1], sums[2]), valid, sums[3:]
+
+
+def _spread(shift: Any, number: Any, step: float) -> Any:
+    """Return evenly spread numbers in 0..1."""
+    x = dr.fma(mi.Float(number), step, shift)
+    return x - dr.floor(x)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sight:
+    """How rays from the camera go by the mirror through the inner face, and what is left for the path tracer.
+
+    Attributes
+    ----------
+    found, on_coat, on_wall, on_green
+        Whether the ray goes this way and meets coat or wall; which, and whether it is the green wall.
+    si
+        What is met.
+    through
+        Radiance at the camera per radiance there.
+    rest, rest_weight
+        The rays that the path tracer follows and their weight: what the face reflects, or where the way is another
+        one, the ray itself.
+    """
+
+    found: Any
+    on_coat: Any
+    on_wall: Any
+    on_green: Any
+    si: Any
+    through: Any
+    rest: Any
+    rest_weight: Any
+
+    @classmethod
+    def along(cls, gathers: SharedGathers, scene: Any, ray: Any) -> "_Sight":
+        """Follow rays."""
+        paths, context = gathers.paths, mi.BSDFContext()
+        ray = mi.Ray3f(ray)
+        at_mirror = scene.ray_intersect(ray)
+        way = at_mirror.is_valid() & (at_mirror.shape == gathers.mirror)
+        drawn, mirrored = at_mirror.bsdf().sample(context, at_mirror, mi.Float(0.5), mi.Point2f(0.5), way)
+        at_face = scene.ray_intersect(at_mirror.spawn_ray(at_mirror.to_world(drawn.wo)), way)
+        way &= at_face.is_valid() & (at_face.shape == paths.inner) & (mi.Frame3f.cos_theta(at_face.wi) > 0)
+        # the renderer's glass transmits for numbers near 1 and reflects for numbers near 0
+        split = [
+            at_face.bsdf().sample(context, at_face, mi.Float(number), mi.Point2f(0.5), way) for number in (1.0, 0.0)
+        ]
+        weights = [
+            dr.select(way, mirrored.x * weight.x * drawn.pdf * gathers.film(at_face, transmitted), 0)
+            for (drawn, weight), transmitted in zip(split, (True, False), strict=True)
+        ]
+        onward, back = (at_face.spawn_ray(at_face.to_world(drawn.wo)) for drawn, _ in split)
+        si = scene.ray_intersect(onward, way)
+        front = mi.Frame3f.cos_theta(si.wi) > 0
+        way &= si.is_valid()
+        on_green = way & front & (si.shape == paths.green)
+        on_wall = on_green | (way & front & (si.shape == paths.red))
+        on_coat = way & ~front & (si.shape == paths.coat)
+        found = on_coat | on_wall
+        rest = mi.Ray3f(dr.select(found, back.o, ray.o), dr.select(found, back.d, ray.d))
+        return cls(found, on_coat, on_wall, on_green, si, weights[0], rest, dr.select(found, weights[1], 1.0))
