@@ -21,6 +21,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from sim.optics._band_paths import BandPaths, band_paths, first_texel
 from sim.optics._mirror_guide import GUIDE_CHANCE
@@ -44,6 +45,12 @@ RAYS: Final = 64
 _RIM_MM = 0.1
 # nodes start their paths from here below the coat's surface
 _BELOW_MM = 0.3
+# weights of nodes are known at places this far apart, linear between them
+_PLACE_MM = (0.5, 1.0)
+# a place is served by the nodes around it, across and along the pad: the face blurs what it sends back over 12 mm
+_REACH_MM = np.array([7.0, 12.0])
+_HEIGHT_PRIOR = 1e-6
+_SLOTS = 512
 _PACKET = 4
 # a wall's points, up and along: linear between them, a mesh bent by a press leaves them by micrometres
 _WALL_POINTS = (17, 141)
@@ -52,9 +59,10 @@ _BEFORE_WALL_MM = 0.05
 # share of the points on a wall that are drawn evenly up it: weights stay bounded on facets that lean to the wall
 _EVENLY = 0.25
 _SMALLEST_MM = 1e-3
+# the coat is seen through the inner face, and once more in what that reflects to the mirror
+_SIGHTS = 2
 _MOST_PATHS = 1 << 21
-# the plastic number's reciprocals spread points over a square, and their like over a cube
-_STEPS_2 = (0.7548776662466927, 0.5698402909980532)
+# powers of the root of g^5 = g + 1 spread points evenly over four dimensions
 _STEPS_4 = (0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101)
 
 
@@ -220,7 +228,7 @@ class SharedGathers:
         self.walls = LitWalls(radiance, finger.shape, pad.thickness_mm, pad.length_mm)
         self.mirror = mi.ShapePtr(next(s for s in finger.scene.shapes() if s.id() == "mirror"))
         dr.make_opaque(self.mirror)
-        self.nodes = _Nodes.of(finger, maps)
+        self.nodes = _Nodes(finger, maps)
         self.batch = dr.opaque(mi.UInt32, 0)
         self.batches = len(radiance)
         self._gather(seed)
@@ -252,7 +260,7 @@ class SharedGathers:
             si = self.nodes.seen(self.finger.scene, node)
             numbers = [dr.fma(mi.Float(number), step, shifts[k]) for k, step in enumerate(_STEPS_4)]
             numbers = [x - dr.floor(x) for x in numbers]
-            direction, density = self._drawn(si, numbers, sampler)
+            direction, density = self._drawn(si, numbers)
             found = _follow(self, self.finger.scene, sampler, si.spawn_ray(direction), batch + first)  # type: ignore[no-untyped-call]
             per_density = dr.select(density > 0.0, dr.rcp(density), 0.0)
             dr.eval(direction, per_density, found)
@@ -265,20 +273,19 @@ class SharedGathers:
         self.directions = LookupTable(directions.reshape(-1, 4), mi)
         self.light = LookupTable(light.reshape(-1, _PACKET), mi)
 
-    def _drawn(self, si: Any, numbers: Sequence[Any], sampler: Any) -> tuple[Any, Any]:
+    def _drawn(self, si: Any, numbers: Sequence[Any]) -> tuple[Any, Any]:
         """Return directions from nodes, drawn as the coat reflects and along the guide, and their density."""
         bsdf, context, guide = si.bsdf(), mi.BSDFContext(), self.paths.guide
-        sample, _ = bsdf.sample(context, si, numbers[2], mi.Point2f(numbers[0], numbers[1]))
-        onward = si.to_world(sample.wo)
+        spot = mi.Point2f(numbers[0], numbers[1])
+        sample, _ = bsdf.sample(context, si, numbers[2], spot)
+        way = si.to_world(sample.wo)
         if guide is None:
-            return onward, bsdf.pdf(context, si, si.to_local(onward))
+            return way, bsdf.pdf(context, si, si.to_local(way))
         lobes = guide.lobes(si, mi.Bool(True))
-        known = guide.known(lobes)
-        drawn = guide.direction(lobes, sampler.next_1d(), sampler.next_2d())
-        onward = dr.select(known & (numbers[3] < GUIDE_CHANCE), drawn, onward)
-        usual = bsdf.pdf(context, si, si.to_local(onward))
-        mixed = GUIDE_CHANCE * guide.density(lobes, onward) + (1.0 - GUIDE_CHANCE) * usual
-        return onward, dr.select(known, mixed, usual)
+        chance = dr.select(guide.known(lobes), GUIDE_CHANCE, 0.0)
+        way = dr.select(numbers[3] < chance, guide.direction(lobes, numbers[2], spot), way)
+        usual = bsdf.pdf(context, si, si.to_local(way))
+        return way, usual + chance * (guide.density(lobes, way) - usual)
 
     def straight(self, scene: Any, si: Any, bsdf: Any, numbers: Sequence[Any], active: Any) -> list[Any]:
         """Return what points of the coat send on of the light straight from the walls, per channel."""
@@ -301,38 +308,34 @@ class SharedGathers:
         return _seen_radiance(self, scene, sampler, ray)
 
 
-@dataclass(frozen=True, slots=True)
 class _Nodes:
-    """A grid of points on the coat, across before along; how the camera looks at each, and numbers for the renderer."""
+    """Points on the coat, how the camera looks at each, and which of them stand for a place, with what weight."""
 
-    across: int
-    along: int
-    share: tuple[float, float]
-    table: LookupTable
-
-    @classmethod
-    def of(cls, finger: LoadedScene, maps: PixelMaps) -> "_Nodes":
-        """Spread nodes over the coat of a finger."""
-        from scipy.spatial import cKDTree
-
+    def __init__(self, finger: LoadedScene, maps: PixelMaps) -> None:
         pad, coat = finger.design.pad, PositionMap.of(finger.shape.surfaces["coat"], "coat")
-        sizes = (pad.width_mm, pad.length_mm)
-        counts = [max(3, round(size / step) + 1) for size, step in zip(sizes, NODE_MM, strict=True)]
-        rims = [_RIM_MM / size for size in sizes]
-        u, v = (np.linspace(rim, 1.0 - rim, count) for rim, count in zip(rims, counts, strict=True))
-        uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-        normals = coat.normals(uv)
-        on_coat = maps.sees("coat")
-        _, nearest = cKDTree(maps.uv[on_coat] * sizes).query(uv * sizes)
+        self.sizes = np.array([pad.width_mm, pad.length_mm])
+        uv = self._grid(NODE_MM)
+        normals, points = coat.normals(uv), coat.positions_mm(uv)
+        self.count, on_coat = len(uv), maps.sees("coat")
+        _, nearest = cKDTree(maps.uv[on_coat] * self.sizes).query(uv * self.sizes)
         rows = np.zeros((len(uv), 3, 4))
-        rows[:, 0, :3] = coat.positions_mm(uv) - _BELOW_MM * normals
+        rows[:, 0, :3] = points - _BELOW_MM * normals
         rows[:, 1, :3], rows[:, 2, :3] = normals, maps.last_leg[on_coat][nearest]
-        return cls(counts[0], counts[1], (rims[0], rims[1]), LookupTable(rows.reshape(-1, 4), mi))
+        self.table = LookupTable(rows.reshape(-1, 4), mi)
+        self.coat = next(shape for shape in finger.scene.shapes() if shape.id() == "coat")
+        places = self._grid(_PLACE_MM)
+        self.across, self.along = (len(np.unique(places[:, k])) for k in (0, 1))
+        depth = coat.positions_mm(places)[:, 1], points[:, 1]
+        weights = regression_weights(places * self.sizes, uv * self.sizes, *depth)
+        self.stands = LookupTable(_slots(weights).reshape(-1, 2), mi)
 
-    @property
-    def count(self) -> int:
-        """Number of nodes."""
-        return self.across * self.along
+    def _grid(self, step_mm: tuple[float, float]) -> Floats:
+        """Return a grid over the coat (n, 2), across running first."""
+        ends = [
+            np.linspace(_RIM_MM / size, 1.0 - _RIM_MM / size, 2 * round(size / (2.0 * step)))
+            for size, step in zip(self.sizes, step_mm, strict=True)
+        ]
+        return np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 2)
 
     def seen(self, scene: Any, number: Any) -> Any:
         """Return the interactions of nodes, seen as the camera sees them."""
@@ -342,16 +345,65 @@ class _Nodes:
         si.wi = si.to_local(-mi.Vector3f(look.x, look.y, look.z))
         return si
 
-    def near(self, uv: Any, chance_u: Any, chance_v: Any) -> Any:
-        """Return the number of one of the four nodes around places, drawn by its bilinear weight."""
+    def near(self, uv: Any, chances: Sequence[Any], active: Any) -> tuple[Any, Any]:
+        """Return the number of a node that stands for places, drawn by its weight, and what it counts."""
         picked = []
-        for place, count, rim, chance in zip(
-            (uv.x, uv.y), (self.across, self.along), self.share, (chance_u, chance_v), strict=True
+        for place, count, size, chance in zip(
+            (uv.x, uv.y), (self.across, self.along), self.sizes.tolist(), chances, strict=False
         ):
+            rim = _RIM_MM / size
             x = dr.clip((place - rim) / (1.0 - 2.0 * rim), 0.0, 1.0) * (count - 1)
             i = cell_at(x, count - 1)
             picked.append(i + dr.select(chance < x - mi.Float(i), mi.UInt32(1), mi.UInt32(0)))
-        return picked[1] * self.across + picked[0]
+        found = self.stands.row((picked[1] * self.across + picked[0]) * _SLOTS + cell_at(chances[2] * _SLOTS, _SLOTS), active)
+        return cell_at(found.x, self.count), found.y
+
+
+def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, node_depth_mm: Floats) -> Floats:
+    r"""Return the weights (place, node) by which values at nodes stand for those at places: local regression.
+
+    .. math:: \min_c \sum_n k_n (y_n - c \cdot b(p_n - p))^2, \quad b = (1, x, z, x^2, x z, z^2, h), \quad w_n = c_0
+
+    with the kernel :math:`k = 1 - r^2` in the ellipse of :data:`_REACH_MM` around the place and the height h of the
+    coat. Exact for what is quadratic in place and linear in height; to fourth order for what is smooth.
+
+    Parameters
+    ----------
+    places_mm, nodes_mm
+        (x, z) on the undeformed pad, (n, 2).
+    depth_mm, node_depth_mm
+        Height of the coat there, (n,).
+    """
+    weights = np.zeros((len(places_mm), len(nodes_mm)), dtype=np.float32)
+    for start in range(0, len(places_mm), 256):
+        here = slice(start, start + 256)
+        away = (nodes_mm[None] - places_mm[here, None]) / _REACH_MM
+        kernel = np.maximum(1.0 - (away**2).sum(axis=-1), 0.0)
+        height = (node_depth_mm[None] - depth_mm[here, None]) / _REACH_MM[0]
+        x, z = away[..., 0], away[..., 1]
+        basis = np.stack([np.ones_like(x), x, z, x * x, x * z, z * z, height], axis=-1)
+        weighted = basis * kernel[..., None]
+        gram = np.swapaxes(weighted, 1, 2) @ basis
+        # a flat coat does not tell what the height does
+        gram[:, -1, -1] += _HEIGHT_PRIOR * gram[:, 0, 0]
+        first = np.zeros((len(gram), basis.shape[-1], 1))
+        first[:, 0] = 1.0
+        weights[here] = (weighted @ np.linalg.solve(gram, first))[..., 0]
+    return weights
+
+
+def _slots(weights: Floats) -> Floats:
+    """Return nodes and what each counts, (place, slot, 2): the mean over the slots is the sum over the nodes."""
+    found = np.empty((len(weights), _SLOTS, 2), dtype=np.float32)
+    marks = (np.arange(_SLOTS) + 0.5) / _SLOTS
+    for row, weight in zip(found, weights, strict=True):
+        nodes = np.flatnonzero(weight)
+        total = np.cumsum(np.abs(weight[nodes]))
+        chosen = np.searchsorted(total, marks * total[-1])
+        times = np.bincount(chosen, minlength=len(nodes))
+        counts = weight[nodes] * _SLOTS / np.maximum(times, 1)
+        row[:, 0], row[:, 1] = nodes[chosen], (counts / (weight[nodes][times > 0].sum()))[chosen]
+    return found
 
 
 @dr.syntax
@@ -441,10 +493,11 @@ def _coat_radiance(gathers, scene, si, shift, start, active):  # type: ignore[no
     number = mi.UInt32(0)
     first = gathers.batch_of_lane * gathers.nodes.count
     while active & (number < rays):
-        node = gathers.nodes.near(si.uv, _spread(shift[0], number, _STEPS_2[0]), _spread(shift[1], number, _STEPS_2[1]))
+        chances = [_spread(shift[0], number, _STEPS_4[0]), _spread(shift[1], number, _STEPS_4[1]), _spread(shift[2], number, _STEPS_4[2])]
+        node, weight = gathers.nodes.near(si.uv, chances, active)
         found = _shared_light(gathers, si, (first + node) * RAYS + ((start + number) & (RAYS - 1)), active)
         for k in range(len(sums)):
-            sums[k] += found[k] / gathers.counts.rays
+            sums[k] += weight * found[k] / gathers.counts.rays
         number += 1
     return sums
 
@@ -452,16 +505,20 @@ def _coat_radiance(gathers, scene, si, shift, start, active):  # type: ignore[no
 def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -> tuple[Any, Any, Any]:
     """Return radiance along rays from the camera: of the first three chains, whether anything was met, of the others."""
     gathers.batch_of_lane = gathers.batch
-    sight = _Sight.along(gathers, scene, ray)
-    glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
-    shift = [sampler.next_1d() for _ in range(8)]
-    start = mi.UInt32(sampler.next_1d() * RAYS)
-    lit = _coat_radiance(gathers, scene, sight.si, shift, start, sight.on_coat)  # type: ignore[no-untyped-call]
-    rest, valid, further = gathers.paths.sample(scene, sampler, sight.rest)  # type: ignore[no-untyped-call]
-    sums = [
-        dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0)) * sight.through + sight.rest_weight * other
-        for k, other in enumerate([rest.x, rest.y, rest.z, *further])
-    ]
+    rest, weight = ray, mi.Float(1)
+    sums = [mi.Float(0) for _ in gathers.chains]
+    for _ in range(_SIGHTS):
+        sight = _Sight.along(gathers, scene, rest)
+        glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
+        shift = [sampler.next_1d() for _ in range(8)]
+        start = mi.UInt32(sampler.next_1d() * RAYS)
+        lit = _coat_radiance(gathers, scene, sight.si, shift, start, sight.on_coat)  # type: ignore[no-untyped-call]
+        for k in range(len(sums)):
+            met = dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0))
+            sums[k] += weight * sight.through * met
+        rest, weight = sight.rest, weight * sight.rest_weight
+    others, valid, further = gathers.paths.sample(scene, sampler, rest)  # type: ignore[no-untyped-call]
+    sums = [own + weight * other for own, other in zip(sums, [others.x, others.y, others.z, *further], strict=True)]
     return mi.Color3f(sums[0], sums[1], sums[2]), valid, sums[3:]
 
 
