@@ -13,7 +13,7 @@ emission is, and every path ends where it meets one. All else is unbiased but fo
 Import this module only after a compiled variant has been set (see :func:`sim.optics.open_renderer`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -23,13 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from data_schemas import CameraCalibration, SimulateError
 from sim.optics._band_paths import BandPaths, band_paths, first_texel
 from sim.optics._mirror_guide import GUIDE_CHANCE
+from sim.optics._optical_layout import camera_pose
 from sim.optics._paint_bands import BAND_NAMES
 from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP, WALLS, WallLight, last_band, wall_map
 from sim.optics._panel_light import FROM_SURFACE, state_after
 from sim.optics._path_rules import LARGEST_SURVIVAL, MAX_DEPTH, ROULETTE_DEPTH, LookupTable, cell_at
-from sim.optics._pixel_maps import PixelMaps
+from sim.optics._pixel_maps import camera_rays
 from sim.optics._position_map import PositionMap
 from sim.optics._scene import LoadedScene
 from sim.surface_meshes import FingerShape
@@ -196,14 +198,19 @@ class SharedGathers:
         Batches of the walls' emission, per chain (batch, TEXELS_ALONG, TEXELS_UP).
     reflected
         What the walls reflect, (batch, wall, TEXELS_ALONG, TEXELS_UP, chain); see :func:`reflected_light`.
-    maps
-        What the pixels see: nodes aim their paths by it.
+    calibration
+        Of the camera; without it the ideal pinhole of the design. Nodes aim their paths by what it sees.
     guide
         From :func:`sim.optics._band_paths.mirror_guide`.
     seed
         Random seed of the nodes' paths, 32 bit.
     counts
         Work per path from the camera.
+
+    Raises
+    ------
+    SimulateError
+        When the camera does not see the coat by the mirror and through the inner face.
     """
 
     def __init__(
@@ -211,9 +218,9 @@ class SharedGathers:
         finger: LoadedScene,
         light: WallLight,
         reflected: Floats,
-        maps: PixelMaps,
         guide: Any,
         seed: int,
+        calibration: CameraCalibration | None = None,
         counts: GatherCounts | None = None,
     ) -> None:
         self.finger, self.counts = finger, counts or GatherCounts()
@@ -228,7 +235,7 @@ class SharedGathers:
         self.walls = LitWalls(radiance, finger.shape, pad.thickness_mm, pad.length_mm)
         self.mirror = mi.ShapePtr(next(s for s in finger.scene.shapes() if s.id() == "mirror"))
         dr.make_opaque(self.mirror)
-        self.nodes = _Nodes(finger, maps)
+        self.nodes = _Nodes(finger, *self._seen(calibration))
         self.batch = dr.opaque(mi.UInt32, 0)
         self.batches = len(radiance)
         self._gather(seed)
@@ -237,6 +244,23 @@ class SharedGathers:
         """Tell which batch of the walls' light and of the nodes' paths each lane of the next rays sees."""
         self.batch = batch
         self.paths.divide_lanes(batch)
+
+    def _seen(self, calibration: CameraCalibration | None) -> tuple[Floats, Floats]:
+        """Return texture coordinates (n, 2) and last legs (n, 3) of the camera's rays that meet the coat."""
+        design, scene = self.finger.design, self.finger.scene
+        directions = np.ascontiguousarray(camera_rays(design, calibration).reshape(-1, 3).T, dtype=np.float32)
+        sight = _Sight.along(
+            self, scene, mi.Ray3f(mi.Point3f(camera_pose(design).centre_mm.tolist()), mi.Vector3f(directions))
+        )
+        uv, leg = sight.si.uv, -sight.si.to_world(sight.si.wi)
+        dr.eval(sight.on_coat, uv, leg)
+        here = sight.on_coat.numpy()
+        if not here.any():
+            raise SimulateError(
+                "light is shared between pixels that see the coat by the mirror and the gel's inner face, and the "
+                "camera sees it in another way (check mirror and camera in the design), or render without sharing"
+            )
+        return uv.numpy().T[here].astype(np.float64), leg.numpy().T[here].astype(np.float64)
 
     def _gather(self, seed: int) -> None:
         """Trace the paths of all nodes, batch after batch, and keep their directions and light."""
@@ -261,7 +285,8 @@ class SharedGathers:
             numbers = [dr.fma(mi.Float(number), step, shifts[k]) for k, step in enumerate(_STEPS_4)]
             numbers = [x - dr.floor(x) for x in numbers]
             direction, density = self._drawn(si, numbers)
-            found = _follow(self, self.finger.scene, sampler, si.spawn_ray(direction), batch + first)  # type: ignore[no-untyped-call]
+            ray = si.spawn_ray(direction)
+            found = _follow(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
             per_density = dr.select(density > 0.0, dr.rcp(density), 0.0)
             dr.eval(direction, per_density, found)
             here = slice(start, start + batches)
@@ -303,7 +328,9 @@ class SharedGathers:
         """Return what a film on the inner face changes for rays that meet it."""
         return mi.Float(1) if self.paths.face.film is None else self.paths.film_factor(si, mi.Bool(transmitted))
 
-    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> tuple[Any, Any, Any]:
+    def sample(
+        self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True
+    ) -> tuple[Any, Any, Any]:
         """Return radiance along rays, as :meth:`sim.optics._band_paths.BandPaths.sample` does."""
         return _seen_radiance(self, scene, sampler, ray)
 
@@ -311,18 +338,17 @@ class SharedGathers:
 class _Nodes:
     """Points on the coat, how the camera looks at each, and which of them stand for a place, with what weight."""
 
-    def __init__(self, finger: LoadedScene, maps: PixelMaps) -> None:
+    def __init__(self, finger: LoadedScene, seen_uv: Floats, legs: Floats) -> None:
         pad, coat = finger.design.pad, PositionMap.of(finger.shape.surfaces["coat"], "coat")
         self.sizes = np.array([pad.width_mm, pad.length_mm])
         uv = self._grid(NODE_MM)
         normals, points = coat.normals(uv), coat.positions_mm(uv)
-        self.count, on_coat = len(uv), maps.sees("coat")
-        _, nearest = cKDTree(maps.uv[on_coat] * self.sizes).query(uv * self.sizes)
+        self.count = len(uv)
+        _, nearest = cKDTree(seen_uv * self.sizes).query(uv * self.sizes)
         rows = np.zeros((len(uv), 3, 4))
         rows[:, 0, :3] = points - _BELOW_MM * normals
-        rows[:, 1, :3], rows[:, 2, :3] = normals, maps.last_leg[on_coat][nearest]
+        rows[:, 1, :3], rows[:, 2, :3] = normals, legs[nearest]
         self.table = LookupTable(rows.reshape(-1, 4), mi)
-        self.coat = next(shape for shape in finger.scene.shapes() if shape.id() == "coat")
         places = self._grid(_PLACE_MM)
         self.across, self.along = (len(np.unique(places[:, k])) for k in (0, 1))
         depth = coat.positions_mm(places)[:, 1], points[:, 1]
@@ -340,8 +366,8 @@ class _Nodes:
     def seen(self, scene: Any, number: Any) -> Any:
         """Return the interactions of nodes, seen as the camera sees them."""
         start, normal, look = (self.table.row(number * 3 + k) for k in range(3))
-        ray = mi.Ray3f(mi.Point3f(start.x, start.y, start.z), mi.Vector3f(normal.x, normal.y, normal.z))
-        si = scene.ray_intersect(ray)
+        towards = mi.Vector3f(normal.x, normal.y, normal.z)
+        si = scene.ray_intersect(mi.Ray3f(mi.Point3f(start.x, start.y, start.z), towards))
         si.wi = si.to_local(-mi.Vector3f(look.x, look.y, look.z))
         return si
 
@@ -355,7 +381,9 @@ class _Nodes:
             x = dr.clip((place - rim) / (1.0 - 2.0 * rim), 0.0, 1.0) * (count - 1)
             i = cell_at(x, count - 1)
             picked.append(i + dr.select(chance < x - mi.Float(i), mi.UInt32(1), mi.UInt32(0)))
-        found = self.stands.row((picked[1] * self.across + picked[0]) * _SLOTS + cell_at(chances[2] * _SLOTS, _SLOTS), active)
+        found = self.stands.row(
+            (picked[1] * self.across + picked[0]) * _SLOTS + cell_at(chances[2] * _SLOTS, _SLOTS), active
+        )
         return cell_at(found.x, self.count), found.y
 
 
@@ -493,8 +521,7 @@ def _coat_radiance(gathers, scene, si, shift, start, active):  # type: ignore[no
     number = mi.UInt32(0)
     first = gathers.batch_of_lane * gathers.nodes.count
     while active & (number < rays):
-        chances = [_spread(shift[0], number, _STEPS_4[0]), _spread(shift[1], number, _STEPS_4[1]), _spread(shift[2], number, _STEPS_4[2])]
-        node, weight = gathers.nodes.near(si.uv, chances, active)
+        node, weight = gathers.nodes.near(si.uv, _three_chances(shift, number), active)
         found = _shared_light(gathers, si, (first + node) * RAYS + ((start + number) & (RAYS - 1)), active)
         for k in range(len(sums)):
             sums[k] += weight * found[k] / gathers.counts.rays
@@ -511,7 +538,7 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
         sight = _Sight.along(gathers, scene, rest)
         glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
         shift = [sampler.next_1d() for _ in range(8)]
-        start = mi.UInt32(sampler.next_1d() * RAYS)
+        start = cell_at(sampler.next_1d() * RAYS, RAYS)
         lit = _coat_radiance(gathers, scene, sight.si, shift, start, sight.on_coat)  # type: ignore[no-untyped-call]
         for k in range(len(sums)):
             met = dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0))
@@ -520,6 +547,11 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
     others, valid, further = gathers.paths.sample(scene, sampler, rest)  # type: ignore[no-untyped-call]
     sums = [own + weight * other for own, other in zip(sums, [others.x, others.y, others.z, *further], strict=True)]
     return mi.Color3f(sums[0], sums[1], sums[2]), valid, sums[3:]
+
+
+def _three_chances(shift: Sequence[Any], number: Any) -> list[Any]:
+    """Return evenly spread numbers in the unit cube."""
+    return [_spread(shift[k], number, _STEPS_4[k]) for k in range(3)]
 
 
 def _spread(shift: Any, number: Any, step: float) -> Any:
