@@ -530,7 +530,7 @@ def _coat_radiance(gathers, scene, si, shift, start, active):  # type: ignore[no
 
 
 def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -> tuple[Any, Any, Any]:
-    """Return radiance along rays from the camera: of the first three chains, whether anything was met, of the others."""
+    """Return radiance along rays from the camera as :meth:`SharedGathers.sample` does."""
     gathers.batch_of_lane = gathers.batch
     rest, weight = ray, mi.Float(1)
     sums = [mi.Float(0) for _ in gathers.chains]
