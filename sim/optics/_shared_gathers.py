@@ -235,7 +235,7 @@ class SharedGathers:
         self.walls = LitWalls(radiance, finger.shape, pad.thickness_mm, pad.length_mm)
         self.mirror = mi.ShapePtr(next(s for s in finger.scene.shapes() if s.id() == "mirror"))
         dr.make_opaque(self.mirror)
-        self.nodes = _Nodes(finger, *self._seen(calibration))
+        self.nodes = Nodes(finger, *self._seen(calibration))
         self.batch = dr.opaque(mi.UInt32, 0)
         self.batches = len(radiance)
         self._gather(seed)
@@ -335,7 +335,7 @@ class SharedGathers:
         return _seen_radiance(self, scene, sampler, ray)
 
 
-class _Nodes:
+class Nodes:
     """Points on the coat, how the camera looks at each, and which of them stand for a place, with what weight."""
 
     def __init__(self, finger: LoadedScene, seen_uv: Floats, legs: Floats) -> None:
@@ -353,7 +353,7 @@ class _Nodes:
         self.across, self.along = (len(np.unique(places[:, k])) for k in (0, 1))
         depth = coat.positions_mm(places)[:, 1], points[:, 1]
         weights = regression_weights(places * self.sizes, uv * self.sizes, *depth)
-        self.stands = LookupTable(_slots(weights).reshape(-1, 2), mi)
+        self.stands = LookupTable(node_slots(weights).reshape(-1, 2), mi)
 
     def _grid(self, step_mm: tuple[float, float]) -> Floats:
         """Return a grid over the coat (n, 2), across running first."""
@@ -420,7 +420,7 @@ def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, no
     return weights
 
 
-def _slots(weights: Floats) -> Floats:
+def node_slots(weights: Floats) -> Floats:
     """Return nodes and what each counts, (place, slot, 2): the mean over the slots is the sum over the nodes."""
     found = np.empty((len(weights), _SLOTS, 2), dtype=np.float32)
     marks = (np.arange(_SLOTS) + 0.5) / _SLOTS

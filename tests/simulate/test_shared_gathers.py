@@ -43,7 +43,7 @@ def test_drawn_nodes_count_as_their_weights_do(gathers):
     nodes = np.stack(np.meshgrid(np.arange(0.0, 36.0), np.arange(0.0, 71.0, 2.0)), axis=-1).reshape(-1, 2)
     places = np.array([[17.3, 40.2], [0.1, 0.1], [34.0, 33.0]])
     weights = gathers.regression_weights(places, nodes, np.zeros(3), np.zeros(len(nodes)))
-    slots = gathers._slots(weights)
+    slots = gathers.node_slots(weights)
     values = 1.0 / (4.0 + nodes[:, 0]) + 0.01 * nodes[:, 1]
     drawn = (slots[..., 1] * values[slots[..., 0].astype(int)]).mean(axis=1)
     # a node's weight is met to its rounding to whole slots; nodes below half a slot are left to the others
