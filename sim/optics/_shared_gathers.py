@@ -44,9 +44,10 @@ NODE_MM: Final = (1.0, 2.0)
 RAYS: Final = 64
 """Paths of each node in one batch."""
 
-_RIM_MM = 0.1
+_RIM_MM = 0.137
 # nodes start their paths from here below the coat's surface
 _BELOW_MM = 0.3
+_BESIDE_MM = 7e-3
 # weights of nodes are known at places this far apart, linear between them
 _PLACE_MM = (0.5, 1.0)
 # a place is served by the nodes around it, across and along the pad: the face blurs what it sends back over 12 mm
@@ -344,9 +345,11 @@ class Nodes:
         uv = self._grid(NODE_MM)
         normals, points = coat.normals(uv), coat.positions_mm(uv)
         self.count = len(uv)
+        self.coat = mi.ShapePtr(next(shape for shape in finger.scene.shapes() if shape.id() == "coat"))
+        dr.make_opaque(self.coat)
         _, nearest = cKDTree(seen_uv * self.sizes).query(uv * self.sizes)
         rows = np.zeros((len(uv), 3, 4))
-        rows[:, 0, :3] = points - _BELOW_MM * normals
+        rows[:, 0, :3], rows[:, 0, 3] = points - _BELOW_MM * normals, uv[:, 0] > 0.5
         rows[:, 1, :3], rows[:, 2, :3] = normals, legs[nearest]
         self.table = LookupTable(rows.reshape(-1, 4), mi)
         places = self._grid(_PLACE_MM)
@@ -364,10 +367,18 @@ class Nodes:
         return np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 2)
 
     def seen(self, scene: Any, number: Any) -> Any:
-        """Return the interactions of nodes, seen as the camera sees them."""
+        """Return the interactions of nodes, seen as the camera sees them.
+
+        A ray to a vertex or an edge of the mesh may slip through it: then the node is taken a little beside that.
+        """
         start, normal, look = (self.table.row(number * 3 + k) for k in range(3))
         towards = mi.Vector3f(normal.x, normal.y, normal.z)
-        si = scene.ray_intersect(mi.Ray3f(mi.Point3f(start.x, start.y, start.z), towards))
+        # towards the middle of the pad
+        beside = mi.Vector3f(_BESIDE_MM, 0.0, _BESIDE_MM) * dr.select(start.w > 0.0, -1.0, 1.0)
+        origin = mi.Point3f(start.x, start.y, start.z)
+        si = scene.ray_intersect(mi.Ray3f(origin, towards))
+        slipped = ~si.is_valid() | (si.shape != self.coat)
+        si = dr.select(slipped, scene.ray_intersect(mi.Ray3f(origin + beside, towards), slipped), si)
         si.wi = si.to_local(-mi.Vector3f(look.x, look.y, look.z))
         return si
 

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.fluorescence_levels import finger
 from benchmarks.fluorescence_levels import paints as glowing_paints
 from data_schemas import SimulateError
-from sim.optics import RenderSettings, paint_bands, render_press
+from sim.optics import LoadedScene, RenderSettings, paint_bands, render_press
 from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP
 from sim.optics._render import open_scene
 from sim.surface_meshes import rest_shape
@@ -74,6 +74,21 @@ def test_points_on_a_wall_cover_its_solid_angle(llvm, gathers, x_mm, z_mm):
     error = values.std() / np.sqrt(count)
     assert abs(values.mean() - expected) < 4.0 * error
     assert error < 0.02 * expected
+
+
+def test_every_node_lies_on_the_coat(llvm, gathers, monkeypatch):
+    """With this rim the outer nodes lie on edges of the mesh, which a ray may slip through."""
+    import drjit as dr
+
+    monkeypatch.setattr(gathers, "_RIM_MM", 0.1)
+    monkeypatch.setattr(gathers, "NODE_MM", (35.0 / 8.0, 70.0 / 6.0))
+    design = finger(64)
+    shape, bands = rest_shape(design), paint_bands(*glowing_paints().values(), design.light)
+    scene = open_scene(design, shape, bands, llvm)
+    nodes = gathers.Nodes(LoadedScene(scene, design, shape, bands, llvm), np.full((1, 2), 0.5), np.eye(3)[1:2])
+    si = nodes.seen(scene, dr.arange(llvm.UInt32, nodes.count))
+    assert np.array(si.shape == nodes.coat).all()
+    assert nodes.count == 8 * 6
 
 
 def test_the_picture_is_the_path_tracers_with_less_noise(llvm, gathers, monkeypatch):
