@@ -37,6 +37,7 @@ from sim.optics._scene import LoadedScene
 from sim.surface_meshes import FingerShape
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
 
 NODE_MM: Final = (1.0, 2.0)
 """Distance of the nodes across and along the pad: across it the light of the walls falls off."""
@@ -48,12 +49,13 @@ _RIM_MM = 0.137
 # nodes start their paths from here below the coat's surface
 _BELOW_MM = 0.3
 _BESIDE_MM = 7e-3
-# weights of nodes are known at places this far apart, linear between them
-_PLACE_MM = (0.5, 1.0)
+# what arrives is known at places this far apart, linear between them
+_PLACE_MM = (1.5, 2.5)
 # a place is served by the nodes around it, across and along the pad: the face blurs what it sends back over 12 mm
 _REACH_MM = np.array([7.0, 12.0])
 _HEIGHT_PRIOR = 1e-6
-_SLOTS = 512
+# directions are told apart by their height over the coat, rows per unit of its cosine, and by their turn
+_ROWS, _TURNS = 16, 36
 _PACKET = 4
 # a wall's points, up and along: linear between them, a mesh bent by a press leaves them by micrometres
 _WALL_POINTS = (17, 141)
@@ -75,13 +77,13 @@ class GatherCounts:
 
     Attributes
     ----------
-    rays
-        Paths of the nodes around it that it weights.
+    directions
+        Directions, of some 600, from which it weights what arrives.
     points
         Points drawn on each wall, and on the panels.
     """
 
-    rays: int = 64
+    directions: int = 72
     points: int = 4
 
 
@@ -264,40 +266,48 @@ class SharedGathers:
         return uv.numpy().T[here].astype(np.float64), leg.numpy().T[here].astype(np.float64)
 
     def _gather(self, seed: int) -> None:
-        """Trace the paths of all nodes, batch after batch, and keep their directions and light."""
+        """Trace the paths of all nodes, batch after batch, and keep the light that arrives at the places."""
         rng = np.random.default_rng(seed)
-        count = self.nodes.count * RAYS
-        packets = self.walls.packets
-        directions = np.empty((self.batches, count, 4), dtype=np.float32)
-        light = np.empty((self.batches, count, packets, _PACKET), dtype=np.float32)
-        together = max(1, _MOST_PATHS // count)
-        for start in range(0, self.batches, together):
-            batches = min(together, self.batches - start)
-            sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(int(rng.integers(2**32)), count * batches)
-            lane = dr.arange(mi.UInt32, count * batches)
-            group = lane // dr.opaque(mi.UInt32, RAYS)
-            number = lane - group * dr.opaque(mi.UInt32, RAYS)
-            shifts = LookupTable(rng.random((self.nodes.count * batches, 4)), mi).row(group)
-            first = dr.opaque(mi.UInt32, start)
-            batch = group // dr.opaque(mi.UInt32, self.nodes.count)
-            node = group - batch * dr.opaque(mi.UInt32, self.nodes.count)
-            si = self.nodes.seen(self.finger.scene, node)
-            numbers = [dr.fma(mi.Float(number), step, shifts[k]) for k, step in enumerate(_STEPS_4)]
-            numbers = [x - dr.floor(x) for x in numbers]
-            direction, density = self._drawn(si, numbers)
-            ray = si.spawn_ray(direction)
-            found = _follow(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
-            per_density = dr.select(density > 0.0, dr.rcp(density), 0.0)
-            dr.eval(direction, per_density, found)
-            here = slice(start, start + batches)
-            drawn = np.concatenate([direction.numpy(), per_density.numpy()[None]]).T
-            directions[here] = drawn.reshape(batches, count, 4)
-            channels = np.zeros((count * batches, packets * _PACKET), dtype=np.float32)
-            channels[:, : len(found)] = np.stack([np.array(value) for value in found], axis=-1)
-            light[here] = channels.reshape(batches, count, packets, _PACKET)
-        self.directions = LookupTable(directions.reshape(-1, 4), mi)
-        self.light = LookupTable(light.reshape(-1, _PACKET), mi)
+        per_batch = self.nodes.count * RAYS
+        together = max(1, _MOST_PATHS // per_batch)
+        traced = [
+            self._traced(start, min(together, self.batches - start), rng) for start in range(0, self.batches, together)
+        ]
+        drawn, light = (np.concatenate([one[k] for one in traced]) for k in range(2))
+        self.bins = DirectionBins.of(drawn)
+        table = np.stack([self._arriving(*one) for one in zip(drawn, light, strict=True)])
+        self.light = LookupTable(table.reshape(-1, _PACKET), mi)
+
+    def _traced(self, start: int, batches: int, rng: np.random.Generator) -> tuple[Floats32, Floats32]:
+        """Return directions of paths from the nodes, (batch, path, 3), and their light over their density."""
+        count = self.nodes.count * RAYS * batches
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(int(rng.integers(2**32)), count)
+        lane, rays, nodes, first = (
+            dr.arange(mi.UInt32, count),
+            *(dr.opaque(mi.UInt32, n) for n in (RAYS, self.nodes.count, start)),
+        )
+        group = lane // rays
+        batch = group // nodes
+        shifts = LookupTable(rng.random((self.nodes.count * batches, 4)), mi).row(group)
+        numbers = [_spread(shifts[k], lane - group * rays, step) for k, step in enumerate(_STEPS_4)]
+        si = self.nodes.seen(self.finger.scene, group - batch * nodes)
+        direction, density = self._drawn(si, numbers)
+        ray = si.spawn_ray(direction)
+        found = _follow(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
+        found = [dr.select(density > 0.0, value / density, 0.0) for value in found]
+        dr.eval(direction, found)
+        light = np.stack([np.array(value) for value in found], axis=-1)
+        return direction.numpy().T.reshape(batches, -1, 3), light.reshape(batches, -1, len(found))
+
+    def _arriving(self, drawn: Floats32, light: Floats32) -> Floats32:
+        """Return what arrives at the places in one batch, (place, bin, channel), padded to whole packets."""
+        cell = np.repeat(np.arange(self.nodes.count), RAYS) * self.bins.count + self.bins.of_directions(drawn)
+        size = self.nodes.count * self.bins.count
+        channels = np.zeros((size, self.walls.packets * _PACKET), dtype=np.float32)
+        for k in range(light.shape[-1]):
+            channels[:, k] = np.bincount(cell, weights=light[:, k] / RAYS, minlength=size)
+        return np.asarray(self.nodes.weights @ channels.reshape(self.nodes.count, -1))
 
     def _drawn(self, si: Any, numbers: Sequence[Any]) -> tuple[Any, Any]:
         """Return directions from nodes, drawn as the coat reflects and along the guide, and their density."""
@@ -355,8 +365,7 @@ class Nodes:
         places = self._grid(_PLACE_MM)
         self.across, self.along = (len(np.unique(places[:, k])) for k in (0, 1))
         depth = coat.positions_mm(places)[:, 1], points[:, 1]
-        weights = regression_weights(places * self.sizes, uv * self.sizes, *depth)
-        self.stands = LookupTable(node_slots(weights).reshape(-1, 2), mi)
+        self.weights = regression_weights(places * self.sizes, uv * self.sizes, *depth)
 
     def _grid(self, step_mm: tuple[float, float]) -> Floats:
         """Return a grid over the coat (n, 2), across running first."""
@@ -382,20 +391,52 @@ class Nodes:
         si.wi = si.to_local(-mi.Vector3f(look.x, look.y, look.z))
         return si
 
-    def near(self, uv: Any, chances: Sequence[Any], active: Any) -> tuple[Any, Any]:
-        """Return the number of a node that stands for places, drawn by its weight, and what it counts."""
+    def near(self, uv: Any, chances: Sequence[Any]) -> Any:
+        """Return the number of one of the four places around points, drawn by its bilinear weight."""
         picked = []
         for place, count, size, chance in zip(
-            (uv.x, uv.y), (self.across, self.along), self.sizes.tolist(), chances, strict=False
+            (uv.x, uv.y), (self.across, self.along), self.sizes.tolist(), chances, strict=True
         ):
             rim = _RIM_MM / size
             x = dr.clip((place - rim) / (1.0 - 2.0 * rim), 0.0, 1.0) * (count - 1)
             i = cell_at(x, count - 1)
             picked.append(i + dr.select(chance < x - mi.Float(i), mi.UInt32(1), mi.UInt32(0)))
-        found = self.stands.row(
-            (picked[1] * self.across + picked[0]) * _SLOTS + cell_at(chances[2] * _SLOTS, _SLOTS), active
-        )
-        return cell_at(found.x, self.count), found.y
+        return picked[1] * self.across + picked[0]
+
+
+@dataclass(frozen=True, slots=True)
+class DirectionBins:
+    """Bins of equal solid angle: rows of the cosine to the pad's inward axis from `lowest` to 1, turns around it."""
+
+    lowest: float
+    rows: int
+
+    @classmethod
+    def of(cls, directions: Floats32) -> "DirectionBins":
+        """Return bins that hold all these directions (..., 3)."""
+        lowest = min(0.0, -float(directions[..., 1].max()))
+        rows = int(np.ceil(_ROWS * (1.0 - lowest)))
+        return cls(1.0 - rows / _ROWS, rows)
+
+    @property
+    def count(self) -> int:
+        """Number of bins."""
+        return self.rows * _TURNS
+
+    def of_directions(self, directions: Floats32) -> NDArray[np.int64]:
+        """Return the number of the bin of each direction (..., 3)."""
+        row = np.floor((-directions[..., 1] - self.lowest) * _ROWS)
+        turn = np.floor((np.arctan2(directions[..., 2], directions[..., 0]) / (2.0 * np.pi) + 0.5) * _TURNS)
+        rows, turns = np.clip(row, 0, self.rows - 1), np.clip(turn, 0, _TURNS - 1)
+        return (rows * _TURNS + turns).astype(np.int64)
+
+    def direction(self, number: Any, x: Any, y: Any) -> Any:
+        """Return directions in bins, at shares x and y of their rows and turns."""
+        row = number // _TURNS
+        cosine = self.lowest + (mi.Float(row) + x) / _ROWS
+        sine = dr.safe_sqrt(1.0 - cosine * cosine)
+        turn = 2.0 * dr.pi * ((mi.Float(number - row * _TURNS) + y) / _TURNS - 0.5)
+        return mi.Vector3f(sine * dr.cos(turn), -cosine, sine * dr.sin(turn))
 
 
 def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, node_depth_mm: Floats) -> Floats:
@@ -429,20 +470,6 @@ def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, no
         first[:, 0] = 1.0
         weights[here] = (weighted @ np.linalg.solve(gram, first))[..., 0]
     return weights
-
-
-def node_slots(weights: Floats) -> Floats:
-    """Return nodes and what each counts, (place, slot, 2): the mean over the slots is the sum over the nodes."""
-    found = np.empty((len(weights), _SLOTS, 2), dtype=np.float32)
-    marks = (np.arange(_SLOTS) + 0.5) / _SLOTS
-    for row, weight in zip(found, weights, strict=True):
-        nodes = np.flatnonzero(weight)
-        total = np.cumsum(np.abs(weight[nodes]))
-        chosen = np.searchsorted(total, marks * total[-1])
-        times = np.bincount(chosen, minlength=len(nodes))
-        counts = weight[nodes] * _SLOTS / np.maximum(times, 1)
-        row[:, 0], row[:, 1] = nodes[chosen], (counts / (weight[nodes][times > 0].sum()))[chosen]
-    return found
 
 
 @dr.syntax
@@ -508,21 +535,26 @@ def _straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence
     return lit
 
 
-def _shared_light(gathers: SharedGathers, si: Any, row: Any, active: Any) -> Any:
-    """Return what the light along one path of a node brings to the camera, per channel."""
-    drawn = gathers.directions.row(row, active)
-    direction = si.to_local(mi.Vector3f(drawn.x, drawn.y, drawn.z))
-    value = si.bsdf().eval(mi.BSDFContext(), si, direction, active) * drawn.w
-    packets = gathers.walls.packets
-    light = [gathers.light.row(row * packets + packet, active) for packet in range(packets)]
+def _shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+    """Return what light from some of the directions brings to the camera, per channel: all together at each number."""
+    bins, packets = gathers.bins, gathers.walls.packets
+    # evenly spread over the bins, from a random start
+    among = (mi.Float(number) + shift[3]) * (bins.count / gathers.counts.directions)
+    chosen = cell_at(among, bins.count)
+    x, y, u, v = (_spread(shift[k], number, step) for k, step in zip((0, 1, 2, 4), _STEPS_4, strict=True))
+    direction = si.to_local(bins.direction(chosen, x, y))
+    value = si.bsdf().eval(mi.BSDFContext(), si, direction, active) * (bins.count / gathers.counts.directions)
+    place = gathers.batch_of_lane * (gathers.nodes.across * gathers.nodes.along) + gathers.nodes.near(si.uv, (u, v))
+    row = (place * bins.count + chosen) * packets
+    light = [gathers.light.row(row + packet, active) for packet in range(packets)]
     return [value[band] * light[k // _PACKET][k % _PACKET] for k, band in enumerate(gathers.band_of)]
 
 
 @dr.syntax
-def _coat_radiance(gathers, scene, si, shift, start, active):  # type: ignore[no-untyped-def]
+def _coat_radiance(gathers, scene, si, shift, active):  # type: ignore[no-untyped-def]
     """Return the radiance of points of the coat, per channel."""
     sums = [mi.Float(0) for _ in gathers.chains]
-    points, rays = (dr.opaque(mi.UInt32, n) for n in (gathers.counts.points, gathers.counts.rays))
+    points, directions = (dr.opaque(mi.UInt32, n) for n in (gathers.counts.points, gathers.counts.directions))
     number = mi.UInt32(0)
     while active & (number < points):
         found = _straight_light(gathers, scene, si, shift, number, active)
@@ -530,12 +562,10 @@ def _coat_radiance(gathers, scene, si, shift, start, active):  # type: ignore[no
             sums[k] += found[k] / gathers.counts.points
         number += 1
     number = mi.UInt32(0)
-    first = gathers.batch_of_lane * gathers.nodes.count
-    while active & (number < rays):
-        node, weight = gathers.nodes.near(si.uv, _three_chances(shift, number), active)
-        found = _shared_light(gathers, si, (first + node) * RAYS + ((start + number) & (RAYS - 1)), active)
+    while active & (number < directions):
+        found = _shared_light(gathers, si, shift, number, active)
         for k in range(len(sums)):
-            sums[k] += weight * found[k] / gathers.counts.rays
+            sums[k] += found[k]
         number += 1
     return sums
 
@@ -549,8 +579,7 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
         sight = _Sight.along(gathers, scene, rest)
         glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
         shift = [sampler.next_1d() for _ in range(8)]
-        start = cell_at(sampler.next_1d() * RAYS, RAYS)
-        lit = _coat_radiance(gathers, scene, sight.si, shift, start, sight.on_coat)  # type: ignore[no-untyped-call]
+        lit = _coat_radiance(gathers, scene, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
         for k in range(len(sums)):
             met = dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0))
             sums[k] += weight * sight.through * met
@@ -558,11 +587,6 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
     others, valid, further = gathers.paths.sample(scene, sampler, rest)  # type: ignore[no-untyped-call]
     sums = [own + weight * other for own, other in zip(sums, [others.x, others.y, others.z, *further], strict=True)]
     return mi.Color3f(sums[0], sums[1], sums[2]), valid, sums[3:]
-
-
-def _three_chances(shift: Sequence[Any], number: Any) -> list[Any]:
-    """Return evenly spread numbers in the unit cube."""
-    return [_spread(shift[k], number, _STEPS_4[k]) for k in range(3)]
 
 
 def _spread(shift: Any, number: Any, step: float) -> Any:

@@ -132,8 +132,16 @@ def shared_light(lanes, scene):
     point, du, dv = lit.place(1, lanes.next_1d(), lanes.next_1d(), everywhere)
     aimed = list(lit.aim(scene, lanes.interaction(scene), 0, [lanes.next_1d() for _ in range(3)], everywhere))[:3]
     nodes = Nodes(LoadedScene(scene, DESIGN, SHAPE, BANDS, mi), np.full((1, 2), 0.5), np.eye(3)[1:2])
-    near = nodes.near(lanes.next_2d(), [lanes.next_1d() for _ in range(3)], everywhere)
-    return [*seen, point, du, dv, *aimed, *near, nodes.seen(scene, lanes.number()).p]
+    near = nodes.near(lanes.next_2d(), [lanes.next_1d() for _ in range(2)])
+    return [
+        *seen,
+        point,
+        du,
+        dv,
+        *aimed,
+        LookupTable(np.ones((9, 4)), mi).row(near),
+        nodes.seen(scene, lanes.number()).p,
+    ]
 
 
 def connections(lanes, scene):

@@ -39,15 +39,17 @@ def test_nodes_stand_for_a_light_that_is_quadratic_in_place_and_linear_in_height
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-4)
 
 
-def test_drawn_nodes_count_as_their_weights_do(gathers):
-    nodes = np.stack(np.meshgrid(np.arange(0.0, 36.0), np.arange(0.0, 71.0, 2.0)), axis=-1).reshape(-1, 2)
-    places = np.array([[17.3, 40.2], [0.1, 0.1], [34.0, 33.0]])
-    weights = gathers.regression_weights(places, nodes, np.zeros(3), np.zeros(len(nodes)))
-    slots = gathers.node_slots(weights)
-    values = 1.0 / (4.0 + nodes[:, 0]) + 0.01 * nodes[:, 1]
-    drawn = (slots[..., 1] * values[slots[..., 0].astype(int)]).mean(axis=1)
-    # a node's weight is met to its rounding to whole slots; nodes below half a slot are left to the others
-    np.testing.assert_allclose(drawn, weights @ values, rtol=5e-3)
+def test_bins_hold_the_directions_that_are_drawn_in_them(llvm, gathers):
+    import drjit as dr
+
+    bins = gathers.DirectionBins.of(np.array([[0.6, 0.1, 0.0]]))
+    assert bins.lowest <= -0.1
+    assert bins.lowest > -0.2
+    numbers = np.arange(bins.count)
+    for x, y in ((0.02, 0.03), (0.5, 0.5), (0.97, 0.98)):
+        drawn = bins.direction(dr.arange(llvm.UInt32, bins.count), llvm.Float(x), llvm.Float(y)).numpy().T
+        np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-6)
+        np.testing.assert_array_equal(bins.of_directions(drawn), numbers)
 
 
 @pytest.mark.parametrize(("x_mm", "z_mm"), [(-17.3, 20.0), (-12.0, 35.0), (5.0, 66.0)])
