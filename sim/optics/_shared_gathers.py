@@ -83,7 +83,7 @@ class GatherCounts:
         Points drawn on each wall, and on the panels.
     """
 
-    directions: int = 72
+    directions: int = 288
     points: int = 4
 
 

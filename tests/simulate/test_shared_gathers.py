@@ -93,22 +93,20 @@ def test_every_node_lies_on_the_coat(llvm, gathers, monkeypatch):
     assert nodes.count == 8 * 6
 
 
-def test_the_picture_is_the_path_tracers_with_less_noise(llvm, gathers, monkeypatch):
-    monkeypatch.setattr(gathers, "RAYS", 16)
+def test_the_picture_is_the_path_tracers_with_less_noise(llvm):
     design = finger(64)
     shared = render_press(design, glowing_paints(), llvm, RenderSettings(seed=3, shared_light=True))
     traced = render_press(design, glowing_paints(), llvm, RenderSettings(seed=3, samples_per_pixel=512))
     coat = shared.contact_maps.sees("coat")
     ratio = shared.contact_bands[coat].sum(axis=0) / traced.contact_bands[coat].sum(axis=0)
-    # the path tracer's mean over some 200 pixels has an error of 1 %, the shared one's, common to all of them, 1.5 %
-    np.testing.assert_allclose(ratio, 1.0, atol=0.06)
+    # over some 200 pixels the path tracer's means have errors of 1 % (LED, with rare bright paths: 2 %), and the shared
+    # ones, common to all pixels, of 1 %; without the light straight from walls and panels a half would be missing
+    np.testing.assert_allclose(ratio, 1.0, atol=[0.05, 0.05, 0.1])
     assert (shared.contact_variance[coat] > 0.0).all()
     assert shared.label.endswith("pixels share light")
-    # 16 paths per pixel, of which each alone would be noisier by 2.8 times 512's
-    rel = [
-        np.sqrt(r.contact_variance[coat].mean(axis=0)) / r.contact_bands[coat].mean(axis=0) for r in (shared, traced)
-    ]
-    assert (rel[0] < np.sqrt(512 / 16) * rel[1]).all()
+    # with 16 paths per pixel instead of 512 the median noise would be 5.7 times as much
+    noise = [np.median(np.sqrt(r.contact_variance[coat]) / r.contact_bands[coat], axis=0) for r in (shared, traced)]
+    assert (noise[0][:2] < 2.0 * noise[1][:2]).all()
 
 
 def test_sharing_is_refused_where_it_is_not_possible(scalar, paints):
