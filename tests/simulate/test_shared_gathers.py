@@ -83,14 +83,13 @@ def test_every_node_lies_on_the_coat(llvm, gathers, monkeypatch):
     import drjit as dr
 
     monkeypatch.setattr(gathers, "_RIM_MM", 0.1)
-    monkeypatch.setattr(gathers, "NODE_MM", (35.0 / 8.0, 70.0 / 6.0))
     design = finger(64)
     shape, bands = rest_shape(design), paint_bands(*glowing_paints().values(), design.light)
     scene = open_scene(design, shape, bands, llvm)
     nodes = gathers.Nodes(LoadedScene(scene, design, shape, bands, llvm), np.full((1, 2), 0.5), np.eye(3)[1:2])
     si = nodes.seen(scene, dr.arange(llvm.UInt32, nodes.count))
     assert np.array(si.shape == nodes.coat).all()
-    assert nodes.count == 8 * 6
+    assert nodes.count == 36 * 36
 
 
 def test_the_picture_is_the_path_tracers_with_less_noise(llvm):
