@@ -61,6 +61,9 @@ class RenderOptions(TypedDict, total=False):
         Whether a red paint that emits at shorter wavelengths than the green one is meant so.
     pose_response
         Of a press: whether to render also how the image changes with the indenter's pose (three times the time).
+    shared_light
+        Of a press: whether pixels share the light that reaches the coat: less noise in the same time, but part of it
+        common to neighbours. Needs LLVM; not for level "c".
     all_objectives
         Of a sweep: whether to measure also how well normals can be measured, evenness, clipping and room for the panel.
     position_mm
@@ -74,6 +77,7 @@ class RenderOptions(TypedDict, total=False):
     engine: "Preference"
     paints_as_given: bool
     pose_response: bool
+    shared_light: bool
     all_objectives: bool
     position_mm: float
     narrow_sweep: bool
@@ -301,7 +305,7 @@ def _rendering(seed: int, options: RenderOptions) -> "Rendering":
     if samples < 2 or samples % 2:
         raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
     level, pose = options.get("level", "b"), options.get("pose_response", False)
-    return Rendering(level, seed, samples, with_pose_response=pose)
+    return Rendering(level, seed, samples, with_pose_response=pose, shared_light=options.get("shared_light", False))
 
 
 def sweep_light_angle(

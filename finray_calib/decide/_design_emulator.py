@@ -359,7 +359,14 @@ def best_design(
     near = _candidates(best, rng)
     starts = np.concatenate([best[None], near[np.argsort(mean_of(near))[:_STARTS]]])
     bounds = Bounds(np.zeros(best.size), np.ones(best.size))
-    ends = [minimize(lambda x: float(mean_of(x)[0]), start, method="L-BFGS-B", bounds=bounds).x for start in starts]
+
+    def descended(start: Floats) -> Floats:
+        def value(at: Floats) -> float:
+            return float(mean_of(at)[0])
+
+        return np.asarray(minimize(value, start, method="L-BFGS-B", bounds=bounds).x)
+
+    ends = [descended(start) for start in starts]
     tried = np.concatenate([np.clip(ends, 0.0, 1.0), near, inputs])
     order = np.argsort(mean_of(tried), kind="stable")
     return next((tried[k] for k in order if allowed is None or allowed(tried[k])), best)

@@ -68,6 +68,8 @@ class Rendering:
         Paths per pixel around the contact, see :func:`sim.optics.render_press`.
     with_pose_response
         Also render how the contact image changes with the indenter's depth and position (analytic press only).
+    shared_light
+        Whether pixels share the light that reaches the coat, see :class:`sim.optics.RenderSettings`.
     """
 
     level: RenderLevel = "b"
@@ -75,11 +77,13 @@ class Rendering:
     samples_per_pixel: int = 128
     contact_samples_per_pixel: int | None = None
     with_pose_response: bool = False
+    shared_light: bool = False
 
     @property
     def settings(self) -> RenderSettings:
         """What the renderer takes of it."""
-        return RenderSettings(self.level, self.seed, self.samples_per_pixel, self.contact_samples_per_pixel)
+        counts = self.samples_per_pixel, self.contact_samples_per_pixel
+        return RenderSettings(self.level, self.seed, *counts, shared_light=self.shared_light)
 
 
 def simulate_press(

@@ -183,6 +183,7 @@ def bake_batches(
     seed: int = 0,
     samples: int = BAKE_SAMPLES[False],
     guide: Any = None,
+    received: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> WallLight:
     """Return what the walls emit, chain by chain, in :data:`BATCHES` independent batches.
 
@@ -202,6 +203,8 @@ def bake_batches(
         Paths per wall for the LED's light, of all batches together.
     guide
         From :func:`sim.optics._band_paths.mirror_guide` for this scene: less noise.
+    received
+        What :func:`led_irradiance` returns for the same seed and samples, where it is at hand.
 
     Returns
     -------
@@ -209,16 +212,72 @@ def bake_batches(
         Per chain an array (BATCHES, TEXELS_ALONG, TEXELS_UP). What batches have in common is the strength of their
         smoothing; see :func:`sim.optics._wall_spline.smooth_batches`.
     """
-    rng, design, shape = np.random.default_rng(seed), finger.design, finger.shape
-    first_seed = int(rng.integers(2**32))
-    detours = indirect_irradiance(finger.scene, design, shape, finger.renderer, first_seed, samples, guide)
-    received = {
-        wall: direct_irradiance(design, shape, wall, texel_uv()) + detour.batches for wall, detour in detours.items()
-    }
+    rng = np.random.default_rng(seed)
+    rng.integers(2**32)  # the seed of the LED's light
+    received = received or led_irradiance(finger, seed, samples, guide)
     light = excited("led", received, finger.bands)
     if level != "b":
-        return paper_emission(design, shape, light, level)
+        return paper_emission(finger.design, finger.shape, light, level)
     return light | _further_orders(finger, light, rng, samples)
+
+
+def led_irradiance(
+    finger: LoadedScene, seed: int, samples: int = BAKE_SAMPLES[False], guide: Any = None
+) -> dict[str, NDArray[np.float64]]:
+    """Return the LED irradiance of each wall, (BATCHES, TEXELS_ALONG, TEXELS_UP), in units of the panel's radiance.
+
+    The direct light is calculated, the detours are :func:`indirect_irradiance`. Parameters as :func:`bake_batches`.
+    """
+    design, shape = finger.design, finger.shape
+    first_seed = int(np.random.default_rng(seed).integers(2**32))
+    detours = indirect_irradiance(finger.scene, design, shape, finger.renderer, first_seed, samples, guide)
+    return {
+        wall: direct_irradiance(design, shape, wall, texel_uv()) + detour.batches for wall, detour in detours.items()
+    }
+
+
+REFLECTED_SAMPLES = 64_000
+"""Paths per wall for the emission that falls back onto the walls: it is a fifth of what they send, or less."""
+
+
+def reflected_light(
+    finger: LoadedScene,
+    light: WallLight,
+    received: Mapping[str, NDArray[np.float64]],
+    seed: int,
+    samples: int = REFLECTED_SAMPLES,
+) -> NDArray[np.float64]:
+    r"""Return what the Lambertian walls reflect of all chains, :math:`\rho E / \pi`, batch by batch.
+
+    Needs a compiled variant.
+
+    Parameters
+    ----------
+    finger
+        The scene.
+    light
+        From :func:`bake_batches`.
+    received
+        The LED irradiance that it was made of, from :func:`led_irradiance`.
+    seed
+        Random seed, 32 bit.
+    samples
+        Paths per wall, of all batches together.
+
+    Returns
+    -------
+    array
+        Radiance, (BATCHES, wall, TEXELS_ALONG, TEXELS_UP, chain), smoothed as what the walls emit. The chains are those
+        of :attr:`sim.optics._band_paths.BandPaths.chains`: the first three, then the others of `light` in its order.
+    """
+    tracer = _tracer(finger.scene, finger.design, finger.shape, emission=light, led=LedSearch(False, from_wall=True))
+    traced = np.pi * radiance_at_walls(finger.scene, finger.shape, tracer, finger.renderer, seed, samples)
+    for k, wall in enumerate(WALLS):
+        for channel, chain in enumerate(tracer.chains):
+            own = received[wall] if chain == "led" else smooth_batches(traced[:, k, ..., channel]).batches
+            share = finger.bands.reflectance[wall][BAND_NAMES.index(last_band(chain))] / np.pi
+            traced[:, k, ..., channel] = share * own
+    return traced
 
 
 def light_walls(scene: Any, light: WallLight, renderer: ModuleType) -> None:

@@ -27,10 +27,12 @@ from sim.optics._painted_walls import (
     WallLight,
     bake_batches,
     last_band,
+    led_irradiance,
     light_walls,
+    reflected_light,
     unbaked_walls,
 )
-from sim.optics._passes import PassedPicture, joined_passes, known_variance, passes_of, traced_picture
+from sim.optics._passes import MOST_PASSES, PassedPicture, joined_passes, known_variance, passes_of, traced_picture
 from sim.optics._pixel_maps import PixelMaps, pixel_maps
 from sim.optics._renderer import SCALAR_VARIANT
 from sim.optics._scene import LoadedScene, camera_sensor, finger_scene
@@ -71,9 +73,12 @@ class CameraWindows:
         region[self.window.rows, self.window.columns] = 1
         if self.contact is not None:
             region[self.contact.rows, self.contact.columns] = 2
-        counts = (settings.surroundings, settings.samples_per_pixel, settings.around_contact)
+        counts = (settings.surroundings, settings.on_pad, settings.around_contact)
         return [(np.argwhere(region == k)[:, ::-1], count) for k, count in enumerate(counts)]
 
+
+SHARED_SHARE = 8
+"""Where pixels share light, one path from the camera takes the place of so many."""
 
 CONTACT_SHARE = 2
 """Pixels near the contact get this many times more paths by default: comparisons look there, and they are few."""
@@ -98,6 +103,10 @@ class RenderSettings:
     common_random_numbers
         Whether both images use the same random numbers, so that their difference away from the contact is small.
         What stands for a capture needs noise of its own in each image, as cameras have it.
+    shared_light
+        Whether pixels share the light that reaches the coat (:class:`sim.optics._shared_gathers.SharedGathers`). One
+        path from the camera then weighs many shared ones and stands for :data:`SHARED_SHARE` of the numbers above.
+        Needs a compiled variant; not for level c.
 
     Raises
     ------
@@ -110,6 +119,7 @@ class RenderSettings:
     samples_per_pixel: int = 64
     contact_samples_per_pixel: int | None = None
     common_random_numbers: bool = True
+    shared_light: bool = False
 
     def __post_init__(self) -> None:
         """Refuse numbers that cannot be halved."""
@@ -119,21 +129,32 @@ class RenderSettings:
                 raise SimulateError(
                     f"{name} must be an even number of at least 2 (two independent halves), got {count}"
                 )
+        if self.shared_light and self.level == "c":
+            raise SimulateError("level c traces fluorescence along each path and shares no light; take level b")
+
+    @property
+    def on_pad(self) -> int:
+        """Paths per pixel that sees the pad."""
+        return self._shared(self.samples_per_pixel)
 
     @property
     def around_contact(self) -> int:
         """Paths per pixel around the contact."""
-        return self.contact_samples_per_pixel or CONTACT_SHARE * self.samples_per_pixel
+        return self._shared(self.contact_samples_per_pixel or CONTACT_SHARE * self.samples_per_pixel)
 
     @property
     def passes(self) -> int:
         """Independent passes that the paths divide into."""
-        return passes_of(self.samples_per_pixel, self.around_contact)
+        return passes_of(self.on_pad, self.around_contact)
 
     @property
     def surroundings(self) -> int:
         """Paths per pixel that sees neither coat nor walls: nothing is measured there."""
-        return self.passes * max(1, round(self.samples_per_pixel / (SURROUNDINGS_SHARE * self.passes)))
+        return self.passes * max(1, round(self.on_pad / (SURROUNDINGS_SHARE * self.passes)))
+
+    def _shared(self, paths: int) -> int:
+        """Return how many paths there are from the camera: few, where they share what they gather."""
+        return MOST_PASSES * max(1, round(paths / (SHARED_SHARE * MOST_PASSES))) if self.shared_light else paths
 
     def of_contact(self) -> "RenderSettings":
         """Return the same for the image with contact, whose random numbers may be its own."""
@@ -163,9 +184,14 @@ def render_state(
     else:
         guide, seed = open_guide(scene, design, shape, renderer), stream_seed(settings.seed, 0)
         finger = LoadedScene(scene, design, shape, bands, renderer)
-        batches = bake_batches(finger, settings.level, seed, BAKE_SAMPLES[scalar], guide)
+        received = led_irradiance(finger, seed, BAKE_SAMPLES[scalar], guide)
+        batches = bake_batches(finger, settings.level, seed, BAKE_SAMPLES[scalar], guide, received)
         light = {chain: _in_passes(of_chain, settings.passes) for chain, of_chain in batches.items()}
-        integrator, chains = lit_integrator(scene, design, shape, renderer, {} if scalar else light, guide)
+        if settings.shared_light:
+            integrator = _shared_gathers(finger, camera, batches, received, guide, settings.seed)
+            chains = integrator.chains
+        else:
+            integrator, chains = lit_integrator(scene, design, shape, renderer, {} if scalar else light, guide)
     bake_s = time.monotonic() - begun
     if scalar:
         picture = _scalar_picture(scene, camera, renderer, light, settings)
@@ -173,6 +199,17 @@ def render_state(
         seed_of = partial(stream_seed, settings.seed)
         picture = traced_picture(scene, integrator, renderer, chains, camera.regions(settings), seed_of)
     return StateRender(chains, picture, bake_s, time.monotonic() - begun - bake_s)
+
+
+def _shared_gathers(
+    finger: LoadedScene, camera: CameraWindows, light: WallLight, received: WallLight, guide: Any, seed: int
+) -> Any:
+    """Return what renders pixels that share light, each batch of it with its own batch of the walls' light."""
+    from sim.optics._shared_gathers import SharedGathers  # needs the variant set
+
+    reflected = reflected_light(finger, light, received, stream_seed(seed, _REFLECTED_STREAM))
+    nodes_seed = stream_seed(seed, _NODES_STREAM)
+    return SharedGathers(finger, light, reflected, guide, nodes_seed, camera.calibration)
 
 
 def _in_passes(batches: NDArray[np.float64], passes: int) -> NDArray[np.float64]:
@@ -201,6 +238,7 @@ def _scalar_picture(
 
 # beside the streams of bake and pixels, which count from zero
 _CONTACT_STREAM = 100
+_REFLECTED_STREAM, _NODES_STREAM = 1_000_000, 1_000_001
 
 # a bent finger at rest would be shorter; meshes keep their size to rounding
 _SIZE_TOLERANCE_REL = 0.02
@@ -287,7 +325,7 @@ def render_press(
         level c meets a scalar variant.
     """
     settings = settings or RenderSettings()
-    _check_scalar(design, renderer)
+    _check_scalar(design, renderer, settings)
     start = time.monotonic()
     bands = check_paints(design, paints)
     rest, pressed = shapes or (rest_shape(design), pressed_shape(design))
@@ -317,7 +355,7 @@ def render_press(
         timings_s=timings,
         variant=variant,
         level=settings.level,
-        label=f"rendered, {_level_name(settings.level)}, {variant}{_left_out(design, variant)}",
+        label=f"rendered, {_level_name(settings.level)}, {variant}{_left_out(design, variant)}{_shared(settings)}",
     )
 
 
@@ -340,6 +378,11 @@ def check_apart(shape: FingerShape, is_analytic: bool) -> None:
         check_no_intersections(shape.gel)
 
 
+def _shared(settings: RenderSettings) -> str:
+    """Say that pixels share light: their noise has a part that is common to neighbours."""
+    return ", pixels share light" if settings.shared_light else ""
+
+
 def _check_size(design: FingerDesign, rest: FingerShape) -> None:
     """Refuse surfaces of another finger: their coordinates would be read with this one's sizes."""
     extent = np.ptp(rest.surfaces["coat"].vertices_mm, axis=0)
@@ -351,8 +394,12 @@ def _check_size(design: FingerDesign, rest: FingerShape) -> None:
             )
 
 
-def _check_scalar(design: FingerDesign, renderer: ModuleType) -> None:
+def _check_scalar(design: FingerDesign, renderer: ModuleType, settings: RenderSettings) -> None:
     """Refuse what a scalar variant would render wrongly."""
+    if renderer.variant() == SCALAR_VARIANT and settings.shared_light:
+        raise SimulateError(
+            "light is shared between pixels in compiled variants only; install LLVM 17+, or do not share"
+        )
     if renderer.variant() == SCALAR_VARIANT and any(light.beam_exponent != 1.0 for light in design.lights):
         raise SimulateError(
             "light.beam_exponent: a scalar variant renders Lambertian panels (1) only; take 1, or install LLVM 17+"

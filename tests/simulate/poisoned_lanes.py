@@ -13,7 +13,16 @@ import numpy as np
 
 from data_schemas import CameraCalibration, FingerDesign
 from data_schemas._design_parts import TactileCamera
-from sim.optics import FIRST_CHAINS, TEXELS_ALONG, PaintOptics, choose_variant, open_renderer, open_scene, paint_bands
+from sim.optics import (
+    FIRST_CHAINS,
+    TEXELS_ALONG,
+    LoadedScene,
+    PaintOptics,
+    choose_variant,
+    open_renderer,
+    open_scene,
+    paint_bands,
+)
 from sim.optics._calibrated_camera import opencv_sensor
 from sim.optics._fluorescent_paint import FluorescentPaint
 from sim.optics._mirror_guide import CELLS_ACROSS, CELLS_ALONG, NUMBERS, ROUTES
@@ -113,6 +122,28 @@ def mirror_guide(lanes, _scene):
     return [drawn, guide.density(lobes, drawn), guide.known(lobes)]
 
 
+def shared_light(lanes, scene):
+    """Radiance and points of lit walls, and the nodes that stand for places of the coat."""
+    from sim.optics._shared_gathers import LitWalls, Nodes
+
+    mi, everywhere = lanes.renderer, lanes.renderer.Bool(True)
+    lit = LitWalls(np.ones((3, 2, TEXELS_ALONG, TEXELS_UP, 5)), SHAPE, 6.0, 70.0)
+    seen = lit.at(SimpleNamespace(uv=lanes.next_2d()), lanes.either(), lanes.number(), everywhere)
+    point, du, dv = lit.place(1, lanes.next_1d(), lanes.next_1d(), everywhere)
+    aimed = list(lit.aim(scene, lanes.interaction(scene), 0, [lanes.next_1d() for _ in range(3)], everywhere))[:3]
+    nodes = Nodes(LoadedScene(scene, DESIGN, SHAPE, BANDS, mi), np.full((1, 2), 0.5), np.eye(3)[1:2])
+    near = nodes.near(lanes.next_2d(), [lanes.next_1d() for _ in range(2)])
+    return [
+        *seen,
+        point,
+        du,
+        dv,
+        *aimed,
+        LookupTable(np.ones((9, 4)), mi).row(near),
+        nodes.seen(scene, lanes.number()).p,
+    ]
+
+
 def connections(lanes, scene):
     """Points joined to a panel through the inner face, and emitters and materials asked at unwritten places."""
     from sim.optics._band_paths import band_paths
@@ -189,7 +220,16 @@ def painted_spectra(lanes, _scene):
 BANDS = paint_bands(*PAINTS, DESIGN.light)
 # how often: compiling the last two takes most of the time
 TIMES = {
-    "rgb": {tables: 10, position_map: 10, walls: 10, mirror_guide: 10, painted_bands: 10, camera: 10, connections: 2},
+    "rgb": {
+        tables: 10,
+        position_map: 10,
+        walls: 10,
+        mirror_guide: 10,
+        painted_bands: 10,
+        camera: 10,
+        shared_light: 2,
+        connections: 2,
+    },
     "spectral": {painted_spectra: 10},
     "paths": {whole_paths: 1},
 }
