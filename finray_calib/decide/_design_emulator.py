@@ -334,7 +334,7 @@ def _candidates(best: Floats, rng: np.random.Generator) -> Floats:
     for sd, count in _NEAR:
         moved = rng.random((count, best.size)) < rng.choice([0.35, 1.0], size=(count, 1))
         near.append(best + moved * rng.normal(0.0, sd, (count, best.size)))
-    return np.clip(np.concatenate([rng.random((_EVERYWHERE, best.size)), *near]), 0.0, 1.0)
+    return np.asarray(np.clip(np.concatenate([rng.random((_EVERYWHERE, best.size)), *near]), 0.0, 1.0))
 
 
 def best_design(

@@ -211,7 +211,7 @@ class SlidingContact(PenaltyContact):
         blocks = rate * (across - np.where(slips, way[:, :, None] * way[:, None, :], 0.0))
         face, number = np.divmod(at, self._areas.shape[1])
         scaled = self._areas.ravel()[at, None, None] * blocks
-        return (pushed + node_blocks(self.quads[face], self._shapes[number], scaled, len(u))).tocoo()
+        return sp.coo_array(pushed + node_blocks(self.quads[face], self._shapes[number], scaled, len(u)))
 
     def forces_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the body at each point, (m, 3)."""

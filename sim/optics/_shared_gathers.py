@@ -383,7 +383,7 @@ class Nodes:
         towards = mi.Vector3f(normal.x, normal.y, normal.z)
         # towards the middle of the pad
         beside = mi.Vector3f(_BESIDE_MM, 0.0, _BESIDE_MM) * dr.select(start.w > 0.0, -1.0, 1.0)
-        origin = mi.Point3f(start.x, start.y, start.z)
+        origin: Any = mi.Point3f(start.x, start.y, start.z)
         si = scene.ray_intersect(mi.Ray3f(origin, towards))
         slipped = ~si.is_valid() | (si.shape != self.coat)
         si = dr.select(slipped, scene.ray_intersect(mi.Ray3f(origin + beside, towards), slipped), si)
@@ -405,9 +405,9 @@ class Nodes:
 
 @dataclass(frozen=True, slots=True)
 class DirectionBins:
-    """Bins of equal solid angle: rows of the cosine to the pad's inward axis from `lowest` to 1, turns around it."""
+    """Bins of equal solid angle: rows of the cosine to the pad's inward axis from `lowest_cosine` to 1, and turns."""
 
-    lowest: float
+    lowest_cosine: float
     rows: int
 
     @classmethod
@@ -424,15 +424,15 @@ class DirectionBins:
 
     def of_directions(self, directions: Floats32) -> NDArray[np.int64]:
         """Return the number of the bin of each direction (..., 3)."""
-        row = np.floor((-directions[..., 1] - self.lowest) * _ROWS)
+        row = np.floor((-directions[..., 1] - self.lowest_cosine) * _ROWS)
         turn = np.floor((np.arctan2(directions[..., 2], directions[..., 0]) / (2.0 * np.pi) + 0.5) * _TURNS)
         rows, turns = np.clip(row, 0, self.rows - 1), np.clip(turn, 0, _TURNS - 1)
-        return (rows * _TURNS + turns).astype(np.int64)
+        return np.asarray(rows * _TURNS + turns, dtype=np.int64)
 
     def direction(self, number: Any, x: Any, y: Any) -> Any:
         """Return directions in bins, at shares x and y of their rows and turns."""
         row = number // _TURNS
-        cosine = self.lowest + (mi.Float(row) + x) / _ROWS
+        cosine = self.lowest_cosine + (mi.Float(row) + x) / _ROWS
         sine = dr.safe_sqrt(1.0 - cosine * cosine)
         turn = 2.0 * dr.pi * ((mi.Float(number - row * _TURNS) + y) / _TURNS - 0.5)
         return mi.Vector3f(sine * dr.cos(turn), -cosine, sine * dr.sin(turn))
@@ -474,8 +474,7 @@ def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, no
 @dr.syntax
 def _follow(gathers, scene, sampler, ray, batch):  # type: ignore[no-untyped-def]
     """Return what arrives along rays from the coat, per channel, but for what comes straight from walls and panels."""
-    paths, walls = gathers.paths, gathers.walls
-    ray = mi.Ray3f(ray)
+    paths, walls, ray = gathers.paths, gathers.walls, mi.Ray3f(ray)
     throughput: Any = mi.Color3f(1)
     sums = [mi.Float(0) for _ in gathers.chains]
     depth, eta, active = mi.UInt32(0), mi.Float(1), mi.Bool(True)
@@ -495,9 +494,7 @@ def _follow(gathers, scene, sampler, ray, batch):  # type: ignore[no-untyped-def
         on_coat = active & ~front & (si.shape == paths.coat)
         seen, direction, weight = paths.connect(scene, si, sampler.next_2d(on_coat), on_coat)
         bsdf = si.bsdf(ray)
-        value, chosen, onward, usual_weight, chosen_weight = paths.scatter(
-            si, bsdf, sampler, direction, on_coat, active
-        )
+        value, chosen, onward, usual, guided = paths.scatter(si, bsdf, sampler, direction, on_coat, active)
         sums[2] += dr.select(seen, throughput.z * value.z * weight, 0)
         numbers = [sampler.next_1d(on_coat) for _ in range(6)]
         lit = gathers.straight(scene, si, bsdf, numbers, on_coat)
@@ -505,8 +502,8 @@ def _follow(gathers, scene, sampler, ray, batch):  # type: ignore[no-untyped-def
             sums[k] += dr.select(on_coat, throughput[gathers.band_of[k]] * lit[k], 0)
         smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
         transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
-        carried_usually = dr.max(throughput * usual_weight)
-        throughput *= chosen_weight
+        carried_usually = dr.max(throughput * usual)
+        throughput *= guided
         on_inner = si.shape == paths.inner
         if dr.hint(paths.face.film is not None, mode="scalar"):
             throughput *= dr.select(on_inner & smooth, paths.film_factor(si, transmitted), 1)

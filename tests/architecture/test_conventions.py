@@ -28,6 +28,7 @@ DIMENSIONLESS_WORDS = frozenset(
         "chi",
         "chi2",
         "correlation",
+        "cosine",
         "exponent",
         "factor",
         "fraction",

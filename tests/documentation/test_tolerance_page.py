@@ -13,7 +13,7 @@ EXAMPLE = Path(__file__).parents[1] / "schemas" / "frozen" / "FingerTolerances" 
 
 def test_the_page_tells_limits_and_shares() -> None:
     found = read_record(EXAMPLE, FingerTolerances)
-    page = tolerance_page(found, "finray design tolerances <b>", {})
+    page = " ".join(tolerance_page(found, "finray design tolerances <b>", {}).split())
     assert found.sentence in page
     assert "24.9 [22.4, 27.4]" in page
     assert "over 32" in page

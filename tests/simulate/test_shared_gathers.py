@@ -43,8 +43,8 @@ def test_bins_hold_the_directions_that_are_drawn_in_them(llvm, gathers):
     import drjit as dr
 
     bins = gathers.DirectionBins.of(np.array([[0.6, 0.1, 0.0]]))
-    assert bins.lowest <= -0.1
-    assert bins.lowest > -0.2
+    assert bins.lowest_cosine <= -0.1
+    assert bins.lowest_cosine > -0.2
     numbers = np.arange(bins.count)
     for x, y in ((0.02, 0.03), (0.5, 0.5), (0.97, 0.98)):
         drawn = bins.direction(dr.arange(llvm.UInt32, bins.count), llvm.Float(x), llvm.Float(y)).numpy().T
