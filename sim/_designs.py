@@ -165,6 +165,10 @@ def given_design(path: Path) -> tuple[FingerDesign, list[Path], Path]:
     """
     if not path.exists() and str(path) in PRESETS:
         return preset_design(str(path)), [], Path()
+    if not path.exists() and str(path) in SENSORS:
+        raise SimulateError(
+            f"{path}: is a ready-made classic sensor; a finger is needed: {', '.join(PRESETS)}, or a file"
+        )
     return read_design(path), [path], path.parent
 
 

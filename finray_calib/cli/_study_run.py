@@ -267,10 +267,9 @@ def _dataset_plan(arguments: argparse.Namespace) -> "tuple[DatasetPlan, Path | N
     from pydantic import ValidationError
 
     from data_schemas import DatasetPlan, SimulateError, explain
-    from sim import PRESETS, preset_design, read_design
+    from sim import given_design
 
-    path = None if arguments.design in PRESETS else Path(arguments.design)
-    design = preset_design(arguments.design) if path is None else read_design(path)
+    design, files, _ = given_design(Path(arguments.design))
     if arguments.size is not None:
         columns, rows = arguments.size
         camera = design.camera.model_copy(update={"width_px": 2 * columns, "height_px": 2 * rows})
@@ -292,7 +291,7 @@ def _dataset_plan(arguments: argparse.Namespace) -> "tuple[DatasetPlan, Path | N
         )
     except ValidationError as error:
         raise SimulateError(f"finray study dataset: {explain(error, DatasetPlan)}") from None
-    return plan, path
+    return plan, files[0] if files else None
 
 
 def _drawn_paints(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws], dict[str, str], list[Path]]":

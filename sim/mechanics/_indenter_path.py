@@ -121,7 +121,7 @@ def read_path(path: Path, increments: int) -> IndenterPath:
     SimulateError
         When it cannot be read, a column is unknown, a cell is no number, or see :class:`IndenterPath`.
     """
-    header, rows = read_csv(path, "the path of an indenter (CSV)", SimulateError, comments=True)
+    header, rows = read_csv(path, "the poses of an indenter (CSV)", SimulateError, comments=True)
     known = (*MOVE_COLUMNS, *TURN_COLUMNS, INCREMENTS_COLUMN)
     allowed = f"the columns are {', '.join(known)}; one that is left out is nought"
     unknown = [name for name in header if name not in known]
