@@ -417,7 +417,7 @@ def test_a_whole_session_in_the_terminal(files, captured_short):
                       "beside the ColorChecker",
                       "Put the paint sample"):  # fmt: skip
             asks(terminal, words)
-            assert "Press Enter when done." in " ".join(terminal.screen.text.split())
+            terminal.until(lambda: "Press Enter when done." in " ".join(terminal.screen.text.split()))
             assert all(len(row) == 80 for row in terminal.screen.rows())
             terminal.press("x\r")
             terminal.until(lambda words=words: words not in " ".join(terminal.screen.text.split()))

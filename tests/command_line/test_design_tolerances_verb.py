@@ -1,5 +1,6 @@
 """``finray design tolerances``: limits of a finger with their page, and what is refused."""
 
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,7 @@ def test_limits_are_found_stored_and_shown(paints: Path, tmp_path: Path) -> None
     assert found.rows[0].given == 5.0
     assert found.rows[0].origin == "given"
     assert "assumed" in found.rows[1].origin
-    page = (tmp_path / "found.html").read_text()
+    page = unescape((tmp_path / "found.html").read_text())
     assert found.sentence in page
     origin = load(tmp_path / "found.json")["record"]["provenance"]
     assert origin["seed"] == 3
