@@ -351,12 +351,22 @@ def _ends(limits: Floats) -> list[tuple[float, float]]:
 def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: float) -> str:
     """Say what to build, what it gains, and what could still be gained."""
     changes = ", ".join(f"{name} {value:.4g}" for name, value in searched.changes[-1].items())
-    told = "; ".join(_gain_words(gain) for gain in gains if gain.against == "start")
+    against_start = [gain for gain in gains if gain.against == "start"]
+    told = "; ".join(_gain_words(gain) for gain in against_start)
+    is_better = any(_limits(gain)[0] > 0.0 for gain in against_start)
+    build = f"Build the finger with {changes}: {told}"
+    if not is_better:
+        build = f"Keep the start: the best that was found ({changes}) is not shown to be better: {told}"
     whole = "" if len(searched.objectives) == 1 else " in all objectives together (ratios multiplied)"
     return (
-        f"Build the finger with {changes}: {told}. With 95 % probability no design within the limits is better by more "
+        f"{build}. With 95 % probability no design within the limits is better by more "
         f"than {regret_95:.1%}{whole}, as far as the emulator knows."
     )
+
+
+def _limits(gain: DesignGain) -> tuple[float, float]:
+    """Return the interval of a gain: the confirmed one, else the emulator's."""
+    return gain.expected_95_rel if gain.confirmed_95_rel is None else gain.confirmed_95_rel
 
 
 def _gain_words(gain: DesignGain) -> str:
