@@ -410,7 +410,7 @@ class TestKilled:
             start_s = time.monotonic()
             dead_man = after_kill(laser, "dead-man", ConnectionWatch(laser, quiet_s=0.95), 2)
             assert dead_man.still_on == 0
-            # nobody else switched it off; a try that is made again, as its processes were not stopped at once, trips too
+            # nobody else switched it off; a try that is made again, as not all were stopped at once, trips too
             assert len(board.times("device", b"TRIP", after_s=start_s)) >= len(dead_man.latest_s) == 2
             # the quicker of two: a connection that a busy machine refuses or is late with costs a second look
             assert 0.95 <= min(dead_man.latest_s) < 1.1
