@@ -25,10 +25,14 @@ def light_of(x: Floats) -> float:
     return float(np.exp(x[0]))
 
 
-def search(objectives: tuple[DesignObjective, ...] = (ERROR, LIGHT), noise_rel: float = 0.005) -> DesignSearch:
+def search(
+    objectives: tuple[DesignObjective, ...] = (ERROR, LIGHT),
+    noise_rel: float = 0.005,
+    chosen: tuple[float, float] = (0.3, 0.5),
+) -> DesignSearch:
     """Return 40 designs of a made-up finger; the chosen one is near the best error, and one has failed."""
     rng = np.random.default_rng(3)
-    places = np.concatenate([[[0.9, 0.9]], screening_designs(2, 38, 2), [[0.3, 0.5]]])
+    places = np.concatenate([[[0.9, 0.9]], screening_designs(2, 38, 2), [chosen]])
     evaluated = []
     for k, x in enumerate(places):
         values = {"error": error_of(x), "light": light_of(x)}
@@ -64,6 +68,15 @@ def test_gains_are_those_of_the_made_up_finger(optimum: DesignOptimum) -> None:
     loss = next(g for g in optimum.gains if (g.objective, g.against) == ("light", "start"))
     assert loss.expected_95_rel[1] < 0.0
     assert loss.expected_95_rel[0] < np.exp(0.3 - 0.9) - 1.0 < loss.expected_95_rel[1]
+
+
+def test_the_sentence_says_to_build_what_is_better_and_else_to_keep_the_start(optimum: DesignOptimum) -> None:
+    assert optimum.sentence.startswith("Build the finger with light.angle_deg 3, pad.thickness_mm 5: error ")
+    same = design_optimum(search((ERROR,), chosen=(0.9, 0.9)), None, seed=1)
+    words = (
+        "Keep the start: the best that was found (light.angle_deg 9, pad.thickness_mm 9) is not shown to be better: "
+    )
+    assert same.sentence.startswith(words)
 
 
 def test_the_front_is_the_trade(optimum: DesignOptimum) -> None:
