@@ -277,10 +277,14 @@ def _states(pids: list[int]) -> set[str]:
     return {Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] for pid in pids}
 
 
-def _wait(what: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60.0
+def _wait(what: Callable[[], bool], command: "subprocess.Popen[str]") -> None:
+    """Wait for a running command; one that ended, or is late, fails with what it said and where it was."""
+    deadline = time.monotonic() + 180.0  # a machine with other work
     while not what():
-        assert time.monotonic() < deadline
+        if command.poll() is not None or time.monotonic() > deadline:
+            command.send_signal(signal.SIGABRT)  # the fault handler then writes where every thread is
+            command.send_signal(signal.SIGCONT)
+            pytest.fail(f"status {command.poll()}: {command.communicate(timeout=60.0)[1]}")
         time.sleep(0.02)
 
 
@@ -288,21 +292,21 @@ def _wait(what: Callable[[], bool]) -> None:
 def test_ctrl_z_stops_all_processes_and_ctrl_c_ends_them(folders: Path) -> None:
     rows = [f"simulated/one.press.json,captured/one.capture.json,pair {k}" for k in range(400)]
     (folders / "pairs.csv").write_text("\n".join(["simulated,captured,name", *rows]) + "\n")
-    words = [sys.executable, "-c", _SLOW, str(folders / "pairs.csv"), str(folders / "out")]
+    words = [sys.executable, "-X", "faulthandler", "-c", _SLOW, str(folders / "pairs.csv"), str(folders / "out")]
     with subprocess.Popen(words, cwd=Path(__file__).parents[2], stderr=subprocess.PIPE, text=True) as command:
         try:
-            _wait(lambda: len(list((folders / "out").glob("*.json"))) > 1)
+            _wait(lambda: len(list((folders / "out").glob("*.json"))) > 1, command)
             workers = _workers_of(command.pid)
             assert len(workers) == 2
             command.send_signal(signal.SIGTSTP)
-            _wait(lambda: _states([command.pid, *workers]) == {"T"})
+            _wait(lambda: _states([command.pid, *workers]) == {"T"}, command)
             stored = len(list((folders / "out").glob("*.json")))
             time.sleep(0.5)
             assert len(list((folders / "out").glob("*.json"))) == stored
             command.send_signal(signal.SIGCONT)
-            _wait(lambda: len(list((folders / "out").glob("*.json"))) > stored)
+            _wait(lambda: len(list((folders / "out").glob("*.json"))) > stored, command)
             command.send_signal(signal.SIGINT)
-            _, said = command.communicate(timeout=60.0)
+            _, said = command.communicate(timeout=180.0)
         finally:
             command.kill()
     assert command.returncode == 130, said
