@@ -21,11 +21,23 @@ def test_slopes_of_a_known_surface_integrate_to_it(example):
     x, z = np.arange(50) * example.CELL_MM, np.arange(100) * example.CELL_MM
     u, v = x[:, None] - 15.0, z[None, :] - 40.0
     depth = 1.5 * np.exp(-(u**2 + v**2) / 18.0)
-    found = example.integrated(np.stack([-u / 9.0 * depth, -v / 9.0 * depth], axis=-1))
+    found = example.integrated(np.stack([-u / 9.0 * depth, -v / 9.0 * depth], axis=-1), 1e6)
     # slopes are means of two neighbours: an error of cell^2 / 12 times the third derivative, 1.5 * 1.38 / 27 mm^-2,
     # over a width of 3 mm
     bound = example.CELL_MM**2 / 12.0 * 1.5 * 1.38 / 27.0 * 3.0
     assert np.abs(found - (depth - depth.mean())).max() < 2.0 * bound
+
+
+def test_the_pull_to_depth_0_weakens_each_wave_by_its_length(example):
+    cells, waves, reach_mm = 100, 3, 5.0
+    z = (np.arange(cells) + 0.5) * example.CELL_MM
+    k = waves * np.pi / (cells * example.CELL_MM)
+    slopes = np.zeros((40, cells, 2))
+    slopes[..., 1] = -k * np.sin(k * z)
+    found = example.integrated(slopes, reach_mm)
+    # the least of (slope - wanted)^2 + (depth / reach)^2; differences err by (k cell)^2 / 12, and slopes as much again
+    wanted = np.cos(k * z) * k**2 / (k**2 + reach_mm**-2)
+    assert np.abs(found - wanted).max() < (k * example.CELL_MM) ** 2 / 4.0
 
 
 def test_gradients_are_those_of_finite_differences(example):
