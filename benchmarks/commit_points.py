@@ -16,7 +16,8 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -28,6 +29,7 @@ from data_schemas import FingerDesign, NoEquilibriumError, provenance
 from data_schemas.storage import write_record
 from rigs import camera_plan, paint_plan, simulated_rig, write_plan, write_rig
 from sim import design_toml
+from sim.experiments._design_search import DesignSearch
 from sim.mechanics import STEPS
 from sim.mechanics._finger_mesh import MeshSteps
 from tests.command_line.records import capture_of, press, sweep, with_known_camera
@@ -52,6 +54,18 @@ FINGER = (
     'preset = "flat-70x35"\nname = "small finger"\n'
     "[camera]\nwidth_px = 64\nheight_px = 48\n[indenter]\ndepth_mm = 0.2\n"
 )
+STUDY = """
+kind = "design"
+name = "two angles"
+[set]
+"camera.width_px" = 64
+"camera.height_px" = 48
+[measure]
+samples = 2
+[[vary]]
+field = "light.angle_deg"
+values = [0.0, 40.0]
+"""
 PAINTS = "--paint red={i}/fitted.paint.json --paint green={i}/fitted.paint.json"
 RENDERED = (
     "finray_calib._finger_functions:_scene",
@@ -202,6 +216,48 @@ COMMANDS = {
         "stiffness",
         ("sim.experiments._design_sensitivities:study_finger_stiffness",),
     ),
+    "study run": Command(
+        "study run {i}/study.toml --engine scalar --out {o}/study",
+        "study/study.json",
+        ("sim.studies._point:_rendered", "finray_calib.reports._design_study_page:design_study_page"),
+        ("/points/",),
+        0,
+    ),
+    "study dataset": Command(
+        "study dataset {i}/finger.toml --presses 2 --presses-per-shard 1 --lights 1 --paints 1 --samples 2 "
+        "--radius-mm 3 5 --depth-mm 0.4 1.2 --out {o}/set",
+        "set/dataset.json",
+        (
+            "sim.studies._dataset:press_samples",
+            "sim.studies._dataset:pixel_places_mm",
+        ),
+        ("/shards/",),
+        0,
+    ),
+    "design paints": Command(
+        "design paints {i}/whole.toml --paint {i}/red.paint.json --paint {i}/green.paint.json --out {o}/p.json",
+        "p.json",
+        ("finray_calib.cli._design:open_engine", "sim.experiments._paint_choice:paint_pairs"),
+    ),
+    "design tolerances": Command(
+        f"design tolerances {{i}}/whole.toml {PAINTS} --runs 60 --out {{o}}/t.json",
+        "t.json",
+        (
+            "sim.experiments._tolerance_study:study_tolerances",
+            "finray_calib.reports.tolerances._tolerance_page:tolerance_page",
+        ),
+    ),
+    "design optimise": Command(
+        "design optimise {i}/whole.toml --for bending-stiffness --within skeleton.rib_thickness_mm --evaluations 10 "
+        "--confirm 0 --out {o}/found",
+        "found/optimum.json",
+        (
+            "finray_calib.decide._design_optimum:design_optimum",
+            "finray_calib.reports.design_search._optimum_page:optimum_page",
+        ),
+        ("/evaluations/",),
+        0,
+    ),
     "sense scale": Command(
         "sense scale {boards} --pad {i}/board-0.png --squares 7x5 --square-mm 3 --marker-mm 2.2 "
         "--square-u-mm 0.003 --out {o}/scale.json",
@@ -230,7 +286,7 @@ def main() -> int:
         boards = laboratory(inputs)
         for name in arguments.verbs:
             words = COMMANDS[name].words.format(i=inputs, boards=boards, o="{o}", e="{e}")
-            command = Command(words, COMMANDS[name].commit, COMMANDS[name].replayed, COMMANDS[name].steps)
+            command = replace(COMMANDS[name], words=words)
             found[name] = one_verb(command, Path(top) / "tries", arguments.every)
             told = found[name].get("failure") or ", ".join(f"{k}: {v}" for k, v in found[name]["ended"].items())
             sys.stdout.write(f"{name}: {found[name].get('points', 0)} points in {found[name]['s']:.0f} s; {told}\n")
@@ -259,6 +315,7 @@ def one_verb(command: Command, top: Path, every: int) -> dict[str, Any]:
 def stand_ins() -> Iterator[None]:
     """Replace what no verb needs to be true here by something quick."""
     made = Replay(lambda: closed_form_presses(30))
+    fitted = Replay(DesignSearch.emulators)
     paints = example_results().paints
     linear = with_known_camera(press())
     study = "sim.experiments._design_sensitivities"
@@ -269,6 +326,15 @@ def stand_ins() -> Iterator[None]:
             "sim.mechanics._press.press_finger": ReplayedPress(),
             f"{study}.LoadedFinger": Quick,
             f"{study}.press_to_force": no_grip,
+            "sim.studies._engine._client": contextlib.nullcontext,
+            "sim.studies._engine._each": one_after_the_other,
+            "time.process_time": lambda: 0.0,
+            "sim.experiments._design_search.DesignEvaluations._values": stiffness,
+            "sim.experiments._design_search.DesignSearch.emulators": lambda *search, **how: fitted(*search, **how),
+            "sim.experiments._design_search.next_design": anywhere,
+            "sim.experiments._design_search.best_design": anywhere,
+            "sim.experiments._tolerance_study.FingerError": lambda *_: turned_error,
+            "finray_calib.cli._design_search._evaluators": lambda *_: lambda seed: Places(),
         }.items():
             stack.enter_context(patch(target, value))
         read = {"9dtact": lambda _: (capture_of(linear, 50.0), linear)}
@@ -327,6 +393,34 @@ def no_grip(*_: Any, **__: Any) -> None:
     raise NoEquilibriumError("no equilibrium at a push of 0.1 mm")
 
 
+def one_after_the_other(client: Any, compute: Any, task: Any, points: Sequence[Any], *_: Any) -> Iterator[Any]:
+    """Compute points in this process: the workers of a study were not forked with a try."""
+    for point in points:
+        yield point, compute(task, point)
+
+
+def stiffness(_: Any, design: FingerDesign, again: int) -> dict[str, float]:
+    """Return the stiffness of a made-up finger."""
+    return {"bending-stiffness": 0.5 * design.skeleton.rib_thickness_mm**2}
+
+
+def anywhere(emulators: Any, weights: Any, rng: np.random.Generator, is_worth_trying: Any) -> Any:
+    """Propose a random design."""
+    return rng.random(1)
+
+
+def turned_error(design: FingerDesign, paints: Any, seed: int) -> float:
+    """Return an error in degrees that depends on the light's angle."""
+    return 5.0 + (design.light.angle_deg - 30.0) ** 2 / 500.0
+
+
+class Places:
+    """An evaluator that knows its contact places."""
+
+    def contact_places_mm(self, design: FingerDesign) -> list[float]:
+        return [35.0]
+
+
 def laboratory(folder: Path) -> str:
     """Write all that the verbs read, and return the pictures of boards."""
     folder.mkdir()
@@ -334,7 +428,15 @@ def laboratory(folder: Path) -> str:
     write_rig(rig, folder / "rig.toml")
     write_plan(paint_plan("red", rig.camera), folder / "plan.toml")
     whole, of_abaqus = design_toml(FingerDesign()), design_toml(ABAQUS_DESIGN)
-    texts = {"finger": FINGER, "pressed": PRESSED, "whole": whole, "check": CHECK, "sensor": SENSOR, "x": of_abaqus}
+    texts = {
+        "finger": FINGER,
+        "pressed": PRESSED,
+        "whole": whole,
+        "check": CHECK,
+        "sensor": SENSOR,
+        "x": of_abaqus,
+        "study": STUDY,
+    }
     for name, text in texts.items():
         (folder / f"{name}.toml").write_text(text)
     origin, linear = provenance("benchmark"), with_known_camera(press())
@@ -348,6 +450,8 @@ def laboratory(folder: Path) -> str:
     pushes_mm = np.linspace(0.1, 1.0, 10) * INCREMENTS_MM[-1]
     bench(folder / "bench.csv", force_at(pushes_mm), pushes_mm)
     succeed(f"capture {folder}/plan.toml --rig {folder}/rig.toml --out {folder}/session")
+    for colour, paint in example_results().paints.items():
+        write_record(paint.calibration, folder / f"{colour}.paint.json", origin)
     write_plan(camera_plan("lab camera", rig.camera), folder / "camera.toml")
     succeed(f"capture {folder}/camera.toml --rig {folder}/rig.toml --out {folder}/camera")
     succeed(f"radiometry {folder}/session --pixels --out {folder}/bands.json")
