@@ -30,9 +30,8 @@ from finray_calib.decide._light_angle import (
     decide_contacts,
 )
 from finray_calib.decide._next_observation import Proposal, propose_capture, propose_render
-from finray_calib.decide._other_objectives import OtherOptimum, other_optima
 from finray_calib.decide._sim_to_real import MOVED_SD_DEG
-from finray_calib.decide._swept_contacts import Aim, DecidedOn, decided_on
+from finray_calib.decide._swept_contacts import Aim, DecidedOn, OtherOptimum, decided_on, other_optima
 
 Floats = NDArray[np.float64]
 TOLERANCE_REL = 0.02
