@@ -3,8 +3,8 @@
 Brightness of the touch, or expected error of the sensed normal along the pad. A repeat of a sweep has its own paths
 and its own draw of both paints. Paths average out over the repeats; the paint of the real finger is one draw, so that
 its scatter must be kept. The bands of each repeat are stored beside its colours, and colours are linear in bands: every
-draw of the paints can be put on the bands of every repeat, which takes the two apart exactly. Of the error of the normal
-this cannot be told, and the whole scatter is kept.
+draw of the paints can be put on the bands of every repeat, which takes the two apart exactly. Of the error of the
+normal this cannot be told, and the whole scatter is kept.
 """
 
 from collections.abc import Sequence
