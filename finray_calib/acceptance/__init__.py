@@ -11,10 +11,12 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.acceptance._acceptance_report import SECTIONS, judge, result_line, value_text
-    from finray_calib.acceptance._certified_results import NO_REFERENCE, CertifiedResult, certified_results
     from finray_calib.acceptance._conformity import (
         GUARD_FACTOR,
+        NO_REFERENCE,
+        CertifiedResult,
         ToleranceInterval,
+        certified_results,
         conformance_probability,
         global_risks,
     )
