@@ -137,7 +137,7 @@ COMMANDS = {
     "design export": Command(
         "design export {i}/whole.toml --out {o}/print",
         "print",
-        ("finray_calib.exchange._printable_parts:printable_parts",),
+        ("finray_calib.exchange._mesh_files:printable_parts",),
     ),
     "export taxim": Command(
         "export taxim {i}/sensor.toml --presses 30 --out {o}/taxim",

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._junit_xml import junit_xml
     from finray_calib.exchange._learning_dataset import dataset_card, index_csv, index_parquet, read_shard
     from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix
+    from finray_calib.exchange._mesh_files import PrintFormat, printable_parts, vtu_bytes
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
     from finray_calib.exchange._package_formats import ImportFormat, capture_by_package
     from finray_calib.exchange._paint_formats import (
@@ -37,14 +38,12 @@ if TYPE_CHECKING:
         inference_data,
     )
     from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
-    from finray_calib.exchange._printable_parts import PrintFormat, printable_parts
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
     from finray_calib.exchange._recipe_captures import RecipeCaptures, read_by_recipe
     from finray_calib.exchange._record_arrays import record_dataset
     from finray_calib.exchange._render_files import write_optics_folder, write_picture_folder
     from finray_calib.exchange._render_folder import press_request, read_renders
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
-    from finray_calib.exchange._vtu import vtu_bytes
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
