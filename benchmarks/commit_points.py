@@ -131,7 +131,7 @@ COMMANDS = {
             "rigs.capture._check_session:record_facts",
             "finray_calib.acceptance._acceptance_report:judge",
             "finray_calib.reports._check_page:check_report",
-            "finray_calib.exchange._junit_xml:junit_xml",
+            "finray_calib.exchange._record_formats:junit_xml",
         ),
     ),
     "design export": Command(
