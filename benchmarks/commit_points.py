@@ -209,7 +209,7 @@ COMMANDS = {
         (
             "finray_calib.sensing._board_corners:find_board",
             "finray_calib.sensing._scale_record:pixel_scale",
-            "finray_calib.exchange._board_pictures:read_board_picture",
+            "finray_calib.exchange._lab_measurements:read_board_picture",
         ),
     ),
 }

@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from finray_calib.exchange._ball_presses import DATA_PACK, PARAMETERS, read_ball_presses, read_circles, read_taxim
     from finray_calib.exchange._band_folder import BandFolder, import_band_folder
     from finray_calib.exchange._bispectral_exr import read_bispectral_exr
-    from finray_calib.exchange._board_pictures import calibration_yaml, read_board_picture
     from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
     from finray_calib.exchange._capture_request import PlannedView, capture_request
-    from finray_calib.exchange._force_csv import read_force_csv
+    from finray_calib.exchange._lab_measurements import calibration_yaml, read_board_picture, read_force_csv
     from finray_calib.exchange._learning_dataset import dataset_card, index_csv, index_parquet, read_shard
     from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix
     from finray_calib.exchange._mesh_files import PrintFormat, printable_parts, vtu_bytes
