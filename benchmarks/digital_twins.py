@@ -24,7 +24,8 @@ from finray_calib.compare._comparison import prepare_comparison
 from finray_calib.compare._image_noise import NO_NOISE, block_mean
 from finray_calib.compare._input_draws import Inputs
 from finray_calib.compare._photometric_error import best, brightness_draws, captured_share, ring_of
-from finray_calib.compare._region_sums import FACTORS, Captured, RenderLayers
+from finray_calib.compare._region_sums import Captured, RenderLayers
+from finray_calib.compare._regions import FACTORS
 from finray_calib.demo import DemoSettings
 from finray_calib.demo._stages import Demo
 from sim.experiments import PaintedFinger, paint_finger, paint_optics, pose_response, press_record

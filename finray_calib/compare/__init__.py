@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     )
     from finray_calib.compare._displayed_images import ciede2000, displayed_image, srgb_to_lab
     from finray_calib.compare._mismatch import find_mismatches
-    from finray_calib.compare._region_sums import DILATED, Region, contact_regions, disc, strip_from_distance
+    from finray_calib.compare._regions import DILATED, Region, contact_regions, disc, strip_from_distance
     from finray_calib.compare._registration import register_press
     from finray_calib.compare._structural_similarity import multi_scale_similarity, structural_similarity
 else:

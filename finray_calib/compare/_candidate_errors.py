@@ -16,7 +16,7 @@ from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._displayed_images import ShownCandidate
 from finray_calib.compare._input_draws import Drawn, ends
 from finray_calib.compare._photometric_error import ErrorDraws, RegionResult
-from finray_calib.compare._region_sums import usable_pixels
+from finray_calib.compare._regions import usable_pixels
 from finray_calib.sensing import SensingError, check_senses, full_scale_dn, normal_map_of, sensing_error
 
 Floats = NDArray[np.float64]

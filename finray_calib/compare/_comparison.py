@@ -17,15 +17,12 @@ from finray_calib.compare._prepared_images import Nuisances, PreparedImages
 from finray_calib.compare._region_sums import (
     LEAST_SIGNAL,
     Captured,
-    Region,
     RegionSums,
     RenderLayers,
-    contact_regions,
     gradient_sums,
     image_sums,
-    pixels_within,
-    usable_pixels,
 )
+from finray_calib.compare._regions import Region, contact_regions, pixels_within, usable_pixels
 
 
 @dataclass(frozen=True, slots=True)

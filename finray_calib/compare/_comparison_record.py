@@ -50,7 +50,7 @@ from finray_calib.compare._prepared_images import (
     prepare_images,
     require_same_conditions,
 )
-from finray_calib.compare._region_sums import DILATED, FACTORS
+from finray_calib.compare._regions import DILATED, FACTORS
 from finray_calib.compare._registration import move_press, register_press
 from finray_calib.compare._tone_curve import drift_record, encoded_layers, tone_record, without_gain
 from finray_calib.sensing import full_scale_dn, patch_scale, rgb_image, scale_finding, with_measured_scale

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from data_schemas import CompareError, MissingExtraError, TactileCapture
 from finray_calib.compare._comparison import Comparison
-from finray_calib.compare._region_sums import Captured, pixels_within, usable_pixels
+from finray_calib.compare._region_sums import Captured
+from finray_calib.compare._regions import pixels_within, usable_pixels
 from finray_calib.compare._structural_similarity import (
     StructuralSimilarity,
     multi_scale_similarity,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from data_schemas import CauseParameter, ErrorAttribution, ErrorCause
 from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._image_noise import block_mean
-from finray_calib.compare._region_sums import tile_indices
+from finray_calib.compare._regions import tile_indices
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

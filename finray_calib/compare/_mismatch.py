@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from data_schemas import CompareError, SimulatedPress, TactileCapture
 from finray_calib.compare._image_noise import block_mean
 from finray_calib.compare._prepared_images import Nuisances, nuisances_of
-from finray_calib.compare._region_sums import FACTORS
+from finray_calib.compare._regions import FACTORS
 from finray_calib.compare._tone_curve import FAR, REFUSED_GAIN_REL
 from finray_calib.sensing import full_scale_dn, rgb_image
 

@@ -28,7 +28,8 @@ from finray_calib.compare._input_draws import (
     propagate,
 )
 from finray_calib.compare._prepared_images import Nuisances
-from finray_calib.compare._region_sums import RegionSums, gradient_places, tile_indices, tile_side_px
+from finray_calib.compare._region_sums import RegionSums, gradient_places
+from finray_calib.compare._regions import tile_indices, tile_side_px
 from finray_calib.spectra import compiled
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,7 @@ from finray_calib.compare._comparison_record import ALWAYS_UNKNOWN, COVERS_INPUT
 from finray_calib.compare._image_noise import CaptureNoise
 from finray_calib.compare._input_draws import DRIFT, PIXELS, POSE, WALLS
 from finray_calib.compare._prepared_images import holds_noise_of, prepare_images
-from finray_calib.compare._region_sums import PATCH
+from finray_calib.compare._regions import PATCH
 from tests.command_line.records import capture_of
 from tests.command_line.records import press as made_up_press
 from tests.compare.twins import BLACK_DN, DN_PER_UNIT, FULL_SCALE_DN, NAMES, SHAPE, distance_map, twin

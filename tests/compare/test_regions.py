@@ -3,7 +3,7 @@ import pytest
 
 from data_schemas import CompareError
 from finray_calib.compare import Region, disc, strip_from_distance
-from finray_calib.compare._region_sums import MINIMUM_TILES, tile_indices, tile_side_px, usable_pixels
+from finray_calib.compare._regions import MINIMUM_TILES, tile_indices, tile_side_px, usable_pixels
 
 
 def test_disc_has_the_area_of_a_circle():
