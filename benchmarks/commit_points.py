@@ -207,7 +207,7 @@ COMMANDS = {
         "--square-u-mm 0.003 --out {o}/scale.json",
         "scale.json",
         (
-            "finray_calib.sensing._board_corners:find_board",
+            "finray_calib.sensing._lens_calibration:find_board",
             "finray_calib.sensing._scale_record:pixel_scale",
             "finray_calib.exchange._lab_measurements:read_board_picture",
         ),

@@ -11,7 +11,6 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.sensing._angle_objectives import held_out_normal_error_deg, normal_sigma_deg, uniformity
-    from finray_calib.sensing._board_corners import BoardView, find_board, require_plausible
     from finray_calib.sensing._contact_place import (
         FoundCircle,
         contact_distance,
@@ -19,7 +18,13 @@ if TYPE_CHECKING:
         find_contact_outline,
         outline_distance,
     )
-    from finray_calib.sensing._lens_calibration import LensCalibration, calibrate_lens
+    from finray_calib.sensing._lens_calibration import (
+        BoardView,
+        LensCalibration,
+        calibrate_lens,
+        find_board,
+        require_plausible,
+    )
     from finray_calib.sensing._normal_map import (
         NormalMap,
         SensingError,
