@@ -40,7 +40,13 @@ if TYPE_CHECKING:
     )
     from sim.experiments._light_angle import light_angle_sweep
     from sim.experiments._mechanical_press import increment_record, press_records, stored_press
-    from sim.experiments._optics_products import OpticsProducts, simulate_images
+    from sim.experiments._optics_products import (
+        OpticsProducts,
+        capture_twin,
+        hidden_design,
+        simulate_images,
+        simulated_capture,
+    )
     from sim.experiments._paint_choice import BareFinger, PaintDraws, PaintedPairs, paint_pairs
     from sim.experiments._painted_finger import (
         CameraResponse,
@@ -63,7 +69,6 @@ if TYPE_CHECKING:
     from sim.experiments._recolour import WhiteBalance, recoloured
     from sim.experiments._rendered_press import Rendering, camera_rgb, pose_response, press_record, simulate_press
     from sim.experiments._sensor_press import PressedCoat, pressed_coat, simulate_sensor_press
-    from sim.experiments._tactile_camera import capture_twin, hidden_design, simulated_capture
     from sim.experiments._tolerance_study import (
         FingerError,
         ToleranceFindings,
