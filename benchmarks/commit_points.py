@@ -264,7 +264,7 @@ def stand_ins() -> Iterator[None]:
     study = "sim.experiments._design_sensitivities"
     with contextlib.ExitStack() as stack:
         for target, value in {
-            "sim.experiments._ball_presses.render_ball_presses": lambda *_: made(),
+            "sim.experiments._sensor_press.render_ball_presses": lambda *_: made(),
             "finray_calib.fit._paint_calibration.calibrate_paint": lambda *_: paints["red"].calibration,
             "sim.mechanics._press.press_finger": ReplayedPress(),
             f"{study}.LoadedFinger": Quick,

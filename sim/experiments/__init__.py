@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from sim.experiments._ball_presses import BallPresses, render_ball_presses, render_finger_presses
     from sim.experiments._design_search import (
         OBJECTIVES,
         DesignEvaluations,
@@ -68,7 +67,14 @@ if TYPE_CHECKING:
     )
     from sim.experiments._recolour import WhiteBalance, recoloured
     from sim.experiments._rendered_press import Rendering, camera_rgb, pose_response, press_record, simulate_press
-    from sim.experiments._sensor_press import PressedCoat, pressed_coat, simulate_sensor_press
+    from sim.experiments._sensor_press import (
+        BallPresses,
+        PressedCoat,
+        pressed_coat,
+        render_ball_presses,
+        render_finger_presses,
+        simulate_sensor_press,
+    )
     from sim.experiments._tolerance_study import (
         FingerError,
         ToleranceFindings,
