@@ -130,7 +130,7 @@ def read_bispectral_exr(path: Path, row_px: int = 0, column_px: int = 0) -> Band
         The file cannot be read, is no bispectral image, lacks a channel, or the pixel lies outside.
     """
     found = {}
-    for name, pixels in exr_image(path).items():
+    for name, pixels in exr_pixels(path).items():
         match = _CHANNEL.match(name)
         if match is None:
             continue  # the layout allows an RGB preview and others beside the spectral channels
@@ -164,7 +164,7 @@ def _channel_name(wavelength_nm: Floats, row: int, column: int) -> str:
     return f"T.{excitation}" if row == column else f"T.{excitation}.{emission}"
 
 
-def exr_image(path: Path) -> dict[str, NDArray[Any]]:
+def exr_pixels(path: Path) -> dict[str, NDArray[Any]]:
     """Return the channels of an image, or say why it cannot be read."""
     _open_exr()
     content = read_bytes(path, "an OpenEXR image", ImportFormatError)

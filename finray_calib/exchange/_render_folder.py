@@ -18,7 +18,7 @@ from pydantic import Field, ValidationError
 
 from data_schemas import ContactCircle, ImportFormatError, Model, SimulatedPress, TactileCapture, explain
 from data_schemas.storage import read_json, read_npy
-from finray_calib.exchange._bispectral_exr import exr_image
+from finray_calib.exchange._bispectral_exr import exr_pixels
 from finray_calib.sensing import contact_distance, outline_distance
 from rigs.cameras import read_picture
 
@@ -172,7 +172,7 @@ def _image(path: Path, channels: str | None) -> Floats:
 
 def exr_rgb(path: Path) -> Floats:
     """Return the channels R, G, B of an OpenEXR image, (H, W, 3), none below zero."""
-    found: dict[str, NDArray[Any]] = exr_image(path)
+    found: dict[str, NDArray[Any]] = exr_pixels(path)
     names = {name.rsplit(".", 1)[-1].upper(): name for name in found}
     if not {"R", "G", "B"} <= names.keys():
         raise ImportFormatError(f"{path}: needs the channels R, G and B, got {', '.join(sorted(found)) or 'none'}")

@@ -34,7 +34,7 @@ from sim.surface_meshes import rest_shape
 
 Floats = NDArray[np.float64]
 LEVELS: tuple[Level, ...] = ("a", "a_inverse_square", "b")
-ANGLES_DEG = (0.0, 30.0, 60.0, 90.0, 120.0)
+WALL_LIGHT_ANGLES_DEG = (0.0, 30.0, 60.0, 90.0, 120.0)
 BLOCK_PX = 10
 _BAKE_REPEATS = 4
 # a block counts when at least this share of it shows the coat
@@ -103,7 +103,7 @@ def study_fluorescent_rendering(
             zip(WALLS, (walls.second_order.mean(axis=1) / walls.levels[-1].mean(axis=1)).tolist(), strict=True)
         ),
         second_order_coat_share=_second_order_on_coat(baked, here, on_coat),
-        angles_deg=np.array(ANGLES_DEG),
+        angles_deg=np.array(WALL_LIGHT_ANGLES_DEG),
         wall_by_angle_rel=walls.angles,
     )
 
@@ -115,7 +115,7 @@ def wall_profiles(finger: PaintedFinger, seed: int) -> _Walls:
     by_rule = [paper_emission(finger.design, shape, light, level) for level in LEVELS[:-1]]
     further = {chain: values for chain, values in light.items() if chain not in FIRST_CHAINS}
     angles = []
-    for angle in ANGLES_DEG:
+    for angle in WALL_LIGHT_ANGLES_DEG:
         panel = finger.design.light.model_copy(update={"angle_deg": angle})
         turned = finger.design.model_copy(update={"light": panel})
         angles.append(_along(_baked(finger, turned, seed, 1)))
