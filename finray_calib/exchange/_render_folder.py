@@ -18,7 +18,7 @@ from pydantic import Field, ValidationError
 
 from data_schemas import ContactCircle, ImportFormatError, Model, SimulatedPress, TactileCapture, explain
 from data_schemas.storage import read_json, read_npy
-from finray_calib.exchange._bispectral_exr import exr_pixels
+from finray_calib.exchange._paint_reradiation import exr_pixels
 from finray_calib.sensing import contact_distance, outline_distance
 from rigs.cameras import read_picture
 
