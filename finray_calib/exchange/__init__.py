@@ -42,8 +42,12 @@ if TYPE_CHECKING:
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
     from finray_calib.exchange._recipe_captures import RecipeCaptures, read_by_recipe
     from finray_calib.exchange._record_formats import CaptureContainer, capture_container, junit_xml, record_dataset
-    from finray_calib.exchange._render_files import write_optics_folder, write_picture_folder
-    from finray_calib.exchange._render_folder import press_request, read_renders
+    from finray_calib.exchange._render_files import (
+        press_request,
+        read_renders,
+        write_optics_folder,
+        write_picture_folder,
+    )
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
 else:
     __getattr__ = lazy_exports(__name__, __file__)
