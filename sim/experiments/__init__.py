@@ -65,8 +65,15 @@ if TYPE_CHECKING:
         press_protocol,
         protocol_solids,
     )
-    from sim.experiments._recolour import WhiteBalance, recoloured
-    from sim.experiments._rendered_press import Rendering, camera_rgb, pose_response, press_record, simulate_press
+    from sim.experiments._rendered_press import (
+        Rendering,
+        WhiteBalance,
+        camera_rgb,
+        pose_response,
+        press_record,
+        recoloured,
+        simulate_press,
+    )
     from sim.experiments._sensor_press import (
         BallPresses,
         PressedCoat,
