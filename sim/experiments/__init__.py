@@ -26,8 +26,12 @@ if TYPE_CHECKING:
     )
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
     from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluation, FingerEvaluator
-    from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
-    from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
+    from sim.experiments._illumination import (
+        coat_cells,
+        study_fluorescent_rendering,
+        study_light_angle,
+        study_two_lights,
+    )
     from sim.experiments._learning_samples import (
         DEPTH_ZERO,
         REST_LEVEL,
