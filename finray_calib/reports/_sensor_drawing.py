@@ -26,8 +26,8 @@ from sim.surface_meshes import rest_height_mm
 
 Floats = NDArray[np.float64]
 
-_COLOURS = {"red": VERMILLION, "green": GREEN, "blue": BLUE, "white": "#f5d76e"}
-_PAGE_IN = (11.0, 7.4)
+_LIGHT_COLOURS = {"red": VERMILLION, "green": GREEN, "blue": BLUE, "white": "#f5d76e"}
+_SENSOR_PAGE_IN = (11.0, 7.4)
 _GRID_MM = 5.0
 _VIEW_MM = 6.0
 _UNITS = {"mm": "mm", "deg": "deg", "nm": "nm", "px": "px", "rel": "relative"}
@@ -128,7 +128,7 @@ def sensor_png(sensor: PlainSensor, places_mm: Floats) -> bytes:
     places_mm
         From :func:`sim.optics.seen_places_mm` of the gel at rest.
     """
-    figure = new_figure(*_PAGE_IN)
+    figure = new_figure(*_SENSOR_PAGE_IN)
     (plan, view), (side, across) = figure.subplots(2, 2)
     _draw_plan(plan, sensor)
     _draw_view(view, places_mm)
@@ -155,7 +155,10 @@ def _draw_plan(axes: Axes, sensor: PlainSensor) -> None:
         frame, corners = light_frame(sensor, light), _corners(sensor, light)
         axes.add_patch(
             Polygon(
-                corners[:, [0, 2]], facecolor=_COLOURS[light.channel], edgecolor=_COLOURS[light.channel], linewidth=1.8
+                corners[:, [0, 2]],
+                facecolor=_LIGHT_COLOURS[light.channel],
+                edgecolor=_LIGHT_COLOURS[light.channel],
+                linewidth=1.8,
             )
         )
         start, end = frame.centre_mm, frame.centre_mm + _VIEW_MM * frame.normal
@@ -183,8 +186,8 @@ def _draw_cut(axes: Axes, sensor: PlainSensor, along: int) -> None:
         axes.add_patch(
             Polygon(
                 corners[:, [along, 1]],
-                facecolor=_COLOURS[light.channel],
-                edgecolor=_COLOURS[light.channel],
+                facecolor=_LIGHT_COLOURS[light.channel],
+                edgecolor=_LIGHT_COLOURS[light.channel],
                 linewidth=1.8,
             )
         )
