@@ -14,7 +14,6 @@ from rigs._drivers import Kind, offered
 from rigs._host import TerminalOperator
 from rigs._open_rig import Settings, lone_camera, lone_lamp, lone_laser, lone_wheel
 from rigs._protocols import Camera, Light
-from rigs.capture import CAMERA_DEADLINE_MARGIN_S
 from rigs.light_guard import GuardedLight, off_lines
 
 DARK_EXPOSURE_S: Final = 0.01
@@ -158,6 +157,8 @@ def _camera(opening: AbstractContextManager[Camera], settings: CameraSettings) -
             yield "not exposed: each image of a folder is used once"
             return
         exposure_s = min(max(DARK_EXPOSURE_S, settings.shortest_exposure_s), settings.longest_exposure_s)
+        from rigs.capture import CAMERA_DEADLINE_MARGIN_S  # which needs an open rig itself
+
         frame = camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S)
     counts = frame.counts
     yield f"{counts.shape[1]} x {counts.shape[0]} px; {exposure_s:g} s asked for, {frame.exposure_s:g} s read back"
