@@ -36,14 +36,16 @@ if TYPE_CHECKING:
     from rigs._open_rig import (
         OpenRig,
         device_locked,
+        device_title,
         lone_camera,
         lone_lamp,
         lone_laser,
         lone_wheel,
+        look_at,
+        look_at_tactile,
         open_rig,
         rig_locked,
     )
-    from rigs._overview import device_title, look_at, look_at_tactile
     from rigs._protocols import (
         Camera,
         Clock,
