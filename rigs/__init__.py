@@ -32,7 +32,6 @@ if TYPE_CHECKING:
         open_wheel,
         rig_drivers,
     )
-    from rigs._host import AbsentOperator, CallThread, NoAnswerError, SystemClock, TerminalOperator, forget_typed_ahead
     from rigs._open_rig import (
         OpenRig,
         device_locked,
@@ -47,15 +46,21 @@ if TYPE_CHECKING:
         rig_locked,
     )
     from rigs._protocols import (
+        AbsentOperator,
+        CallThread,
         Camera,
         Clock,
         FilterWheel,
         GuardedSwitch,
         Light,
         LightSwitch,
+        NoAnswerError,
         OffWords,
         Operator,
         RawFrame,
+        SystemClock,
+        TerminalOperator,
+        forget_typed_ahead,
         missing_members,
     )
     from rigs._rig_files import (

@@ -44,8 +44,7 @@ from data_schemas import (
 )
 from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
 from rigs._drivers import Kind, driver_notes, offered, open_camera, open_lamp, open_laser, open_wheel
-from rigs._host import SystemClock, TerminalOperator
-from rigs._protocols import Camera, Clock, FilterWheel, Light, Operator
+from rigs._protocols import Camera, Clock, FilterWheel, Light, Operator, SystemClock, TerminalOperator
 from rigs.light_guard import GuardedLight, off_lines
 from rigs.transports import indi_address
 
