@@ -35,7 +35,6 @@ if TYPE_CHECKING:
         transmissions,
         weights_of,
     )
-    from finray_calib.spectra._compiled import compiled, compiled_in_parallel, compiled_inside, machine_threads
     from finray_calib.spectra._emission_families import (
         COMMON_PARAMETERS,
         FAMILIES,
@@ -56,6 +55,7 @@ if TYPE_CHECKING:
         reradiation_matrix,
         smooth_covariance,
     )
+    from finray_calib.spectra.family_kernels import compiled, compiled_in_parallel, compiled_inside, machine_threads
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

@@ -97,7 +97,7 @@ ALLOWED = {
         ),
         "numbers that this package ships",
     ),
-    ("finray_calib/spectra/_compiled.py", "path.read_bytes"): "sources of this package, as the key of a cache",
+    ("finray_calib/spectra/family_kernels.py", "path.read_bytes"): "sources of this package, as the key of a cache",
     **dict.fromkeys(
         (
             ("data_schemas/_lazy_exports.py", "Path(file).read_bytes"),
