@@ -145,13 +145,13 @@ COMMANDS = {
             "rigs.capture._check_session:record_facts",
             "finray_calib.acceptance._acceptance_report:judge",
             "finray_calib.reports._check_page:check_report",
-            "finray_calib.exchange._junit_xml:junit_xml",
+            "finray_calib.exchange._record_formats:junit_xml",
         ),
     ),
     "design export": Command(
         "design export {i}/whole.toml --out {o}/print",
         "print",
-        ("finray_calib.exchange._printable_parts:printable_parts",),
+        ("finray_calib.exchange._mesh_files:printable_parts",),
     ),
     "export taxim": Command(
         "export taxim {i}/sensor.toml --presses 30 --out {o}/taxim",
@@ -263,9 +263,9 @@ COMMANDS = {
         "--square-u-mm 0.003 --out {o}/scale.json",
         "scale.json",
         (
-            "finray_calib.sensing._board_corners:find_board",
+            "finray_calib.sensing._lens_calibration:find_board",
             "finray_calib.sensing._scale_record:pixel_scale",
-            "finray_calib.exchange._board_pictures:read_board_picture",
+            "finray_calib.exchange._lab_measurements:read_board_picture",
         ),
     ),
 }
@@ -321,7 +321,7 @@ def stand_ins() -> Iterator[None]:
     study = "sim.experiments._design_sensitivities"
     with contextlib.ExitStack() as stack:
         for target, value in {
-            "sim.experiments._ball_presses.render_ball_presses": lambda *_: made(),
+            "sim.experiments._sensor_press.render_ball_presses": lambda *_: made(),
             "finray_calib.fit._paint_calibration.calibrate_paint": lambda *_: paints["red"].calibration,
             "sim.mechanics._press.press_finger": ReplayedPress(),
             f"{study}.LoadedFinger": Quick,

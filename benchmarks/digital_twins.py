@@ -29,7 +29,7 @@ from finray_calib.compare._regions import FACTORS
 from finray_calib.demo import DemoSettings
 from finray_calib.demo._stages import Demo
 from sim.experiments import PaintedFinger, paint_finger, paint_optics, pose_response, press_record
-from sim.experiments._tactile_camera import LED_DRIFT_REL, BandImages, camera_capture
+from sim.experiments._optics_products import LED_DRIFT_REL, BandImages, camera_capture
 from sim.optics import PressRender, RenderSettings, choose_variant, render_press
 
 Floats = NDArray[np.float64]

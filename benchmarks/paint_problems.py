@@ -16,7 +16,7 @@ from finray_calib.spectra import (
     filter_transmission,
     weights_of,
 )
-from finray_calib.spectra._rig_curves import laser_line
+from finray_calib.spectra._band_weights import laser_line
 from rigs import simulated_rig
 
 CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)

@@ -31,7 +31,7 @@ OfWalls = Annotated[Floats, ArraySpec("<f8", ("wall", "3"))]
 
 
 class RenderedLight(Model):
-    """Paints, LED and camera that the colours of a render rest on; what :mod:`sim.experiments._recolour` starts from.
+    """Paints, LED and camera that the colours of a render rest on; what :mod:`sim.experiments` recolours.
 
     bands: spectral density of red emission, green emission and LED, unit integral. Rows of the tables are walls,
     columns bands: mean reflectance, and the share of the band's energy that the wall emits in its own band.

@@ -32,28 +32,35 @@ if TYPE_CHECKING:
         open_wheel,
         rig_drivers,
     )
-    from rigs._host import AbsentOperator, CallThread, NoAnswerError, SystemClock, TerminalOperator, forget_typed_ahead
     from rigs._open_rig import (
         OpenRig,
         device_locked,
+        device_title,
         lone_camera,
         lone_lamp,
         lone_laser,
         lone_wheel,
+        look_at,
+        look_at_tactile,
         open_rig,
         rig_locked,
     )
-    from rigs._overview import device_title, look_at, look_at_tactile
     from rigs._protocols import (
+        AbsentOperator,
+        CallThread,
         Camera,
         Clock,
         FilterWheel,
         GuardedSwitch,
         Light,
         LightSwitch,
+        NoAnswerError,
         OffWords,
         Operator,
         RawFrame,
+        SystemClock,
+        TerminalOperator,
+        forget_typed_ahead,
         missing_members,
     )
     from rigs._rig_files import (

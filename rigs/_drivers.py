@@ -32,8 +32,7 @@ from data_schemas import (
     RigFile,
     TactileRig,
 )
-from rigs._host import CallThread, NoAnswerError
-from rigs._protocols import Camera, FilterWheel, Light, Operator, missing_members
+from rigs._protocols import CallThread, Camera, FilterWheel, Light, NoAnswerError, Operator, missing_members
 from rigs.light_guard import LEASE_S, GuardedLight, guarded_light
 from rigs.lights.manual import plain_light
 from rigs.transports import indi_address

@@ -50,15 +50,6 @@ if TYPE_CHECKING:
         read_light,
         read_table,
     )
-    from data_schemas.storage._folder_manifest import (
-        MANIFEST_NAME,
-        FileFault,
-        FileState,
-        manifest_faults,
-        manifest_text,
-        sha256_now,
-        write_manifest,
-    )
     from data_schemas.storage._foreign_files import (
         LARGEST_TEXT_BYTES,
         LARGEST_TOML_BYTES,
@@ -76,7 +67,17 @@ if TYPE_CHECKING:
         read_text,
         read_toml_tables,
     )
-    from data_schemas.storage._product_set import ProductSet, clear_leftovers
+    from data_schemas.storage._product_set import (
+        MANIFEST_NAME,
+        FileFault,
+        FileState,
+        ProductSet,
+        clear_leftovers,
+        manifest_faults,
+        manifest_text,
+        sha256_now,
+        write_manifest,
+    )
     from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, write_record
     from data_schemas.storage._whole_files import lock, refuse_taken, sha256_of, write_bytes, write_zip
 else:

@@ -11,17 +11,30 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.acceptance._acceptance_report import SECTIONS, judge, result_line, value_text
-    from finray_calib.acceptance._certified_results import NO_REFERENCE, CertifiedResult, certified_results
     from finray_calib.acceptance._conformity import (
         GUARD_FACTOR,
+        NO_REFERENCE,
+        CertifiedResult,
         ToleranceInterval,
+        certified_results,
         conformance_probability,
         global_risks,
     )
-    from finray_calib.acceptance._control_charts import Alarm, Chart, ChartRules, chart_rules, run_length, watch
     from finray_calib.acceptance._equivalence import Compared, Equivalence, tins_are_equivalent
     from finray_calib.acceptance._gauge_study import GaugeStudy, balanced_values, gauge_study
-    from finray_calib.acceptance._session_history import History, SessionFacts, Watched, session_facts, session_history
+    from finray_calib.acceptance._session_history import (
+        Alarm,
+        Chart,
+        ChartRules,
+        History,
+        SessionFacts,
+        Watched,
+        chart_rules,
+        run_length,
+        session_facts,
+        session_history,
+        watch,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

@@ -17,11 +17,15 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from finray_calib.compare._batch import (
         PairRow,
+        PressTable,
         pair_by_name,
         pairs_of_rows,
+        predict_press,
         rank_simulators,
         skill_differences,
         skill_over_presses,
+        spread_over,
+        teach_table,
         to_capture,
         worst_pairs,
     )
@@ -34,7 +38,6 @@ if TYPE_CHECKING:
     )
     from finray_calib.compare._displayed_images import ciede2000, displayed_image, srgb_to_lab
     from finray_calib.compare._mismatch import find_mismatches
-    from finray_calib.compare._press_table import PressTable, predict_press, spread_over, teach_table
     from finray_calib.compare._regions import DILATED, Region, contact_regions, disc, strip_from_distance
     from finray_calib.compare._registration import register_press
     from finray_calib.compare._structural_similarity import multi_scale_similarity, structural_similarity

@@ -1,9 +1,11 @@
 """From sweeps of the light angle and photometric error reports to the stored decision and its sentences.
 
-The sentences say first what to do, then what is lost, and how sure that is.
+The sentences say first what to do, then what is lost, and how sure that is. A decision also says what to observe next:
+the next render and the next physical capture.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,8 @@ from data_schemas import (
     OtherObjective,
     PhotometricErrorReport,
 )
-from finray_calib.decide._capture_errors import CaptureErrors, capture_errors, require_one_finger
+from finray_calib.decide._capture_errors import UNSTATED_ANGLE_SD_DEG, CaptureErrors, capture_errors, require_one_finger
+from finray_calib.decide._gaussian_process import knowledge_gradient
 from finray_calib.decide._light_angle import (
     CONFIDENCE,
     NEARBY_DEG,
@@ -29,10 +32,8 @@ from finray_calib.decide._light_angle import (
     Criterion,
     decide_contacts,
 )
-from finray_calib.decide._next_observation import Proposal, propose_capture, propose_render
-from finray_calib.decide._other_objectives import OtherOptimum, other_optima
 from finray_calib.decide._sim_to_real import MOVED_SD_DEG
-from finray_calib.decide._swept_contacts import Aim, DecidedOn, decided_on
+from finray_calib.decide._swept_contacts import Aim, DecidedOn, OtherOptimum, decided_on, other_optima
 
 Floats = NDArray[np.float64]
 TOLERANCE_REL = 0.02
@@ -49,6 +50,79 @@ _ASSUMED_SIZE = (
     "3 %, 95 % between 0.4 % and 21 %; with a probability of 1/2 less in proportion where the curve varies less with "
     "the angle than is usual"
 )
+
+
+#: Standard uncertainty of the objective in a capture, where there is none to learn it from.
+ASSUMED_CAPTURE_SD_REL = 0.01
+#: A smaller expected rise of the objective is not worth an observation.
+LEAST_GAIN_REL = 5e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """Hold the best angle for one more observation.
+
+    Attributes
+    ----------
+    angle_deg : float
+    gain_rel : float
+        Expected rise of the greatest expected objective, relative to it.
+    noise_rel : float
+        Assumed standard uncertainty of the observation.
+    contact : int
+        Number of the place to touch.
+    """
+
+    angle_deg: float
+    gain_rel: float
+    noise_rel: float
+    contact: int = 0
+
+
+def propose_render(decision: AngleDecision) -> Proposal | None:
+    """Return the angle to render next, as many repeats as the sweep has; None where it would change nothing.
+
+    Valid for repeats with the same draws as those of the sweep, so that they share its scale.
+    """
+    simulated = decision.simulated
+    curve = simulated.posterior
+    noise_rel = simulated.noise_rel / float(np.sqrt(simulated.repeats))
+    noise_variance = np.full(curve.grid_deg.size, noise_rel**2)
+    response = (decision.mean_rel / simulated.mean)[:, None] * curve.covariance
+    choices = decision.choices
+    mean = decision.mean_rel[choices]
+    gains = knowledge_gradient(mean, response[choices], np.diag(curve.covariance), noise_variance)
+    best = int(gains.argmax())
+    gain_rel = float(gains[best] / mean.max())
+    return None if gain_rel < LEAST_GAIN_REL else Proposal(float(curve.grid_deg[best]), gain_rel, noise_rel)
+
+
+def propose_capture(decision: AngleDecision, captures: CaptureErrors) -> Proposal | None:
+    """Return the place and the angle of the sweep to capture next; None where it would change nothing.
+
+    A capture shows what captures of its kind see of the sim-to-real error at its place and angle (see `ErrorDraws`),
+    with the noise of the captures so far (median; 1 % and 2 deg without any). How the value of each angle moves with
+    that is taken from the joint draws, to first order; that a capture also tells the amplitude of the error is not
+    counted.
+    """
+    sd_rel, angle_sd_deg = ASSUMED_CAPTURE_SD_REL, UNSTATED_ANGLE_SD_DEG
+    if captures.names:
+        sd_rel = float(np.sqrt(np.median(np.diag(captures.covariance))))
+        angle_sd_deg = float(np.median(captures.angle_sd_deg))
+    shown, choices = decision.shown_by_capture, decision.choices
+    places, angles, _ = shown.shape
+    swept_deg = decision.simulated.posterior.seen.angles_deg
+    slopes = [np.interp(swept_deg, decision.grid_deg, curve.log_slope_per_deg) for curve in decision.curves]
+    noise_variance = sd_rel**2 + (np.ravel(slopes) * angle_sd_deg) ** 2
+    flat = shown.reshape(places * angles, -1)
+    mean = decision.value_mean[choices]
+    gains = knowledge_gradient(mean, flat[:, :-1][:, choices].T, flat[:, -1], noise_variance)
+    best = int(gains.argmax())
+    gain_rel = float(gains[best] / mean.max())
+    if gain_rel < LEAST_GAIN_REL:
+        return None
+    place, angle = divmod(best, angles)
+    return Proposal(float(swept_deg[angle]), gain_rel, float(np.sqrt(noise_variance[best])), place)
 
 
 def decide(

@@ -17,8 +17,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.stats import qmc
 
 from data_schemas import CompareError
-from finray_calib.decide._gaussian_process import draw_normal
-from finray_calib.decide._next_observation import knowledge_gradient
+from finray_calib.decide._gaussian_process import draw_normal, knowledge_gradient
 
 Floats = NDArray[np.float64]
 #: Matern's nu, equally likely. The first one is used in a search, the intervals hold both.

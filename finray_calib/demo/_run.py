@@ -260,7 +260,7 @@ IMPORTS: Mapping[str, tuple[str, ...]] = {
         "mitsuba",
         "sim.experiments._rendered_press",
         "sim.experiments._light_angle",
-        "sim.experiments._tactile_camera",
+        "sim.experiments._optics_products",
         "rigs.simulated._bench",
     ),
     "verdict": (

@@ -19,15 +19,11 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from finray_calib.exchange._ball_presses import DATA_PACK, PARAMETERS, read_ball_presses, read_circles, read_taxim
     from finray_calib.exchange._band_folder import BandFolder, import_band_folder
-    from finray_calib.exchange._bispectral_exr import read_bispectral_exr
-    from finray_calib.exchange._board_pictures import calibration_yaml, read_board_picture
-    from finray_calib.exchange._capture_container import CaptureContainer, capture_container
     from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
     from finray_calib.exchange._capture_request import PlannedView, capture_request
-    from finray_calib.exchange._force_csv import read_force_csv
-    from finray_calib.exchange._junit_xml import junit_xml
+    from finray_calib.exchange._lab_measurements import calibration_yaml, read_board_picture, read_force_csv
     from finray_calib.exchange._learning_dataset import dataset_card, index_csv, index_parquet, read_shard
-    from finray_calib.exchange._led_camera_matrix import assumed_led, led_camera_matrix
+    from finray_calib.exchange._mesh_files import PrintFormat, printable_parts, vtu_bytes
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
     from finray_calib.exchange._package_formats import ImportFormat, capture_by_package
     from finray_calib.exchange._paint_formats import (
@@ -36,15 +32,23 @@ if TYPE_CHECKING:
         as_spectral_distribution,
         inference_data,
     )
-    from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra
-    from finray_calib.exchange._printable_parts import PrintFormat, printable_parts
+    from finray_calib.exchange._paint_reradiation import (
+        PaintSpectra,
+        assumed_led,
+        led_camera_matrix,
+        paint_spectra,
+        read_bispectral_exr,
+    )
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
     from finray_calib.exchange._recipe_captures import RecipeCaptures, read_by_recipe
-    from finray_calib.exchange._record_arrays import record_dataset
-    from finray_calib.exchange._render_files import write_optics_folder, write_picture_folder
-    from finray_calib.exchange._render_folder import press_request, read_renders
+    from finray_calib.exchange._record_formats import CaptureContainer, capture_container, junit_xml, record_dataset
+    from finray_calib.exchange._render_files import (
+        press_request,
+        read_renders,
+        write_optics_folder,
+        write_picture_folder,
+    )
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
-    from finray_calib.exchange._vtu import vtu_bytes
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

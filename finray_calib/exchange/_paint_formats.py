@@ -16,8 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import Estimate, MissingExtraError, PaintCalibration, Provenance, SpectralCurve, provenance
-from finray_calib.exchange._led_camera_matrix import CameraResponse, led_camera_json
-from finray_calib.exchange._paint_spectra import PaintSpectra, paint_spectra, readable_json
+from finray_calib.exchange._paint_reradiation import (
+    CameraResponse,
+    PaintSpectra,
+    led_camera_json,
+    paint_spectra,
+    readable_json,
+)
 
 if TYPE_CHECKING:
     from colour import SpectralDistribution
@@ -442,7 +447,7 @@ def _rgb_reradiation(paint: PaintCalibration, origin: Provenance, options: Expor
 
 
 def _exr(paint: PaintCalibration, origin: Provenance, options: ExportOptions) -> bytes:
-    from finray_calib.exchange._bispectral_exr import exr_bytes
+    from finray_calib.exchange._paint_reradiation import exr_bytes
 
     return exr_bytes(paint_spectra(paint), origin)
 

@@ -40,7 +40,7 @@ from finray_calib.exchange._capture_recipe import (
     pickle_words,
     read_label_table,
 )
-from finray_calib.exchange._render_folder import exr_rgb
+from finray_calib.exchange._render_files import exr_rgb
 from finray_calib.sensing import contact_distance, find_contact_circle, find_contact_outline
 from rigs.cameras import decoded_picture, read_picture
 

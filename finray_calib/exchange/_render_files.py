@@ -1,16 +1,28 @@
-"""The optics of a press as files that image programs open: OpenEXR for numbers, PNG for raw frames and pictures."""
+"""Renders as files: the optics of a press for image programs, and what any other simulator rendered.
+
+Out go OpenEXR for numbers, PNG for raw frames and pictures. In come folders of images, as the simulated side of a
+comparison. One folder holds one press: ``contact`` and ``no_contact`` (PNG, OpenEXR or npy), where the contact is
+(``depth.npy``, how deep each pixel of the gel is pressed in, in mm; or a mask, ``contact_mask.png``; or a circle),
+and ``render.json``, which says what the values are. A folder of such folders holds several presses. What cannot be
+known from the files is asked for: PNG is encoded and OpenEXR linear light unless render.json says otherwise, npy says
+nothing by itself.
+"""
 
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Final, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, ValidationError
 
-from data_schemas import Provenance, SimulatedPress
-from data_schemas.storage import ProductSet, refuse_taken
+from data_schemas import ContactCircle, ImportFormatError, Model, Provenance, SimulatedPress, TactileCapture, explain
+from data_schemas.storage import ProductSet, read_json, read_npy, refuse_taken
+from finray_calib.exchange._paint_reradiation import exr_pixels
+from finray_calib.sensing import contact_distance, outline_distance
+from rigs.cameras import read_picture
 from sim.experiments import OpticsProducts
 from sim.optics import BAND_NAMES, PixelMaps, exr_image
 
@@ -168,3 +180,242 @@ def _exr_images(products: OpticsProducts, comment: str) -> dict[str, bytes]:
         "spectral": exr_image(spectral, layout),
         "geometry": exr_image(geometry_channels(products.maps), {"comments": f"{comment}; part: -1 none, {parts}"}),
     }
+
+
+Floats = NDArray[np.float64]
+CONTACT: Final = "contact"
+NO_CONTACT: Final = "no_contact"
+DESCRIPTION: Final = "render.json"
+DEPTH: Final = "depth.npy"
+MASK: Final = "contact_mask.png"
+IMAGE_ENDINGS: Final = (".exr", ".npy", ".png")
+#: A gel that is pressed in by less than this share of the greatest depth is taken for one that is not touched.
+LEAST_DEPTH_SHARE: Final = 0.01
+
+
+class RenderDescription(Model):
+    """What a render's folder says of itself (render.json); what is left out is not known."""
+
+    simulator: str = Field(default="a simulator that is not named", description="program and version")
+    encoding: Literal["linear", "encoded"] | None = Field(
+        default=None, description="linear: proportional to light; encoded: as a camera's 8-bit images"
+    )
+    channels: Literal["RGB", "BGR"] | None = Field(default=None, description="order in npy files")
+    command: str = ""
+    seed: int | None = None
+    samples: int | None = None
+    seconds: Annotated[float, Field(ge=0.0)] | None = None
+    mm_per_px: Annotated[float, Field(gt=0.0)] | None = None
+    contact_circle: ContactCircle | None = None
+
+
+def read_renders(folder: Path, captures: Mapping[str, TactileCapture] | None = None) -> dict[str, SimulatedPress]:
+    """Read a folder of one press, or of a folder for each press.
+
+    Parameters
+    ----------
+    folder
+        Holds contact and no_contact images, or folders that do.
+    captures
+        Press name -> its capture, whose circle or outline stands for what the folder says of the contact.
+
+    Returns
+    -------
+    dict of str to SimulatedPress
+        By name of the press.
+
+    Raises
+    ------
+    ImportFormatError
+        A file is missing or not what the layout says, or the two images differ in size or kind.
+    """
+    if not folder.is_dir():
+        raise ImportFormatError(f"{folder}: no such folder; give a folder with {CONTACT}.png and {NO_CONTACT}.png")
+    if _image_file(folder, CONTACT) is not None:
+        folders = [folder]
+    else:
+        folders = sorted(inner for inner in folder.iterdir() if inner.is_dir() and _image_file(inner, CONTACT))
+    if not folders:
+        endings = ", ".join(IMAGE_ENDINGS)
+        raise ImportFormatError(
+            f"{folder}: neither it nor a folder in it holds a file {CONTACT} ({endings}); put the image with contact "
+            f"there, and {NO_CONTACT} beside it"
+        )
+    known = captures or {}
+    return {inner.resolve().name: _press(inner, known.get(inner.resolve().name)) for inner in folders}
+
+
+def _image_file(folder: Path, stem: str) -> Path | None:
+    """Return the image of a name."""
+    return next((folder / f"{stem}{e}" for e in IMAGE_ENDINGS if (folder / f"{stem}{e}").is_file()), None)
+
+
+def _press(folder: Path, capture: TactileCapture | None) -> SimulatedPress:
+    """Return one press."""
+    said = _description(folder / DESCRIPTION)
+    files = {stem: _image_file(folder, stem) for stem in (CONTACT, NO_CONTACT)}
+    contact_file, rest_file = files[CONTACT], files[NO_CONTACT]
+    if contact_file is None or rest_file is None:
+        raise ImportFormatError(
+            f"{folder}: there is no {NO_CONTACT} ({', '.join(IMAGE_ENDINGS)}) beside {CONTACT}; render the gel "
+            "untouched by the same call, with a height of zero"
+        )
+    if contact_file.suffix != rest_file.suffix:
+        raise ImportFormatError(
+            f"{folder}: {contact_file.name} and {rest_file.name} are of two kinds; write both the same way"
+        )
+    encoding = said.encoding or {".exr": "linear", ".png": "encoded"}.get(contact_file.suffix)
+    if encoding is None:
+        raise ImportFormatError(
+            f'{folder}: npy files do not say what they hold; write "encoding": "linear" (proportional to light) or '
+            f'"encoded" (values of an 8-bit image) into {DESCRIPTION}'
+        )
+    contact, no_contact = (_image(file, said.channels) for file in (contact_file, rest_file))
+    if contact.shape != no_contact.shape:
+        raise ImportFormatError(
+            f"{folder}: {contact_file.name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_file.name} "
+            f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
+        )
+    distance, how = _distance(folder, contact.shape[:2], capture, said.contact_circle)
+    notes = [f"imported from a folder of images, by {said.simulator}; its contact: {how}"]
+    notes += [f"rendered by: {said.command}"] if said.command else []
+    notes += (
+        [] if said.samples is None else [f"{said.samples} samples per pixel: the render's noise stays in its errors"]
+    )
+    return SimulatedPress(
+        name=folder.resolve().name,
+        label=f"rendered, {said.simulator}",
+        method="rendered",
+        encoding="linear" if encoding == "linear" else "unknown",
+        no_contact=no_contact.astype(np.float32),
+        contact=contact.astype(np.float32),
+        distance=distance.astype(np.float32),
+        variance=None,
+        light_angle_deg=None,
+        design=None,
+        notes=tuple(notes),
+    )
+
+
+def _description(path: Path) -> RenderDescription:
+    """Return what render.json says; nothing where it is not there."""
+    if not path.is_file():
+        return RenderDescription()
+    found = read_json(path, "the description of a render", ImportFormatError)
+    try:
+        return RenderDescription.model_validate(found)
+    except ValidationError as error:
+        raise ImportFormatError(f"{path}: {explain(error, RenderDescription)}") from None
+
+
+def _image(path: Path, channels: str | None) -> Floats:
+    """Return an image (H, W, 3) in RGB order."""
+    if path.suffix == ".png":
+        picture = read_picture(path, "a PNG image", ImportFormatError)
+        if picture.ndim != 3 or picture.shape[2] not in (3, 4) or picture.dtype != np.uint8:
+            raise ImportFormatError(
+                f"{path}: expected an 8-bit colour image, got {picture.dtype} of shape {picture.shape}; write light as "
+                "npy or OpenEXR"
+            )
+        return np.asarray(picture[..., 2::-1], dtype=np.float64)
+    if path.suffix == ".exr":
+        return exr_rgb(path)
+    array = read_npy(path, "an image (npy)", ImportFormatError).astype(np.float64)
+    if array.ndim != 3 or array.shape[2] != 3 or not np.isfinite(array).all() or array.min(initial=0.0) < 0.0:
+        raise ImportFormatError(
+            f"{path}: expected finite numbers >= 0 of shape (rows, columns, 3), got shape {array.shape}; correct it"
+        )
+    if channels is None:
+        raise ImportFormatError(f'{path}: npy files do not say their order; write "channels": "RGB" or "BGR"')
+    return np.asarray(array[..., ::-1] if channels == "BGR" else array)
+
+
+def exr_rgb(path: Path) -> Floats:
+    """Return the channels R, G, B of an OpenEXR image, (H, W, 3), none below zero."""
+    found: dict[str, NDArray[Any]] = exr_pixels(path)
+    names = {name.rsplit(".", 1)[-1].upper(): name for name in found}
+    if not {"R", "G", "B"} <= names.keys():
+        raise ImportFormatError(f"{path}: needs the channels R, G and B, got {', '.join(sorted(found)) or 'none'}")
+    image = np.stack([np.asarray(found[names[c]], dtype=np.float64) for c in "RGB"], axis=-1)
+    if image.ndim != 3 or not np.isfinite(image).all():
+        raise ImportFormatError(f"{path}: holds values that are not finite; render it again")
+    return np.maximum(image, 0.0)
+
+
+def _distance(
+    folder: Path, shape: tuple[int, ...], capture: TactileCapture | None, of_render: ContactCircle | None
+) -> tuple[Floats, str]:
+    """Return the distance from the contact in half-widths, and what tells where the contact is."""
+    of_capture = None if capture is None else contact_distance(capture)
+    if capture is not None and of_capture is not None:
+        return of_capture, f"the {'outline' if capture.contact_circle is None else 'circle'} of the capture"
+    if of_render is not None:
+        rows, columns = np.indices(shape[:2])
+        away = np.hypot(rows - of_render.row_px, columns - of_render.column_px)
+        return np.asarray(away / of_render.radius_px), f"the circle of {DESCRIPTION}"
+    if (folder / DEPTH).is_file():
+        depth = read_npy(folder / DEPTH, "a map of depths (npy)", ImportFormatError).astype(np.float64)
+        if depth.shape != shape[:2] or not np.isfinite(depth).all() or not depth.max(initial=0.0) > 0.0:
+            raise ImportFormatError(
+                f"{folder / DEPTH}: expected finite depths in mm of {shape[0]} x {shape[1]} (rows, columns), some "
+                f"above 0, got shape {depth.shape}; positive is into the gel"
+            )
+        inside = depth > LEAST_DEPTH_SHARE * depth.max()
+        return outline_distance(inside), f"where {DEPTH} exceeds {LEAST_DEPTH_SHARE:.0%} of its largest depth"
+    if (folder / MASK).is_file():
+        mask = read_picture(folder / MASK, "a mask (PNG)", ImportFormatError)
+        touched: NDArray[np.bool_] = np.asarray(mask if mask.ndim == 2 else mask.max(axis=2)) > 0
+        if touched.shape != shape[:2] or not touched.any():
+            raise ImportFormatError(f"{folder / MASK}: must be as large as the images and white where the contact is")
+        return outline_distance(touched), f"the mask {MASK}"
+    raise ImportFormatError(
+        f"{folder}: nothing says where the contact is, and a score needs its region; write {DEPTH} (mm, positive into "
+        f"the gel), {MASK}, or contact_circle into {DESCRIPTION}, or give the capture with --capture"
+    )
+
+
+REQUEST: Final = "press.json"
+
+
+def press_request(capture: TactileCapture, with_contact: bool) -> dict[str, bytes]:
+    """Return the files that tell a simulator of a press: what to render, or with its contact image what to learn from.
+
+    ``no_contact.png`` (8 or 16 bits, counts above the black level), ``contact.png`` where it is to be learnt from, and
+    ``press.json`` with the contact (circle, or corners of its outline), the indenter, the scale and the encoding; what
+    the capture does not know is null.
+
+    Parameters
+    ----------
+    capture
+        Of the press.
+    with_contact
+        Whether the contact image is among them.
+
+    Raises
+    ------
+    ImportFormatError
+        The capture holds Bayer counts, which simulators of colour images do not read.
+    """
+    if capture.layout != "RGB":
+        raise ImportFormatError(f"{capture.name}: holds {capture.layout} counts; a bench needs captures in RGB")
+    circle, outline = capture.contact_circle, capture.contact_outline
+    told = {
+        "name": capture.name,
+        "contact_circle": None if circle is None else circle.model_dump(),
+        "contact_outline": None if outline is None else [corner.model_dump() for corner in outline],
+        "indenter": capture.indenter.model_dump(),
+        "mm_per_px": capture.mm_per_px,
+        "encoding": "linear" if capture.encoding == "linear" else "encoded",
+        "bit_depth": capture.bit_depth,
+        "force_n": capture.force_n,
+    }
+    images = {NO_CONTACT: capture.no_contact, **({CONTACT: capture.contact} if with_contact else {})}
+    files = {f"{name}.png": _counts_png(counts, capture) for name, counts in images.items()}
+    return {**files, REQUEST: (json.dumps(told, indent=1) + "\n").encode()}
+
+
+def _counts_png(counts: NDArray[np.uint16], capture: TactileCapture) -> bytes:
+    """Return counts above the black level as a PNG image of 8 or 16 bits."""
+    above = np.maximum(counts.astype(np.int64) - round(capture.black_level_dn), 0)
+    image = above.astype(np.uint8 if capture.bit_depth == 8 else np.uint16)
+    return cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1].tobytes()

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from finray_calib.lineage._replay import Replayed, replay
-    from finray_calib.lineage._trace import FolderCheck, Traced, Tracer, findings, verify_folder
+    from finray_calib.lineage._trace import FolderCheck, Replayed, Traced, Tracer, findings, replay, verify_folder
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         texture_variance_rel,
         tilt_ratios,
     )
-    from finray_calib.radiometry._bleaching import bleaching_trend
     from finray_calib.radiometry._camera_characterisation import (
         characterise_camera,
         sensitivity_threshold_e,
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
         require_same_settings,
         shading_gains,
     )
-    from finray_calib.radiometry._session_steps import SessionSteps, session_steps, signal_covariance
+    from finray_calib.radiometry._session_steps import SessionSteps, bleaching_trend, session_steps, signal_covariance
     from finray_calib.radiometry._step_signals import ReadFrame
 else:
     __getattr__ = lazy_exports(__name__, __file__)

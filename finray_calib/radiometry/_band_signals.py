@@ -41,13 +41,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import BandSignals, CaptureSession, Flag, Optics, TiltRatio
-from finray_calib.radiometry._bleaching import BleachingTrend, bleaching_note, bleaching_trend, refuse_other_repeat
 from finray_calib.radiometry._session_steps import (
+    BleachingTrend,
     SessionSteps,
+    bleaching_note,
+    bleaching_trend,
     captured_filters,
     channel_weights,
     laser_level,
     positive,
+    refuse_other_repeat,
     session_steps,
     signal_covariance,
     signals_of,

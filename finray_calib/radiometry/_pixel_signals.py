@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import BandSignals, CaptureSession, FrameType, PixelSignals, RadiometryError, RegionOfInterest
-from finray_calib.radiometry._bleaching import bleaching_trend
-from finray_calib.radiometry._session_steps import SessionSteps, laser_level
+from finray_calib.radiometry._session_steps import SessionSteps, bleaching_trend, laser_level
 from finray_calib.radiometry._step_signals import (
     SITES,
     DarkMap,

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
         finger_page_png,
         indenter_path_png,
         pressed_finger_png,
+        sensor_png,
+        sensor_text,
         untouched_finger_png,
     )
     from finray_calib.reports._finger_views import PartLabel, draw_body, finger_outline, label_row
@@ -108,7 +110,6 @@ if TYPE_CHECKING:
         significant,
     )
     from finray_calib.reports._record_plots import RecordPlot, plot_record
-    from finray_calib.reports._sensor_drawing import sensor_png, sensor_text
     from finray_calib.reports._study_figures import (
         fluorescent_rendering_png,
         light_angle_png,

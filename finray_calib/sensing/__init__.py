@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from finray_calib.sensing._angle_objectives import held_out_normal_error_deg, normal_sigma_deg, uniformity
-    from finray_calib.sensing._board_corners import BoardView, find_board, require_plausible
     from finray_calib.sensing._contact_place import (
         FoundCircle,
         contact_distance,
@@ -19,15 +17,24 @@ if TYPE_CHECKING:
         find_contact_outline,
         outline_distance,
     )
-    from finray_calib.sensing._lens_calibration import LensCalibration, calibrate_lens
+    from finray_calib.sensing._lens_calibration import (
+        BoardView,
+        LensCalibration,
+        calibrate_lens,
+        find_board,
+        require_plausible,
+    )
     from finray_calib.sensing._normal_map import (
         NormalMap,
         SensingError,
         full_scale_dn,
+        held_out_normal_error_deg,
+        normal_sigma_deg,
         poisson_depth_mm,
         polynomial_terms,
         rgb_image,
         sensing_error,
+        uniformity,
     )
     from finray_calib.sensing._normal_map_fit import (
         MINIMUM_PRESSES,

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import LARGEST_WIDENED_FACTOR, CompareError, DistortionModel, LocalScale, PixelScale, ScaleRange
-from finray_calib.sensing._board_corners import BoardView
-from finray_calib.sensing._lens_calibration import POSE, LensCalibration, adjust, project
+from finray_calib.sensing._lens_calibration import POSE, BoardView, LensCalibration, adjust, project
 
 Floats = NDArray[np.float64]
 

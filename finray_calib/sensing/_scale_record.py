@@ -22,14 +22,15 @@ from data_schemas import (
     ScaleContribution,
     TactileCapture,
 )
-from finray_calib.sensing._board_corners import BoardView, require_plausible
 from finray_calib.sensing._lens_calibration import (
     LEAST_VIEWS,
     POSE,
+    BoardView,
     LensCalibration,
     adjust,
     calibrate_lens,
     refined_views,
+    require_plausible,
 )
 from finray_calib.sensing._pixel_scale import (
     Declared,

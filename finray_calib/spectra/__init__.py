@@ -18,15 +18,23 @@ if TYPE_CHECKING:
     from finray_calib.spectra._band_weights import (
         BAND_NODES,
         GRID_STEP_NM,
+        LN_10,
+        WAVELENGTH_NM,
         BandQuadrature,
+        BandTolerances,
         EmissionWeights,
         FilterSet,
         band_quadrature,
         emission_weights,
+        filter_transmission,
         gauss_nodes,
+        held_shares,
+        lamp_response,
         read_only,
+        tolerances_of,
+        transmissions,
+        weights_of,
     )
-    from finray_calib.spectra._compiled import compiled, compiled_in_parallel, compiled_inside, machine_threads
     from finray_calib.spectra._emission_families import (
         COMMON_PARAMETERS,
         FAMILIES,
@@ -47,17 +55,7 @@ if TYPE_CHECKING:
         reradiation_matrix,
         smooth_covariance,
     )
-    from finray_calib.spectra._rig_curves import (
-        LN_10,
-        WAVELENGTH_NM,
-        BandTolerances,
-        filter_transmission,
-        held_shares,
-        lamp_response,
-        tolerances_of,
-        transmissions,
-        weights_of,
-    )
+    from finray_calib.spectra.family_kernels import compiled, compiled_in_parallel, compiled_inside, machine_threads
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from sim.experiments._ball_presses import BallPresses, render_ball_presses, render_finger_presses
     from sim.experiments._design_search import (
         OBJECTIVES,
         DesignEvaluations,
@@ -27,8 +26,12 @@ if TYPE_CHECKING:
     )
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
     from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluation, FingerEvaluator
-    from sim.experiments._fluorescent_rendering import study_fluorescent_rendering
-    from sim.experiments._illumination import coat_cells, study_light_angle, study_two_lights
+    from sim.experiments._illumination import (
+        coat_cells,
+        study_fluorescent_rendering,
+        study_light_angle,
+        study_two_lights,
+    )
     from sim.experiments._learning_samples import (
         DEPTH_ZERO,
         REST_LEVEL,
@@ -40,7 +43,13 @@ if TYPE_CHECKING:
     )
     from sim.experiments._light_angle import light_angle_sweep
     from sim.experiments._mechanical_press import increment_record, press_records, stored_press
-    from sim.experiments._optics_products import OpticsProducts, simulate_images
+    from sim.experiments._optics_products import (
+        OpticsProducts,
+        capture_twin,
+        hidden_design,
+        simulate_images,
+        simulated_capture,
+    )
     from sim.experiments._paint_choice import BareFinger, PaintDraws, PaintedPairs, paint_pairs
     from sim.experiments._painted_finger import (
         CameraResponse,
@@ -60,10 +69,23 @@ if TYPE_CHECKING:
         press_protocol,
         protocol_solids,
     )
-    from sim.experiments._recolour import WhiteBalance, recoloured
-    from sim.experiments._rendered_press import Rendering, camera_rgb, pose_response, press_record, simulate_press
-    from sim.experiments._sensor_press import PressedCoat, pressed_coat, simulate_sensor_press
-    from sim.experiments._tactile_camera import capture_twin, hidden_design, simulated_capture
+    from sim.experiments._rendered_press import (
+        Rendering,
+        WhiteBalance,
+        camera_rgb,
+        pose_response,
+        press_record,
+        recoloured,
+        simulate_press,
+    )
+    from sim.experiments._sensor_press import (
+        BallPresses,
+        PressedCoat,
+        pressed_coat,
+        render_ball_presses,
+        render_finger_presses,
+        simulate_sensor_press,
+    )
     from sim.experiments._tolerance_study import (
         FingerError,
         ToleranceFindings,

@@ -36,9 +36,9 @@ from sim.experiments._light_angle import (
     normal_sigmas_deg,
     rows_along,
 )
+from sim.experiments._optics_products import tactile_sensor
 from sim.experiments._paint_choice import BareFinger, PaintDraws, PaintEmission, camera_column, camera_radiance
 from sim.experiments._painted_finger import COLOURS, CameraResponse
-from sim.experiments._tactile_camera import tactile_sensor
 from sim.optics import (
     BAND_NAMES,
     SCALAR_VARIANT,

@@ -25,9 +25,9 @@ from data_schemas import (
 )
 from finray_calib.sensing import held_out_normal_error_deg, normal_sigma_deg, uniformity
 from rigs.simulated.sensor import Sensor
+from sim.experiments._optics_products import EXPOSURE_S, tactile_sensor
 from sim.experiments._painted_finger import PaintedFinger
 from sim.experiments._rendered_press import SHAPE_NOTE
-from sim.experiments._tactile_camera import EXPOSURE_S, tactile_sensor
 from sim.optics import (
     BAND_NAMES,
     SCALAR_VARIANT,

@@ -27,8 +27,8 @@ from sim.experiments._light_angle import (
     facet_slopes,
     held_out_errors_deg,
 )
+from sim.experiments._optics_products import tactile_sensor
 from sim.experiments._painted_finger import RESPONSE_NM, CameraResponse, coverage_notes, paint_optics
-from sim.experiments._tactile_camera import tactile_sensor
 from sim.optics import (
     BAND_NAMES,
     SCALAR_VARIANT,

@@ -1,28 +1,45 @@
-"""A press on a classic sensor: the coat by its indenter, by a height map or by a mesh, rendered as a record."""
+"""Presses on a classic sensor, by its indenter, a height map or a mesh; and ball presses all over a pad, rendered.
 
+To the ball presses a table of colour against slope, as Taxim uses it, is fitted: on the flat pad of a classic sensor,
+or on the pad of a painted finger, brought into the plane of its pad.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
+from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline, RegularGridInterpolator
+from scipy.ndimage import map_coordinates
 
-from data_schemas import CoatSurface, PlainSensor, SimulatedPress, SimulateError
+from data_schemas import CoatSurface, FingerDesign, Indenter, PlainSensor, SimulatedPress, SimulateError
+from sim.experiments._painted_finger import PaintedFinger
+from sim.experiments._rendered_press import camera_rgb
 from sim.mechanics import read_triangles, rigid_indenter
 from sim.optics import (
     GelHeight,
+    PixelMaps,
+    Progress,
+    RenderSettings,
     analytic_gel,
     pad_grid_mm,
+    plain_sensor_integrator,
+    plain_sensor_scene,
     render_plain_sensor,
+    render_press,
     seen_places_mm,
     sensor_calibration,
+    stream_seed,
 )
 from sim.surface_meshes import (
     check_analytic_press,
     contact_distance,
+    contact_half_width_mm,
     height_over_pad_mm,
     imprinted_height_mm,
+    pressed_height_mm,
     read_height_map,
     rest_height_mm,
 )
@@ -243,3 +260,337 @@ def simulate_sensor_press(
         notes=(f"shape of the pressed coat: {coat.label}",),
     )
     return press, coat.files
+
+
+DEPTHS_REL = (0.1, 0.2, 0.3)
+"""Depths of the presses in thicknesses of the pad, one after the other."""
+
+_STEP_MM = 0.1
+# from here on a ball is a hole with vertical sides
+_DEEPEST_IN_RADII = 0.9
+# steps of the golden section in two dimensions (the plastic number): even, and never on a line
+_PLASTIC = 1.32471795724474602596
+_ROUNDS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class BallPresses:
+    """Renders of ball presses in the plane of the undeformed pad, one pixel being `mm_per_px` everywhere.
+
+    Attributes
+    ----------
+    no_contact
+        (H, W, 3) linear colours without contact.
+    contacts
+        (press, H, W, 3).
+    slopes
+        (press, H, W, 2) of the coat where the pixel sees it: d depth / d place along columns and along rows, NaN off
+        the pad.
+    distance
+        (press, H, W) from the contact's centre in units of its half-width, NaN off the pad.
+    row_px, column_px, radius_px
+        (press,) contact circles.
+    ball_radius_mm, thickness_mm, mm_per_px
+        Of the ball, of the pad, of a pixel.
+    label
+        What was rendered.
+    """
+
+    no_contact: NDArray[np.float32]
+    contacts: NDArray[np.float32]
+    slopes: Floats
+    distance: Floats
+    row_px: Floats
+    column_px: Floats
+    radius_px: Floats
+    ball_radius_mm: float
+    thickness_mm: float
+    mm_per_px: float
+    label: str
+
+    def only(self, chosen: Sequence[int]) -> "BallPresses":
+        """Return some of the presses."""
+        arrays = ("contacts", "slopes", "distance", "row_px", "column_px", "radius_px")
+        return replace(self, **{name: getattr(self, name)[list(chosen)] for name in arrays})
+
+
+def planned_presses(pad_design: FingerDesign, ball_radius_mm: float, count: int) -> list[FingerDesign]:
+    """Spread presses of a ball evenly over a flat pad, at depths of 0.1, 0.2 and 0.3 thicknesses in turn.
+
+    Parameters
+    ----------
+    pad_design
+        The pad; its own indenter does not matter.
+    ball_radius_mm
+        Radius of the ball.
+    count
+        Number of presses.
+
+    Raises
+    ------
+    SimulateError
+        When the pad is curved (Taxim takes all slope for contact), or ball and pad do not fit together.
+    """
+    pad = pad_design.pad
+    if pad.shape != "flat":
+        raise SimulateError(
+            f"pad.shape = {pad.shape!r}: Taxim's table takes every slope for contact, also that of a curved pad at "
+            "rest; only flat pads can be exported"
+        )
+    deepest = max(DEPTHS_REL) * pad.thickness_mm
+    margin = float(np.sqrt(2.0 * ball_radius_mm * deepest - min(deepest, ball_radius_mm) ** 2))
+    room = np.array([pad.width_mm, pad.length_mm]) / 2.0 - margin
+    if deepest > _DEEPEST_IN_RADII * ball_radius_mm or room.min() <= 0.0:
+        raise SimulateError(
+            f"a ball of {ball_radius_mm:g} mm radius does not fit a pad of {pad.length_mm:g} x {pad.width_mm:g} x "
+            f"{pad.thickness_mm:g} mm: it needs a radius above {deepest / _DEEPEST_IN_RADII:.3g} mm, and contacts that "
+            f"leave room on the pad (half-width {margin:.3g} mm)"
+        )
+    designs = []
+    for k in range(count):
+        across, along = room * (2.0 * ((0.5 + (k + 1) * np.array([_PLASTIC**-1, _PLASTIC**-2])) % 1.0) - 1.0)
+        ball = Indenter(
+            shape="ball",
+            radius_mm=ball_radius_mm,
+            depth_mm=DEPTHS_REL[k % len(DEPTHS_REL)] * pad.thickness_mm,
+            position_mm=float(pad.length_mm / 2.0 + along),
+            across_mm=float(across),
+        )
+        designs.append(pad_design.model_copy(update={"indenter": ball}))
+    return designs
+
+
+def render_ball_presses(
+    sensor: PlainSensor,
+    renderer: ModuleType,
+    ball_radius_mm: float,
+    count: int,
+    seed: int = 0,
+    samples_per_pixel: int = 64,
+    progress: Progress | None = None,
+    folder: Path = Path(),
+) -> BallPresses:
+    """Render ball presses on a plain sensor, all with the same random numbers.
+
+    The camera looks straight at the pad: its picture is that of the pad's plane up to 0.2 % of a distance.
+
+    Parameters
+    ----------
+    sensor
+        The sensor; its own indenter does not matter.
+    renderer
+        From :func:`sim.optics.open_renderer`.
+    ball_radius_mm, count
+        As in :func:`planned_presses`, with its refusals.
+    seed, samples_per_pixel
+        Random seed, paths per pixel.
+    progress
+        Called after each picture.
+    folder
+        Where the files that the design names are.
+
+    Raises
+    ------
+    SimulateError
+        See above, and as :func:`sim.optics.plain_sensor_scene` does; or when the camera does not look straight at the
+        pad through an ideal pinhole.
+    """
+    _require_straight_camera(sensor)
+    designs = planned_presses(sensor.pressed_pad(), ball_radius_mm, count)
+    images = []
+    for step, design in enumerate([None, *designs]):
+        pressed = design is not None
+        now = sensor.model_copy(update={"indenter": design.indenter}) if design is not None else sensor
+        scene = plain_sensor_scene(now, renderer, pressed, folder=folder)
+        integrator = plain_sensor_integrator(scene, now, renderer, pressed, folder=folder)
+        image = renderer.render(scene, integrator=integrator, spp=samples_per_pixel, seed=stream_seed(seed, 0))
+        images.append(np.array(image, dtype=np.float32))
+        if progress is not None:
+            progress(step + 1, count + 1, f"press {step}" if pressed else "no contact")
+    maps = [_seen(sensor, design) for design in designs]
+    scale = mm_per_px(sensor)
+    camera = sensor.camera
+    z_middle = sensor.pad.length_mm / 2.0
+    indenters = [design.indenter for design in designs]
+    return BallPresses(
+        no_contact=images[0],
+        contacts=np.stack(images[1:]),
+        slopes=np.stack([slopes for slopes, _ in maps]),
+        distance=np.stack([distance for _, distance in maps]),
+        row_px=np.array([camera.height_px / 2.0 - 0.5 - (i.position_mm - z_middle) / scale for i in indenters]),
+        column_px=np.array([camera.width_px / 2.0 - 0.5 + i.across_mm / scale for i in indenters]),
+        radius_px=np.array([float(contact_half_width_mm(design)) / scale for design in designs]),
+        ball_radius_mm=ball_radius_mm,
+        thickness_mm=sensor.pad.thickness_mm,
+        mm_per_px=scale,
+        label=f"{sensor.name}, rendered with {samples_per_pixel} paths per pixel ({renderer.variant()})",
+    )
+
+
+def _require_straight_camera(sensor: PlainSensor) -> None:
+    """Check that a picture is that of the pad's plane."""
+    camera = sensor.camera
+    turned = [name for name in ("across_mm", "along_mm", "tilt_deg", "pan_deg", "roll_deg") if getattr(camera, name)]
+    if camera.calibration is not None:
+        turned.append("calibration")
+    if turned:
+        raise SimulateError(
+            f"camera.{turned[0]}: Taxim's pictures are those of a camera that looks straight at the middle of the pad "
+            f"through an ideal pinhole; leave out {', '.join(turned)}"
+        )
+
+
+def mm_per_px(sensor: PlainSensor) -> float:
+    """Return the side of a pixel on the coat in the middle of the picture: the gel makes it look nearer."""
+    camera = sensor.camera
+    reach = camera.distance_mm + sensor.pad.thickness_mm / sensor.pad.refractive_index
+    return float(2.0 * np.tan(np.radians(camera.field_of_view_deg) / 2.0) / camera.width_px * reach)
+
+
+def surface_of(design: FingerDesign) -> RectBivariateSpline:
+    """Return the height of the pressed coat as a smooth function of x and z, mm."""
+    pad = design.pad
+    x, z = (
+        np.linspace(low, low + size, int(np.ceil(size / _STEP_MM)) + 1)
+        for low, size in ((-pad.width_mm / 2.0, pad.width_mm), (0.0, pad.length_mm))
+    )
+    return RectBivariateSpline(x, z, pressed_height_mm(design, x, z))
+
+
+def _seen(sensor: PlainSensor, design: FingerDesign) -> tuple[Floats, Floats]:
+    """Return slopes (H, W, 2) and contact distance (H, W) of the points of the coat that the pixels see."""
+    camera, pad = sensor.camera, sensor.pad
+    half = np.tan(np.radians(camera.field_of_view_deg) / 2.0) * 2.0 / camera.width_px
+    columns = (np.arange(camera.width_px) + 0.5 - camera.width_px / 2.0) * half
+    rows = (np.arange(camera.height_px) + 0.5 - camera.height_px / 2.0) * half
+    air = np.stack(np.meshgrid(columns, -rows, indexing="xy"), axis=-1)
+    # Snell at the flat inner face; tangents of the angle from the pad's normal
+    sine = np.linalg.norm(air, axis=-1) / np.sqrt(1.0 + (air**2).sum(axis=-1)) / pad.refractive_index
+    shrunk = sine / np.sqrt(1.0 - sine**2) / np.maximum(np.linalg.norm(air, axis=-1), np.finfo(float).tiny)
+    gel, entry = air * shrunk[..., None], air * camera.distance_mm
+    surface = surface_of(design)
+    height = np.full(air.shape[:2], pad.thickness_mm)
+    for _ in range(_ROUNDS):
+        x, z = np.moveaxis(entry + gel * height[..., None], -1, 0)
+        z = z + pad.length_mm / 2.0
+        height = surface.ev(x, z)
+    on_pad = (np.abs(x) <= pad.width_mm / 2.0) & (z >= 0.0) & (z <= pad.length_mm)
+    # the depth is what the height lacks; rows run against z
+    slopes = np.stack([-surface.ev(x, z, dx=1), surface.ev(x, z, dy=1)], axis=-1)
+    return np.where(on_pad[..., None], slopes, np.nan), np.where(on_pad, contact_distance(design, x, z), np.nan)
+
+
+# a pad that fewer pixels see is no picture
+_FEWEST_PIXELS = 100
+
+
+def render_finger_presses(
+    finger: PaintedFinger,
+    ball_radius_mm: float,
+    count: int,
+    seed: int = 0,
+    samples_per_pixel: int = 64,
+    progress: Progress | None = None,
+) -> BallPresses:
+    """Render ball presses on a finger; pictures are rectified by what each pixel sees of the pad at rest.
+
+    Columns run along the pad from its base, rows across it from the red wall to the green one; a pixel's side is the
+    square root of the area of pad that a pixel of the camera sees in the mean. Parts of the pad that the camera does
+    not see are black, and teach nothing. Colours are balanced so that the pad is grey without contact in the mean.
+
+    Parameters
+    ----------
+    finger
+        Design, paints, camera and renderer; the design's own indenter does not matter.
+    ball_radius_mm, count
+        As in :func:`sim.experiments._sensor_press.planned_presses`, with its refusals.
+    seed, samples_per_pixel
+        Random seed, the same for all presses; paths per pixel.
+    progress
+        Called after each press.
+
+    Raises
+    ------
+    SimulateError
+        See above, as :func:`sim.optics.render_press` does, or when the camera hardly sees the pad.
+    """
+    pictures, no_contact, slopes, distances = [], np.empty(0), [], []
+    designs = planned_presses(finger.design, ball_radius_mm, count)
+    how = RenderSettings("b", seed, samples_per_pixel)
+    plane: _PadPlane | None = None
+    for step, design in enumerate(designs, start=1):
+        render = render_press(design, finger.paints, finger.renderer, how, calibration=finger.calibration)
+        matrix = replace(finger, design=design).camera_matrix(render.bands)
+        if plane is None:
+            plane = _pad_plane(design, render.no_contact_maps)
+            no_contact = plane.rectified(camera_rgb(render.no_contact_bands, matrix))
+        pictures.append(plane.rectified(camera_rgb(render.contact_bands, matrix)))
+        slope, distance = plane.seen(design, render.contact_maps)
+        slopes.append(slope)
+        distances.append(distance)
+        if progress is not None:
+            progress(step, count, f"press {step}")
+    if plane is None:
+        raise SimulateError(f"count = {count}: at least one press must be rendered")
+    scale, pad = plane.mm_per_px, finger.design.pad
+    # 8 bits would leave nothing of red and green beside blue
+    levels = no_contact[plane.is_seen].mean(axis=0)
+    gains = levels.max() / levels
+    indenters = [design.indenter for design in designs]
+    return BallPresses(
+        no_contact=(gains * no_contact).astype(np.float32),
+        contacts=(gains * np.stack(pictures)).astype(np.float32),
+        slopes=np.stack(slopes),
+        distance=np.stack(distances),
+        row_px=np.array([(i.across_mm + pad.width_mm / 2.0) / scale - 0.5 for i in indenters]),
+        column_px=np.array([i.position_mm / scale - 0.5 for i in indenters]),
+        radius_px=np.array([float(contact_half_width_mm(design)) / scale for design in designs]),
+        ball_radius_mm=ball_radius_mm,
+        thickness_mm=pad.thickness_mm,
+        mm_per_px=scale,
+        label=f"{finger.design.name}, rendered with {samples_per_pixel} paths per pixel, in the plane of its pad, "
+        f"colours times {', '.join(f'{gain:.3g}' for gain in gains)} (grey without contact)",
+    )
+
+
+class _PadPlane:
+    """The pad at rest as a grid of square pixels, and where in the camera's picture each of them is seen."""
+
+    def __init__(self, rows: Floats, columns: Floats, mm_per_px: float) -> None:
+        self.mm_per_px = mm_per_px
+        self.is_seen = np.isfinite(rows)
+        self._at = np.stack([np.nan_to_num(rows), np.nan_to_num(columns)])
+
+    def rectified(self, image: NDArray[np.float32]) -> Floats:
+        """Return an image (H, W, 3) of the camera in the pad's plane; black where the camera does not see the pad."""
+        channels = np.moveaxis(image.astype(np.float64), -1, 0)
+        sampled = [map_coordinates(channel, self._at, order=1, mode="nearest") for channel in channels]
+        return np.where(self.is_seen[..., None], np.stack(sampled, axis=-1), 0.0)
+
+    def seen(self, design: FingerDesign, maps: PixelMaps) -> tuple[Floats, Floats]:
+        """Return slopes (H, W, 2) and contact distance (H, W) of the points of the coat that the pixels see."""
+        at = np.rint(self._at).astype(np.int64)
+        z, x = np.moveaxis(maps.coat_mm(design)[at[0], at[1]], -1, 0)
+        surface = surface_of(design)
+        known = np.isfinite(x) & self.is_seen
+        x, z = np.where(known, x, 0.0), np.where(known, z, 0.0)
+        slopes = np.stack([-surface.ev(x, z, dy=1), -surface.ev(x, z, dx=1)], axis=-1)
+        return np.where(known[..., None], slopes, np.nan), np.where(known, contact_distance(design, x, z), np.nan)
+
+
+def _pad_plane(design: FingerDesign, at_rest: PixelMaps) -> _PadPlane:
+    """Return the pad's plane as a camera sees it at rest."""
+    place = at_rest.coat_mm(design)
+    seen = np.isfinite(place).all(axis=-1)
+    if seen.sum() < _FEWEST_PIXELS:
+        raise SimulateError(
+            f"camera: {int(seen.sum())} pixels see the pad, at least {_FEWEST_PIXELS} are needed; give the camera more "
+            "pixels or turn it to the pad"
+        )
+    pad = design.pad
+    side = float(np.sqrt(pad.length_mm * pad.width_mm / seen.sum()))
+    shape = (round(pad.width_mm / side), round(pad.length_mm / side))
+    rows, columns = np.indices(shape)
+    wanted = np.stack([(columns + 0.5) * side, (rows + 0.5) * side - pad.width_mm / 2.0], axis=-1)
+    pixel = LinearNDInterpolator(place[seen], np.argwhere(seen).astype(np.float64))(wanted)
+    return _PadPlane(pixel[..., 0], pixel[..., 1], side)

@@ -23,8 +23,15 @@ if TYPE_CHECKING:
         shard_file,
     )
     from sim.studies._engine import run_study
-    from sim.studies._plan import SHIPPED_PLANS, PlannedPoint, read_plan, study_points
-    from sim.studies._point import StudyPaints, StudyTask, point_file
+    from sim.studies._point import (
+        SHIPPED_PLANS,
+        PlannedPoint,
+        StudyPaints,
+        StudyTask,
+        point_file,
+        read_plan,
+        study_points,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

@@ -14,8 +14,7 @@ from contextlib import contextmanager
 from typing import Any, Final, Protocol, TypeVar
 
 from data_schemas import FinrayError, MissingExtraError, SimulateError, StudyFailure, StudyPoint
-from sim.studies._plan import PlannedPoint
-from sim.studies._point import StudyTask, compute_point, compute_press, press_file, stored_point
+from sim.studies._point import PlannedPoint, StudyTask, compute_point, compute_press, press_file, stored_point
 
 
 class Numbered(Protocol):

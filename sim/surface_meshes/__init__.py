@@ -44,7 +44,6 @@ if TYPE_CHECKING:
         split_quads,
     )
     from sim.surface_meshes._imprint import height_over_pad_mm, imprinted_height_mm, read_height_map
-    from sim.surface_meshes._intersections import check_no_intersections, crossing_pair
     from sim.surface_meshes._solid import (
         Coordinates,
         Edge,
@@ -55,6 +54,8 @@ if TYPE_CHECKING:
         Loop,
         Plane,
         Solid,
+        check_no_intersections,
+        crossing_pair,
         planar_solid,
         stl_bytes,
     )

@@ -16,7 +16,7 @@ from data_schemas import (
 )
 from data_schemas.storage import read_toml
 from finray_calib.acceptance import NO_REFERENCE, ToleranceInterval, certified_results
-from finray_calib.acceptance import _certified_results as module
+from finray_calib.acceptance import _conformity as module
 from finray_calib.fit import estimate
 from tests.acceptance.paints import MEASURED_ON, example, normal, paint
 

@@ -31,7 +31,7 @@ ALLOWED = {
     ("rigs/cameras/_image_files.py", "cv2.imdecode"): "bytes of the gateway, or a camera's stream of limited size",
     ("sim/optics/_calibrated_camera.py", "cv2.FileStorage"): "bytes of the gateway, in a limited child",
     ("finray_calib/exchange/_learning_dataset.py", "tarfile.open"): "a file that the gateway opened",
-    ("finray_calib/exchange/_bispectral_exr.py", "_open_exr().File"): "bytes of the gateway, in a limited child",
+    ("finray_calib/exchange/_paint_reradiation.py", "_open_exr().File"): "bytes of the gateway, in a limited child",
     **dict.fromkeys(
         (
             ("data_schemas/_lazy_exports.py", "Path(file).read_bytes"),
@@ -41,14 +41,14 @@ ALLOWED = {
     ),
     **dict.fromkeys(
         (
-            ("finray_calib/exchange/_bispectral_exr.py", "file.read_bytes"),
+            ("finray_calib/exchange/_paint_reradiation.py", "file.read_bytes"),
             ("finray_calib/exchange/_paint_formats.py", "file.read_bytes"),
         ),
         "what a library has just written into a temporary folder",
     ),
     **dict.fromkeys(
         (
-            ("finray_calib/exchange/_bispectral_exr.py", "open_exr.File"),
+            ("finray_calib/exchange/_paint_reradiation.py", "open_exr.File"),
             ("sim/optics/_renderer.py", "mitsuba.Bitmap"),
             ("data_schemas/storage/_product_set.py", "os.open"),
             ("data_schemas/storage/_product_set.py", "json.loads"),
@@ -97,7 +97,7 @@ ALLOWED = {
         ),
         "numbers that this package ships",
     ),
-    ("finray_calib/spectra/_compiled.py", "path.read_bytes"): "sources of this package, as the key of a cache",
+    ("finray_calib/spectra/family_kernels.py", "path.read_bytes"): "sources of this package, as the key of a cache",
     **dict.fromkeys(
         (
             ("data_schemas/_lazy_exports.py", "Path(file).read_bytes"),

@@ -357,7 +357,7 @@ def test_an_interrupted_press_goes_on_with_the_same_command(tmp_path: Path, monk
     assert [path.name for path in sorted(increments.glob("*.json"))] == ["001.json"]
     first = sha256_of(increments / "001.json")
     with monkeypatch.context() as patched:
-        patched.setattr("finray_calib.exchange._vtu.vtu_bytes", dies)
+        patched.setattr("finray_calib.exchange._mesh_files.vtu_bytes", dies)
         outcome = finray(f"{press}/cut.press.json")
     assert (outcome.status, outcome.err.splitlines()[0]) == (
         130,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from finray_calib.lineage._replay import compare
+from finray_calib.lineage._trace import compare
 from tests.command_line.running import finray, succeed
 from tests.lineage.tamperings import made_anew, number
 from tests.schemas.freeze import FROZEN

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from data_schemas import CompareError
 from finray_calib.sensing import held_out_normal_error_deg, normal_sigma_deg, uniformity
-from finray_calib.sensing._angle_objectives import angle_between_deg
+from finray_calib.sensing._normal_map import angle_between_deg
 
 JACOBIAN_E = np.array([[300.0, 40.0], [-250.0, 60.0], [20.0, 800.0]])
 VARIANCE_E2 = np.array([150.0, 200.0, 900.0])

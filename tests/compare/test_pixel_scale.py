@@ -263,7 +263,7 @@ def test_pictures_without_a_usable_board_are_refused(seen):
 def test_a_board_that_is_too_small_or_a_line_is_refused(monkeypatch):
     seen = projected("pinhole", PINHOLE, pose_of([0.0, 0.0, 0.0], (0.0, 0.0, 15.0)), PLACES_MM)
     ids = np.arange(len(PLACES_MM))
-    from finray_calib.sensing import _board_corners as board_corners
+    from finray_calib.sensing import _lens_calibration as board_corners
 
     def found(corners, numbers):
         return lambda grey, board: (numbers, corners.copy())

@@ -7,11 +7,17 @@ import numpy as np
 import pytest
 
 from data_schemas import DecidedContact, Indenter
-from finray_calib.decide._decision_record import _ASSUMED_SIZE, _other_sentences, decision_sentence, headline, outside
+from finray_calib.decide._decision_record import (
+    _ASSUMED_SIZE,
+    Proposal,
+    _other_sentences,
+    decision_sentence,
+    headline,
+    outside,
+)
 from finray_calib.decide._light_angle import AngleRisk
-from finray_calib.decide._next_observation import Proposal
-from finray_calib.decide._other_objectives import OtherOptimum
 from finray_calib.decide._sim_to_real import PRIOR_ERROR_LOG_SD, PRIOR_ERROR_REL
+from finray_calib.decide._swept_contacts import OtherOptimum
 
 NONE = np.empty(0)
 RISK = AngleRisk(0.5, 0.0304, 0.0161, (), 0.96)

@@ -7,13 +7,17 @@ from scipy.stats import norm
 from finray_calib.decide import _sim_to_real as prior
 from finray_calib.decide import decide_angle
 from finray_calib.decide._capture_errors import NO_CAPTURES, CaptureErrors
-from finray_calib.decide._gaussian_process import CurvePrior, curve_posterior, observations
-from finray_calib.decide._next_observation import (
+from finray_calib.decide._decision_record import (
     ASSUMED_CAPTURE_SD_REL,
-    expected_maximum_gain,
-    knowledge_gradient,
     propose_capture,
     propose_render,
+)
+from finray_calib.decide._gaussian_process import (
+    CurvePrior,
+    curve_posterior,
+    expected_maximum_gain,
+    knowledge_gradient,
+    observations,
 )
 from tests.decide.curves import FINE_DEG, SWEEP_DEG, sweep
 from tests.decide.test_gaussian_process import matern_by_bessel_functions

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_schemas import AngleObjective, DecideError
-from finray_calib.decide._other_objectives import other_optimum
+from finray_calib.decide._swept_contacts import other_optimum
 
 ANGLES_DEG = np.arange(0.0, 121.0, 10.0)
 TOLERANCE_REL = 0.02

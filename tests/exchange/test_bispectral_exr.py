@@ -12,7 +12,7 @@ from colour.io.fichet2021 import PATTERN_FICHET2021, match_groups_to_nm
 from data_schemas import ImportFormatError, MissingExtraError
 from data_schemas.storage import read_table
 from finray_calib.exchange import read_bispectral_exr
-from finray_calib.exchange._bispectral_exr import band_matrix, exr_bytes
+from finray_calib.exchange._paint_reradiation import band_matrix, exr_bytes
 from tests.exchange.conftest import LASER_NM, absorption, emission, reflectance
 
 OpenEXR = pytest.importorskip("OpenEXR")

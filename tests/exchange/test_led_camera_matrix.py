@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from data_schemas import CurveError, SpectralCurve
 from data_schemas.storage import read_light
 from finray_calib.exchange import assumed_led, led_camera_matrix
-from finray_calib.exchange._led_camera_matrix import led_camera_json
+from finray_calib.exchange._paint_reradiation import led_camera_json
 from tests.exchange.conftest import LASER_NM, SD_REL, absorption, emission, reflectance
 
 CENTER_NM, WIDTH_NM = (600.0, 535.0, 460.0), 40.0

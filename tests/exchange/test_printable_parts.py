@@ -11,7 +11,7 @@ from scipy.integrate import dblquad
 from data_schemas import FingerDesign, SimulateError
 from finray_calib.cli import _run as options
 from finray_calib.exchange import printable_parts
-from finray_calib.exchange._printable_parts import step_bytes
+from finray_calib.exchange._mesh_files import step_bytes
 from sim import PRESETS, preset_design
 from sim.mechanics import mould_sizes, mould_solid, part_solid, part_stl, skeleton_mesh
 from sim.surface_meshes import Edge, Face, Plane, Solid, boundary_quads, planar_solid

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from finray_calib.exchange._paint_spectra import readable_json
+from finray_calib.exchange._paint_reradiation import readable_json
 
 leaves = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
 trees = st.recursive(leaves, lambda t: st.lists(t, max_size=4) | st.dictionaries(st.text(), t, max_size=4))

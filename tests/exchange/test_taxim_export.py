@@ -129,7 +129,7 @@ def test_the_verb_writes_a_folder(presses, tmp_path, monkeypatch):
         asked.update(name=sensor.name, ball_radius_mm=ball_radius_mm, count=count, seed=seed, samples=samples)
         return presses
 
-    monkeypatch.setattr("sim.experiments._ball_presses.render_ball_presses", rendered)
+    monkeypatch.setattr("sim.experiments._sensor_press.render_ball_presses", rendered)
     monkeypatch.setattr("finray_calib.cli._export.open_engine", lambda preference: None)
     (tmp_path / "s.toml").write_text(SENSOR)
     options = f"--presses 30 --ball-diameter-mm 3 --samples 8 --seed 5 --out {tmp_path}/o"
@@ -149,7 +149,7 @@ def test_with_paints_a_finger_is_rendered(presses, tmp_path, monkeypatch):
         asked.update(name=finger.design.name, paints=sorted(finger.paints), amounts=amounts[:4])
         return presses
 
-    monkeypatch.setattr("sim.experiments._ball_presses.render_finger_presses", rendered)
+    monkeypatch.setattr("sim.experiments._sensor_press.render_finger_presses", rendered)
     monkeypatch.setattr("finray_calib.cli._export.open_engine", lambda preference: None)
     (tmp_path / "f.toml").write_text(design_toml(FingerDesign()))
     paints = example_results().paints

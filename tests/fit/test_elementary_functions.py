@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from finray_calib.spectra._compiled import arctangent, falling_exponential, log_of_one_plus
+from finray_calib.spectra.family_kernels import arctangent, falling_exponential, log_of_one_plus
 
 
 def test_arctangent_is_exact_to_rounding():

@@ -10,7 +10,7 @@ from data_schemas import BandPassFilter, BandSignals, FilterWheelSettings, Optic
 from data_schemas.storage import assumed_camera_response, halogen_lamp
 from finray_calib.fit import NO_DISCREPANCY, EmissionPrior, band_data, fit_emission
 from finray_calib.spectra import WAVELENGTH_NM, tolerances_of, weights_of
-from finray_calib.spectra._rig_curves import measured_transmission
+from finray_calib.spectra._band_weights import measured_transmission
 from rigs import simulated_rig
 from rigs._rig_files import PAPER_FILTERS_NM
 from rigs.simulated import Bench, bench_truth

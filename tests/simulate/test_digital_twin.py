@@ -11,9 +11,9 @@ from data_schemas.storage import assumed_camera_response
 from rigs.simulated.sensor import bayer_planes
 from sim.experiments import FingerScene, PaintedFinger
 from sim.experiments import _light_angle as light_angle
+from sim.experiments import _optics_products as digital_twin
+from sim.experiments import _optics_products as tactile_camera
 from sim.experiments import _rendered_press as press
-from sim.experiments import _tactile_camera as digital_twin
-from sim.experiments import _tactile_camera as tactile_camera
 from sim.optics import FIRST_CHAINS, ProbePaths, paint_bands
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=128, height_px=96))

@@ -9,7 +9,7 @@ from data_schemas.storage import assumed_camera_response, read_record
 from finray_calib.cli.main import main
 from finray_calib.reports import fluorescent_rendering_png, light_angle_png
 from sim.experiments import PaintedFinger
-from sim.experiments import _fluorescent_rendering as fluorescent_rendering
+from sim.experiments import _illumination as fluorescent_rendering
 from sim.experiments import _illumination as light_intensity
 from sim.experiments import _illumination as two_lights
 from tests.simulate.flat_refraction import refracted_irradiance

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.mechanics._contact_library import contact_library, contact_library_failure
-from sim.surface_meshes._intersections import crossing_pair
+from sim.surface_meshes._solid import crossing_pair
 
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
 

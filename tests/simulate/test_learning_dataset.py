@@ -21,8 +21,8 @@ from sim.experiments import (
     render_looks,
     simulate_press,
 )
-from sim.experiments._ball_presses import surface_of
 from sim.experiments._learning_samples import encoded_depth, encoded_normal, encoded_picture
+from sim.experiments._sensor_press import surface_of
 from sim.optics import RenderSettings, choose_variant, open_renderer, pixel_maps
 from sim.optics import _render as renders
 from sim.studies import DatasetTask, drawn_light, drawn_press, planned_shards

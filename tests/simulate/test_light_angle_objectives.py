@@ -10,7 +10,7 @@ from sim.experiments import PaintedFinger, light_angle_sweep
 from sim.experiments import _light_angle as objectives
 from sim.experiments import _light_angle as tables
 from sim.experiments._light_angle import exposed_table, facet_shares, facet_slopes, frames_e, in_the_way
-from sim.experiments._tactile_camera import EXPOSURE_S, tactile_sensor
+from sim.experiments._optics_products import EXPOSURE_S, tactile_sensor
 from sim.optics import (
     ProbePaths,
     measure_together,

@@ -8,7 +8,7 @@ import pytest
 from data_schemas import CameraBelow, ColouredLight, GelPad, Indenter, PlainSensor, SensorCoat, TranslucentLayer
 from sim import SENSORS, preset_sensor
 from sim.experiments import pressed_coat, simulate_sensor_press
-from sim.experiments._ball_presses import _seen
+from sim.experiments._sensor_press import _seen
 from sim.optics import (
     analytic_gel,
     light_frame,

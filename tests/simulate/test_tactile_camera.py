@@ -8,8 +8,7 @@ from data_schemas._design_parts import TactileCamera
 from finray_calib.compare import compare_press
 from finray_calib.sensing import rgb_image
 from sim.experiments import simulated_capture
-from sim.experiments._optics_products import colour_spread
-from sim.experiments._tactile_camera import BandImages, camera_capture
+from sim.experiments._optics_products import BandImages, camera_capture, colour_spread
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=256, height_px=192, response_at_led_uncertainty_rel=0.2))
 MATRIX = np.array([[1.0, 0.0, 0.05], [0.0, 1.0, 0.2], [0.0, 0.1, 1.0]])

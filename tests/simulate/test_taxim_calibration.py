@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from data_schemas import CameraBelow, FingerDesign, GelPad, Indenter, PlainSensor, SimulateError
-from sim.experiments import _ball_presses as taxim_finger
+from sim.experiments import _sensor_press as taxim_finger
 from sim.experiments import render_ball_presses
-from sim.experiments._ball_presses import DEPTHS_REL, mm_per_px, planned_presses, surface_of
+from sim.experiments._sensor_press import DEPTHS_REL, mm_per_px, planned_presses, surface_of
 from sim.surface_meshes import contact_half_width_mm, pressed_height_mm
 
 SENSOR = PlainSensor(camera=CameraBelow(width_px=48, height_px=48, field_of_view_deg=26.0))
@@ -20,7 +20,7 @@ class FlatRenderer:
 
     def __init__(self, monkeypatch):
         for name in ("plain_sensor_scene", "plain_sensor_integrator"):
-            monkeypatch.setattr(f"sim.experiments._ball_presses.{name}", lambda *_, **__: None)
+            monkeypatch.setattr(f"sim.experiments._sensor_press.{name}", lambda *_, **__: None)
 
     def render(self, *_, **__):
         return np.ones((48, 48, 3))

@@ -1,0 +1,246 @@
+"""Records as other programs take them: an xarray Dataset of any, JUnit XML of a check, one zip archive of captures.
+
+A Dataset has named dimensions, coordinates and units. An acceptance report becomes one test case for each check, for
+continuous-integration servers. The layout of an archive of captures is a standard that others can write without this
+program: docs/reference/tactile-captures.md.
+"""
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, get_args
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+
+from data_schemas import (
+    AcceptanceReport,
+    ArraySpec,
+    CheckResult,
+    CheckVerdict,
+    MissingExtraError,
+    Provenance,
+    Record,
+    RecordError,
+    SimulatedPress,
+    TactileCapture,
+)
+from data_schemas.storage import MANIFEST_NAME, files_in, folder_at, read_bytes, read_json, read_record
+from finray_calib.acceptance import value_text
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+
+CHANNELS = ("red", "green", "blue")
+GRID_UNITS = "nm|deg|mm|s"
+
+
+def record_dataset(record: Record) -> "Dataset":
+    """Return the arrays of a record; numbers and words of it become attributes.
+
+    Red, green and blue of a filter or a pixel lie along "channel"; another dimension of fixed length N without a name
+    is "axis_N". An array along one dimension that is named after it (`wavelength_nm` along "wavelength", `grid_deg`) is
+    its coordinate.
+
+    Parameters
+    ----------
+    record
+        Any record with arrays.
+
+    Raises
+    ------
+    RecordError
+        It holds no array.
+    MissingExtraError
+        xarray is not installed.
+    """
+    try:
+        from xarray import Dataset
+    except ImportError:
+        raise MissingExtraError("to_xarray needs xarray: pip install 'finray-calib[netcdf]'") from None
+    variables: dict[str, Any] = {}
+    coordinates: dict[str, Any] = {}
+    for name, field in type(record).model_fields.items():
+        value = getattr(record, name)
+        if not isinstance(value, np.ndarray):
+            continue
+        spec = _spec(field.annotation, field.metadata)
+        dims = _dims(spec.dims if spec is not None else (), value.shape)
+        attributes = {"units": spec.unit if spec is not None else "1"}
+        if field.description:
+            attributes["long_name"] = field.description
+        is_grid = len(dims) == 1 and re.fullmatch(rf"({re.escape(dims[0])}s?|grid)_({GRID_UNITS})", name) is not None
+        (coordinates if is_grid else variables)[name] = (dims, value, attributes)
+        if "channel" in dims:
+            coordinates["channel"] = (("channel",), np.array(CHANNELS), {})
+    if not variables:
+        raise RecordError(f"a {type(record).__name__} holds no array; its fields are plain numbers and words")
+    return Dataset(variables, coords=coordinates, attrs=_attributes(record))
+
+
+def _spec(annotation: Any, metadata: Iterable[Any] = ()) -> ArraySpec | None:
+    """Return what is declared of an array, also of one that may be missing."""
+    for item in (*metadata, *getattr(annotation, "__metadata__", ())):
+        if isinstance(item, ArraySpec):
+            return item
+    return next((spec for inner in get_args(annotation) if (spec := _spec(inner)) is not None), None)
+
+
+def _dims(names: tuple[str, ...], shape: tuple[int, ...]) -> tuple[str, ...]:
+    """Return one name for each dimension, no name twice."""
+    found: list[str] = []
+    for place, size in enumerate(shape):
+        name = names[place] if place < len(names) else str(size)
+        if name.isdigit():
+            name = "channel" if name == "3" and found and found[-1] in {"filter", "column"} else f"axis_{name}"
+        found.append(name if name not in found else f"{name}_{place}")
+    return tuple(found)
+
+
+def _attributes(record: Record) -> dict[str, Any]:
+    """Return kind, numbers and words of a record, as netCDF attributes know them."""
+    plain = {
+        name: int(value) if isinstance(value, bool) else value
+        for name in type(record).model_fields
+        if isinstance(value := getattr(record, name), bool | int | float | str)
+    }
+    return {"kind": type(record).__name__, **plain}
+
+
+_CHILD: Final[dict[CheckVerdict, str]] = {"FAIL": "failure", "ERROR": "error", "UNDECIDED": "skipped"}
+_NOT_IN_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML 1.0 cannot hold, as a garbled answer of a device may."""
+
+
+def junit_xml(report: AcceptanceReport, origin: Provenance) -> bytes:
+    """Return the report as JUnit XML: FAIL is a failure, ERROR an error, UNDECIDED is skipped with its reason.
+
+    Parameters
+    ----------
+    report
+        The report.
+    origin
+        When and with what it was made.
+    """
+    found = Counter(result.verdict for result in report.results)
+    count = {"tests": len(report.results), "failures": found["FAIL"], "errors": found["ERROR"]}
+    counted = {name: str(number) for name, number in count.items()}
+    root = Element("testsuites", {"name": "finray check", **counted})
+    suite = SubElement(root, "testsuite", {"name": _plain(report.rig.name), **counted})
+    suite.set("skipped", str(found["UNDECIDED"]))
+    suite.set("timestamp", origin.created_utc)
+    properties = SubElement(suite, "properties")
+    for name, value in (
+        ("check", report.plan.check_name),
+        ("verdict", report.verdict),
+        ("finray-calib", origin.package_version),
+    ):
+        SubElement(properties, "property", {"name": name, "value": _plain(value)})
+    for result in report.results:
+        _add_case(suite, result)
+    indent(root)
+    return bytes(tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
+
+
+def _add_case(suite: Element, result: CheckResult) -> None:
+    """Add the test case of one check."""
+    group = f"finray.check.{result.section.replace(' ', '_')}"
+    case = SubElement(suite, "testcase", {"classname": group, "name": _plain(result.name)})
+    words = (result.what, value_text(result), f"allowed: {result.limit}" if result.limit else "", result.evidence)
+    if result.verdict == "PASS":
+        SubElement(case, "system-out").text = _plain("\n".join(word for word in words if word))
+        return
+    message = "; ".join(word for word in words[1:] if word)
+    child = SubElement(case, _CHILD[result.verdict], {"message": _plain(message)})
+    if result.verdict != "UNDECIDED":
+        child.set("type", result.verdict)
+    child.text = _plain("\n".join(word for word in words if word))
+
+
+def _plain(text: str) -> str:
+    """Return text with what XML cannot hold replaced."""
+    return _NOT_IN_XML.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+CAPTURE: Final = ".capture.json"
+PRESS: Final = ".press.json"
+_BESIDE: Final = re.compile(r"contacts\.png|circles\.csv|(readme|licen[cs]e|copying)[\w.-]*", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureContainer:
+    """What of a folder goes into a container.
+
+    Attributes
+    ----------
+    captures
+        Number of captures.
+    presses
+        Number of simulated presses.
+    files
+        All files, in the order of the archive; the checksums come after them.
+    left_out
+        Files that belong to no capture and no press.
+    """
+
+    captures: int
+    presses: int
+    files: tuple[Path, ...]
+    left_out: tuple[Path, ...]
+
+    def contents(self) -> Iterator[tuple[str, bytes]]:
+        """Yield name and content of each file, one after the other, and last the checksums of all."""
+        lines = []
+        for path in self.files:
+            content = read_bytes(path)
+            lines.append(f"{hashlib.sha256(content).hexdigest()}  {path.name}\n")
+            yield path.name, content
+        yield MANIFEST_NAME, "".join(lines).encode()
+
+
+def capture_container(place: Path) -> CaptureContainer:
+    """Return what of a folder goes into a container, after every record in it was read and found complete.
+
+    Captures and simulated presses go in with their arrays, and what belongs to all: the picture of the contacts, the
+    list of circles, texts named README or LICENSE.
+
+    Parameters
+    ----------
+    place
+        Folder of NAME.capture.json.
+
+    Raises
+    ------
+    RecordError
+        It is no folder or holds no capture.
+    FinrayError
+        A record in it is damaged.
+    """
+    folder = folder_at(place)
+    inside = [] if folder is None else [path for path in files_in(folder) if not path.name.startswith(".")]
+    captures = [path for path in inside if path.name.endswith(CAPTURE)]
+    presses = [path for path in inside if path.name.endswith(PRESS)]
+    if not captures:
+        raise RecordError(
+            f"{place}: holds no NAME{CAPTURE}; give a folder of captures, as 'finray import captures' writes it"
+        )
+    for path in captures:
+        read_record(path, TactileCapture)
+    for path in presses:
+        read_record(path, SimulatedPress)
+    records = [*captures, *presses]
+    wanted = {*records, *_arrays(records), *(path for path in inside if _BESIDE.fullmatch(path.name))}
+    left_out = tuple(path for path in inside if path not in wanted and path.name != MANIFEST_NAME)
+    return CaptureContainer(len(captures), len(presses), tuple(sorted(wanted)), left_out)
+
+
+def _arrays(records: Sequence[Path]) -> Iterator[Path]:
+    """Yield the files that hold the arrays of records which were read."""
+    for path in records:
+        array_file = read_json(path).get("array_file")
+        if array_file is not None:
+            yield path.with_name(str(array_file["file"]))
