@@ -426,9 +426,9 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--path", type=Path, metavar="CSV",
-        help="move the indenter along the poses of a file in place of the design's path or depth_mm: columns across_mm, "
-        "push_mm, along_mm, turn_x_deg, turn_y_deg, turn_z_deg and increments, from first touch; with the design's "
-        "friction",
+        help="move the indenter along the poses of a file in place of the design's path or depth_mm: columns "
+        "across_mm, push_mm, along_mm, turn_x_deg, turn_y_deg, turn_z_deg and increments, from first touch; with the "
+        "design's friction",
     )  # fmt: skip
     parser.add_argument(
         "--resume", type=Path, metavar="INCREMENT",
@@ -516,8 +516,8 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         )
     if path and (calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
-            f"{path} moves the indenter from first touch by the penalty of the elements here; leave it out, or --force, "
-            "--resume, --sensitivities, --contact barrier and --engine"
+            f"{path} moves the indenter from first touch by the penalty of the elements here; leave it out, or "
+            "--force, --resume, --sensitivities, --contact barrier and --engine"
         )
     if arguments.sensitivities and (calculix or resumes):
         raise SimulateError(

@@ -101,6 +101,17 @@ class IndenterPath:
             found.append(before + part * (poses[k - 1] - before))
         return found[0], found[1]
 
+    def whereabouts(self, share: float) -> str:
+        """Return in words the increment that comes after a share of all increments, and the pose that it leads to."""
+        step = min(math.floor(share * self.total + _AT_A_CORNER) + 1, self.total)
+        pose = int(np.searchsorted(np.cumsum(self.increments), step)) + 1
+        x, y, z = self.moves_mm[pose - 1] + 0.0
+        turn = float(np.linalg.norm(self.turns_deg[pose - 1]))
+        return (
+            f"increment {step} of {self.total}, on the way to pose {pose} of {len(self.increments)} (push {0.0 - y:.3g}, "
+            f"across {x:.3g}, along {z:.3g} mm, turn {turn:.3g} deg)"
+        )
+
     def is_corner(self, share: float) -> bool:
         """Whether one of the poses is reached after a share of all increments."""
         return bool((np.abs(np.cumsum(self.increments) - share * self.total) < _AT_A_CORNER).any())
@@ -261,7 +272,7 @@ def press_along(
         accept=touch.accept,
     )
     stops = [(k + 1) / total for k in range(total)]
-    unreached = ""
+    unreached, reached = "", 0.0
     try:
         for step in load_increments(
             assembly,
@@ -271,14 +282,15 @@ def press_along(
             options=NewtonOptions(tell=watch.tell),
             predict=_StraightOn(path),
         ):
+            reached = step.fraction
             touch.keep(step.fraction, step.equilibrium.state)
             history.add(-float(path.at(step.fraction)[0][1]), step.equilibrium)
             done = step.fraction * total
             watch.reached(math.floor(done + _AT_A_CORNER), f"moved {done:.4g} of {total} increments")
     except NoEquilibriumError as stuck:
+        unreached = f"{path.whereabouts(reached)}: {stuck}"
         if history.depth_mm is None:
-            raise
-        unreached = str(stuck)
+            raise NoEquilibriumError(unreached) from stuck
     motion = touch.motion()
     return replace(history.pressed(unreached), motion=motion, pressure_mpa=motion.pressure_mpa[-1])
 

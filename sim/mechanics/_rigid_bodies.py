@@ -183,8 +183,8 @@ _ON_SURFACE_MM = 1e-9
 class FacetedBody:
     """Closed triangle mesh in its own axes: the exact signed distance from its facets.
 
-    d = s |x - c| with the nearest point c of the facets. The sign s is that of (x - c) . n with the normal n of the face,
-    edge or corner that c lies on, where those of edges and corners are the sum of their faces' normals, weighted by
+    d = s |x - c| with the nearest point c of the facets. The sign s is that of (x - c) . n with the normal n of the
+    face, edge or corner that c lies on, where those of edges and corners are the sum of their faces' normals, weighted by
     angle (Baerentzen and Aanaes 2005). Points over 2 mm outside the body's box get the distance from the box, which is
     less. Facets have no curvature, so that the second derivative is given as nought: that of edges is left out.
 

@@ -190,8 +190,8 @@ def _to_depth(path: tuple[PathPose, ...], depth_mm: float) -> tuple[PathPose, ..
     deepest = max(pose.push_mm for pose in path)
     if deepest <= 0.0:
         raise SimulateError(
-            f"indenter.path: no pose pushes into the pad (the largest push_mm is {deepest:g} mm); a data set scales the "
-            "pushes to the depths that it draws"
+            f"indenter.path: no pose pushes into the pad (the largest push_mm is {deepest:g} mm); a data set scales "
+            "the pushes to the depths that it draws"
         )
     return tuple(pose.model_copy(update={"push_mm": pose.push_mm * depth_mm / deepest}) for pose in path)
 

@@ -363,7 +363,7 @@ def test_sides_of_a_body_with_a_notch_are_told_apart():
 def test_an_stl_on_a_path_is_the_body_that_it_stands_for(tmp_path):
     """A long cuboid that stands askew, pressed, dragged and twisted: force and torque as by its exact distances."""
     block = body_mesh(RoundedBox((3.0, 3.0, 6.0), 2.0), 0.004, 0.0)
-    (tmp_path / "block.stl").write_bytes(stl_bytes(block.vertices_mm, block.triangles))
+    (tmp_path / "block.stl").write_bytes(stl_bytes(block.triangles, block.vertices_mm, "block"))
     base = preset_design("baby-48x18")
     common = {"friction": 0.4, "rotation_deg": (0.0, 20.0, 0.0)}
     path = IndenterPath(np.array([[0, -0.6, 0], [0, -0.6, 0.4]]), np.array([[0, 0, 0], [0, 15.0, 0]]), np.array([1, 2]))
