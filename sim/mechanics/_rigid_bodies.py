@@ -172,9 +172,7 @@ class TriangleMesh:
     triangles: IntArray
 
 
-_SEARCH_PIECES = (
-    4000  # triangles are divided for the search until they are about this many: a millimetre on a cube of 25
-)
+_SEARCH_PIECES = 4000  # into about so many are triangles divided for the search
 _MOST_DIVISIONS = 16
 _BESIDE_MM = 2.0  # points further outside the box are told their distance from the box
 _ON_SURFACE_MM = 1e-9
@@ -184,9 +182,9 @@ class FacetedBody:
     """Closed triangle mesh in its own axes: the exact signed distance from its facets.
 
     d = s |x - c| with the nearest point c of the facets. The sign s is that of (x - c) . n with the normal n of the
-    face, edge or corner that c lies on, where those of edges and corners are the sum of their faces' normals, weighted by
-    angle (Baerentzen and Aanaes 2005). Points over 2 mm outside the body's box get the distance from the box, which is
-    less. Facets have no curvature, so that the second derivative is given as nought: that of edges is left out.
+    face, edge or corner that c lies on, where those of edges and corners are the sum of their faces' normals, weighted
+    by angle (Baerentzen and Aanaes 2005). Points over 2 mm outside the body's box get the distance from the box, which
+    is less. Facets have no curvature, so that the second derivative is given as nought: that of edges is left out.
 
     Parameters
     ----------
