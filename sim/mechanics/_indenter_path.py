@@ -108,8 +108,8 @@ class IndenterPath:
         x, y, z = self.moves_mm[pose - 1] + 0.0
         turn = float(np.linalg.norm(self.turns_deg[pose - 1]))
         return (
-            f"increment {step} of {self.total}, on the way to pose {pose} of {len(self.increments)} (push {0.0 - y:.3g}, "
-            f"across {x:.3g}, along {z:.3g} mm, turn {turn:.3g} deg)"
+            f"increment {step} of {self.total}, on the way to pose {pose} of {len(self.increments)} (push "
+            f"{0.0 - y:.3g}, across {x:.3g}, along {z:.3g} mm, turn {turn:.3g} deg)"
         )
 
     def is_corner(self, share: float) -> bool:
