@@ -406,7 +406,7 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("StudyPoint", 1): _as_it_is,
     # lights, coat, camera, surface and origins beside the three panels of one channel each
     ("PlainSensor", 1): _as_it_is,
-    # a path of the indenter; none: it is pressed along the normal. Uncertainty of a path's forces; none: not computed
+    # a path of the indenter; none: it is pressed along the normal
     ("DesignOptimum", 1): _as_it_is,
     ("LightAngleSweep", 3): _as_it_is,
     ("SimulatedPress", 3): _as_it_is,
