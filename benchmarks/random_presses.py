@@ -8,6 +8,9 @@ turned and beside the middle. The table of all lines of the file is printed at t
 the budget of processor time, converged, free of intersections and with an energy within 5 % of the work of the
 indenter (trapezoids of a force that bends), or, at most 5 %, are refused before the solve. Exit status 1 when one is
 missed.
+
+With --paths the 48 x 18 finger is pressed, dragged by up to 2 mm and twisted by up to 20 deg at any place, with any
+friction up to 1, and let go; each press must converge or end with an error that names its step.
 """
 
 import argparse
@@ -22,7 +25,7 @@ from pydantic import ValidationError
 
 from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
 from sim import PRESETS, preset_design
-from sim.mechanics import PressSettings, press_finger
+from sim.mechanics import PressSettings, press_as_designed, press_finger
 
 DEPTH_MM, INCREMENTS = 5.0, 5
 ENERGY_REL = 0.05
@@ -79,6 +82,57 @@ def random_design(seed: int) -> FingerDesign:
         "indenter": indenter,
     }
     return FingerDesign.model_validate(base.model_dump() | changed)
+
+
+def random_path(seed: int) -> FingerDesign:
+    """Return the small finger with an indenter anywhere on its pad that presses, slides, twists and lets go."""
+    rng = np.random.default_rng((27, seed))
+    base = preset_design("baby-48x18")
+    shape = str(rng.choice(["cylinder", "ball", "cuboid"]))
+    sizes = {"radius_mm": float(rng.uniform(3.0, 15.0))}
+    if shape == "cuboid":
+        sizes = {"size_mm": tuple(rng.uniform(6.0, 30.0, 3)), "edge_radius_mm": float(rng.uniform(0.5, 2.0))}
+    push, slide, way = rng.uniform(0.2, 2.0), rng.uniform(0.0, 2.0), rng.uniform(0.0, 2.0 * np.pi)
+    aside = {"across_mm": float(slide * np.cos(way)), "along_mm": float(slide * np.sin(way))}
+    turn, down = {"turn_y_deg": float(rng.uniform(-20.0, 20.0))}, {"push_mm": float(push)}
+    indenter = {
+        "shape": shape,
+        "position_mm": float(rng.uniform(0.15, 0.85) * base.pad.length_mm),
+        "across_mm": float(rng.uniform(-0.25, 0.25) * base.pad.width_mm),
+        "rotation_deg": tuple(rng.uniform(-20.0, 20.0, 3)),
+        "friction": float(rng.uniform(0.0, 1.0)),
+        "path": [
+            {**down, "increments": 2},
+            {**down, **aside, "increments": 3},
+            {**down, **aside, **turn, "increments": 2},
+            {**aside, **turn, "push_mm": -0.2, "increments": 1},
+        ],
+        **sizes,
+    }
+    return FingerDesign.model_validate(base.model_dump() | {"indenter": indenter})
+
+
+def measure_path(seed: int, budget_s: float) -> dict[str, Any]:
+    """Move one indenter along its path, and return its class and what it took."""
+    begin = time.process_time()
+    found: dict[str, Any] = {"seed": seed, "why": "", "longest_silence_cpu_s": 0.0}
+    try:
+        pressed = press_as_designed(random_path(seed), PressSettings("coarse", budget_s=budget_s))
+    except NoEquilibriumError as stuck:
+        found |= {"class": "no first increment", "why": str(stuck)}
+    except (SimulateError, ValidationError) as refused:
+        found |= {"class": "refused before the solve", "why": " ".join(str(refused).split())}
+    else:
+        kind = "passes through itself" if pressed.crossing else "converged"
+        found |= {
+            "class": "ended at a step that it names" if pressed.unreached else kind,
+            "why": pressed.unreached or pressed.crossing,
+            "increments": len(pressed.depth_mm),
+            "iterations": int(pressed.iterations.sum()),
+            "largest_force_n": float(np.linalg.norm(pressed.force_n, axis=1).max()),
+            "last_force_n": float(np.linalg.norm(pressed.force_n[-1])),
+        }
+    return found | {"cpu_s": time.process_time() - begin}
 
 
 def measure(seed: int, budget_s: float) -> dict[str, Any]:
@@ -143,14 +197,16 @@ def main() -> int:
     parser.add_argument("--seeds", default="0:20", metavar="FIRST:END")
     parser.add_argument("--out", type=Path, default=Path("bench-out/random-presses.jsonl"))
     parser.add_argument("--budget", type=float, default=120.0, metavar="SECONDS")
+    parser.add_argument("--paths", action="store_true", help="presses along a path")
     arguments = parser.parse_args()
+    measured = measure_path if arguments.paths else measure
     first, end = (int(part) for part in arguments.seeds.split(":"))
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     known = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.exists() else []
     done = {row["seed"] for row in known}
     for seed in range(first, end):
         if seed not in done:
-            known.append(measure(seed, arguments.budget))
+            known.append(measured(seed, arguments.budget))
             with arguments.out.open("a") as file:
                 file.write(json.dumps(known[-1]) + "\n")
             print(seed, known[-1]["class"], f"{known[-1]['cpu_s']:.0f} s", flush=True)

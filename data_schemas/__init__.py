@@ -131,6 +131,7 @@ if TYPE_CHECKING:
     )
     from data_schemas._design import FingerDesign, finger_identity
     from data_schemas._design_parts import (
+        MOST_INCREMENTS,
         Backing,
         BulkOverShear,
         Coating,
@@ -141,6 +142,7 @@ if TYPE_CHECKING:
         LightPanel,
         NeoHookeSolid,
         OgdenSolid,
+        PathPose,
         PoissonRatio,
         Preset,
         Skeleton,
@@ -309,6 +311,7 @@ __all__ = [
     "FEWEST_LEVELS",
     "HELD_UNCERTAINTY_REL",
     "LARGEST_WIDENED_FACTOR",
+    "MOST_INCREMENTS",
     "NO_ADDRESS",
     "AcceptanceReport",
     "AngleConstraints",
@@ -472,6 +475,7 @@ __all__ = [
     "PaperStatement",
     "PatchDistance",
     "PatchScale",
+    "PathPose",
     "PhotometricErrorReport",
     "PhotonTransferCurve",
     "PixelLayout",

@@ -58,7 +58,7 @@ MOST_FURTHER_LIGHTS: Final = 46
 class FingerDesign(Record):
     """Everything the simulation needs to know of a finger apart from the paints."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
 
     name: str = "fin-ray-70x35"
     pad: GelPad = GelPad(film=Film())
@@ -231,7 +231,7 @@ _LEFT_OUT: Final = {
         "aim_deg",
         "response_at_led_uncertainty_rel",
     },
-    "indenter": {"depth_mm"},
+    "indenter": {"depth_mm", "path"},
 }
 VERSION: Final = 3
 """Of what is hashed: another field of a part, or another way to hash, is another version. Version 1 left out fields at

@@ -113,6 +113,32 @@ class GelPad(Model):
 _LEAST_DEPTH_MM = 0.02
 
 
+LARGEST_MOVE_MM = 200.0
+LARGEST_TURN_DEG = 720.0
+MOST_INCREMENTS = 1000
+
+MoveMm = Annotated[float, Field(ge=-LARGEST_MOVE_MM, le=LARGEST_MOVE_MM, json_schema_extra={"unit": "mm"})]
+TurnDeg = Annotated[float, Field(ge=-LARGEST_TURN_DEG, le=LARGEST_TURN_DEG, json_schema_extra={"unit": "deg"})]
+
+
+class PathPose(Model):
+    """One pose of an indenter on its path, from first touch: where its middle is, and how it is turned about that.
+
+    The turn is a rotation vector about the middle (a mesh: the origin), after the move: x across the pad, y its outward
+    normal, z along it. From one pose to the next, moves and rotation vectors change linearly.
+    """
+
+    across_mm: MoveMm = Field(default=0.0, description="x, across the pad")
+    push_mm: MoveMm = Field(default=0.0, description="into the pad, along its normal; below 0 it has left the coat")
+    along_mm: MoveMm = Field(default=0.0, description="z, along the pad from its base")
+    turn_x_deg: TurnDeg = 0.0
+    turn_y_deg: TurnDeg = Field(default=0.0, description="a twist about the pad's normal")
+    turn_z_deg: TurnDeg = 0.0
+    increments: Annotated[int, Field(ge=1, le=MOST_INCREMENTS)] | None = Field(
+        default=None, description="equal steps on the way to this pose; none: as many as the command has"
+    )
+
+
 class Indenter(Model):
     """A rigid body that is pressed in from the coat, along the pad's normal, from where it first touches.
 
@@ -136,6 +162,18 @@ class Indenter(Model):
     friction: Annotated[float, Field(ge=0.0, le=2.0, json_schema_extra={"unit": "1"})] = Field(
         default=0.0, description="Coulomb's coefficient between indenter and coat"
     )
+    path: tuple[PathPose, ...] = Field(
+        default=(),
+        max_length=MOST_INCREMENTS,
+        description="poses that a press by finite elements moves through, in place of depth_mm",
+    )
+
+    @model_validator(mode="after")
+    def _path_is_not_too_long(self) -> "Indenter":
+        total = sum(pose.increments or 1 for pose in self.path)
+        if total > MOST_INCREMENTS:
+            raise ValueError(f"path: its poses have {total} increments; at most {MOST_INCREMENTS} in all are allowed")
+        return self
 
     @model_validator(mode="after")
     def _shape_is_complete(self) -> "Indenter":

@@ -224,7 +224,7 @@ class PlainSensor(Record):
     The gel's index is that at 589 nm in all channels: over the visible range it differs by 0.01.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
 
     name: str = "plain-20x20"
     pad: GelPad = GelPad(length_mm=20.0, width_mm=20.0, thickness_mm=4.0)
@@ -269,6 +269,7 @@ class PlainSensor(Record):
     def idle_fields(self) -> dict[str, str]:
         """Return also what a surface, clear walls or an ideal camera leaves without effect."""
         idle = super().idle_fields()
+        idle["indenter.path"] = "a classic sensor's indenter is pressed along the pad's normal, by depth_mm"
         if self.surface is not None:
             idle["indenter"] = "[surface] states the shape of the pressed coat; leave one of them out"
         if self.walls == "clear":

@@ -166,7 +166,7 @@ def press_finger(
     from finray_calib.spectra import machine_threads
     from sim.experiments import press_records
     from sim.mechanics import PressSettings, press_to_force
-    from sim.mechanics import press_finger as press
+    from sim.mechanics import press_as_designed as press
 
     finger, folder, files = _design(design)
     settings = PressSettings(None, increments, machine_threads(), contact, budget_s)

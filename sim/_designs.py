@@ -223,6 +223,12 @@ def _commented_out(name: str, example: BaseModel) -> str:
     return "\n" + "".join(f"# {line}\n" for line in lines)
 
 
+_NO_PATH: Final = """\
+# [[indenter.path]] begins a pose that a press by finite elements moves through, in place of depth_mm; there may be
+# several: across_mm, push_mm, along_mm, turn_x_deg, turn_y_deg, turn_z_deg, increments.
+"""
+
+
 def _table_lines(
     name: str, part: BaseModel, idle: Collection[str], *, in_list: bool = False, with_words: bool = True
 ) -> Iterator[str]:
@@ -230,11 +236,16 @@ def _table_lines(
     if name in idle:
         return
     yield f"\n[[{name}]]\n" if in_list else f"\n[{name}]\n"
-    inner = []
+    inner: list[tuple[str, BaseModel, bool]] = []
     for field, info in type(part).model_fields.items():
         value = getattr(part, field)
         if isinstance(value, BaseModel):
-            inner.append((f"{name}.{field}", value))
+            inner.append((f"{name}.{field}", value, False))
+            continue
+        if field == "path":
+            inner += [(f"{name}.{field}", pose, True) for pose in value]
+            if not value and f"{name}.{field}" not in idle:
+                yield _NO_PATH
             continue
         for line in textwrap.wrap(info.description or "", 116) if with_words else ():
             yield f"# {line}\n"
@@ -244,8 +255,8 @@ def _table_lines(
             yield f"# {field} = ...\n"
         else:
             yield f"{'# ' if f'{name}.{field}' in idle else ''}{field} = {_toml_value(value)}\n"
-    for path, model in inner:
-        yield from _table_lines(path, model, idle)
+    for number, (path, model, listed) in enumerate(inner):
+        yield from _table_lines(path, model, idle, in_list=listed, with_words=not (listed and number))
 
 
 def _toml_value(value: object) -> str:

@@ -406,6 +406,24 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("StudyPoint", 1): _as_it_is,
     # lights, coat, camera, surface and origins beside the three panels of one channel each
     ("PlainSensor", 1): _as_it_is,
+    # a path of the indenter; none: it is pressed along the normal
+    ("DesignOptimum", 1): _as_it_is,
+    ("LightAngleSweep", 3): _as_it_is,
+    ("SimulatedPress", 3): _as_it_is,
+    ("PaintChoice", 1): _as_it_is,
+    ("FluorescentRendering", 3): _as_it_is,
+    ("StudyPoint", 2): _as_it_is,
+    ("TwoLights", 3): _as_it_is,
+    ("PlainSensor", 2): _as_it_is,
+    ("FingerDesign", 2): _as_it_is,
+    ("PressMechanics", 4): _as_it_is,
+    ("FingerStiffness", 3): _as_it_is,
+    ("DatasetShard", 1): _as_it_is,
+    ("LearningDataset", 1): _as_it_is,
+    ("LightAngleIntensity", 3): _as_it_is,
+    ("FingerTolerances", 1): _as_it_is,
+    ("PressIncrement", 3): _as_it_is,
+    ("EvaluatedDesign", 1): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

@@ -55,13 +55,19 @@ def _indenter_file(design: "FingerDesign", folder: Path) -> list[Path]:
 
 
 def _path_file(arguments: argparse.Namespace) -> list[Path]:
-    """Read the path of the indenter, where there is one, for its checksum; a fault in it is told before the press."""
+    """Return the file of the indenter's path, where one is given, for its checksum."""
     if arguments.path is None:
         return []
+    return [arguments.path]
+
+
+def _with_given_path(design: "FingerDesign", path: Path | None) -> "FingerDesign":
+    """Return a design whose indenter goes along the path of a file, where one is given; a fault in it is told now."""
+    if path is None:
+        return design
     from sim.mechanics import read_path
 
-    read_path(arguments.path, DEFAULT_INCREMENTS)
-    return [arguments.path]
+    return design.model_copy(update={"indenter": design.indenter.model_copy(update={"path": read_path(path)})})
 
 
 def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False) -> dict[str, Path]:
@@ -163,13 +169,14 @@ def run_press(arguments: argparse.Namespace) -> None:
         When the push ended early, or the presses with one number changed could not be made, after what was reached
         has been stored, and at least a picture.
     """
-    from sim import read_design
-
-    _require_one_way(arguments)
     from data_schemas import NoEquilibriumError, SimulateError, provenance
     from data_schemas.storage import read_bytes, write_bytes
+    from sim import read_design
 
-    design, folder = read_design(arguments.design), arguments.design.parent
+    _require_one_way(arguments, "" if arguments.path is None else "--path")
+    design, folder = _with_given_path(read_design(arguments.design), arguments.path), arguments.design.parent
+    if design.indenter.path:
+        _require_one_way(arguments, f"{arguments.design}: indenter.path")
     resume = None if arguments.resume is None else last_increment(arguments.resume)
     out = arguments.out or Path(f"{file_name(arguments.design.stem)}.press.json")
     read = [arguments.design, *_indenter_file(design, folder), *_path_file(arguments)]
@@ -224,7 +231,7 @@ def _pressed(
         engine = f"CalculiX {calculix_version()}"
         pressed = press_finger_calculix(design, None, count, threads, progress)
         return pressed, {"engine": engine, "notes": calculix_notes(design)}
-    if arguments.path is not None:
+    if design.indenter.path:
         return _moved(arguments, design, threads, progress), {}
     if arguments.force is not None:
         from sim.mechanics import PressSettings, press_to_force
@@ -240,12 +247,12 @@ def _pressed(
 
 
 def _moved(arguments: argparse.Namespace, design: "FingerDesign", threads: int, progress: Progress) -> "PressedFinger":
-    """Move the indenter along the path of a file."""
-    from sim.mechanics import PressSettings, press_along, read_path
+    """Move the indenter along the design's path."""
+    from sim.mechanics import PressSettings, press_as_designed
 
-    path = read_path(arguments.path, arguments.increments or DEFAULT_INCREMENTS)
-    settings = PressSettings(None, path.total, threads, arguments.contact, arguments.budget)
-    return press_along(design, path, settings, folder=arguments.design.parent, progress=progress)
+    count = arguments.increments or DEFAULT_INCREMENTS
+    settings = PressSettings(None, count, threads, arguments.contact, arguments.budget)
+    return press_as_designed(design, settings, folder=arguments.design.parent, progress=progress)
 
 
 def _vary(
@@ -419,9 +426,9 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--path", type=Path, metavar="CSV",
-        help="move the indenter along the poses of a file in place of the design's depth_mm: columns across_mm, "
-        "push_mm, along_mm, turn_x_deg, turn_y_deg, turn_z_deg and increments, from first touch; with the design's "
-        "friction",
+        help="move the indenter along the poses of a file in place of the design's path or depth_mm: columns "
+        "across_mm, push_mm, along_mm, turn_x_deg, turn_y_deg, turn_z_deg and increments, from first touch; with the "
+        "design's friction",
     )  # fmt: skip
     parser.add_argument(
         "--resume", type=Path, metavar="INCREMENT",
@@ -453,9 +460,21 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def _long_press(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
     kept = "Finished increments are kept: the same command continues after the last one"
-    if arguments.force is not None or arguments.path is not None or arguments.engine == "calculix":
+    moved = arguments.path is not None or _has_path(arguments.design)
+    if arguments.force is not None or moved or arguments.engine == "calculix":
         kept = "Nothing is stored before its end: the same command begins again"
     return LongWork("the press by finite elements", kept, arguments.out)
+
+
+def _has_path(file: Path) -> bool:
+    """Return whether a design's indenter has a path; a fault in the file is told by who presses it."""
+    from data_schemas import FinrayError
+    from sim import read_design
+
+    try:
+        return bool(read_design(file).indenter.path)
+    except FinrayError:
+        return False
 
 
 def _force(text: str) -> float:
@@ -482,8 +501,8 @@ def _budget(text: str) -> float:
     return budget_s
 
 
-def _require_one_way(arguments: argparse.Namespace) -> None:
-    """Refuse what does not go together."""
+def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
+    """Refuse what does not go together; `path` names where the indenter's path stands, nothing without one."""
     from data_schemas import SimulateError
 
     calculix = arguments.engine == "calculix"
@@ -495,11 +514,9 @@ def _require_one_way(arguments: argparse.Namespace) -> None:
             "--force presses from first touch by the penalty of the elements here; leave out --force, or --resume, "
             "--sensitivities, --contact barrier and --engine"
         )
-    if arguments.path is not None and (
-        calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"
-    ):
+    if path and (calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
-            "--path moves the indenter from first touch by the penalty of the elements here; leave out --path, or "
+            f"{path} moves the indenter from first touch by the penalty of the elements here; leave it out, or "
             "--force, --resume, --sensitivities, --contact barrier and --engine"
         )
     if arguments.sensitivities and (calculix or resumes):

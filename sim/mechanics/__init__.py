@@ -5,9 +5,10 @@ is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newto
 
 `press_finger` pushes the indenter of a design to a depth, `press_to_force` to a force; both return a `PressedFinger`.
 `press_along` moves it along a path of poses (press, slide, twist, roll, release) with friction that remembers where the
-coat sticks. Other contact is a penalty on exact distances (fast, frictionless) or a barrier with friction that never
-lets surfaces cross. `LoadedFinger` bends and twists a finger without an indenter. Lengths in mm, forces in N, stresses
-in MPa. It knows no light: mechanics and optics meet in the studies.
+coat sticks; `press_as_designed` does what the design says. Other contact is a penalty on exact distances (fast,
+frictionless) or a barrier with friction that never lets surfaces cross. `LoadedFinger` bends and twists a finger
+without an indenter. Lengths in mm, forces in N, stresses in MPa. It knows no light: mechanics and optics meet in the
+studies.
 
 The design leads: the shape of the pad and the constants of the materials are those of `FingerDesign` (`GelPad`,
 `MechanicalMaterials`). A rigid shape that presses is a distance with its derivatives, in `_rigid_bodies.py`.
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
         finger_mesh,
         pad_mesh,
     )
-    from sim.mechanics._indenter_path import IndenterPath, moved_pose, press_along, read_path
+    from sim.mechanics._indenter_path import IndenterPath, moved_pose, press_along, press_as_designed, read_path
     from sim.mechanics._indenters import rigid_indenter, side_outline_mm
     from sim.mechanics._loads import LoadedFinger, press_to_force
     from sim.mechanics._materials import LinearElastic, Material, Ogden
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
         ContactChoice,
         PressedFinger,
         PressSettings,
+        check_no_path,
         chosen_contact,
         coat_areas_mm2,
         contact_distance,
@@ -81,6 +83,7 @@ __all__ = [
     "Sphere",
     "back_curve_mm",
     "body_mesh",
+    "check_no_path",
     "chord_shortfall_rel",
     "chosen_contact",
     "coat_areas_mm2",
@@ -100,6 +103,7 @@ __all__ = [
     "part_stl",
     "penalty_mpa_per_mm",
     "press_along",
+    "press_as_designed",
     "press_finger",
     "press_to_force",
     "quad_shapes",

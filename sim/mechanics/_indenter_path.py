@@ -1,15 +1,16 @@
 """Move an indenter along a path: press, slide, shear, twist, roll and release, as a polyline of poses."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
+from data_schemas import MOST_INCREMENTS, FingerDesign, NoEquilibriumError, PathPose, SimulateError, explain
 from data_schemas.storage import finite_number, read_csv
 from sim.mechanics._assembly import Assembly, Elasticity, State
 from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_mesh, finger_ties
@@ -18,18 +19,13 @@ from sim.mechanics._indenters import RigidIndenter, rigid_indenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._newton import NewtonOptions, Supports
 from sim.mechanics._penalty_contact import penalty_mpa_per_mm
-from sim.mechanics._press import PressedFinger, PressHistory, PressSettings
-from sim.mechanics._rigid_bodies import Pose
+from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, press_finger
+from sim.mechanics._rigid_bodies import FacetedBody, Pose
 from sim.mechanics._sliding_contact import ContactMotion, SlidingContact, SlidingTouch
 
 FloatArray = NDArray[np.float64]
 
-MOVE_COLUMNS = ("across_mm", "push_mm", "along_mm")
-TURN_COLUMNS = ("turn_x_deg", "turn_y_deg", "turn_z_deg")
 INCREMENTS_COLUMN = "increments"
-LARGEST_MOVE_MM = 200.0
-LARGEST_TURN_DEG = 720.0
-MOST_INCREMENTS = 1000
 _AT_A_CORNER = 1e-9  # of an increment
 
 
@@ -52,7 +48,7 @@ class IndenterPath:
     Raises
     ------
     SimulateError
-        When there is no pose, or a number is out of bounds.
+        When there is no pose, or there are too many increments.
     """
 
     moves_mm: FloatArray
@@ -65,21 +61,28 @@ class IndenterPath:
             raise SimulateError(
                 "a path needs at least one pose, with a move (3) and a turn (3) and increments for each"
             )
-        for what, values, most, unit in (
-            ("move", self.moves_mm, LARGEST_MOVE_MM, "mm"),
-            ("turn", self.turns_deg, LARGEST_TURN_DEG, "deg"),
-        ):
-            if not (np.abs(values) <= most).all():
-                row = int(np.flatnonzero(~(np.abs(values) <= most).all(axis=1))[0])
-                raise SimulateError(
-                    f"pose {row + 1} of the path: its {what}, {values[row].tolist()} {unit}, must be finite and at "
-                    f"most {most:g} {unit} from first touch"
-                )
         if (self.increments < 1).any() or self.increments.sum() > MOST_INCREMENTS:
             raise SimulateError(
                 f"the path has {int(self.increments.sum())} increments: at least 1 for each pose and at most "
                 f"{MOST_INCREMENTS} in all are allowed"
             )
+
+    @classmethod
+    def through(cls, poses: Sequence[PathPose], increments: int) -> "IndenterPath":
+        """Return the path through the poses of a design or a file.
+
+        Parameters
+        ----------
+        poses
+            One after the other.
+        increments
+            On the way to a pose that does not say how many.
+        """
+        return cls(
+            np.array([(pose.across_mm, -pose.push_mm, pose.along_mm) for pose in poses]),
+            np.array([(pose.turn_x_deg, pose.turn_y_deg, pose.turn_z_deg) for pose in poses]),
+            np.array([pose.increments or increments for pose in poses], dtype=np.int64),
+        )
 
     @property
     def total(self) -> int:
@@ -98,31 +101,39 @@ class IndenterPath:
             found.append(before + part * (poses[k - 1] - before))
         return found[0], found[1]
 
+    def whereabouts(self, share: float) -> str:
+        """Return in words the increment that comes after a share of all increments, and the pose that it leads to."""
+        step = min(math.floor(share * self.total + _AT_A_CORNER) + 1, self.total)
+        pose = int(np.searchsorted(np.cumsum(self.increments), step)) + 1
+        x, y, z = self.moves_mm[pose - 1] + 0.0
+        turn = float(np.linalg.norm(self.turns_deg[pose - 1]))
+        return (
+            f"increment {step} of {self.total}, on the way to pose {pose} of {len(self.increments)} (push "
+            f"{0.0 - y:.3g}, across {x:.3g}, along {z:.3g} mm, turn {turn:.3g} deg)"
+        )
+
     def is_corner(self, share: float) -> bool:
         """Whether one of the poses is reached after a share of all increments."""
         return bool((np.abs(np.cumsum(self.increments) - share * self.total) < _AT_A_CORNER).any())
 
 
-def read_path(path: Path, increments: int) -> IndenterPath:
-    """Return the path of a CSV file: one pose a row, relative to first touch.
+def read_path(path: Path) -> tuple[PathPose, ...]:
+    """Return the poses of a CSV file: one a row, relative to first touch.
 
-    Columns across_mm, push_mm (into the pad), along_mm, turn_x_deg, turn_y_deg, turn_z_deg (a rotation vector) and
-    increments (whole steps on the way to the pose); a column that is left out is nought.
+    Columns are the fields of :class:`~data_schemas.PathPose`; one that is left out takes its default.
 
     Parameters
     ----------
     path
         The file.
-    increments
-        Of a pose where the file has no such column.
 
     Raises
     ------
     SimulateError
-        When it cannot be read, a column is unknown, a cell is no number, or see :class:`IndenterPath`.
+        When it cannot be read, a column is unknown, or a cell is no number or out of its bounds.
     """
     header, rows = read_csv(path, "the poses of an indenter (CSV)", SimulateError, comments=True)
-    known = (*MOVE_COLUMNS, *TURN_COLUMNS, INCREMENTS_COLUMN)
+    known = tuple(PathPose.model_fields)
     allowed = f"the columns are {', '.join(known)}; one that is left out is nought"
     unknown = [name for name in header if name not in known]
     if unknown:
@@ -131,30 +142,25 @@ def read_path(path: Path, increments: int) -> IndenterPath:
         raise SimulateError(f"{path}: has no column that moves or turns the indenter; {allowed}")
     if not rows:
         raise SimulateError(f"{path}: has no pose; write one row for each pose of the indenter, below the header")
-    table = np.zeros((len(rows), len(known)))
-    table[:, -1] = increments
-    for pose, (line, cells) in enumerate(rows):
-        for name, cell in zip(header, cells, strict=False):
-            table[pose, known.index(name)] = _number(path, line, name, cell)
+    poses = []
+    for line, cells in rows:
         if len(cells) < len(header):
             raise SimulateError(f"{path}, line {line}: has {len(cells)} columns, the header has {len(header)}")
-    steps = table[:, -1]
-    if (steps != np.round(steps)).any():
-        line = rows[int(np.flatnonzero(steps != np.round(steps))[0])][0]
-        raise SimulateError(f"{path}, line {line}, column increments: must be a whole number of at least 1")
-    moves = table[:, :3] * np.array([1.0, -1.0, 1.0])
-    try:
-        return IndenterPath(moves, table[:, 3:6], steps.astype(np.int64))
-    except SimulateError as error:
-        raise SimulateError(f"{path}: {error}") from error
+        numbers = {name: _number(path, line, name, cell) for name, cell in zip(header, cells, strict=False)}
+        try:
+            poses.append(PathPose.model_validate(numbers))
+        except ValidationError as error:
+            raise SimulateError(f"{path}, line {line}: {explain(error, PathPose)}") from None
+    return tuple(poses)
 
 
-def _number(path: Path, line: int, name: str, cell: str) -> float:
-    """Return the number of a cell."""
+def _number(path: Path, line: int, name: str, cell: str) -> float | int:
+    """Return the number of a cell, a whole one where it is."""
     try:
-        return finite_number(cell)
+        number = finite_number(cell)
     except ValueError as error:
         raise SimulateError(f"{path}, line {line}, column {name}: {error}; give a decimal number") from error
+    return int(number) if name == INCREMENTS_COLUMN and number.is_integer() else number
 
 
 def moved_pose(indenter: RigidIndenter, move_mm: FloatArray, turn_deg: FloatArray) -> Pose:
@@ -169,16 +175,12 @@ class _MovedIndenter(SlidingTouch):
 
     def __init__(self, design: FingerDesign, path: IndenterPath, settings: PressSettings, folder: Path) -> None:
         indenter, mesh = rigid_indenter(design, folder), finger_mesh(design, settings.preset)
-        if indenter.body is None:
-            raise SimulateError(
-                'indenter.shape = "mesh": a path needs exact distances; give a cylinder, ball or cuboid, or press the '
-                "mesh along its normal, without a path"
-            )
+        body = FacetedBody(indenter.surface) if indenter.body is None else indenter.body
         self._indenter, self._path = indenter, path
         self._pad_mm = STEPS[settings.preset or design.mesh.preset].pad_mm
         eps = penalty_mpa_per_mm(design, self._pad_mm)
         contact = SlidingContact(
-            mesh.nodes_mm, mesh.surfaces["coat"], indenter.body, indenter.touching, eps, design.indenter.friction
+            mesh.nodes_mm, mesh.surfaces["coat"], body, indenter.touching, eps, design.indenter.friction
         )
         super().__init__(mesh, contact)
         self._rows: list[tuple[FloatArray, ...]] = []
@@ -251,8 +253,7 @@ def press_along(
     Raises
     ------
     SimulateError
-        When the indenter is a mesh of the user, the barrier is asked for, or not even the first increment finds an
-        equilibrium.
+        When the barrier is asked for, or not even the first increment finds an equilibrium.
     """
     settings = settings or PressSettings()
     if settings.contact == "barrier":
@@ -271,7 +272,7 @@ def press_along(
         accept=touch.accept,
     )
     stops = [(k + 1) / total for k in range(total)]
-    unreached = ""
+    unreached, reached = "", 0.0
     try:
         for step in load_increments(
             assembly,
@@ -281,16 +282,45 @@ def press_along(
             options=NewtonOptions(tell=watch.tell),
             predict=_StraightOn(path),
         ):
+            reached = step.fraction
             touch.keep(step.fraction, step.equilibrium.state)
             history.add(-float(path.at(step.fraction)[0][1]), step.equilibrium)
             done = step.fraction * total
             watch.reached(math.floor(done + _AT_A_CORNER), f"moved {done:.4g} of {total} increments")
     except NoEquilibriumError as stuck:
+        unreached = f"{path.whereabouts(reached)}: {stuck}"
         if history.depth_mm is None:
-            raise
-        unreached = str(stuck)
+            raise NoEquilibriumError(unreached) from stuck
     motion = touch.motion()
     return replace(history.pressed(unreached), motion=motion, pressure_mpa=motion.pressure_mpa[-1])
+
+
+def press_as_designed(
+    design: FingerDesign,
+    settings: PressSettings | None = None,
+    *,
+    folder: Path = Path(),
+    progress: Callable[[int, int, str], None] | None = None,
+) -> PressedFinger:
+    """Press along the design's path where it has one, else to its depth.
+
+    Parameters
+    ----------
+    design, folder, progress
+        See :func:`press_along` and :func:`~sim.mechanics.press_finger`.
+    settings
+        How it is computed; ``increments`` are those of a press to a depth, and of poses that do not say theirs.
+
+    Raises
+    ------
+    SimulateError
+        See there.
+    """
+    settings = settings or PressSettings()
+    if not design.indenter.path:
+        return press_finger(design, settings, folder=folder, progress=progress)
+    path = IndenterPath.through(design.indenter.path, settings.increments)
+    return press_along(design, path, settings, folder=folder, progress=progress)
 
 
 class _StraightOn:

@@ -21,7 +21,7 @@ from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
 from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
 from sim.mechanics._penalty_contact import PenaltyContact, PenaltyTouch, penalty_mpa_per_mm
-from sim.mechanics._press import PressedFinger, PressHistory, PressSettings
+from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, check_no_path
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -296,6 +296,7 @@ def press_to_force(
         When the force is not positive, the indenter has no exact distances (a mesh of the user) or friction, or not
         even the first part of the force finds an equilibrium.
     """
+    check_no_path(design)
     check_force(design, force_n)
     settings = settings or PressSettings()
     watch = Watch(progress, settings.increments, settings.budget_s)

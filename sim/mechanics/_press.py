@@ -495,6 +495,7 @@ def press_finger(
         When there is no push, not even the first increment finds an equilibrium or has the time to, or `start` or
         `resume` is a press of another finger or mesh.
     """
+    check_no_path(design)
     depth = design.indenter.depth_mm
     if depth <= 0.0:
         raise SimulateError(f"indenter.depth_mm = {depth:g} mm: a press needs a depth above 0 mm")
@@ -522,6 +523,22 @@ def press_finger(
         touch.push(history.depth_mm)
         return history.pressed(str(stuck))
     return history.pressed()
+
+
+def check_no_path(design: FingerDesign) -> None:
+    """Check that a design's indenter has no path, where it is pressed along the pad's normal.
+
+    Raises
+    ------
+    SimulateError
+        When it has one.
+    """
+    if design.indenter.path:
+        raise SimulateError(
+            f"indenter.path: has {len(design.indenter.path)} poses, and this press goes along the pad's normal only; "
+            "leave [[indenter.path]] out of the design, or press without --force, --sensitivities, --resume, --engine "
+            "and --contact barrier"
+        )
 
 
 def _prepared(

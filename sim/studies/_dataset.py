@@ -27,6 +27,7 @@ from data_schemas import (
     DatasetSplit,
     FingerDesign,
     FinrayError,
+    PathPose,
     PressMechanics,
     Provenance,
     SimulateError,
@@ -43,7 +44,7 @@ from sim.experiments import (
     render_looks,
     render_noise_rel,
 )
-from sim.mechanics import PressSettings, press_finger
+from sim.mechanics import PressSettings, press_as_designed
 from sim.optics import Preference, RenderSettings, camera_view, choose_variant, open_renderer
 from sim.studies._engine import Progress, each_computed
 from sim.surface_meshes import FingerShape, check_analytic_press, contact_half_width_mm, restore_shapes
@@ -178,7 +179,21 @@ def drawn_press(plan: DatasetPlan, press: int) -> FingerDesign:
         "position_mm": plan.design.pad.length_mm / 2.0 + along * float(place[0]),
         "across_mm": across * float(place[1]) if indenter.shape == "ball" else 0.0,
     }
+    placed["path"] = _to_depth(indenter.path, indenter.depth_mm)
     return plan.design.model_copy(update={"indenter": indenter.model_copy(update=placed)})
+
+
+def _to_depth(path: tuple[PathPose, ...], depth_mm: float) -> tuple[PathPose, ...]:
+    """Return a path whose pushes are scaled so that the deepest is as deep as was drawn; its moves aside stay."""
+    if not path:
+        return path
+    deepest = max(pose.push_mm for pose in path)
+    if deepest <= 0.0:
+        raise SimulateError(
+            f"indenter.path: no pose pushes into the pad (the largest push_mm is {deepest:g} mm); a data set scales "
+            "the pushes to the depths that it draws"
+        )
+    return tuple(pose.model_copy(update={"push_mm": pose.push_mm * depth_mm / deepest}) for pose in path)
 
 
 def drawn_light(plan: DatasetPlan, design: FingerDesign, press: int, light: int) -> FingerDesign:
@@ -396,9 +411,9 @@ def _pressed(task: DatasetTask, design: FingerDesign) -> _Pressed:
     """Press, by finite elements where the plan says so."""
     if task.plan.press == "analytic":
         return _Pressed(design)
-    pressed = press_finger(design, PressSettings(None, task.plan.increments, 1), folder=task.design_folder)
+    pressed = press_as_designed(design, PressSettings(None, task.plan.increments, 1), folder=task.design_folder)
     mechanics, surfaces = press_records(design, pressed)
-    push = float(mechanics.depth_mm[-1])
+    push = max(float(mechanics.depth_mm[-1]), 0.0)  # a path may end above the coat
     reached = design.indenter.model_copy(update={"depth_mm": push})
     return _Pressed(
         design.model_copy(update={"indenter": reached}),

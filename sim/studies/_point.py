@@ -38,7 +38,7 @@ from data_schemas.storage import ProductSet, clear_leftovers, read_record, read_
 from finray_calib.compare import srgb_to_lab
 from sim import PRESETS, preset_design, read_design
 from sim.experiments import camera_rgb, coat_cells, paint_finger, press_records
-from sim.mechanics import PressSettings, press_finger
+from sim.mechanics import PressSettings, press_as_designed
 from sim.optics import (
     BAND_NAMES,
     PaintOptics,
@@ -284,7 +284,8 @@ def compute_press(task: StudyTask, design: FingerDesign) -> None:
         return
     surfaces_file.parent.mkdir(parents=True, exist_ok=True)
     clear_leftovers(surfaces_file.parent)
-    pressed = press_finger(design, PressSettings(None, task.plan.measure.increments, 1), folder=task.design_folder)
+    settings = PressSettings(None, task.plan.measure.increments, 1)
+    pressed = press_as_designed(design, settings, folder=task.design_folder)
     mechanics, surfaces = press_records(design, pressed)
     with ProductSet(surfaces_file) as products:
         write_record(mechanics, _mechanics_file(surfaces_file), task.origin, products)

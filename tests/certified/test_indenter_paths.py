@@ -121,9 +121,9 @@ def test_the_way_back_without_friction_ends_where_it_began():
         ("increments\n3\n", "has no column that moves"),
         ("push_mm,turn_y_deg\n1,ten\n", "line 2, column turn_y_deg"),
         ("push_mm,along_mm\n1\n", "line 2: has 1 columns"),
-        ("push_mm,increments\n1,2.5\n", "line 2, column increments"),
-        ("push_mm,increments\n1,0\n", "at least 1 for each pose"),
-        ("push_mm\n1\n900\n", "pose 2 of the path"),
+        ("push_mm,increments\n1,2.5\n", "line 2: 'increments': must be a whole number, got 2.5"),
+        ("push_mm,increments\n1,0\n", "line 2: 'increments': input should be greater than or equal to 1, got 0"),
+        ("push_mm\n1\n900\n", r"line 3: 'push_mm' \(in mm\): input should be less than or equal to 200, got 900"),
         ("push_mm\nnan\n", "no finite number"),
     ],
 )
@@ -131,14 +131,14 @@ def test_a_path_that_cannot_be_followed_is_refused(tmp_path, text, says):
     file = tmp_path / "path.csv"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(SimulateError, match=says) as refused:
-        read_path(file, 4)
+        read_path(file)
     assert "path.csv" in str(refused.value)
 
 
 def test_a_path_is_read_as_it_is_meant(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text("push_mm,turn_x_deg,along_mm,increments\n1,0,0,2\n# slide\n1,8,2,4\n", encoding="utf-8")
-    path = read_path(file, 7)
+    path = IndenterPath.through(read_path(file), 7)
     move, turn = path.at(4.0 / 6.0)
     np.testing.assert_allclose(move, [0.0, -1.0, 1.0])
     np.testing.assert_allclose(turn, [4.0, 0.0, 0.0])

@@ -6,11 +6,22 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from data_schemas import FingerDesign, GelPad, Indenter, SimulateError
-from sim.mechanics import Cylinder, RoundedBox, Sphere, body_mesh, rigid_indenter, side_outline_mm
+from sim import preset_design
+from sim.mechanics import (
+    Cylinder,
+    IndenterPath,
+    PressSettings,
+    RoundedBox,
+    Sphere,
+    body_mesh,
+    press_along,
+    rigid_indenter,
+    side_outline_mm,
+)
 from sim.mechanics._colliding_surfaces import edge_edge_mm, point_triangle_mm
 from sim.mechanics._indenters import least_over_triangles, over_rectangle
 from sim.mechanics._press import press_contact
-from sim.mechanics._rigid_bodies import TriangleMesh, check_closed_body, read_body, rotation_matrix
+from sim.mechanics._rigid_bodies import FacetedBody, TriangleMesh, check_closed_body, read_body, rotation_matrix
 from sim.surface_meshes import pressed_height_mm, rest_height_mm, stl_bytes, without_press
 
 CUBE = TriangleMesh(
@@ -314,3 +325,58 @@ def test_a_file_that_runs_along_a_pad_of_too_much_curvature_is_refused():
     along = np.tile(np.eye(3), (250_001, 1, 1))
     with pytest.raises(SimulateError, match=r"in 250001 places, so that its first touch is known to 0\.33 mm only"):
         least_over_triangles(along, lambda points: np.zeros(len(points)), 1.0)
+
+
+@pytest.mark.parametrize("body", [Sphere(8.0), RoundedBox((3.0, 4.0, 5.0), 1.0)])
+def test_the_distance_from_facets_is_that_of_the_body_that_they_stand_for(body):
+    faceted = FacetedBody(body_mesh(body, 0.004, 0.0))
+    rng = np.random.default_rng(4)
+    places = rng.uniform(-1.1, 1.1, (600, 3)) * faceted.surface.vertices_mm.max(axis=0)
+    exact, normals, _ = body.distances(places)
+    near = np.abs(exact) < 1.5
+    assert near.sum() > 100
+    distance, normal, _ = faceted.distances(places)
+    # facets lie up to the chord of 0.004 mm inside
+    np.testing.assert_allclose(distance[near], exact[near], atol=0.005)
+    outside = near & (exact > 0.2)
+    # and are turned by up to chord / radius to the power of a half
+    assert np.einsum("ki,ki->k", normal[outside], normals[outside]).min() > 0.995
+    step = 1e-6 * rng.standard_normal(places.shape)
+    slope = faceted.distances(places + step)[0] - faceted.distances(places - step)[0]
+    np.testing.assert_allclose(slope[outside], 2.0 * (normal * step).sum(axis=1)[outside], atol=1e-9)
+
+
+def test_sides_of_a_body_with_a_notch_are_told_apart():
+    # an L of unit cubes: edges that bulge and one that does not
+    square = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], dtype=float)
+    vertices = np.concatenate([np.column_stack([square, np.full(6, z)]) for z in (0.0, 1.0)])
+    caps = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
+    walls = [[k, (k + 1) % 6, (k + 1) % 6 + 6] for k in range(6)] + [[k, (k + 1) % 6 + 6, k + 6] for k in range(6)]
+    surface = TriangleMesh(vertices, np.concatenate([caps[:, ::-1], caps + 6, np.array(walls)]))
+    check_closed_body(surface, "L")
+    places = np.random.default_rng(5).uniform([-1, -1, -1], [3, 3, 2], (4000, 3))
+    x, y, z = places.T
+    inside = (x > 0) & (y > 0) & (z > 0) & (z < 1) & (((x < 2) & (y < 1)) | ((x < 1) & (y < 2)))
+    assert (inside == (FacetedBody(surface).distances(places)[0] < 0.0)).all()
+
+
+def test_an_stl_on_a_path_is_the_body_that_it_stands_for(tmp_path):
+    """A long cuboid that stands askew, pressed, dragged and twisted: force and torque as by its exact distances."""
+    block = body_mesh(RoundedBox((3.0, 3.0, 6.0), 2.0), 0.004, 0.0)
+    (tmp_path / "block.stl").write_bytes(stl_bytes(block.triangles, block.vertices_mm, "block"))
+    base = preset_design("baby-48x18")
+    common = {"friction": 0.4, "rotation_deg": (0.0, 20.0, 0.0)}
+    path = IndenterPath(np.array([[0, -0.6, 0], [0, -0.6, 0.4]]), np.array([[0, 0, 0], [0, 15.0, 0]]), np.array([1, 2]))
+    found = []
+    for shape in ({"shape": "cuboid", "size_mm": (6.0, 6.0, 12.0), "edge_radius_mm": 2.0},
+                  {"shape": "mesh", "file": "block.stl"}):  # fmt: skip
+        indenter = base.indenter.model_copy(update={**common, **shape})
+        design = base.model_copy(update={"indenter": indenter})
+        found.append(press_along(design, path, PressSettings("coarse"), folder=tmp_path))
+    exact, faceted = found
+    assert faceted.unreached == ""
+    # the chord of 0.004 mm is 0.7 % of the push
+    np.testing.assert_allclose(faceted.force_n, exact.force_n, atol=0.01 * np.abs(exact.force_n).max())
+    largest = np.abs(exact.motion.torque_n_mm).max()
+    np.testing.assert_allclose(faceted.motion.torque_n_mm, exact.motion.torque_n_mm, atol=0.02 * largest)
+    assert np.abs(exact.motion.torque_n_mm[-1, 1]) > 0.1 * largest

@@ -27,6 +27,7 @@ from sim.mechanics import (
     Pose,
     RoundedBox,
     Sphere,
+    check_no_path,
     finger_materials,
     finger_mesh,
     penalty_mpa_per_mm,
@@ -609,6 +610,7 @@ def finger_deck(
     SimulateError
         When the parts do not fit together, or the program cannot hold the press.
     """
+    check_no_path(design)
     preset = preset or design.mesh.preset
     push = finger_push(design, preset, increments)
     heading = _heading(design, dialect, preset, push, command)
