@@ -21,10 +21,18 @@ from typing import Any, Final, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CameraSettings, CaptureError, DeviceIdentity, RegionOfInterest, Target, UnsafeError
+from data_schemas import (
+    CameraSettings,
+    CaptureError,
+    DeviceIdentity,
+    LaserSettings,
+    RegionOfInterest,
+    Target,
+    UnsafeError,
+)
 from rigs import CallThread, Camera, FilterWheel, Light, OpenRig, Operator, RawFrame, TerminalOperator
 from rigs.capture import SessionWatch, Step
-from rigs.light_guard import LightLostError
+from rigs.light_guard import LightLostError, is_hazardous
 from rigs.live_view._live_server import BINS, live_picture
 
 T = TypeVar("T")
@@ -159,6 +167,8 @@ class WatchedSession(SessionWatch):
         Whether an exposure takes its time; on the simulated rig it takes none.
     has_lights
         Whether the session switches lights; that of a finger does not.
+    laser
+        What the rig file says about the laser; one that harms eyes is lit again by two acts only.
     """
 
     def __init__(
@@ -168,8 +178,10 @@ class WatchedSession(SessionWatch):
         region: RegionOfInterest | None,
         takes_time: bool = True,
         has_lights: bool = True,
+        laser: LaserSettings | None = None,
     ) -> None:
         self.name, self.operator = name, ViewOperator(self)
+        self._laser = laser
         self._camera, self._full = camera, 2**camera.bit_depth - 1
         whole = RegionOfInterest(row_px=0, column_px=0, height_px=camera.height_px, width_px=camera.width_px)
         self.region = region or whole
@@ -436,9 +448,24 @@ class WatchedSession(SessionWatch):
         if not self._kept_off:
             return
         text = f"You switched the light off, and it stays off. Is the box closed, and may the {role} be lit again?"
-        if self.ask_person("THE LIGHT IS OFF", text, ("done", "end")) != "done":
+        is_allowed = self.ask_person("THE LIGHT IS OFF", text, ("done", "end")) == "done"
+        if not is_allowed or (role == "laser" and not self.goggles_are_on()):
             raise CaptureError(f"{role}: was switched off by hand and is not lit again; the session ends as you asked")
         self.allow_light()
+
+    def goggles_are_on(self) -> bool:
+        """Return whether a person confirms class and goggles before a laser that harms eyes is lit again.
+
+        It has an answer of its own: the key that answered the question before does nothing here.
+        """
+        laser = self._laser
+        if laser is None or not is_hazardous(laser):
+            return True
+        text = (
+            f"Laser of class {laser.laser_class}, {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW. Does everybody "
+            f"here wear goggles for {laser.wavelength_nm:g} nm?"
+        )
+        return self.ask_person(f"CLASS {laser.laser_class} LASER", text, ("goggles", "end")) == "goggles"
 
     def reports(self, role: LightRole, is_on: bool) -> None:
         """Learn what a light reports."""
@@ -530,8 +557,12 @@ class ViewOperator(TerminalOperator):
         self._session.ask_person(self._headline or "YOUR HANDS PLEASE", instruction)
 
     def allows(self, question: str) -> bool:
-        """Ask a question that only "yes" answers with yes; lights that were switched off by hand may be lit then."""
+        """Ask a question that only "yes" answers with yes, and before a laser that harms eyes the one of its goggles.
+
+        Lights that were switched off by hand may be lit then.
+        """
         is_allowed = self._session.ask_person("YES OR NO?", question, ("yes", "no")) == "yes"
+        is_allowed = is_allowed and self._session.goggles_are_on()
         if is_allowed:
             self._session.allow_light()
         return is_allowed

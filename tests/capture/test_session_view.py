@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -25,9 +25,9 @@ from rigs.capture import (
     read_session,
     verify_session,
 )
-from rigs.live_view import WatchedSession
+from rigs.live_view import WatchedSession, live_server
 from rigs.live_view._live_server import BINS
-from rigs.live_view._session_page import HELP, LETTERS, large_letters, session_screen
+from rigs.live_view._session_page import HELP, LETTERS, _SessionPage, large_letters, session_screen
 from rigs.live_view._terminal_page import LEAST_COLUMNS, Screen
 from rigs.live_view._watched_session import (
     DARK_WITHIN_S,
@@ -343,6 +343,89 @@ def test_commands_that_are_none(words, reason, capsys):
     assert reason in capsys.readouterr().err
 
 
+# ---------------------------------------------------------------- a laser that harms eyes is lit again by two acts
+@pytest.mark.parametrize(("laser_class", "word"), [("3R", "goggles"), ("3R", "end"), ("2", None)])
+def test_a_laser_that_harms_eyes_is_lit_again_by_two_acts(small, short, tmp_path, monkeypatch, laser_class, word):
+    """The first answer alone lights nothing; the second act names class and wavelength."""
+    rig = small.model_copy(update={"laser": small.laser.model_copy(update={"laser_class": laser_class})})
+    held = Held(monkeypatch, "laser")
+    held.go_on.set()
+    session = WatchedSession("red", rig.camera, short.region, takes_time=False, laser=rig.laser)
+    pressed = []
+
+    def press(done: int, total: int, what: str) -> None:
+        if session.latest(-1, 0.0)[1].laser and not pressed:
+            pressed.append(len(held.lit))
+            session.ask({"lamp": False})
+        session.progress(done, total, what)
+
+    asked_of = SessionRequest(tmp_path / "out", "x", progress=press, operator=session.operator, watch=session)
+    ended = pytest.raises(CaptureError, match="is not lit again") if word == "end" else nullcontext()
+    with person(session, lambda n: word if "goggles" in n.answers else n.answers[0]) as asked, ended:
+        capture_paint_session(rig, short, asked_of)
+    confirmed = [a for a in asked if "goggles" in a.answers]
+    assert len(confirmed) == (word is not None)
+    if confirmed:
+        assert confirmed[0].headline == "CLASS 3R LASER"
+        assert "goggles for 450 nm" in confirmed[0].text
+        assert not confirmed[0].laser
+    assert (len(held.lit) > pressed[0]) == (word != "end")
+
+
+@contextmanager
+def asked_for_goggles(small):
+    """A session at its second question; yield it and what came of it."""
+    session = WatchedSession("red", small.camera, None, laser=small.laser)
+    answered: list[bool] = []
+    thread = threading.Thread(target=lambda: answered.append(session.goggles_are_on()), daemon=True)
+    thread.start()
+    end_s = time.monotonic() + PATIENCE_S
+    while not session.latest(-1, 0.0)[1].question and time.monotonic() < end_s:
+        time.sleep(0.005)
+    yield session, answered
+    thread.join(PATIENCE_S)
+
+
+def test_in_the_terminal_the_second_act_has_a_key_of_its_own_and_off_stays_one(small):
+    with asked_for_goggles(small) as (session, answered):
+        page = _SessionPage.__new__(_SessionPage)
+        page._session, page._helps, page._ends = session, False, False  # noqa: SLF001
+        for key in ("enter", "y", "enter", "x"):
+            page._press(key)  # noqa: SLF001
+        assert answered == []
+        screen = "\n".join(session_screen(Screen(LEAST_COLUMNS, 24, colours=False, blocks=False), session,
+                                          *session.latest(-1, 0.0), False))  # fmt: skip
+        assert "C L A S S   3 R   L A S E R" in screen
+        assert "Press g when they do." in screen
+        page._press("l")  # noqa: SLF001
+        assert session.latest(-1, 0.0)[1].kept_off
+        page._press("g")  # noqa: SLF001
+    assert answered == [True]
+
+
+def test_in_the_browser_the_second_act_has_an_answer_of_its_own_and_off_stays_one(small):
+    with asked_for_goggles(small) as (session, answered), live_server(session) as server:
+        threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+        number = session.latest(-1, 0.0)[1].question
+
+        def do(command: dict) -> int:
+            connection = http.client.HTTPConnection(server.host, timeout=PATIENCE_S)
+            connection.request("POST", "/do", json.dumps(command), {"X-Token": server.token})
+            status = connection.getresponse().status
+            connection.close()
+            return status
+
+        assert [do({"question": number, "answer": word}) for word in ("done", "yes")] == [400, 400]
+        assert answered == []
+        assert do({"lamp": False}) == 200
+        assert session.latest(-1, 0.0)[1].kept_off
+        assert do({"question": number, "answer": "goggles"}) == 200
+        server.shutdown()
+    assert answered == [True]
+    page = (ROOT / "rigs" / "live_view" / "session_view.html").read_text(encoding="utf-8")
+    assert 'event.key === "g") reply("goggles")' in page
+
+
 # ---------------------------------------------------------------- the command, in a terminal and in a browser
 @pytest.fixture
 def files(small, short, tmp_path) -> Path:
@@ -545,7 +628,8 @@ def test_every_number_has_its_place_at_80_by_24(small, short):
 def test_large_letters():
     """Each letter of the headlines is drawn, in three lines that fit the terminal, and no two letters are alike."""
     headlines = [*TARGET_HEADLINES.values(), "SWING WHEEL OUT", "TURN THE SAMPLE", "YOUR HANDS PLEASE", "YES OR NO?",
-                 "MEND THE RIG", "THE LIGHT IS OFF", "DARK FRAMES BEFORE", "METERING", "END?"]  # fmt: skip
+                 "MEND THE RIG", "THE LIGHT IS OFF",
+                 "CLASS 3R LASER", "CLASS 4 LASER", "DARK FRAMES BEFORE", "METERING", "END?"]  # fmt: skip
     screen = Screen(LEAST_COLUMNS, 24)
     for headline in headlines:
         assert set(headline) <= set(LETTERS)
