@@ -63,6 +63,7 @@ from rigs.capture._session_folder import (
     curve_digests,
     curve_files,
     require_empty,
+    watched_to_the_end,
     write_session,
     write_start,
 )
@@ -384,7 +385,11 @@ def capture_paint_session(
     if interrupted is None:
         require_empty(request.out)
     present = rig_as_it_is(rig, interrupted)
-    with rig_locked(rig), open_rig(present, request.rig_folder, request.operator) as opened:
+    with (
+        rig_locked(rig),
+        open_rig(present, request.rig_folder, request.operator) as opened,
+        watched_to_the_end(request.watch),
+    ):
         return capture_with(opened, rig, plan, steps, request, interrupted=interrupted, last_good=last_good, mend=mend)
 
 

@@ -13,7 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeVar
@@ -26,6 +26,7 @@ from data_schemas import (
     CaptureError,
     DeviceIdentity,
     LaserSettings,
+    LostError,
     RegionOfInterest,
     Target,
     UnsafeError,
@@ -34,11 +35,15 @@ from rigs import CallThread, Camera, FilterWheel, Light, OpenRig, Operator, RawF
 from rigs.capture import SessionWatch, Step
 from rigs.light_guard import LightLostError, is_hazardous
 from rigs.live_view._live_server import BINS, live_picture
+from rigs.transports import RECOVERS_WITHIN_S
 
 T = TypeVar("T")
 LightRole = Literal["lamp", "laser"]
 DARK_WITHIN_S: Final = 1.0
 """A session that does not leave its light so soon after the key is ended as by Ctrl-C."""
+CALL_MARGIN_S: Final = 0.5
+"""A driver says that its deadline is over a little after it is."""
+THROWN_AWAY: Final = "the light was switched off by hand in the view; the frame under way is thrown away"
 LEAST_FRAMES: Final = 3
 """Timed before a time is said that is left."""
 REFERENCE_SIGNAL: Final = 0.05
@@ -196,6 +201,7 @@ class WatchedSession(SessionWatch):
         self._main = threading.main_thread().ident
         self._references: dict[tuple[str, float], tuple[float, float]] = {}
         self._drifts: dict[str, Drift] = {}
+        self._calls: _DarkenedCalls | None = None
         self._stored: Counter[str] = Counter()
         self._planned: Counter[str] = Counter()
         self._least_snr: dict[str, float] = {}
@@ -323,7 +329,7 @@ class WatchedSession(SessionWatch):
 
     def devices(self, opened: OpenRig) -> OpenRig:
         """Return the devices behind what sees and darkens them; on the simulated rig, too, a person is asked."""
-        calls = _DarkenedCalls(self)
+        calls = self._calls = _DarkenedCalls(self)
         hands = opened.operator
         return replace(
             opened,
@@ -333,6 +339,14 @@ class WatchedSession(SessionWatch):
             laser=_WatchedLight(opened.laser, "laser", self),
             operator=hands if hands is self.operator else _HandsOnBench(self.operator, hands),
         )
+
+    def left(self) -> None:
+        """Have no call of camera or wheel begin any more, and wait for the one that runs, at most for its deadline.
+
+        The devices are closed after this: a driver must not be closed while one of its calls runs.
+        """
+        if self._calls is not None and not self._calls.finish():
+            self._publish(told="a device has not ended its call in time; plug it in anew before you resume")
 
     def noted(self, event: str, what: Mapping[str, Any]) -> None:
         """Count what the journal says."""
@@ -421,10 +435,10 @@ class WatchedSession(SessionWatch):
         """Whether a light shines that was switched off by hand."""
         return self._kept_off and bool(self._shining)
 
-    def wait_for(self, call: "Future[Any]") -> None:
+    def wait_for(self, call: "Future[Any]", timeout_s: float | None = None) -> None:
         """Wait for a call of a device, or for the key for light off while a light shines."""
         with self._changed:
-            self._changed.wait_for(lambda: call.done() or self.must_go_dark)
+            self._changed.wait_for(lambda: call.done() or self.must_go_dark, timeout_s)
 
     def wake(self) -> None:
         """Have those look who wait."""
@@ -595,34 +609,67 @@ class _HandsOnBench:
 
 
 class _DarkenedCalls:
-    """Makes calls of camera and wheel in order in a thread, and leaves them when light is to be off."""
+    """Makes calls of camera and wheel in order in a thread, and leaves them when light is to be off.
+
+    A call that was left keeps its deadline. Until it has ended no other begins, and the devices are not closed; one
+    that does not end in time leaves its device to be reopened: nothing is asked of it any more.
+    """
 
     def __init__(self, session: WatchedSession) -> None:
         self._session, self._thread = session, CallThread("watched devices")
+        self._running: Future[Any] | None = None
+        self._ends_s = 0.0
+        self._is_over = False
 
-    def call(self, function: Callable[[], T]) -> T:
-        """Return what `function` returns.
+    def call(self, function: Callable[[], T], deadline_s: float = RECOVERS_WITHIN_S) -> T:
+        """Return what `function` returns, which takes at most `deadline_s` seconds by its own word.
 
         Raises
         ------
         LightLostError
-            A light was to go off; the call goes on, what it returns is thrown away, and the next waits for its end.
+            A light was to go off; the call goes on, and what it returns is thrown away.
+        LostError
+            A call that was left has not ended within its deadline.
         """
+        if self._running is not None:
+            self._session.wait_for(self._running, self._left_s())
+        if self._session.must_go_dark:
+            raise LightLostError(THROWN_AWAY)
+        if self._running is not None and not self._running.done():
+            raise LostError(
+                "camera or filter wheel: a call that was left when the light went off has not ended within its "
+                "deadline; end the session, plug the device in anew, and resume"
+            )
         context, answer = contextvars.copy_context(), Future[T]()
 
         def run() -> None:
+            if self._is_over or not answer.set_running_or_notify_cancel():
+                return
             try:
                 answer.set_result(context.run(function))
             except BaseException as error:
                 answer.set_exception(error)
             self._session.wake()
 
-        if not self._session.must_go_dark:
-            self._thread.post(run)
-            self._session.wait_for(answer)
+        self._running, self._ends_s = answer, time.monotonic() + deadline_s
+        self._thread.post(run)
+        self._session.wait_for(answer)
         if not answer.done():
-            raise LightLostError("the light was switched off by hand in the view; the frame under way is thrown away")
+            answer.cancel()  # if it has not begun, it never will
+            raise LightLostError(THROWN_AWAY)
         return answer.result()
+
+    def finish(self) -> bool:
+        """Begin no call any more; return whether the one that runs has ended, at the latest at its deadline."""
+        self._is_over = True
+        if self._running is None or self._running.cancel():
+            return True
+        wait((self._running,), self._left_s())
+        return self._running.done()
+
+    def _left_s(self) -> float:
+        """Return the time that the call that runs may still take."""
+        return max(self._ends_s + CALL_MARGIN_S - time.monotonic(), 0.0)
 
 
 class _WatchedCamera:
@@ -633,7 +680,7 @@ class _WatchedCamera:
         return self._calls.call(self._inner.identity)
 
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
-        return self._calls.call(lambda: self._inner.expose(exposure_s, deadline_s))
+        return self._calls.call(lambda: self._inner.expose(exposure_s, deadline_s), deadline_s)
 
 
 class _WatchedWheel:
@@ -651,7 +698,7 @@ class _WatchedWheel:
         return self._calls.call(self._inner.position)
 
     def go_to(self, slot: int, deadline_s: float) -> None:
-        self._calls.call(lambda: self._inner.go_to(slot, deadline_s))
+        self._calls.call(lambda: self._inner.go_to(slot, deadline_s), deadline_s)
 
 
 class _WatchedLight:

@@ -8,13 +8,14 @@ import sys
 import threading
 import time
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from data_schemas import BadFrameError, CaptureError, PaintPlan, RigFile
+from data_schemas import BadFrameError, CaptureError, LostError, PaintPlan, RigFile
 from finray_calib.cli.main import main
-from rigs import paint_plan, simulated_rig, write_plan, write_rig
+from rigs import open_rig, paint_plan, simulated_rig, write_plan, write_rig
 from rigs.capture import (
     SessionRequest,
     capture_paint_session,
@@ -25,6 +26,9 @@ from rigs.capture import (
     read_session,
     verify_session,
 )
+from rigs.capture import _paint_session as capturing
+from rigs.capture._session_folder import watched_to_the_end
+from rigs.light_guard import LightLostError
 from rigs.live_view import WatchedSession, live_server
 from rigs.live_view._live_server import BINS
 from rigs.live_view._session_page import HELP, LETTERS, _SessionPage, large_letters, session_screen
@@ -424,6 +428,101 @@ def test_in_the_browser_the_second_act_has_an_answer_of_its_own_and_off_stays_on
     assert answered == [True]
     page = (ROOT / "rigs" / "live_view" / "session_view.html").read_text(encoding="utf-8")
     assert 'event.key === "g") reply("goggles")' in page
+
+
+# ---------------------------------------------------------------- an exposure that was left ends before devices close
+class Blocking:
+    """A camera whose read blocks; it writes down what is called and when it is closed."""
+
+    def __init__(self, read_s: float) -> None:
+        self.events: list[str] = []
+        self.released, self._read_s = threading.Event(), read_s
+
+    def expose(self, exposure_s: float, deadline_s: float) -> None:
+        self.events.append("read")
+        self.released.wait(self._read_s)
+        self.events.append("end of read")
+
+    def close(self) -> None:
+        self.events.append("close")
+
+
+def left_and_closed(small, camera: Blocking, deadline_s: float, then=lambda devices: None) -> float:
+    """Leave an exposure by the key for light off, do `then`, close; return the seconds from its begin to the close."""
+    session = WatchedSession("red", small.camera, None)
+    began_s = time.monotonic()
+    with open_rig(small, Path()) as opened:
+        with watched_to_the_end(session):
+            devices = session.devices(replace(opened, camera=camera))
+
+            def press() -> None:
+                while "read" not in camera.events:
+                    time.sleep(0.005)
+                session.darken()
+
+            threading.Thread(target=press, daemon=True).start()
+            with pytest.raises(LightLostError), session.shining("lamp"):
+                devices.camera.expose(0.1, deadline_s)
+            then(devices)
+        camera.close()
+    return time.monotonic() - began_s
+
+
+def test_devices_are_closed_when_the_exposure_that_was_left_has_ended(small):
+    camera = Blocking(read_s=0.5)
+    left_and_closed(small, camera, deadline_s=60.0)
+    assert camera.events == ["read", "end of read", "close"]
+
+
+def test_a_read_that_does_not_end_keeps_nothing_waiting_beyond_its_deadline_and_is_asked_nothing_more(small):
+    camera = Blocking(read_s=PATIENCE_S)
+
+    def again(devices) -> None:
+        with pytest.raises(LostError, match="has not ended within its deadline; end the session, plug"):
+            devices.camera.expose(0.1, 0.5)
+
+    took_s = left_and_closed(small, camera, deadline_s=0.5, then=again)
+    assert 0.5 <= took_s < 0.5 + PATIENCE_S / 10.0
+    assert camera.events == ["read", "close"]
+    camera.released.set()
+    time.sleep(0.2)
+    assert camera.events == ["read", "close", "end of read"]  # no call after the close
+
+
+def test_a_session_waits_for_the_exposure_that_it_left(small, short, tmp_path, monkeypatch):
+    """By the capture itself: at the end of `open_rig`, no exposure runs."""
+    running, at_close, begun = [0], [], threading.Event()
+    expose, opening = SimulatedCamera.expose, capturing.open_rig
+    session = watched(small, short)
+
+    def slow(camera, exposure_s, deadline_s):
+        running[0] += 1
+        if camera.state.lamp and not begun.is_set():
+            begun.set()
+            time.sleep(0.5)
+        try:
+            return expose(camera, exposure_s, deadline_s)
+        finally:
+            running[0] -= 1
+
+    @contextmanager
+    def noted(*what):
+        with opening(*what) as opened:
+            try:
+                yield opened
+            finally:
+                at_close.append(running[0])
+
+    monkeypatch.setattr(SimulatedCamera, "expose", slow)
+    monkeypatch.setattr(capturing, "open_rig", noted)
+    threading.Thread(target=lambda: begun.wait(PATIENCE_S) and session.darken(), daemon=True).start()
+    words = {"THE LIGHT IS OFF": "end"}
+    with (
+        person(session, lambda n: words.get(n.headline, n.answers[0])),
+        pytest.raises(CaptureError, match="was switched off by hand"),
+    ):
+        capture_paint_session(small, short, request(session, tmp_path / "out"))
+    assert at_close == [0]
 
 
 # ---------------------------------------------------------------- the command, in a terminal and in a browser
