@@ -98,10 +98,10 @@ def test_the_focus_of_the_live_view_falls_with_a_focus_shift_only(fault):
     shares = []
     with open_rig(rig, Path()) as opened:
         live = LiveRig(opened, rig)
+        live.start()
         live.ask({"region": [16, 48, 64, 64]})
         live.ask({"lamp": True})
         live.ask({"exposure_s": 0.002})
-        live.start()
         number = 0
         while opened.clock.monotonic_s() < 11.0:
             opened.camera.state.clock.elapsed_s += 0.25
@@ -114,7 +114,7 @@ def test_the_focus_of_the_live_view_falls_with_a_focus_shift_only(fault):
     assert (min(shares) < 0.5) == (fault is not None)
 
 
-@pytest.mark.parametrize("fault", ["slipping wheel", "exchanged filters", "unplugged camera", "drifting laser"])
+@pytest.mark.parametrize("fault", ["exchanged filters", "unplugged camera", "drifting laser"])
 def test_a_session_is_resumed_when_the_line_is_taken_away(tmp_path, fault):
     lay_out_folder(tmp_path / "mended", fault)
     said_in(tmp_path / "mended", "capture")
