@@ -339,14 +339,14 @@ class FaultSizes(NamedTuple):
     ----------
     unit
         Of the size, as it is written.
-    usual, least, most
+    value, low, high
         Size where none is written, and the smallest and largest allowed.
     """
 
     unit: str
-    usual: float
-    least: float
-    most: float
+    value: float
+    low: float
+    high: float
 
 
 PRACTICE_FAULTS: Final[Mapping[str, FaultSizes]] = {
@@ -372,14 +372,14 @@ class PracticeFault(NamedTuple):
     ----------
     name
         One of :data:`PRACTICE_FAULTS`, or "exchanged filters".
-    size
-        In the unit of its name; 1 for exchanged filters.
+    value
+        Its size, in the unit of its name; 1 for exchanged filters.
     pair
         Names of the filters that are exchanged.
     """
 
     name: str
-    size: float = 1.0
+    value: float = 1.0
     pair: tuple[str, str] = ("", "")
 
 
@@ -404,16 +404,16 @@ def practice_fault(text: str) -> PracticeFault:
         raise ValueError(f"'{name}' is no practice fault; {hint}There are {', '.join(known)}")
     sizes = PRACTICE_FAULTS[name]
     if not size:
-        return PracticeFault(name, sizes.usual)
+        return PracticeFault(name, sizes.value)
     number, _, unit = size.partition(" ")
     try:
         value = float(number)
     except ValueError:
         value = math.nan
-    if unit.strip() != sizes.unit or not sizes.least <= value <= sizes.most:
+    if unit.strip() != sizes.unit or not sizes.low <= value <= sizes.high:
         raise ValueError(
-            f"the size of '{name}' is a number from {sizes.least:g} to {sizes.most:g} with a space and its unit, such "
-            f"as '{name}, {sizes.usual:g} {sizes.unit}'"
+            f"the size of '{name}' is a number from {sizes.low:g} to {sizes.high:g} with a space and its unit, such "
+            f"as '{name}, {sizes.value:g} {sizes.unit}'"
         )
     return PracticeFault(name, value)
 

@@ -6,17 +6,16 @@ wheel are made in a thread of their own: the key for light off need not wait for
 thrown away, and no light is lit again before a person says so.
 """
 
-import contextvars
 import math
 import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, wait
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,26 +23,26 @@ from numpy.typing import NDArray
 from data_schemas import (
     CameraSettings,
     CaptureError,
-    DeviceIdentity,
     LaserSettings,
-    LostError,
     RegionOfInterest,
     Target,
-    UnsafeError,
 )
-from rigs import CallThread, Camera, FilterWheel, Light, OpenRig, Operator, RawFrame, TerminalOperator
+from rigs import OpenRig, RawFrame, TerminalOperator
 from rigs.capture import SessionWatch, Step
 from rigs.light_guard import LightLostError, is_hazardous
 from rigs.live_view._live_server import BINS, live_picture
-from rigs.transports import RECOVERS_WITHIN_S
+from rigs.live_view._watched_devices import (
+    DarkenedCalls,
+    HandsOnBench,
+    LightRole,
+    WatchedCamera,
+    WatchedLight,
+    WatchedWheel,
+)
 
 T = TypeVar("T")
-LightRole = Literal["lamp", "laser"]
 DARK_WITHIN_S: Final = 1.0
 """A session that does not leave its light so soon after the key is ended as by Ctrl-C."""
-CALL_MARGIN_S: Final = 0.5
-"""A driver says that its deadline is over a little after it is."""
-THROWN_AWAY: Final = "the light was switched off by hand in the view; the frame under way is thrown away"
 LEAST_FRAMES: Final = 3
 """Timed before a time is said that is left."""
 REFERENCE_SIGNAL: Final = 0.05
@@ -201,7 +200,7 @@ class WatchedSession(SessionWatch):
         self._main = threading.main_thread().ident
         self._references: dict[tuple[str, float], tuple[float, float]] = {}
         self._drifts: dict[str, Drift] = {}
-        self._calls: _DarkenedCalls | None = None
+        self._calls: DarkenedCalls | None = None
         self._stored: Counter[str] = Counter()
         self._planned: Counter[str] = Counter()
         self._least_snr: dict[str, float] = {}
@@ -329,15 +328,15 @@ class WatchedSession(SessionWatch):
 
     def devices(self, opened: OpenRig) -> OpenRig:
         """Return the devices behind what sees and darkens them; on the simulated rig, too, a person is asked."""
-        calls = self._calls = _DarkenedCalls(self)
+        calls = self._calls = DarkenedCalls(self)
         hands = opened.operator
         return replace(
             opened,
-            camera=_WatchedCamera(opened.camera, calls),
-            wheel=_WatchedWheel(opened.wheel, calls),
-            lamp=_WatchedLight(opened.lamp, "lamp", self),
-            laser=_WatchedLight(opened.laser, "laser", self),
-            operator=hands if hands is self.operator else _HandsOnBench(self.operator, hands),
+            camera=WatchedCamera(opened.camera, calls),
+            wheel=WatchedWheel(opened.wheel, calls),
+            lamp=WatchedLight(opened.lamp, "lamp", self),
+            laser=WatchedLight(opened.laser, "laser", self),
+            operator=hands if hands is self.operator else HandsOnBench(self.operator, hands),
         )
 
     def left(self) -> None:
@@ -580,148 +579,3 @@ class ViewOperator(TerminalOperator):
         if is_allowed:
             self._session.allow_light()
         return is_allowed
-
-
-class _HandsOnBench:
-    """A person who is asked, and the simulated bench where what was asked is then done."""
-
-    def __init__(self, person: ViewOperator, bench: Operator) -> None:
-        self._person, self._bench = person, bench
-
-    def place(self, target: Target) -> None:
-        self._person.place(target)
-        self._bench.place(target)
-
-    def swing_wheel_out(self) -> None:
-        self._person.swing_wheel_out()
-        self._bench.swing_wheel_out()
-
-    def tilt(self, angle_deg: float) -> None:
-        self._person.tilt(angle_deg)
-        self._bench.tilt(angle_deg)
-
-    def do(self, instruction: str) -> None:
-        self._person.do(instruction)
-        self._bench.do(instruction)
-
-    def allows(self, question: str) -> bool:
-        return self._person.allows(question)
-
-
-class _DarkenedCalls:
-    """Makes calls of camera and wheel in order in a thread, and leaves them when light is to be off.
-
-    A call that was left keeps its deadline. Until it has ended no other begins, and the devices are not closed; one
-    that does not end in time leaves its device to be reopened: nothing is asked of it any more.
-    """
-
-    def __init__(self, session: WatchedSession) -> None:
-        self._session, self._thread = session, CallThread("watched devices")
-        self._running: Future[Any] | None = None
-        self._ends_s = 0.0
-        self._is_over = False
-
-    def call(self, function: Callable[[], T], deadline_s: float = RECOVERS_WITHIN_S) -> T:
-        """Return what `function` returns, which takes at most `deadline_s` seconds by its own word.
-
-        Raises
-        ------
-        LightLostError
-            A light was to go off; the call goes on, and what it returns is thrown away.
-        LostError
-            A call that was left has not ended within its deadline.
-        """
-        if self._running is not None:
-            self._session.wait_for(self._running, self._left_s())
-        if self._session.must_go_dark:
-            raise LightLostError(THROWN_AWAY)
-        if self._running is not None and not self._running.done():
-            raise LostError(
-                "camera or filter wheel: a call that was left when the light went off has not ended within its "
-                "deadline; end the session, plug the device in anew, and resume"
-            )
-        context, answer = contextvars.copy_context(), Future[T]()
-
-        def run() -> None:
-            if self._is_over or not answer.set_running_or_notify_cancel():
-                return
-            try:
-                answer.set_result(context.run(function))
-            except BaseException as error:
-                answer.set_exception(error)
-            self._session.wake()
-
-        self._running, self._ends_s = answer, time.monotonic() + deadline_s
-        self._thread.post(run)
-        self._session.wait_for(answer)
-        if not answer.done():
-            answer.cancel()  # if it has not begun, it never will
-            raise LightLostError(THROWN_AWAY)
-        return answer.result()
-
-    def finish(self) -> bool:
-        """Begin no call any more; return whether the one that runs has ended, at the latest at its deadline."""
-        self._is_over = True
-        if self._running is None or self._running.cancel():
-            return True
-        wait((self._running,), self._left_s())
-        return self._running.done()
-
-    def _left_s(self) -> float:
-        """Return the time that the call that runs may still take."""
-        return max(self._ends_s + CALL_MARGIN_S - time.monotonic(), 0.0)
-
-
-class _WatchedCamera:
-    def __init__(self, camera: Camera, calls: _DarkenedCalls) -> None:
-        self._inner, self._calls = camera, calls
-
-    def identity(self) -> DeviceIdentity:
-        return self._calls.call(self._inner.identity)
-
-    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
-        return self._calls.call(lambda: self._inner.expose(exposure_s, deadline_s), deadline_s)
-
-
-class _WatchedWheel:
-    def __init__(self, wheel: FilterWheel, calls: _DarkenedCalls) -> None:
-        self._inner, self._calls = wheel, calls
-
-    def identity(self) -> DeviceIdentity:
-        return self._calls.call(self._inner.identity)
-
-    @property
-    def slots(self) -> tuple[int, ...]:
-        return self._inner.slots
-
-    def position(self) -> int | None:
-        return self._calls.call(self._inner.position)
-
-    def go_to(self, slot: int, deadline_s: float) -> None:
-        self._calls.call(lambda: self._inner.go_to(slot, deadline_s), deadline_s)
-
-
-class _WatchedLight:
-    def __init__(self, light: Light, role: LightRole, session: WatchedSession) -> None:
-        self._inner, self._role, self._session = light, role, session
-
-    def identity(self) -> DeviceIdentity:
-        return self._inner.identity()
-
-    def state(self) -> bool:
-        is_on = self._inner.state()
-        self._session.reports(self._role, is_on)
-        return is_on
-
-    @contextmanager
-    def lit(self) -> Iterator[None]:
-        self._session.require_allowed(self._role)
-        is_off = True
-        try:
-            with self._inner.lit(), self._session.shining(self._role):
-                yield
-        except UnsafeError:
-            is_off = False
-            raise
-        finally:
-            self._session.reports(self._role, not is_off)

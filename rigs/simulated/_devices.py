@@ -88,7 +88,7 @@ class RigCondition:
         light: LightState,
         band: tuple[int, float] | None,
         lamp_temperature_k: float,
-        flicker: float = 1.0,
+        flicker_rel: float = 1.0,
     ) -> Floats:
         r"""Return what the camera sees of one light (e/s), shape (H, W).
 
@@ -107,7 +107,7 @@ class RigCondition:
             Place in the rig file and centre (nm) of the filter that is truly in the beam; None without one.
         lamp_temperature_k
             The lamp's temperature of the rig file (K).
-        flicker
+        flicker_rel
             Level of this frame, relative.
         """
         level = 1.0 + {"lamp": self.lamp_rel, "laser": self.laser_rel}.get(light, 0.0)
@@ -116,7 +116,7 @@ class RigCondition:
             if light == "lamp":
                 level *= _planck_ratio(centre_nm, lamp_temperature_k, self.lamp_k)
             level *= 1.0 + (self.filters_rel[place] if self.filters_rel else 0.0)
-        return level * flicker * _blurred(fresh + self.emission_rel * emitted, self.blur_px)
+        return level * flicker_rel * _blurred(fresh + self.emission_rel * emitted, self.blur_px)
 
 
 def with_fault(
@@ -135,7 +135,7 @@ def with_fault(
     share
         How far it has developed, 0 to 1.
     """
-    size = share * fault.size
+    size = share * fault.value
     match fault.name:
         case "slipping wheel" | "dirty filter":
             changed = list(condition.filters_rel or (0.0,) * filters)
@@ -254,13 +254,13 @@ class BenchFault:
     def require_plugged(self) -> None:
         """Count an exposure, and refuse it where the camera is unplugged by now."""
         self.exposures += 1
-        if self.fault.name == "unplugged camera" and self.exposures > self.fault.size:
+        if self.fault.name == "unplugged camera" and self.exposures > self.fault.value:
             raise LostError("camera: does not answer and cannot be found; see to its cable and power")
 
     def require_heard(self) -> None:
         """Count a message to the wheel, and lose it where its turn has come: one of 20 for 5 %."""
         self.messages += 1
-        if self.fault.name == "lost message" and self.messages % max(round(100.0 / self.fault.size), 2) == 0:
+        if self.fault.name == "lost message" and self.messages % max(round(100.0 / self.fault.value), 2) == 0:
             raise TimedOutError("filter wheel: has not answered; the message was lost on its way")
 
 
