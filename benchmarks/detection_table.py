@@ -16,19 +16,19 @@ import argparse
 import hashlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 from scipy.stats import beta
 
-from data_schemas import CaptureSession, Frame
+from data_schemas import EXCHANGED_FILTERS, CaptureSession, Frame, PracticeFault
 from finray_calib.acceptance import chart_rules, session_facts, watch
 from rigs import open_rig, paint_plan, simulated_rig
 from rigs.capture import SessionRequest, capture_paint_session
+from rigs.simulated import RigCondition, with_fault
 
 Floats = NDArray[np.float64]
 REFERENCE, RATE, WITHIN = 20, 0.01, 5
@@ -39,21 +39,6 @@ SERIES = 400
 COLOUR = "lamp colour, long over short wavelengths (%)"
 
 
-@dataclass(frozen=True, slots=True)
-class Session:
-    """What differs in one session; the standard deviations of a good rig as defaults of `GOOD`."""
-
-    lamp_rel: float = 0.0
-    lamp_k: float = 0.0
-    laser_rel: float = 0.0
-    emission_rel: float = 0.0
-    filters_rel: tuple[float, ...] = ()
-    blur_px: float = 0.0
-    black_dn: float = 0.0
-    stray_dn_per_s: float = 0.0
-    exchanged: tuple[str, str] | None = None
-
-
 GOOD = {
     "lamp_rel": 0.005, "lamp_k": 4.0, "laser_rel": 0.01, "emission_rel": 0.01, "filter_rel": 0.001, "blur_px": 0.05,
     "black_dn": 0.05, "stray_dn_per_s": 0.02,
@@ -61,13 +46,11 @@ GOOD = {
 """Standard deviations from session to session: level and temperature of a lamp that is started anew, a laser diode,
 a sample that is mounted anew, a wheel that is homed, focus, black level and light that leaks into the box."""
 BLUR_PX = 0.4
-ALL_BLEACHED_J = 1e3
-"""Dose after which a paint that loses e-fold per joule emits nothing."""
 
 
-def good(rng: np.random.Generator, filters: int) -> Session:
+def good(rng: np.random.Generator, filters: int) -> RigCondition:
     """Return a session of a good rig."""
-    return Session(
+    return RigCondition(
         lamp_rel=GOOD["lamp_rel"] * rng.standard_normal(),
         lamp_k=GOOD["lamp_k"] * rng.standard_normal(),
         laser_rel=GOOD["laser_rel"] * rng.standard_normal(),
@@ -84,11 +67,6 @@ class SimulatedSessions:
 
     def __init__(self, folder: Path):
         rig = simulated_rig("red", width_px=96, height_px=80)
-        bench = rig.simulated
-        assert bench is not None
-        assert bench.paint is not None
-        fading = bench.model_copy(update={"paint": bench.paint.model_copy(update={"bleaching_per_j": 1.0})})
-        self._fading = rig.model_copy(update={"simulated": fading})
         self.rig = rig
         out = folder / "session"
         self.session: CaptureSession = capture_paint_session(
@@ -97,7 +75,7 @@ class SimulatedSessions:
         self.names = [band.name for band in self.rig.filter_wheel.filters]
         self._centres = np.array([band.center_nm for band in self.rig.filter_wheel.filters])
         self._slots = {band.name: band.slot for band in self.rig.filter_wheel.filters}
-        with open_rig(self._fading, Path()) as opened:
+        with open_rig(self.rig, Path()) as opened:
             self._bench, self._sensor = opened.camera.bench, opened.camera.sensor  # type: ignore[attr-defined]
         self._rates: dict[tuple[str, str, str | None], tuple[Floats, Floats]] = {}
 
@@ -107,33 +85,27 @@ class SimulatedSessions:
         if key not in self._rates:
             slot = None if frame.filter_name is None else self._slots[frame.filter_name]
             fresh = np.array(self._bench.electrons_per_s(frame.target, frame.light, slot))
-            emitted = np.zeros_like(fresh)
-            if frame.target == "sample":
-                bleached = self._bench.electrons_per_s(frame.target, frame.light, slot, ALL_BLEACHED_J)
-                emitted = fresh - np.array(bleached)
-            self._rates[key] = fresh, emitted
+            self._rates[key] = fresh, self._bench.emitted_electrons_per_s(frame.target, frame.light, slot)
         return self._rates[key]
 
-    def facts(self, what: Session, rng: np.random.Generator) -> dict[str, float]:
+    def facts(self, what: RigCondition, rng: np.random.Generator) -> dict[str, float]:
         """Return what is charted of a session."""
         found = session_facts("s", self.session, lambda frame: self._frame(frame, what, rng))
         if found.fault:
             raise RuntimeError(found.fault)
         return {**found.rig, **found.sample}
 
-    def _frame(self, frame: Frame, what: Session, rng: np.random.Generator) -> NDArray[np.uint16]:
+    def _frame(self, frame: Frame, what: RigCondition, rng: np.random.Generator) -> NDArray[np.uint16]:
         """Take a frame anew."""
         gain = self.rig.camera.gain_e_per_dn
         rate = np.full(self._sensor_shape(), what.stray_dn_per_s * gain)
         if frame.light != "off":
-            seen = frame
-            if what.exchanged is not None and frame.filter_name in what.exchanged:
-                other = what.exchanged[1 - what.exchanged.index(frame.filter_name)]
-                seen = frame.model_copy(update={"filter_name": other})
-            fresh, emitted = self._bench_rates(seen)
-            rate = rate + self._level(seen, what) * (1 + 0.002 * rng.standard_normal()) * _blurred(
-                fresh + what.emission_rel * emitted, what.blur_px
-            )
+            name = what.truly_in_beam(frame.filter_name)
+            fresh, emitted = self._bench_rates(frame.model_copy(update={"filter_name": name}))
+            place = None if name is None else self.names.index(name)
+            band = None if place is None else (place, float(self._centres[place]))
+            flicker = 1 + 0.002 * rng.standard_normal()
+            rate = rate + what.seen(fresh, emitted, frame.light, band, self.rig.lamp.temperature_k, flicker)
         counts = self._sensor.expose(np.maximum(rate, 0.0), frame.exposure_s, rng).astype(np.float64)
         full = 2**self.rig.camera.bit_depth - 1
         return np.clip(np.round(counts + what.black_dn + rng.uniform(-0.5, 0.5, counts.shape)), 0, full).astype(
@@ -144,76 +116,54 @@ class SimulatedSessions:
         """Return rows and columns of a frame."""
         return self.rig.camera.height_px, self.rig.camera.width_px
 
-    def _level(self, frame: Frame, what: Session) -> float:
-        """Return the level of the light through the filter, relative to a usual session."""
-        level = 1.0 + {"lamp": what.lamp_rel, "laser": what.laser_rel}.get(frame.light, 0.0)
-        if frame.filter_name is None:
-            return level
-        place = self.names.index(frame.filter_name)
-        if frame.light == "lamp":
-            level *= _planck_ratio(float(self._centres[place]), self.rig.lamp.temperature_k, what.lamp_k)
-        return level * (1.0 + what.filters_rel[place])
-
-
-def _planck_ratio(centre_nm: float, kelvin: float, change_k: float) -> float:
-    """Return the lamp's light at a wavelength over that of the usual temperature, both 1 at 560 nm."""
-
-    def light(temperature_k: float, wavelength_nm: float) -> float:
-        return 1.0 / float(np.expm1(1.438776877e7 / (wavelength_nm * temperature_k)))
-
-    warm = kelvin + change_k
-    return light(warm, centre_nm) / light(warm, 560.0) * light(kelvin, 560.0) / light(kelvin, centre_nm)
-
-
-def _blurred(rate: Floats, sigma_px: float) -> Floats:
-    """Blur each plane of an RGGB mosaic by a Gaussian of this many pixels of the plane."""
-    out = np.empty_like(rate)
-    for row, column in np.ndindex(2, 2):
-        out[row::2, column::2] = gaussian_filter(rate[row::2, column::2], max(sigma_px, 0.0), mode="nearest")
-    return out
-
-
-Make = Callable[[Session, float, np.random.Generator], Session]
-
-
-def _one_filter(session: Session, loss: float, place: int) -> Session:
-    """Return a session with less light through one filter."""
-    changed = list(session.filters_rel)
-    changed[place] -= loss
-    return replace(session, filters_rel=tuple(changed))
-
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault with the quantities in which it is looked for."""
+    """A practice fault with the quantities in which it is looked for.
 
+    Attributes
+    ----------
+    told
+        How it is called in the table.
+    name, pair
+        How the practice rig calls it, and the filters that are exchanged.
+    unit, sizes
+        Of its sizes.
+    watched
+        Quantities that are charted.
+    filter_name
+        Of the filter that slips or is dirty.
+    """
+
+    told: str
     name: str
     unit: str
     sizes: tuple[float, ...]
     watched: tuple[str, ...]
-    make: Make
+    filter_name: str = ""
+    pair: tuple[str, str] = ("", "")
+
+    def make(self, good: RigCondition, size: float, names: list[str]) -> RigCondition:
+        """Return the condition of a rig with this fault fully developed."""
+        place = names.index(self.filter_name) if self.filter_name else 0
+        return with_fault(good, PracticeFault(self.name, size, self.pair), len(names), place)
 
 
 FAULTS = (
-    Fault("slipping wheel: its edge takes light of one filter, in one session", "% of the light",
-          (0.2, 0.5, 1.0, 2.0), ("filter 532 (%)",),
-          lambda s, x, rng: _one_filter(s, x / 100, 3)),
-    Fault("dirty filter: less light in all sessions", "% of the light", (0.1, 0.2, 0.5, 1.0), ("filter 600 (%)",),
-          lambda s, x, rng: _one_filter(s, x / 100, 5)),
-    Fault("drifting laser", "% of its power", (1.0, 2.0, 4.0, 6.0), ("laser level (%)",),
-          lambda s, x, rng: replace(s, laser_rel=s.laser_rel - x / 100)),
-    Fault("bleaching paint", "% of the emission", (1.0, 2.0, 4.0, 6.0), ("emission (%)",),
-          lambda s, x, rng: replace(s, emission_rel=s.emission_rel - x / 100)),
-    Fault("lamp ageing", "K colder", (5.0, 10.0, 15.0, 25.0), (COLOUR,),
-          lambda s, x, rng: replace(s, lamp_k=s.lamp_k - x)),
-    Fault("exchanged filters 500 and 532", "pair", (1.0,), ("filter 500 (%)",),
-          lambda s, x, rng: replace(s, exchanged=("500", "532"))),
-    Fault("exchanged filters 560 and 600", "pair", (1.0,), ("filter 600 (%)",),
-          lambda s, x, rng: replace(s, exchanged=("560", "600"))),
-    Fault("focus shift", "px of blur added in squares", (0.25, 0.5, 0.75, 1.0), ("sharpness of the white frames (%)",),
-          lambda s, x, rng: replace(s, blur_px=float(np.hypot(s.blur_px, x)))),
-    Fault("stray light", "DN/s", (0.05, 0.1, 0.2, 0.4), ("dark rate (DN/s)",),
-          lambda s, x, rng: replace(s, stray_dn_per_s=s.stray_dn_per_s + x)),
+    Fault("slipping wheel: its edge takes light of one filter, in one session", "slipping wheel", "% of the light",
+          (0.2, 0.5, 1.0, 2.0), ("filter 532 (%)",), "532"),
+    Fault("dirty filter: less light in all sessions", "dirty filter", "% of the light", (0.1, 0.2, 0.5, 1.0),
+          ("filter 600 (%)",), "600"),
+    Fault("drifting laser", "drifting laser", "% of its power", (1.0, 2.0, 4.0, 6.0), ("laser level (%)",)),
+    Fault("bleaching paint", "bleaching paint", "% of the emission", (1.0, 2.0, 4.0, 6.0), ("emission (%)",)),
+    Fault("lamp ageing", "lamp ageing", "K colder", (5.0, 10.0, 15.0, 25.0), (COLOUR,)),
+    Fault("exchanged filters 500 and 532", EXCHANGED_FILTERS, "pair", (1.0,), ("filter 500 (%)",),
+          pair=("500", "532")),
+    Fault("exchanged filters 560 and 600", EXCHANGED_FILTERS, "pair", (1.0,), ("filter 600 (%)",),
+          pair=("560", "600")),
+    Fault("focus shift", "focus shift", "px of blur added in squares", (0.25, 0.5, 0.75, 1.0),
+          ("sharpness of the white frames (%)",)),
+    Fault("stray light", "stray light", "DN/s", (0.05, 0.1, 0.2, 0.4), ("dark rate (DN/s)",)),
 )  # fmt: skip
 
 
@@ -290,7 +240,7 @@ def _row(
 
     def broken(i: int) -> dict[str, float]:
         rng = np.random.default_rng([2, number, round(1000 * size), i])
-        return rig.facts(fault.make(good(rng, len(rig.names)), size, rng), rng)
+        return rig.facts(fault.make(good(rng, len(rig.names)), size, rig.names), rng)
 
     faulty = values_of(folder, f"fault-{number}-{size:g}-{sessions}", sessions, broken)
     quantity, rng = fault.watched[0], np.random.default_rng([3, number])
@@ -298,9 +248,9 @@ def _row(
         np.array([one[quantity] for one in clean]), np.array([one[quantity] for one in faulty]), rng
     )
     low, high = interval(first, sessions)
-    told = f"{100 * within:.0f} %" if not fault.name.startswith("slipping") else "-"
+    told = f"{100 * within:.0f} %" if not fault.told.startswith("slipping") else "-"
     seen = f"{100 * first:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
-    return f"| {fault.name} | {quantity} | {size:g} {fault.unit} | {seen} | {told} |"
+    return f"| {fault.told} | {quantity} | {size:g} {fault.unit} | {seen} | {told} |"
 
 
 def main() -> None:

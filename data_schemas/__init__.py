@@ -184,7 +184,9 @@ if TYPE_CHECKING:
     from data_schemas._record_methods import register_record_methods
     from data_schemas._record_text import decimals_for, fixed, interval_text, kind_in_words, needed_kind, significant
     from data_schemas._rig import (
+        EXCHANGED_FILTERS,
         NO_ADDRESS,
+        PRACTICE_FAULTS,
         BandPassFilter,
         CameraSettings,
         DeviceIdentity,
@@ -194,9 +196,11 @@ if TYPE_CHECKING:
         LampSettings,
         LaserSettings,
         OutsideLayer,
+        PracticeFault,
         RigFile,
         SimulatedBench,
         WhiteReference,
+        practice_fault,
     )
     from data_schemas._sensing import (
         LARGEST_WIDENED_FACTOR,
@@ -308,11 +312,13 @@ else:
 __all__ = [
     "CERTIFIED",
     "CHANNELS",
+    "EXCHANGED_FILTERS",
     "FEWEST_LEVELS",
     "HELD_UNCERTAINTY_REL",
     "LARGEST_WIDENED_FACTOR",
     "MOST_INCREMENTS",
     "NO_ADDRESS",
+    "PRACTICE_FAULTS",
     "AcceptanceReport",
     "AngleConstraints",
     "AngleDeg",
@@ -486,6 +492,7 @@ __all__ = [
     "PlannedPress",
     "PoissonRatio",
     "PoseResponse",
+    "PracticeFault",
     "Preset",
     "PressIncrement",
     "PressMechanics",
@@ -581,6 +588,7 @@ __all__ = [
     "needed_kind",
     "note_renderer",
     "package_version",
+    "practice_fault",
     "provenance",
     "register_record_methods",
     "require_coverage",

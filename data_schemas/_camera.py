@@ -49,7 +49,7 @@ class CameraSession(Record):
     exposure time form a stack of two or more.
     """
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray capture'"
 
     plan: CameraPlan

@@ -5,10 +5,12 @@ Every device names its ``driver`` and, unless it is simulated, the ``address`` a
 device says that it is, is its :class:`DeviceIdentity`.
 """
 
+import difflib
+import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import date, datetime
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -330,12 +332,114 @@ class HiddenPaint(Model):
     )
 
 
+class FaultSizes(NamedTuple):
+    """Sizes that a practice fault can have.
+
+    Attributes
+    ----------
+    unit
+        Of the size, as it is written.
+    value, low, high
+        Size where none is written, and the smallest and largest allowed.
+    """
+
+    unit: str
+    value: float
+    low: float
+    high: float
+
+
+PRACTICE_FAULTS: Final[Mapping[str, FaultSizes]] = {
+    "slipping wheel": FaultSizes("%", 30.0, 0.1, 90.0),
+    "dirty filter": FaultSizes("%", 30.0, 0.1, 90.0),
+    "drifting laser": FaultSizes("%", 40.0, 0.1, 90.0),
+    "bleaching paint": FaultSizes("%", 20.0, 0.1, 90.0),
+    "lamp ageing": FaultSizes("K", 200.0, 1.0, 500.0),
+    "focus shift": FaultSizes("px", 2.0, 0.1, 20.0),
+    "stray light": FaultSizes("DN/s", 10.0, 0.01, 1000.0),
+    "lost message": FaultSizes("%", 5.0, 1.0, 50.0),
+    "unplugged camera": FaultSizes("frames", 20.0, 0.0, 10000.0),
+}
+"""Name of each fault that has a size -> its sizes; docs/reference/practice-faults.md says of what the size is."""
+EXCHANGED_FILTERS: Final = "exchanged filters"
+USUAL_PAIR: Final = ("500", "532")
+
+
+class PracticeFault(NamedTuple):
+    """A fault to practise on.
+
+    Attributes
+    ----------
+    name
+        One of :data:`PRACTICE_FAULTS`, or "exchanged filters".
+    value
+        Its size, in the unit of its name; 1 for exchanged filters.
+    pair
+        Names of the filters that are exchanged.
+    """
+
+    name: str
+    value: float = 1.0
+    pair: tuple[str, str] = ("", "")
+
+
+def practice_fault(text: str) -> PracticeFault:
+    """Return the fault that a text names: ``"stray light"``, ``"stray light, 10 DN/s"``.
+
+    Raises
+    ------
+    ValueError
+        There is no such fault, or none of this size.
+    """
+    name, _, size = (part.strip() for part in text.partition(","))
+    if name == EXCHANGED_FILTERS:
+        pair = tuple(part.strip() for part in size.split(" and ")) if size else USUAL_PAIR
+        if len(pair) != 2 or pair[0] == pair[1] or not all(pair):
+            raise ValueError(f"name the two filters, such as '{name}, {' and '.join(USUAL_PAIR)}'")
+        return PracticeFault(name, pair=(pair[0], pair[1]))
+    if name not in PRACTICE_FAULTS:
+        known = (*PRACTICE_FAULTS, EXCHANGED_FILTERS)
+        near = difflib.get_close_matches(name, known, 1, cutoff=0.5)
+        hint = f"did you mean '{near[0]}'? " if near else ""
+        raise ValueError(f"'{name}' is no practice fault; {hint}There are {', '.join(known)}")
+    sizes = PRACTICE_FAULTS[name]
+    if not size:
+        return PracticeFault(name, sizes.value)
+    number, _, unit = size.partition(" ")
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if unit.strip() != sizes.unit or not sizes.low <= value <= sizes.high:
+        raise ValueError(
+            f"the size of '{name}' is a number from {sizes.low:g} to {sizes.high:g} with a space and its unit, such "
+            f"as '{name}, {sizes.value:g} {sizes.unit}'"
+        )
+    return PracticeFault(name, value)
+
+
+def _is_a_practice_fault(text: str) -> str:
+    """Refuse what names no practice fault."""
+    practice_fault(text)
+    return text
+
+
 class SimulatedBench(Model):
     """What the simulated bench holds; ignored by real drivers."""
 
     seed: Seed = 1
+    practice_fault: Annotated[str, AfterValidator(_is_a_practice_fault)] | None = Field(
+        default=None,
+        description=f"a fault to practise on, with its size if it is not the usual one, such as 'stray light' or "
+        f"'stray light, 10 DN/s': {', '.join((*PRACTICE_FAULTS, EXCHANGED_FILTERS))}; none where it is left out",
+    )
     paint: HiddenPaint | None = None
     material: str | None = Field(default=None, description="CSV file of a measured re-radiation matrix")
+
+    @property
+    def fault(self) -> PracticeFault | None:
+        """The fault to practise on."""
+        return None if self.practice_fault is None else practice_fault(self.practice_fault)
 
     @model_validator(mode="after")
     def _one_sample(self) -> "SimulatedBench":
@@ -347,7 +451,7 @@ class SimulatedBench(Model):
 class RigFile(Record):
     """A whole rig."""
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
 
     name: str
     camera: CameraSettings = CameraSettings()
@@ -367,6 +471,17 @@ class RigFile(Record):
             )
         if "simulated" in drivers and self.simulated is None:
             raise ValueError("a simulated device needs a [simulated] table that names a paint or a material")
+        return self
+
+    @model_validator(mode="after")
+    def _exchanged_filters_are_there(self) -> "RigFile":
+        fault = None if self.simulated is None else self.simulated.fault
+        known = [band.name for band in self.filter_wheel.filters]
+        lost = [] if fault is None else [name for name in fault.pair if name and name not in known]
+        if lost:
+            raise ValueError(
+                f"simulated.practice_fault: there is no filter '{lost[0]}'; the filters are {', '.join(known)}"
+            )
         return self
 
     @model_validator(mode="after")

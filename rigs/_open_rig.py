@@ -305,6 +305,7 @@ def _open_simulated(
     # Imported here so that a rig of real devices never loads the simulation.
     from rigs.simulated import (
         Bench,
+        BenchFault,
         BenchState,
         SimulatedCamera,
         SimulatedClock,
@@ -316,7 +317,12 @@ def _open_simulated(
     seed = rig.simulated.seed if rig.simulated is not None else 0
     slots = tuple(sorted(optic.slot for optic in rig.filter_wheel.filters))
     clock = SimulatedClock()
-    state = BenchState(clock=clock, slot=slots[0], laser_power_mw=rig.laser.power_mw)
+    practised = None if rig.simulated is None else rig.simulated.fault
+    fault = None
+    if rig.simulated is not None and practised is not None:
+        fault = BenchFault(practised, rig.filter_wheel.filters, rig.lamp.temperature_k, rig.camera.gain_e_per_dn)
+        notes = (*notes, f"the simulated rig has a fault to practise on: {rig.simulated.practice_fault}")
+    state = BenchState(clock=clock, slot=slots[0], laser_power_mw=rig.laser.power_mw, fault=fault)
     return OpenRig(
         camera=SimulatedCamera(
             Bench(rig, folder, response, filter_curves),

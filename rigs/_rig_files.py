@@ -5,11 +5,14 @@ what was found in the place of what is assumed. What is written is read again by
 """
 
 import json
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Literal
 
 from data_schemas import (
+    EXCHANGED_FILTERS,
+    PRACTICE_FAULTS,
     BandPassFilter,
     CameraPlan,
     CameraSettings,
@@ -342,12 +345,21 @@ def _bench_toml(bench: SimulatedBench) -> str:
 # material = "FILE.csv" (a measured re-radiation matrix).
 [simulated]
 seed = {bench.seed}
-"""
+{_fault_toml(bench)}"""
     if bench.material is not None:
         return f"{head}material = {_quoted(bench.material)}\n"
     fields = {} if bench.paint is None else bench.paint.model_dump()
     lines = "".join(f"{k} = {_quoted(v) if isinstance(v, str) else repr(v)}\n" for k, v in fields.items())
     return f"{head}\n[simulated.paint]\n{lines}"
+
+
+def _fault_toml(bench: SimulatedBench) -> str:
+    """Return the line of a fault to practise on; a comment where there is none."""
+    if bench.practice_fault is not None:
+        return f"practice_fault = {_quoted(bench.practice_fault)}\n"
+    named = ", ".join((*PRACTICE_FAULTS, EXCHANGED_FILTERS))
+    comment = textwrap.fill(f"a fault to practise on: {named}", 118, initial_indent="# ", subsequent_indent="# ")
+    return f'{comment}\n# practice_fault = "stray light"\n'
 
 
 def plan_toml(plan: PaintPlan | CameraPlan) -> str:

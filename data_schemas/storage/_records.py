@@ -424,6 +424,11 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("FingerTolerances", 1): _as_it_is,
     ("PressIncrement", 3): _as_it_is,
     ("EvaluatedDesign", 1): _as_it_is,
+    # the simulated rig may have a fault to practise on; none: it has none
+    ("RigFile", 4): _as_it_is,
+    ("CaptureSession", 5): _as_it_is,
+    ("CameraSession", 5): _as_it_is,
+    ("AcceptanceReport", 5): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

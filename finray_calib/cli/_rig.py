@@ -331,7 +331,8 @@ def _in_view(
         tell_of_laser(rig)
         takes_time = not rig.is_simulated
     name = next(str(getattr(plan, part)) for part in ("paint_name", "camera_name", "name") if hasattr(plan, part))
-    session = WatchedSession(name, rig.camera, getattr(plan, "region", None), takes_time, has_lights)
+    laser = getattr(rig, "laser", None)
+    session = WatchedSession(name, rig.camera, getattr(plan, "region", None), takes_time, has_lights, laser)
     file = out.absolute().with_name(f"{out.absolute().name}.live-address")
     _require_unseen(file, out)
 

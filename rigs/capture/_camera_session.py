@@ -19,12 +19,20 @@ from rigs.capture._exposure import exposure_ladder, meter_exposure, under_light
 from rigs.capture._frame_store import FrameStore, Shot, numbered
 from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, require_region_inside
-from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
+from rigs.capture._resume import (
+    Interrupted,
+    require_same_camera,
+    require_same_inputs,
+    resume_notes,
+    rig_as_it_is,
+    take_over,
+)
 from rigs.capture._session_folder import (
     SessionRequest,
     curve_digests,
     curve_files,
     require_empty,
+    watched_to_the_end,
     write_session,
     write_start,
 )
@@ -80,7 +88,12 @@ def capture_camera_session(
     curve_files(rig, request.rig_folder)
     if interrupted is None:
         require_empty(request.out)
-    with rig_locked(rig), open_rig(rig, request.rig_folder, request.operator) as opened:
+    present = rig_as_it_is(rig, interrupted)
+    with (
+        rig_locked(rig),
+        open_rig(present, request.rig_folder, request.operator) as opened,
+        watched_to_the_end(request.watch),
+    ):
         return capture_camera_with(opened, rig, plan, step, request, interrupted=interrupted)
 
 

@@ -50,12 +50,20 @@ from rigs.capture._filter_proof import (
 from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbered
 from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, paint_steps, with_repeat
-from rigs.capture._resume import Interrupted, require_same_camera, require_same_inputs, resume_notes, take_over
+from rigs.capture._resume import (
+    Interrupted,
+    require_same_camera,
+    require_same_inputs,
+    resume_notes,
+    rig_as_it_is,
+    take_over,
+)
 from rigs.capture._session_folder import (
     SessionRequest,
     curve_digests,
     curve_files,
     require_empty,
+    watched_to_the_end,
     write_session,
     write_start,
 )
@@ -376,7 +384,12 @@ def capture_paint_session(
     curve_files(rig, request.rig_folder)
     if interrupted is None:
         require_empty(request.out)
-    with rig_locked(rig), open_rig(rig, request.rig_folder, request.operator) as opened:
+    present = rig_as_it_is(rig, interrupted)
+    with (
+        rig_locked(rig),
+        open_rig(present, request.rig_folder, request.operator) as opened,
+        watched_to_the_end(request.watch),
+    ):
         return capture_with(opened, rig, plan, steps, request, interrupted=interrupted, last_good=last_good, mend=mend)
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import ValidationError
 
 from data_schemas import CaptureError, DeviceIdentity, Frame, Record, RecordError, RigFile, explain
-from data_schemas.storage import migrate, sha256_of
+from data_schemas.storage import migrate, read_toml, read_toml_tables, sha256_of
 from rigs import Clock
 from rigs.capture._journal import JOURNAL_NAME, read_journal
 from rigs.capture._session_folder import SESSION_NAME, clear_session
@@ -231,6 +231,28 @@ def take_over(folder: Path, interrupted: Interrupted) -> None:
         raise CaptureError(f"{folder}: another capture went on with this session meanwhile; look at what it did")
     clear_session(folder)
     _set_aside(folder, {frame.file for frame in interrupted.frames.values()})
+
+
+def rig_as_it_is(rig: RigFile, interrupted: Interrupted | None) -> RigFile:
+    """Return the rig to be opened: that of the session, without a practice fault that was taken out of its file since.
+
+    A fault stands for what is wrong at the rig, which a person mends between two parts of a session. All else in the
+    file is as it was when the session began, and so is the record of the session.
+
+    Raises
+    ------
+    RecordError
+        The rig file is there and cannot be read.
+    """
+    if interrupted is None or rig.simulated is None or rig.simulated.practice_fault is None:
+        return rig
+    for name in interrupted.sources:
+        path = interrupted.rig_folder / Path(name).name
+        if path.suffix == ".toml" and path.is_file() and "simulated" in read_toml_tables(path):
+            now = read_toml(path, RigFile).simulated
+            left = None if now is None else now.practice_fault
+            return rig.model_copy(update={"simulated": rig.simulated.model_copy(update={"practice_fault": left})})
+    return rig
 
 
 def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:

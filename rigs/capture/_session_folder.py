@@ -6,6 +6,7 @@ a forger who computes all of them anew is not detected.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -68,6 +69,9 @@ class SessionWatch:
         """Return the devices that the session is to use in place of the opened ones."""
         return opened
 
+    def left(self) -> None:
+        """See that the session has ended, before the devices that it used are closed."""
+
     def noted(self, event: str, what: Mapping[str, Any]) -> None:
         """See a line of the journal that is on the disk: its event, and what else it says."""
 
@@ -76,6 +80,15 @@ class SessionWatch:
 
     def frame(self, label: str, raw: RawFrame, step: Step | None = None) -> None:
         """See a frame that was accepted, stored or of a metering; a press on a finger has no step."""
+
+
+@contextmanager
+def watched_to_the_end(watch: SessionWatch) -> Iterator[None]:
+    """Tell a watch when a ``with`` block that uses devices is left: it lets go of them before they are closed."""
+    try:
+        yield
+    finally:
+        watch.left()
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,6 +51,7 @@ HELP: Final = (
     "               under way is thrown away and taken again",
     "Enter          what was asked for is done: go on",
     "y n            yes and no, where a question is asked",
+    "g              goggles are on: light a laser of class 3R or above again",
     "e              end here, where that is offered",
     "q              end the session, after a question",
     "Ctrl-C         end the session at once, with the lights off",
@@ -59,6 +60,11 @@ HELP: Final = (
     "The session runs on when this terminal is closed. Its address, for a browser",
     "of this computer:",
 )
+KEY_OF_ANSWER: Final = {
+    "done": " Press Enter when done.",
+    "yes": " Press y or n.",
+    "goggles": " Press g when they do.",
+}
 LETTERS: Final = {
     "A": "010 101 111 101 101", "B": "110 101 110 101 110", "C": "011 100 100 100 011", "D": "110 101 101 101 110",
     "E": "111 100 110 100 111", "F": "111 100 110 100 100", "G": "0110 1000 1011 1001 0110", "H": "101 101 111 101 101",
@@ -67,7 +73,9 @@ LETTERS: Final = {
     "P": "110 101 110 100 100", "Q": "0110 1001 1001 1010 0101", "R": "110 101 110 101 101", "S": "011 100 010 001 110",
     "T": "111 010 010 010 010", "U": "101 101 101 101 111", "V": "101 101 101 101 010",
     "W": "10001 10001 10101 11011 10001", "X": "101 101 010 101 101", "Y": "101 101 010 010 010",
-    "Z": "111 001 010 100 111", "?": "110 001 010 000 010", "+": "000 010 111 010 000", " ": "00 00 00 00 00",
+    "Z": "111 001 010 100 111", "1": "01 11 01 01 01", "2": "110 001 010 100 111",
+    "3": "110 001 010 001 110", "4": "101 101 111 001 001",
+    "?": "110 001 010 000 010", "+": "000 010 111 010 000", " ": "00 00 00 00 00",
 }  # fmt: skip
 """Rows of dots of each letter."""
 
@@ -179,7 +187,7 @@ class _SessionPage(TerminalPage):
         elif self._helps or key == "?":
             self._helps = not self._helps
         else:
-            word = {"enter": "done", "y": "yes", "n": "no", "e": "end"}.get(key)
+            word = {"enter": "done", "y": "yes", "n": "no", "e": "end", "g": "goggles"}.get(key)
             if word in numbers.answers:
                 with contextlib.suppress(CaptureError):  # another view was faster
                     self._session.ask({"question": numbers.question, "answer": word})
@@ -231,7 +239,9 @@ def session_screen(
     style = YELLOW if numbers.question or numbers.kept_off else GREEN
     headline, text = numbers.headline, numbers.text
     if numbers.answers:
-        text += {"done": " Press Enter when done.", "yes": " Press y or n."}[numbers.answers[0]]
+        text += {"done": " Press Enter when done.", "yes": " Press y or n.", "goggles": " Press g when they do."}[
+            numbers.answers[0]
+        ]
         text += " Press e to end here." if "end" in numbers.answers else ""
     if ends:
         headline, style = "END?", RED

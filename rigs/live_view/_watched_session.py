@@ -6,29 +6,41 @@ wheel are made in a thread of their own: the key for light off need not wait for
 thrown away, and no light is lit again before a person says so.
 """
 
-import contextvars
 import math
 import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CameraSettings, CaptureError, DeviceIdentity, RegionOfInterest, Target, UnsafeError
-from rigs import CallThread, Camera, FilterWheel, Light, OpenRig, Operator, RawFrame, TerminalOperator
+from data_schemas import (
+    CameraSettings,
+    CaptureError,
+    LaserSettings,
+    RegionOfInterest,
+    Target,
+)
+from rigs import OpenRig, RawFrame, TerminalOperator
 from rigs.capture import SessionWatch, Step
-from rigs.light_guard import LightLostError
+from rigs.light_guard import LightLostError, is_hazardous
 from rigs.live_view._live_server import BINS, live_picture
+from rigs.live_view._watched_devices import (
+    DarkenedCalls,
+    HandsOnBench,
+    LightRole,
+    WatchedCamera,
+    WatchedLight,
+    WatchedWheel,
+)
 
 T = TypeVar("T")
-LightRole = Literal["lamp", "laser"]
 DARK_WITHIN_S: Final = 1.0
 """A session that does not leave its light so soon after the key is ended as by Ctrl-C."""
 LEAST_FRAMES: Final = 3
@@ -159,6 +171,8 @@ class WatchedSession(SessionWatch):
         Whether an exposure takes its time; on the simulated rig it takes none.
     has_lights
         Whether the session switches lights; that of a finger does not.
+    laser
+        What the rig file says about the laser; one that harms eyes is lit again by two acts only.
     """
 
     def __init__(
@@ -168,8 +182,10 @@ class WatchedSession(SessionWatch):
         region: RegionOfInterest | None,
         takes_time: bool = True,
         has_lights: bool = True,
+        laser: LaserSettings | None = None,
     ) -> None:
         self.name, self.operator = name, ViewOperator(self)
+        self._laser = laser
         self._camera, self._full = camera, 2**camera.bit_depth - 1
         whole = RegionOfInterest(row_px=0, column_px=0, height_px=camera.height_px, width_px=camera.width_px)
         self.region = region or whole
@@ -184,6 +200,7 @@ class WatchedSession(SessionWatch):
         self._main = threading.main_thread().ident
         self._references: dict[tuple[str, float], tuple[float, float]] = {}
         self._drifts: dict[str, Drift] = {}
+        self._calls: DarkenedCalls | None = None
         self._stored: Counter[str] = Counter()
         self._planned: Counter[str] = Counter()
         self._least_snr: dict[str, float] = {}
@@ -311,16 +328,24 @@ class WatchedSession(SessionWatch):
 
     def devices(self, opened: OpenRig) -> OpenRig:
         """Return the devices behind what sees and darkens them; on the simulated rig, too, a person is asked."""
-        calls = _DarkenedCalls(self)
+        calls = self._calls = DarkenedCalls(self)
         hands = opened.operator
         return replace(
             opened,
-            camera=_WatchedCamera(opened.camera, calls),
-            wheel=_WatchedWheel(opened.wheel, calls),
-            lamp=_WatchedLight(opened.lamp, "lamp", self),
-            laser=_WatchedLight(opened.laser, "laser", self),
-            operator=hands if hands is self.operator else _HandsOnBench(self.operator, hands),
+            camera=WatchedCamera(opened.camera, calls),
+            wheel=WatchedWheel(opened.wheel, calls),
+            lamp=WatchedLight(opened.lamp, "lamp", self),
+            laser=WatchedLight(opened.laser, "laser", self),
+            operator=hands if hands is self.operator else HandsOnBench(self.operator, hands),
         )
+
+    def left(self) -> None:
+        """Have no call of camera or wheel begin any more, and wait for the one that runs, at most for its deadline.
+
+        The devices are closed after this: a driver must not be closed while one of its calls runs.
+        """
+        if self._calls is not None and not self._calls.finish():
+            self._publish(told="a device has not ended its call in time; plug it in anew before you resume")
 
     def noted(self, event: str, what: Mapping[str, Any]) -> None:
         """Count what the journal says."""
@@ -409,10 +434,10 @@ class WatchedSession(SessionWatch):
         """Whether a light shines that was switched off by hand."""
         return self._kept_off and bool(self._shining)
 
-    def wait_for(self, call: "Future[Any]") -> None:
+    def wait_for(self, call: "Future[Any]", timeout_s: float | None = None) -> None:
         """Wait for a call of a device, or for the key for light off while a light shines."""
         with self._changed:
-            self._changed.wait_for(lambda: call.done() or self.must_go_dark)
+            self._changed.wait_for(lambda: call.done() or self.must_go_dark, timeout_s)
 
     def wake(self) -> None:
         """Have those look who wait."""
@@ -436,9 +461,24 @@ class WatchedSession(SessionWatch):
         if not self._kept_off:
             return
         text = f"You switched the light off, and it stays off. Is the box closed, and may the {role} be lit again?"
-        if self.ask_person("THE LIGHT IS OFF", text, ("done", "end")) != "done":
+        is_allowed = self.ask_person("THE LIGHT IS OFF", text, ("done", "end")) == "done"
+        if not is_allowed or (role == "laser" and not self.goggles_are_on()):
             raise CaptureError(f"{role}: was switched off by hand and is not lit again; the session ends as you asked")
         self.allow_light()
+
+    def goggles_are_on(self) -> bool:
+        """Return whether a person confirms class and goggles before a laser that harms eyes is lit again.
+
+        It has an answer of its own: the key that answered the question before does nothing here.
+        """
+        laser = self._laser
+        if laser is None or not is_hazardous(laser):
+            return True
+        text = (
+            f"Laser of class {laser.laser_class}, {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW. Does everybody "
+            f"here wear goggles for {laser.wavelength_nm:g} nm?"
+        )
+        return self.ask_person(f"CLASS {laser.laser_class} LASER", text, ("goggles", "end")) == "goggles"
 
     def reports(self, role: LightRole, is_on: bool) -> None:
         """Learn what a light reports."""
@@ -530,120 +570,12 @@ class ViewOperator(TerminalOperator):
         self._session.ask_person(self._headline or "YOUR HANDS PLEASE", instruction)
 
     def allows(self, question: str) -> bool:
-        """Ask a question that only "yes" answers with yes; lights that were switched off by hand may be lit then."""
+        """Ask a question that only "yes" answers with yes, and before a laser that harms eyes the one of its goggles.
+
+        Lights that were switched off by hand may be lit then.
+        """
         is_allowed = self._session.ask_person("YES OR NO?", question, ("yes", "no")) == "yes"
+        is_allowed = is_allowed and self._session.goggles_are_on()
         if is_allowed:
             self._session.allow_light()
         return is_allowed
-
-
-class _HandsOnBench:
-    """A person who is asked, and the simulated bench where what was asked is then done."""
-
-    def __init__(self, person: ViewOperator, bench: Operator) -> None:
-        self._person, self._bench = person, bench
-
-    def place(self, target: Target) -> None:
-        self._person.place(target)
-        self._bench.place(target)
-
-    def swing_wheel_out(self) -> None:
-        self._person.swing_wheel_out()
-        self._bench.swing_wheel_out()
-
-    def tilt(self, angle_deg: float) -> None:
-        self._person.tilt(angle_deg)
-        self._bench.tilt(angle_deg)
-
-    def do(self, instruction: str) -> None:
-        self._person.do(instruction)
-        self._bench.do(instruction)
-
-    def allows(self, question: str) -> bool:
-        return self._person.allows(question)
-
-
-class _DarkenedCalls:
-    """Makes calls of camera and wheel in order in a thread, and leaves them when light is to be off."""
-
-    def __init__(self, session: WatchedSession) -> None:
-        self._session, self._thread = session, CallThread("watched devices")
-
-    def call(self, function: Callable[[], T]) -> T:
-        """Return what `function` returns.
-
-        Raises
-        ------
-        LightLostError
-            A light was to go off; the call goes on, what it returns is thrown away, and the next waits for its end.
-        """
-        context, answer = contextvars.copy_context(), Future[T]()
-
-        def run() -> None:
-            try:
-                answer.set_result(context.run(function))
-            except BaseException as error:
-                answer.set_exception(error)
-            self._session.wake()
-
-        if not self._session.must_go_dark:
-            self._thread.post(run)
-            self._session.wait_for(answer)
-        if not answer.done():
-            raise LightLostError("the light was switched off by hand in the view; the frame under way is thrown away")
-        return answer.result()
-
-
-class _WatchedCamera:
-    def __init__(self, camera: Camera, calls: _DarkenedCalls) -> None:
-        self._inner, self._calls = camera, calls
-
-    def identity(self) -> DeviceIdentity:
-        return self._calls.call(self._inner.identity)
-
-    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
-        return self._calls.call(lambda: self._inner.expose(exposure_s, deadline_s))
-
-
-class _WatchedWheel:
-    def __init__(self, wheel: FilterWheel, calls: _DarkenedCalls) -> None:
-        self._inner, self._calls = wheel, calls
-
-    def identity(self) -> DeviceIdentity:
-        return self._calls.call(self._inner.identity)
-
-    @property
-    def slots(self) -> tuple[int, ...]:
-        return self._inner.slots
-
-    def position(self) -> int | None:
-        return self._calls.call(self._inner.position)
-
-    def go_to(self, slot: int, deadline_s: float) -> None:
-        self._calls.call(lambda: self._inner.go_to(slot, deadline_s))
-
-
-class _WatchedLight:
-    def __init__(self, light: Light, role: LightRole, session: WatchedSession) -> None:
-        self._inner, self._role, self._session = light, role, session
-
-    def identity(self) -> DeviceIdentity:
-        return self._inner.identity()
-
-    def state(self) -> bool:
-        is_on = self._inner.state()
-        self._session.reports(self._role, is_on)
-        return is_on
-
-    @contextmanager
-    def lit(self) -> Iterator[None]:
-        self._session.require_allowed(self._role)
-        is_off = True
-        try:
-            with self._inner.lit(), self._session.shining(self._role):
-                yield
-        except UnsafeError:
-            is_off = False
-            raise
-        finally:
-            self._session.reports(self._role, not is_off)

@@ -12,20 +12,25 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from rigs.simulated._bench import Bench, BenchTruth, bench_truth, lay_out
     from rigs.simulated._devices import (
+        BenchFault,
         BenchState,
+        RigCondition,
         SimulatedCamera,
         SimulatedClock,
         SimulatedFilterWheel,
         SimulatedLight,
         SimulatedOperator,
+        with_fault,
     )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "Bench",
+    "BenchFault",
     "BenchState",
     "BenchTruth",
+    "RigCondition",
     "SimulatedCamera",
     "SimulatedClock",
     "SimulatedFilterWheel",
@@ -33,4 +38,5 @@ __all__ = [
     "SimulatedOperator",
     "bench_truth",
     "lay_out",
+    "with_fault",
 ]

@@ -196,6 +196,15 @@ class Bench:
             return fresh
         return fresh - bleached * self._latest_reradiated(light, slot)
 
+    def emitted_electrons_per_s(
+        self, target: Target, light: LightState, slot: int | None, sample_dose_j: float = 0.0
+    ) -> Floats:
+        """Return the part of :meth:`electrons_per_s` that the sample emits: zeros of the white tile, shape (H, W)."""
+        if target == "white":
+            return self.darkness()
+        left = math.exp(-self._bleaching_per_j * sample_dose_j)
+        return np.asarray(left * self._latest_reradiated(light, slot))
+
     def _reradiated_electrons_per_s(self, light: LightState, slot: int | None) -> Floats:
         """Return what the fresh sample's emission alone gives under one light, shape (H, W)."""
         scene = self._scene

@@ -7,14 +7,15 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from data_schemas import BadFrameError, CaptureError, PaintPlan, RigFile
+from data_schemas import BadFrameError, CaptureError, LostError, PaintPlan, RigFile
 from finray_calib.cli.main import main
-from rigs import paint_plan, simulated_rig, write_plan, write_rig
+from rigs import open_rig, paint_plan, simulated_rig, write_plan, write_rig
 from rigs.capture import (
     SessionRequest,
     capture_paint_session,
@@ -25,9 +26,12 @@ from rigs.capture import (
     read_session,
     verify_session,
 )
-from rigs.live_view import WatchedSession
+from rigs.capture import _paint_session as capturing
+from rigs.capture._session_folder import watched_to_the_end
+from rigs.light_guard import LightLostError
+from rigs.live_view import WatchedSession, live_server
 from rigs.live_view._live_server import BINS
-from rigs.live_view._session_page import HELP, LETTERS, large_letters, session_screen
+from rigs.live_view._session_page import HELP, LETTERS, _SessionPage, large_letters, session_screen
 from rigs.live_view._terminal_page import LEAST_COLUMNS, Screen
 from rigs.live_view._watched_session import (
     DARK_WITHIN_S,
@@ -343,6 +347,184 @@ def test_commands_that_are_none(words, reason, capsys):
     assert reason in capsys.readouterr().err
 
 
+# ---------------------------------------------------------------- a laser that harms eyes is lit again by two acts
+@pytest.mark.parametrize(("laser_class", "word"), [("3R", "goggles"), ("3R", "end"), ("2", None)])
+def test_a_laser_that_harms_eyes_is_lit_again_by_two_acts(small, short, tmp_path, monkeypatch, laser_class, word):
+    """The first answer alone lights nothing; the second act names class and wavelength."""
+    rig = small.model_copy(update={"laser": small.laser.model_copy(update={"laser_class": laser_class})})
+    held = Held(monkeypatch, "laser")
+    held.go_on.set()
+    session = WatchedSession("red", rig.camera, short.region, takes_time=False, laser=rig.laser)
+    pressed = []
+
+    def press(done: int, total: int, what: str) -> None:
+        if session.latest(-1, 0.0)[1].laser and not pressed:
+            pressed.append(len(held.lit))
+            session.ask({"lamp": False})
+        session.progress(done, total, what)
+
+    asked_of = SessionRequest(tmp_path / "out", "x", progress=press, operator=session.operator, watch=session)
+    ended = pytest.raises(CaptureError, match="is not lit again") if word == "end" else nullcontext()
+    with person(session, lambda n: word if "goggles" in n.answers else n.answers[0]) as asked, ended:
+        capture_paint_session(rig, short, asked_of)
+    confirmed = [a for a in asked if "goggles" in a.answers]
+    assert len(confirmed) == (word is not None)
+    if confirmed:
+        assert confirmed[0].headline == "CLASS 3R LASER"
+        assert "goggles for 450 nm" in confirmed[0].text
+        assert not confirmed[0].laser
+    assert (len(held.lit) > pressed[0]) == (word != "end")
+
+
+@contextmanager
+def asked_for_goggles(small):
+    """A session at its second question; yield it and what came of it."""
+    session = WatchedSession("red", small.camera, None, laser=small.laser)
+    answered: list[bool] = []
+    thread = threading.Thread(target=lambda: answered.append(session.goggles_are_on()), daemon=True)
+    thread.start()
+    end_s = time.monotonic() + PATIENCE_S
+    while not session.latest(-1, 0.0)[1].question and time.monotonic() < end_s:
+        time.sleep(0.005)
+    yield session, answered
+    thread.join(PATIENCE_S)
+
+
+def test_in_the_terminal_the_second_act_has_a_key_of_its_own_and_off_stays_one(small):
+    with asked_for_goggles(small) as (session, answered):
+        page = _SessionPage.__new__(_SessionPage)
+        page._session, page._helps, page._ends = session, False, False  # noqa: SLF001
+        for key in ("enter", "y", "enter", "x"):
+            page._press(key)  # noqa: SLF001
+        assert answered == []
+        screen = "\n".join(session_screen(Screen(LEAST_COLUMNS, 24, colours=False, blocks=False), session,
+                                          *session.latest(-1, 0.0), False))  # fmt: skip
+        assert "C L A S S   3 R   L A S E R" in screen
+        assert "Press g when they do." in screen
+        page._press("l")  # noqa: SLF001
+        assert session.latest(-1, 0.0)[1].kept_off
+        page._press("g")  # noqa: SLF001
+    assert answered == [True]
+
+
+def test_in_the_browser_the_second_act_has_an_answer_of_its_own_and_off_stays_one(small):
+    with asked_for_goggles(small) as (session, answered), live_server(session) as server:
+        threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+        number = session.latest(-1, 0.0)[1].question
+
+        def do(command: dict) -> int:
+            connection = http.client.HTTPConnection(server.host, timeout=PATIENCE_S)
+            connection.request("POST", "/do", json.dumps(command), {"X-Token": server.token})
+            status = connection.getresponse().status
+            connection.close()
+            return status
+
+        assert [do({"question": number, "answer": word}) for word in ("done", "yes")] == [400, 400]
+        assert answered == []
+        assert do({"lamp": False}) == 200
+        assert session.latest(-1, 0.0)[1].kept_off
+        assert do({"question": number, "answer": "goggles"}) == 200
+        server.shutdown()
+    assert answered == [True]
+    page = (ROOT / "rigs" / "live_view" / "session_view.html").read_text(encoding="utf-8")
+    assert 'event.key === "g") reply("goggles")' in page
+
+
+# ---------------------------------------------------------------- an exposure that was left ends before devices close
+class Blocking:
+    """A camera whose read blocks; it writes down what is called and when it is closed."""
+
+    def __init__(self, read_s: float) -> None:
+        self.events: list[str] = []
+        self.released, self._read_s = threading.Event(), read_s
+
+    def expose(self, exposure_s: float, deadline_s: float) -> None:
+        self.events.append("read")
+        self.released.wait(self._read_s)
+        self.events.append("end of read")
+
+    def close(self) -> None:
+        self.events.append("close")
+
+
+def left_and_closed(small, camera: Blocking, deadline_s: float, then=lambda devices: None) -> float:
+    """Leave an exposure by the key for light off, do `then`, close; return the seconds from its begin to the close."""
+    session = WatchedSession("red", small.camera, None)
+    began_s = time.monotonic()
+    with open_rig(small, Path()) as opened:
+        with watched_to_the_end(session):
+            devices = session.devices(replace(opened, camera=camera))
+
+            def press() -> None:
+                while "read" not in camera.events:
+                    time.sleep(0.005)
+                session.darken()
+
+            threading.Thread(target=press, daemon=True).start()
+            with pytest.raises(LightLostError), session.shining("lamp"):
+                devices.camera.expose(0.1, deadline_s)
+            then(devices)
+        camera.close()
+    return time.monotonic() - began_s
+
+
+def test_devices_are_closed_when_the_exposure_that_was_left_has_ended(small):
+    camera = Blocking(read_s=0.5)
+    left_and_closed(small, camera, deadline_s=60.0)
+    assert camera.events == ["read", "end of read", "close"]
+
+
+def test_a_read_that_does_not_end_keeps_nothing_waiting_beyond_its_deadline_and_is_asked_nothing_more(small):
+    camera = Blocking(read_s=PATIENCE_S)
+
+    def again(devices) -> None:
+        with pytest.raises(LostError, match="has not ended within its deadline; end the session, plug"):
+            devices.camera.expose(0.1, 0.5)
+
+    took_s = left_and_closed(small, camera, deadline_s=0.5, then=again)
+    assert 0.5 <= took_s < 0.5 + PATIENCE_S / 10.0
+    assert camera.events == ["read", "close"]
+    camera.released.set()
+    time.sleep(0.2)
+    assert camera.events == ["read", "close", "end of read"]  # no call after the close
+
+
+def test_a_session_waits_for_the_exposure_that_it_left(small, short, tmp_path, monkeypatch):
+    """By the capture itself: at the end of `open_rig`, no exposure runs."""
+    running, at_close, begun = [0], [], threading.Event()
+    expose, opening = SimulatedCamera.expose, capturing.open_rig
+    session = watched(small, short)
+
+    def slow(camera, exposure_s, deadline_s):
+        running[0] += 1
+        if camera.state.lamp and not begun.is_set():
+            begun.set()
+            time.sleep(0.5)
+        try:
+            return expose(camera, exposure_s, deadline_s)
+        finally:
+            running[0] -= 1
+
+    @contextmanager
+    def noted(*what):
+        with opening(*what) as opened:
+            try:
+                yield opened
+            finally:
+                at_close.append(running[0])
+
+    monkeypatch.setattr(SimulatedCamera, "expose", slow)
+    monkeypatch.setattr(capturing, "open_rig", noted)
+    threading.Thread(target=lambda: begun.wait(PATIENCE_S) and session.darken(), daemon=True).start()
+    words = {"THE LIGHT IS OFF": "end"}
+    with (
+        person(session, lambda n: words.get(n.headline, n.answers[0])),
+        pytest.raises(CaptureError, match="was switched off by hand"),
+    ):
+        capture_paint_session(small, short, request(session, tmp_path / "out"))
+    assert at_close == [0]
+
+
 # ---------------------------------------------------------------- the command, in a terminal and in a browser
 @pytest.fixture
 def files(small, short, tmp_path) -> Path:
@@ -545,7 +727,8 @@ def test_every_number_has_its_place_at_80_by_24(small, short):
 def test_large_letters():
     """Each letter of the headlines is drawn, in three lines that fit the terminal, and no two letters are alike."""
     headlines = [*TARGET_HEADLINES.values(), "SWING WHEEL OUT", "TURN THE SAMPLE", "YOUR HANDS PLEASE", "YES OR NO?",
-                 "MEND THE RIG", "THE LIGHT IS OFF", "DARK FRAMES BEFORE", "METERING", "END?"]  # fmt: skip
+                 "MEND THE RIG", "THE LIGHT IS OFF",
+                 "CLASS 3R LASER", "CLASS 4 LASER", "DARK FRAMES BEFORE", "METERING", "END?"]  # fmt: skip
     screen = Screen(LEAST_COLUMNS, 24)
     for headline in headlines:
         assert set(headline) <= set(LETTERS)
