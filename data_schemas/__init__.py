@@ -166,6 +166,7 @@ if TYPE_CHECKING:
         PropagatedDraws,
         Reradiation,
         SamplingMethod,
+        SessionScatter,
     )
     from data_schemas._model import Estimate, Model, Quantity, Record, explain
     from data_schemas._plain_sensor import (
@@ -515,6 +516,7 @@ __all__ = [
     "SensingError",
     "SensingRow",
     "SensorCoat",
+    "SessionScatter",
     "SignalDn",
     "SimulateError",
     "SimulatedBench",

@@ -406,6 +406,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("StudyPoint", 1): _as_it_is,
     # lights, coat, camera, surface and origins beside the three panels of one channel each
     ("PlainSensor", 1): _as_it_is,
+    # how sessions that were combined differ; none: one session, or not known
+    ("PaintCalibration", 7): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 
