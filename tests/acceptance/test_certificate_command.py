@@ -130,7 +130,7 @@ def test_the_budget_stands_on_the_page_and_adds_up():
 
 
 def test_scatter_of_combined_sessions_stands_on_the_certificate():
-    alone = example()
+    alone = example().model_copy(update={"between_sessions": None})
     off = alone.energy_yield.model_copy(update={"estimate": 0.0213, "low95": 0.003, "high95": 0.083})
     scatter = SessionScatter(level_rel=off, filter_rel=off, session_levels_rel=(0.01, -0.01, 0.0))
     paint = alone.model_copy(update={"between_sessions": scatter})
