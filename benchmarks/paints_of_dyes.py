@@ -9,6 +9,11 @@ frames (``emission_detection.py``: filters, laser, blocking, camera and noise dr
 by some 30 K) and is fitted as ``finray fit`` does. The prior that the fit brings along is learned anew without the
 fluorophore and all that resemble it. Cases already in the file are kept: stop and go on at any time.
 
+A record that stops inside the judged wavelengths, where the paint still emits more than 5 % of its peak, or whose
+excitation stops so, is a cliff that no paint has, and neither has one the hole of a missing value. The table is printed
+of all, and of the rest. With ``--spectrum-alone`` only the posterior of the learned prior is made and judged,
+in a tenth of the time: no families, no absorption, no warnings.
+
 Binomial errors count fluorophores, not cases, as independent.
 """
 
@@ -29,7 +34,12 @@ from benchmarks.fluorescent_layer import NM, Layer, Paint, paint, stokes_shifts_
 from data_schemas import PaintCalibration
 from data_schemas.storage import planck_relative
 from finray_calib.fit import FitOptions, calibrate_paint
+from finray_calib.fit._band_data import band_data
+from finray_calib.fit._measured_spectra import fit_spectrum, learned_spectra
+from finray_calib.fit._paint_calibration import curve_bands
+from finray_calib.fit._reported_spectrum import conserving_draws, simultaneous_band
 from finray_calib.spectra import WAVELENGTH_NM as OUT_NM
+from finray_calib.spectra import curve_quantities
 from rigs.simulated._bench import STEP_NM, WAVELENGTH_NM
 
 Floats = np.ndarray
@@ -41,6 +51,8 @@ LAMP_SD_K = 30.0
 LAMP_K = 2856.0
 JUDGED = (OUT_NM >= 470) & (OUT_NM <= 720)
 COUNTED_REL = 0.05
+HOLE_REL = 0.25  # a value this far below both its neighbours, 5 nm away: lines of emission rise, they do not fall
+ALONE_DRAWS = 2000
 GROUPS = ("paint-like", "narrow", "blue", "far red", "two peaks")
 
 
@@ -75,6 +87,20 @@ def excited(path: Path) -> dict[str, tuple[Floats, Floats, Floats]]:
     }
 
 
+def runs_out(nm: Floats, excitation: Floats, emission: Floats, truth: Floats) -> bool:
+    """Whether no record of a paint's emission (on the fit's grid) stops where it counts, or lacks a value.
+
+    Judged by the records and the paint alone, never by a fit.
+    """
+    counted, on = truth > COUNTED_REL * truth.max(), np.flatnonzero(emission > 0)
+    ends = [end for end in (nm[on[0]], nm[on[-1]]) if OUT_NM[JUDGED][0] <= end <= OUT_NM[JUDGED][-1]]
+    last = np.flatnonzero(excitation > 0)[-1]
+    if excitation[last] > COUNTED_REL * excitation.max():
+        ends.append(nm[last])
+    hole = np.minimum(emission[2:], emission[:-2]) - emission[1:-1] > HOLE_REL * emission.max()
+    return not hole.any() and not any(counted[np.abs(OUT_NM - end) <= 1].any() for end in ends)
+
+
 def group_of(curve: Floats) -> str:
     """Return the group of an emission curve on the fit's grid."""
     mode, fwhm, _ = scalars(curve)
@@ -105,6 +131,7 @@ class Case:
         seed = [sum(name.encode()), len(name), number]
         self.rng = np.random.default_rng(seed)
         nm, excitation, emission = curves
+        self._records = nm, excitation, emission
         self.shifts = stokes_shifts_nm(nm, excitation, emission)
         absorbed, emitted = (np.clip(PchipInterpolator(nm, c)(NM), 0, None) for c in (excitation, emission))
         for _ in range(50):
@@ -118,6 +145,16 @@ class Case:
         )
         self.rig.optics = self.rig.optics.model_copy(update={"lamp_temperature_uncertainty_k": LAMP_SD_K})
         self.lamp_k = LAMP_K + LAMP_SD_K * self.rng.standard_normal()
+
+    @property
+    def truth(self) -> Floats:
+        """Emission under the laser on the fit's grid."""
+        return np.interp(OUT_NM, WAVELENGTH_NM, self.column)
+
+    @property
+    def runs_out(self) -> bool:
+        """Whether its records do not stop where they count."""
+        return runs_out(*self._records, self.truth)
 
     def _column(self, emission: Floats, nm: Floats) -> Floats:
         """Return the emission under the laser on the bench's wavelengths, with the dye's own detail."""
@@ -138,28 +175,57 @@ class Case:
         return self.rig.signals(name, reflectance, self.column, self.rng, under_lamp)
 
 
-def judged(case: Case, fit: PaintCalibration) -> dict[str, Any]:
-    """Return errors, and whether each interval holds the truth."""
-    truth = np.interp(OUT_NM, WAVELENGTH_NM, case.column)
+def curve_row(truth: Floats, mean: Floats, limits: dict[str, tuple[Floats, Floats] | None]) -> dict[str, Any]:
+    """Return group, error, and which share of the curve each band holds, by name; of whole_* whether all of it."""
     counted = JUDGED & (truth > COUNTED_REL * truth.max())
-    draws = fit.emission_draws_per_nm
     row: dict[str, Any] = {
         "group": group_of(truth),
-        "error": float(np.linalg.norm((fit.emission_per_nm - truth)[JUDGED]) / np.linalg.norm(truth[JUDGED])),
-        "curve95": float(
-            ((fit.emission_low95_per_nm <= truth) & (truth <= fit.emission_high95_per_nm))[counted].mean()
-        ),
-        "curve68": float(
-            ((fit.emission_low68_per_nm <= truth) & (truth <= fit.emission_high68_per_nm))[counted].mean()
-        ),
-        "whole_in_pointwise": bool(
-            ((fit.emission_low95_per_nm <= truth) & (truth <= fit.emission_high95_per_nm))[counted].all()
-        ),
-        "width": float((fit.emission_high95_per_nm - fit.emission_low95_per_nm)[counted].mean() / truth.max()),
+        "error": float(np.linalg.norm((mean - truth)[JUDGED]) / np.linalg.norm(truth[JUDGED])),
     }
-    if fit.emission_low95_simultaneous_per_nm is not None:
-        low, high = fit.emission_low95_simultaneous_per_nm, fit.emission_high95_simultaneous_per_nm
-        row["simultaneous95"] = bool(((low <= truth) & (truth <= high))[counted].all())
+    for name, band in limits.items():
+        if band is not None:
+            held = ((band[0] <= truth) & (truth <= band[1]))[counted]
+            row[name] = float(held.mean()) if name.startswith("curve") else bool(held.all())
+            if name == "curve95":
+                row["width"] = float((band[1] - band[0])[counted].mean() / truth.max())
+    return row
+
+
+def judged_alone(case: Case, signals: Any, options: FitOptions, seed: int) -> dict[str, Any]:
+    """Return the judged curve and scalars of the learned prior's posterior alone."""
+    data, rng = band_data(signals), np.random.default_rng(seed)
+    spectra = options.spectra or learned_spectra()
+    found = fit_spectrum(data, spectra, options.prior.ln_blocking_sd, ALONE_DRAWS, rng)
+    draws = conserving_draws(found, data).curves
+    band = curve_bands(draws)
+    pointwise = (band.low95, band.high95)
+    limits = {"curve95": pointwise, "curve68": (band.low68, band.high68), "whole_in_pointwise": pointwise}
+    row = curve_row(case.truth, band.mean, {**limits, "simultaneous95": simultaneous_band(draws)})
+    mode, fwhm, peak = scalars(case.truth)
+    quantities = curve_quantities(draws, OUT_NM)
+    values = {"mode_nm": mode, "fwhm_nm": fwhm, "peak_per_nm": peak, "energy_yield": float(case.truth.sum())}
+    for name, value in values.items():
+        for level in (95, 68):
+            low, high = np.quantile(getattr(quantities, name), [0.5 - level / 200, 0.5 + level / 200])
+            row[f"{name}:{level}"] = bool(low <= value <= high)
+    return row | rgb(case, draws, case.truth)
+
+
+def judged(case: Case, fit: PaintCalibration) -> dict[str, Any]:
+    """Return errors, and whether each interval holds the truth."""
+    truth, draws = case.truth, fit.emission_draws_per_nm
+    pointwise = (fit.emission_low95_per_nm, fit.emission_high95_per_nm)
+    low, high = fit.emission_low95_simultaneous_per_nm, fit.emission_high95_simultaneous_per_nm
+    row = curve_row(
+        truth,
+        fit.emission_per_nm,
+        {
+            "curve95": pointwise,
+            "curve68": (fit.emission_low68_per_nm, fit.emission_high68_per_nm),
+            "whole_in_pointwise": pointwise,
+            "simultaneous95": None if low is None or high is None else (low, high),
+        },
+    )
     mode, fwhm, peak = scalars(truth)
     energy = float(truth.sum())
     reflectance = float(np.interp(LASER_NM, NM, case.paint.reflectance))
@@ -196,7 +262,7 @@ def rgb(case: Case, draws: Floats, truth: Floats) -> dict[str, Any]:
     }
 
 
-def run(spectra: Path, out: Path, cases: int, every: int) -> None:
+def run(spectra: Path, out: Path, cases: int, every: int, alone: bool) -> None:
     """Add the cases that the file lacks."""
     done = {(r["name"], r["case"]) for r in stored(out)}
     cameras = ["assumed", *(str(path.resolve()) for path in sorted((spectra / "cameras").glob("*.csv")))]
@@ -208,9 +274,13 @@ def run(spectra: Path, out: Path, cases: int, every: int) -> None:
             if (name, number) in done:
                 continue
             case = Case(name, number, curves, cameras)
-            fit = calibrate_paint(case.signals(name), number, priors(name))
             row: dict[str, Any] = {"name": name, "case": number, "yield": float(case.column.sum() * STEP_NM)}
-            row |= judged(case, fit) if isinstance(fit, PaintCalibration) else {"group": "no emission"}
+            row["runs_out"] = case.runs_out
+            if alone:
+                row |= judged_alone(case, case.signals(name), priors(name), number)
+            else:
+                fit = calibrate_paint(case.signals(name), number, priors(name))
+                row |= judged(case, fit) if isinstance(fit, PaintCalibration) else {"group": "no emission"}
             with out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row, default=lambda v: v.item()) + "\n")
 
@@ -262,6 +332,8 @@ def table(rows: list[dict[str, Any]]) -> str:
         cells = [clustered(c, key) for c in sets.values()]
         lines.append(f"{key:24s}" + "".join(f"{f'{mean:.3f} +- {se:.3f}':>18s}" for mean, se in cells))
     warned: dict[str, int] = {}
+    if not any("warnings" in r for r in fitted):
+        return "\n".join(lines)
     for row in fitted:
         for text in row["warnings"]:
             warned[text[-45:]] = warned.get(text[-45:], 0) + 1
@@ -279,11 +351,15 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--cases", type=int, default=1, help="paints of each fluorophore")
     parser.add_argument("--every", type=int, default=1, help="only each so many-th fluorophore")
+    parser.add_argument("--spectrum-alone", action="store_true", help="judge only the spectrum of the learned prior")
     parser.add_argument("--table", action="store_true", help="only print the table of the stored cases")
     arguments = parser.parse_args()
     if not arguments.table:
-        run(arguments.spectra, arguments.out, arguments.cases, arguments.every)
-    print(table(stored(arguments.out)))
+        run(arguments.spectra, arguments.out, arguments.cases, arguments.every, arguments.spectrum_alone)
+    rows = stored(arguments.out)
+    print(table(rows))
+    if any("runs_out" in row for row in rows):
+        print("\nof records that run out where they count:\n" + table([r for r in rows if r.get("runs_out")]))
     return 0
 
 

@@ -168,6 +168,7 @@ if TYPE_CHECKING:
         PropagatedDraws,
         Reradiation,
         SamplingMethod,
+        SessionScatter,
     )
     from data_schemas._model import Estimate, Model, Quantity, Record, explain
     from data_schemas._plain_sensor import (
@@ -526,6 +527,7 @@ __all__ = [
     "SensingError",
     "SensingRow",
     "SensorCoat",
+    "SessionScatter",
     "SignalDn",
     "SimulateError",
     "SimulatedBench",

@@ -389,6 +389,19 @@ class PriorShare(Model):
 MOSTLY_PRIOR_SHARE = 0.5
 
 
+class SessionScatter(Model):
+    """How the sessions of a paint that were combined differ: standard deviations between sessions, and each level."""
+
+    level_rel: Estimate = Field(description="relative standard deviation of the level between sessions")
+    filter_rel: Estimate = Field(description="the same of a single filter beside the level")
+    session_levels_rel: tuple[float, ...] = Field(
+        min_length=2, description="level of each session relative to the common one, in the order given"
+    )
+    departing: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        default=(), description="numbers, from 1, of sessions that depart more than the others allow (p < 0.001)"
+    )
+
+
 class PaintCalibration(Record):
     """Emission spectrum of one paint with its uncertainty.
 
@@ -398,11 +411,12 @@ class PaintCalibration(Record):
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 
-    schema_version: ClassVar[int] = 7
+    schema_version: ClassVar[int] = 8
     written_by: ClassVar[str] = "'finray fit'"
     other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
     shown: ClassVar[tuple[str, ...]] = (
         "family_title", "mode_nm", "fwhm_nm", "energy_yield", "reflectance_at_laser", "stokes_shift_nm",
+        "between_sessions_level_rel", "between_sessions_filter_rel",
     )  # fmt: skip
 
     paint_name: str
@@ -459,6 +473,10 @@ class PaintCalibration(Record):
     bands: tuple[BandResidual, ...]
     chi_square: float
     usable_values: int = Field(ge=0, description="number of band values that entered the fit")
+    between_sessions: SessionScatter | None = Field(
+        default=None,
+        description="how the sessions differ that this fit combines; none: one session, or made by an older version",
+    )
     diagnostics: Diagnostics
     warnings: tuple[str, ...] = ()
 
@@ -497,6 +515,16 @@ class PaintCalibration(Record):
     def stokes_shift_nm(self) -> Quantity:
         """Maximum of emission minus last maximum of absorption, nm; `reradiation` says whether it was measured."""
         return Quantity.of(self.reradiation.stokes_shift_nm, "nm")
+
+    @property
+    def between_sessions_level_rel(self) -> Estimate | None:
+        """Relative standard deviation of the level between the sessions combined; None of a single session."""
+        return None if self.between_sessions is None else self.between_sessions.level_rel
+
+    @property
+    def between_sessions_filter_rel(self) -> Estimate | None:
+        """Relative standard deviation of a single filter beside the level; None of a single session."""
+        return None if self.between_sessions is None else self.between_sessions.filter_rel
 
     def propagate(self, function: Callable[[Floats], ArrayLike]) -> PropagatedDraws:
         """Carry the posterior of the emission through a function of the user.

@@ -47,7 +47,7 @@ from data_schemas.storage import write_record as write_stored
 from finray_calib._given_records import PathLike, digests_of, given, made
 
 if TYPE_CHECKING:
-    from data_schemas import ColourCheckerMatch
+    from data_schemas import ColourCheckerMatch, SessionScatter
     from finray_calib.lineage import Traced
     from rigs import OpenRig
 
@@ -304,9 +304,9 @@ def fit_paint(
     FitError
         The signals do not allow a fit.
     """
-    from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint
+    from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint, departing_warnings
 
-    signals, files, warnings = _of_sessions(bands)
+    signals, files, scatter = _of_sessions(bands)
     others = [given(other, BandSignals) for other in other_lights]
     files += [file for _, read in others for file in read]
     options = FitOptions(
@@ -317,8 +317,9 @@ def fit_paint(
     match = None if room_light is None else _room_light_match(Path(room_light), signals)
     with naming(FitError, *files):
         paint = calibrate_paint(signals, seed, options, [other for other, _ in others], match)
-    if warnings and isinstance(paint, PaintCalibration):
-        paint = paint.model_copy(update={"warnings": (*paint.warnings, *warnings)})
+    if scatter is not None and isinstance(paint, PaintCalibration):
+        warnings_of_all = (*paint.warnings, *departing_warnings(scatter))
+        paint = paint.model_copy(update={"between_sessions": scatter, "warnings": warnings_of_all})
     if room_light is not None:
         from rigs.capture import SESSION_NAME
 
@@ -328,19 +329,19 @@ def fit_paint(
 
 def _of_sessions(
     bands: BandSignals | PathLike | Sequence[BandSignals | PathLike],
-) -> tuple[BandSignals, list[Path], tuple[str, ...]]:
-    """Return the band signals of one session, or those that several share, the files, and warnings."""
+) -> "tuple[BandSignals, list[Path], SessionScatter | None]":
+    """Return the band signals of one session, or those that several share, the files, and how they differ."""
     if isinstance(bands, BandSignals | str | os.PathLike):
-        return *given(bands, BandSignals), ()
-    from finray_calib.fit import combine_sessions, departing_warnings
+        return *given(bands, BandSignals), None
+    from finray_calib.fit import combine_sessions
 
     read = [given(one, BandSignals) for one in bands]
     files = [file for _, of_one in read for file in of_one]
     if len(read) == 1:
-        return read[0][0], files, ()
+        return read[0][0], files, None
     with naming(FitError, *files):
         together, scatter = combine_sessions([one for one, _ in read])
-    return together, files, departing_warnings(scatter)
+    return together, files, scatter
 
 
 def _room_light_match(folder: Path, bands: BandSignals) -> "ColourCheckerMatch":

@@ -429,6 +429,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("CaptureSession", 5): _as_it_is,
     ("CameraSession", 5): _as_it_is,
     ("AcceptanceReport", 5): _as_it_is,
+    # how sessions that were combined differ; none: one session, or not known
+    ("PaintCalibration", 7): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

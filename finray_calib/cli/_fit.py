@@ -17,8 +17,8 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import BandSignals, PaintCalibration, PaintMap, PaintWithoutEmission
-    from finray_calib.fit import BudgetRow, SessionScatter
+    from data_schemas import BandSignals, PaintCalibration, PaintMap, PaintWithoutEmission, SessionScatter
+    from finray_calib.fit import BudgetRow
 
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"

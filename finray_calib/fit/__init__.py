@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     )
     from finray_calib.fit._pixel_maps import PixelSpread, map_paint, map_pixels
     from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, AbsorptionPrior, Discrepancy, EmissionPrior
-    from finray_calib.fit._repeated_sessions import SessionScatter, combine_sessions, departing_warnings
+    from finray_calib.fit._repeated_sessions import combine_sessions, departing_warnings
     from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE
     from finray_calib.fit._uncertainty_budget import BUDGETED, BudgetRow, uncertainty_budget
 else:
@@ -98,7 +98,6 @@ __all__ = [
     "NextFilter",
     "PixelSpread",
     "SamplerSettings",
-    "SessionScatter",
     "Summary",
     "autocorrelation_time",
     "band_data",

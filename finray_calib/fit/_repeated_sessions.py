@@ -24,7 +24,6 @@ Patterson, Thompson, Recovery of inter-block information when block sizes are un
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -32,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import chi2, norm
 
-from data_schemas import BandSignals, Estimate, FitError
+from data_schemas import BandSignals, Estimate, FitError, SessionScatter
 
 Floats = NDArray[np.float64]
 
@@ -40,28 +39,6 @@ LEVEL_SCALE, FILTER_SCALE = 0.03, 0.01
 """Scales of the half-Cauchy priors of the relative standard deviations between sessions: of the level, of a filter."""
 DEPARTS_P: Final = 0.001
 _LEVELS, _FILTERS = np.geomspace(3e-4, 1.0, 28), np.geomspace(3e-4, 0.3, 20)
-
-
-@dataclass(frozen=True, slots=True)
-class SessionScatter:
-    """How the sessions of a paint differ.
-
-    Attributes
-    ----------
-    level_rel
-        Relative standard deviation of the level between sessions.
-    filter_rel
-        The same of a single filter beside the level.
-    session_levels_rel
-        Level of each session relative to the common one, in the order given.
-    departing
-        Numbers, from 1, of sessions that depart from the others more than the others allow (p < 0.001).
-    """
-
-    level_rel: Estimate
-    filter_rel: Estimate
-    session_levels_rel: tuple[float, ...]
-    departing: tuple[int, ...]
 
 
 def combine_sessions(sessions: Sequence[BandSignals]) -> tuple[BandSignals, SessionScatter]:
@@ -246,7 +223,12 @@ class _Common:
         ]
         number = len(self._y)
         departing = [i + 1 for i in range(number) if number > 2 and self._departs(i)]
-        return SessionScatter(self._level, self._filter, tuple(levels), tuple(departing))
+        return SessionScatter(
+            level_rel=self._level,
+            filter_rel=self._filter,
+            session_levels_rel=tuple(levels),
+            departing=tuple(departing),
+        )
 
     def _departs(self, one: int) -> bool:
         """Whether a session lies outside of what the others predict of it, at the upper ends of their scatter."""

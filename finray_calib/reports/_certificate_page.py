@@ -22,6 +22,7 @@ from data_schemas import (
     CertificateDetails,
     CertifiedName,
     DeviceIdentity,
+    Estimate,
     PaintCalibration,
     package_version,
 )
@@ -30,7 +31,7 @@ from finray_calib.fit import BudgetRow
 from finray_calib.reports._fit_figures import budget_figure, emission_readings
 from finray_calib.reports._fit_statements import BUDGET_NAMES, budget_table
 from finray_calib.reports._page import KeyNumber, Light, ReportTable, drawing, one_group, render_page
-from finray_calib.reports._plain_text import NO_VALUE, decimals_for, fixed, plain, probability, unbroken
+from finray_calib.reports._plain_text import NO_VALUE, decimals_for, fixed, percent, plain, probability, unbroken
 from finray_calib.reports._style import BLUE, HAIRLINE, MUTED, SKY, ReadableFigure, new_figure, readable, styled
 
 TEMPLATE: Final = "certificate.html.j2"
@@ -277,7 +278,23 @@ def _method(paint: PaintCalibration) -> str:
     return (
         f"A Bayer camera photographed the sample under a laser of {optics.laser.wavelength_nm:g} nm, and the white "
         f"reference under lamp and laser, through filters at {bands} nm. The emission is the Bayesian posterior of "
-        f"{paint.usable_values} ratios of signals under {_basis(paint)}."
+        f"{paint.usable_values} ratios of signals under {_basis(paint)}.{_sessions(paint)}"
+    )
+
+
+def _sessions(paint: PaintCalibration) -> str:
+    """Say how the sessions differ that a paint's fit combines; nothing of a fit of one session."""
+    if paint.between_sessions is None:
+        return ""
+    scatter = paint.between_sessions
+
+    def told(of: Estimate) -> str:
+        return f"{percent(of.estimate)} [{percent(of.low95)}, {percent(of.high95)}]"
+
+    return (
+        f" {len(scatter.session_levels_rel)} sessions were combined; between them the standard deviation is "
+        f"{told(scatter.level_rel)} of the level and {told(scatter.filter_rel)} of a single filter beside it (95 %), "
+        "and the uncertainties contain it."
     )
 
 

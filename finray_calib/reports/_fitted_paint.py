@@ -170,6 +170,7 @@ def fit_summary(paint: FittedPaint) -> Json:
         **_truth(paint),
         "spectrum_from": fit.spectrum_from or fit.family_title,
         "prior_shares": {name: share.model_dump(mode="json") for name, share in fit.prior_shares.items()},
+        "between_sessions": None if fit.between_sessions is None else fit.between_sessions.model_dump(mode="json"),
         "family": fit.family,
         "family_choice": fit.family_choice,
         "families": {family.name: _family(family) for family in paint.competing},

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import CERTIFIED, CertificateDetails, provenance
+from data_schemas import CERTIFIED, CertificateDetails, SessionScatter, provenance
 from data_schemas.storage import sha256_of, write_record
 from finray_calib.acceptance import certified_results
 from finray_calib.cli.main import main
@@ -127,6 +127,16 @@ def test_the_budget_stands_on_the_page_and_adds_up():
     assert re.search(r"together.*?100\.0\s%", table, re.DOTALL)
     assert "Stokes" not in table[: table.index("</table>")]
     assert re.search(r"50\.0\s%", table)
+
+
+def test_scatter_of_combined_sessions_stands_on_the_certificate():
+    alone = example().model_copy(update={"between_sessions": None})
+    off = alone.energy_yield.model_copy(update={"estimate": 0.0213, "low95": 0.003, "high95": 0.083})
+    scatter = SessionScatter(level_rel=off, filter_rel=off, session_levels_rel=(0.01, -0.01, 0.0))
+    paint = alone.model_copy(update={"between_sessions": scatter})
+    assert "sessions were combined" not in certificate_page(certificate(), alone)
+    told = certificate_page(certificate(), paint)
+    assert re.search(r"3 sessions were combined; .*2\.1\s%\s\[0\.3\s%,\s8\.3\s%\] of the level", told)
 
 
 def test_pdf_is_one_sheet_and_repeats():

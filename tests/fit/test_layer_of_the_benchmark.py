@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.fluorescent_layer import NM, SLICES, Layer, paint, stokes_shifts_nm, transport
+from benchmarks.paints_of_dyes import OUT_NM, runs_out
 
 
 def bell(center_nm, width_nm):
@@ -45,3 +46,17 @@ def test_stokes_shift_counts_from_the_last_maximum():
     assert last == pytest.approx(40, abs=1)
     assert largest == pytest.approx(140, abs=1)
     assert stokes_shifts_nm(NM, bell(400, 10) + 0.2 * bell(500, 15), bell(540, 20))[0] == pytest.approx(140, abs=1)
+
+
+def test_records_that_stop_where_they_count_are_told_apart():
+    nm = np.arange(400.0, 801.0, 5.0)
+    excitation, emission = (np.exp(-0.5 * ((nm - at) / 25) ** 2) for at in (480.0, 560.0))
+
+    def whole(excitation, emission):
+        return runs_out(nm, excitation, emission, np.interp(OUT_NM, nm, emission))
+
+    assert whole(excitation, emission)
+    assert not whole(excitation, np.where(nm > 610, 0.0, emission))  # the record ends at a seventh of the peak
+    assert whole(excitation, np.where(nm > 630, 0.0, emission))  # at 2 %: below what is judged
+    assert not whole(np.where(nm > 520, 0.0, excitation), emission)
+    assert not whole(excitation, np.where(nm == 575, 0.01, emission))

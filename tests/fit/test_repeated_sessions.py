@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas import FitError
+from data_schemas import FitError, PaintCalibration, provenance
+from data_schemas.storage import read_record, write_record
 from finray_calib import fit_paint
 from finray_calib.fit import combine_sessions, departing_warnings
 from rigs import simulated_rig
@@ -129,7 +130,7 @@ def test_sessions_that_are_no_repeats_are_refused(session):
         combine_sessions([one, two.model_copy(update={"optics": optics})])
 
 
-def test_a_paint_of_three_sessions_is_one_calibration_that_holds_the_truth(session):
+def test_a_paint_of_three_sessions_is_one_calibration_that_holds_the_truth_and_their_scatter(session, tmp_path):
     rng = np.random.default_rng(4)
     sessions = [session(rng) for _ in range(3)]
     alone, together = fit_paint(sessions[0]), fit_paint(sessions)
@@ -139,4 +140,9 @@ def test_a_paint_of_three_sessions_is_one_calibration_that_holds_the_truth(sessi
     mode = together.parameters["mode_nm"]
     assert mode.low95 < truth.mode_nm < mode.high95
     assert alone.paint_name == together.paint_name
+    assert alone.between_sessions is None
+    scatter = combine_sessions(sessions)[1]
+    path = write_record(together, tmp_path / "paint.json", provenance("finray fit"))
+    assert read_record(path, PaintCalibration).between_sessions == scatter
+    assert f"between_sessions_level_rel: {scatter.level_rel}" in str(together)
     assert fit_paint([sessions[0]]).energy_yield == alone.energy_yield
