@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from data_schemas import CameraCalibration, SimulateError
-from sim.optics._band_paths import BandPaths, band_paths, first_texel
+from sim.optics._band_paths import BandPaths, Vertex, band_paths, first_texel, follow
 from sim.optics._mirror_guide import GUIDE_CHANCE
 from sim.optics._optical_layout import camera_pose
 from sim.optics._paint_bands import BAND_NAMES
 from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP, WALLS, WallLight, last_band, wall_map
-from sim.optics._panel_light import FROM_SURFACE, state_after
-from sim.optics._path_rules import LARGEST_SURVIVAL, MAX_DEPTH, ROULETTE_DEPTH, LookupTable, cell_at
+from sim.optics._panel_light import FROM_EYE, FROM_SURFACE
+from sim.optics._path_rules import LookupTable, cell_at
 from sim.optics._pixel_maps import camera_rays
 from sim.optics._position_map import PositionMap
 from sim.optics._scene import LoadedScene
@@ -52,8 +52,8 @@ _BELOW_MM = 0.3
 _BESIDE_MM = 7e-3
 # what arrives is known at places this far apart, linear between them
 _PLACE_MM = (1.5, 2.5)
-# a place is served by the nodes around it, across and along the pad: the face blurs what it sends back over 12 mm
-_REACH_MM = np.array([7.0, 12.0])
+# a place is served by the nodes around it, across and along the pad: at the ends of the pad more would be extrapolated
+_REACH_MM = np.array([6.0, 8.0])
 _HEIGHT_PRIOR = 1e-6
 # directions are told apart by their height over the coat, rows per unit of its cosine, and by their turn
 _ROWS, _TURNS = 16, 36
@@ -65,6 +65,8 @@ _BEFORE_WALL_MM = 0.05
 # share of the points on a wall that are drawn evenly up it: weights stay bounded on facets that lean to the wall
 _EVENLY = 0.25
 _SMALLEST_MM = 1e-3
+# chance that paths to the panels by the mirror follow the guide
+_GUIDED = 0.8
 # the coat is seen through the inner face, and once more in what that reflects to the mirror
 _SIGHTS = 2
 _MOST_PATHS = 1 << 21
@@ -82,10 +84,13 @@ class GatherCounts:
         Directions, of some 600, from which it weights what arrives.
     points
         Points drawn on each wall, and on the panels.
+    mirrored
+        Paths to the panels by mirror and faces.
     """
 
     directions: int = 288
     points: int = 4
+    mirrored: int = 8
 
 
 class LitWalls:
@@ -291,9 +296,11 @@ class SharedGathers:
         shifts = LookupTable(rng.random((self.nodes.count * batches, 4)), mi).row(group)
         numbers = [_spread(shifts[k], lane - group * rays, step) for k, step in enumerate(_STEPS_4)]
         si = self.nodes.seen(self.finger.scene, group - batch * nodes)
-        direction, density = self._drawn(si, numbers)
+        direction, density = self.drawn(si, numbers, GUIDE_CHANCE)
         ray = si.spawn_ray(direction)
-        found = _follow(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
+        self.batch_of_lane = batch + first
+        arriving = _Arriving(self, batch + first)
+        found, _ = follow(self.paths, arriving, self.finger.scene, sampler, ray, FROM_EYE, True)  # type: ignore[no-untyped-call]
         found = [dr.select(density > 0.0, value / density, 0.0) for value in found]
         dr.eval(direction, found)
         light = np.stack([np.array(value) for value in found], axis=-1)
@@ -308,8 +315,8 @@ class SharedGathers:
             channels[:, k] = np.bincount(cell, weights=light[:, k] / RAYS, minlength=size)
         return np.asarray(self.nodes.weights @ channels.reshape(self.nodes.count, -1))
 
-    def _drawn(self, si: Any, numbers: Sequence[Any]) -> tuple[Any, Any]:
-        """Return directions from nodes, drawn as the coat reflects and along the guide, and their density."""
+    def drawn(self, si: Any, numbers: Sequence[Any], guided: float) -> tuple[Any, Any]:
+        """Return directions from the coat, drawn as it reflects and, with a chance, by the guide; their density."""
         bsdf, context, guide = si.bsdf(), mi.BSDFContext(), self.paths.guide
         spot = mi.Point2f(numbers[0], numbers[1])
         sample, _ = bsdf.sample(context, si, numbers[2], spot)
@@ -317,7 +324,7 @@ class SharedGathers:
         if guide is None:
             return way, bsdf.pdf(context, si, si.to_local(way))
         lobes = guide.lobes(si, mi.Bool(True))
-        chance = dr.select(guide.known(lobes), GUIDE_CHANCE, 0.0)
+        chance = dr.select(guide.known(lobes), guided, 0.0)
         way = dr.select(numbers[3] < chance, guide.direction(lobes, numbers[2], spot), way)
         usual = bsdf.pdf(context, si, si.to_local(way))
         return way, usual + chance * (guide.density(lobes, way) - usual)
@@ -471,53 +478,79 @@ def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, no
     return weights
 
 
-@dr.syntax
-def _follow(gathers, scene, sampler, ray, batch):  # type: ignore[no-untyped-def]
-    """Return what arrives along rays from the coat, per channel, but for what comes straight from walls and panels."""
-    paths, walls, ray = gathers.paths, gathers.walls, mi.Ray3f(ray)
-    throughput: Any = mi.Color3f(1)
-    sums = [mi.Float(0) for _ in gathers.chains]
-    depth, eta, active = mi.UInt32(0), mi.Float(1), mi.Bool(True)
-    state, straight = mi.UInt32(FROM_SURFACE), mi.Bool(True)
-    gathers.batch_of_lane = batch
-    while dr.hint(active, max_iterations=MAX_DEPTH):
-        si = scene.ray_intersect(ray, active)
-        active &= si.is_valid()
-        front = mi.Frame3f.cos_theta(si.wi) > 0
-        sums[2] += dr.select(active & front, throughput.z * paths.panel_met(si, state), 0)
-        is_green = si.shape == paths.green
-        on_wall = active & front & (is_green | (si.shape == paths.red))
-        glow = walls.at(si, is_green, batch, on_wall & ~straight)
-        for k in range(len(sums)):
-            sums[k] += dr.select(on_wall & ~straight, throughput[gathers.band_of[k]] * glow[k], 0)
-        active &= ~on_wall & ((depth + 1) < MAX_DEPTH)
-        on_coat = active & ~front & (si.shape == paths.coat)
-        seen, direction, weight = paths.connect(scene, si, sampler.next_2d(on_coat), on_coat)
-        bsdf = si.bsdf(ray)
-        value, chosen, onward, usual, guided = paths.scatter(si, bsdf, sampler, direction, on_coat, active)
-        sums[2] += dr.select(seen, throughput.z * value.z * weight, 0)
-        numbers = [sampler.next_1d(on_coat) for _ in range(6)]
-        lit = gathers.straight(scene, si, bsdf, numbers, on_coat)
-        for k in range(len(sums)):
-            sums[k] += dr.select(on_coat, throughput[gathers.band_of[k]] * lit[k], 0)
-        smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
-        transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
-        carried_usually = dr.max(throughput * usual)
-        throughput *= guided
-        on_inner = si.shape == paths.inner
-        if dr.hint(paths.face.film is not None, mode="scalar"):
-            throughput *= dr.select(on_inner & smooth, paths.film_factor(si, transmitted), 1)
-        eta *= dr.select(smooth, chosen.eta, 1.0)
-        state = state_after(state, smooth, transmitted & on_inner & ~front)
-        straight = on_coat
-        ray = si.spawn_ray(onward)
-        depth += 1
-        active &= dr.max(throughput) > 0
-        survival = dr.minimum(carried_usually * eta * eta, LARGEST_SURVIVAL)
-        survival = dr.select((depth >= ROULETTE_DEPTH) & ~smooth, survival, 1.0)
-        active &= sampler.next_1d(active) < survival
-        throughput /= survival
-    return sums
+class _Arriving:
+    """What arrives along rays from the coat, per channel, but for what comes straight from walls and from panels.
+
+    Paths start in the state FROM_EYE: they are in it until they meet a surface that is not smooth.
+    """
+
+    ends_at, first, spares_smooth = 1, None, True
+
+    def __init__(self, gathers: SharedGathers, batch: Any) -> None:
+        self.gathers, self.paths, self.batch = gathers, gathers.paths, batch
+
+    def start(self) -> list[Any]:
+        return [mi.Float(0) for _ in self.gathers.chains]
+
+    def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
+        si, is_green, on_wall = vertex.si, vertex.is_green, vertex.on_wall
+        lit = vertex.active & si.is_valid() & (mi.Frame3f.cos_theta(si.wi) > 0)
+        lit &= state != FROM_EYE
+        led = sums[2] + dr.select(lit, throughput.z * self.paths.panel_met(si, state), 0)
+        # what comes straight from a wall to the coat has been found by points drawn on the wall
+        here = on_wall & (state != FROM_SURFACE) & (vertex.depth > 0)
+        glow = self.gathers.walls.at(si, is_green, self.batch, here)
+        carried = [dr.select(here, throughput[b] * glow[k], 0) for k, b in enumerate(self.gathers.band_of)]
+        return [old + new for old, new in zip([*sums[:2], led, *sums[3:]], carried, strict=True)]
+
+    def aim(self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, sampler: Any) -> Any:
+        on_coat = vertex.on_coat
+        return sums, self.paths.connect(scene, vertex.si, sampler.next_2d(on_coat), on_coat)
+
+    def scattered(
+        self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, led: Any, sampler: Any
+    ) -> list[Any]:
+        numbers = [sampler.next_1d(vertex.on_coat) for _ in range(6)]
+        lit = self.gathers.straight(scene, vertex.si, bsdf, numbers, vertex.on_coat)
+        straight = [dr.select(vertex.on_coat, throughput[b] * lit[k], 0) for k, b in enumerate(self.gathers.band_of)]
+        return [old + new for old, new in zip([*sums[:2], sums[2] + led, *sums[3:]], straight, strict=True)]
+
+
+class _BySmoothFaces:
+    """The panels' light that comes to the coat by smooth surfaces only, but for what comes straight."""
+
+    ends_at, first, spares_smooth = 2, None, True
+
+    def __init__(self, paths: BandPaths) -> None:
+        self.paths = paths
+
+    def start(self) -> list[Any]:
+        return [mi.Float(0)]
+
+    def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
+        here = vertex.active & vertex.si.is_valid() & (mi.Frame3f.cos_theta(vertex.si.wi) > 0)
+        return [sums[0] + dr.select(here, throughput.z * self.paths.panel_met(vertex.si, state), 0)]
+
+    def aim(self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, sampler: Any) -> Any:
+        return sums, None
+
+    def scattered(
+        self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, led: Any, sampler: Any
+    ) -> list[Any]:
+        return sums
+
+
+def _mirrored_light(
+    gathers: SharedGathers, scene: Any, sampler: Any, si: Any, shift: Sequence[Any], number: Any, active: Any
+) -> Any:
+    """Return what one path to the panels by mirror and faces brings to the camera."""
+    numbers = [_spread(shift[k], number, step) for k, step in zip((3, 5, 6, 7), _STEPS_4, strict=True)]
+    way, density = gathers.drawn(si, numbers, _GUIDED)
+    value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(way), active)
+    here = active & (density > 0.0) & (value.z > 0.0)
+    ray, light = si.spawn_ray(way), _BySmoothFaces(gathers.paths)
+    found, _ = follow(gathers.paths, light, scene, sampler, ray, FROM_SURFACE, here)  # type: ignore[no-untyped-call]
+    return dr.select(here, value.z * found[0] / density, 0)
 
 
 def _straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
@@ -547,15 +580,22 @@ def _shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number:
 
 
 @dr.syntax
-def _coat_radiance(gathers, scene, si, shift, active):  # type: ignore[no-untyped-def]
+def _coat_radiance(gathers, scene, sampler, si, shift, active):  # type: ignore[no-untyped-def]
     """Return the radiance of points of the coat, per channel."""
     sums = [mi.Float(0) for _ in gathers.chains]
-    points, directions = (dr.opaque(mi.UInt32, n) for n in (gathers.counts.points, gathers.counts.directions))
+    counts = gathers.counts
+    points, mirrored, directions = (
+        dr.opaque(mi.UInt32, n) for n in (counts.points, counts.mirrored, counts.directions)
+    )
     number = mi.UInt32(0)
     while active & (number < points):
         found = _straight_light(gathers, scene, si, shift, number, active)
         for k in range(len(sums)):
             sums[k] += found[k] / gathers.counts.points
+        number += 1
+    number = mi.UInt32(0)
+    while active & (number < mirrored):
+        sums[2] += _mirrored_light(gathers, scene, sampler, si, shift, number, active) / gathers.counts.mirrored
         number += 1
     number = mi.UInt32(0)
     while active & (number < directions):
@@ -575,7 +615,7 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
         sight = _Sight.along(gathers, scene, rest)
         glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
         shift = [sampler.next_1d() for _ in range(8)]
-        lit = _coat_radiance(gathers, scene, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
+        lit = _coat_radiance(gathers, scene, sampler, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
         for k in range(len(sums)):
             met = dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0))
             sums[k] += weight * sight.through * met
