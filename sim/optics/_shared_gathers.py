@@ -258,7 +258,7 @@ class SharedGathers:
         """Return texture coordinates (n, 2) and last legs (n, 3) of the camera's rays that meet the coat."""
         design, scene = self.finger.design, self.finger.scene
         directions = np.ascontiguousarray(camera_rays(design, calibration).reshape(-1, 3).T, dtype=np.float32)
-        sight = _Sight.along(
+        sight = Sight.along(
             self, scene, mi.Ray3f(mi.Point3f(camera_pose(design).centre_mm.tolist()), mi.Vector3f(directions))
         )
         uv, leg = sight.si.uv, -sight.si.to_world(sight.si.wi)
@@ -299,12 +299,17 @@ class SharedGathers:
         direction, density = self.drawn(si, numbers, GUIDE_CHANCE)
         ray = si.spawn_ray(direction)
         self.batch_of_lane = batch + first
-        arriving = _Arriving(self, batch + first)
-        found, _ = follow(self.paths, arriving, self.finger.scene, sampler, ray, FROM_EYE, True)  # type: ignore[no-untyped-call]
+        found = self.arriving_along(ray, sampler, mi.Bool(True))
         found = [dr.select(density > 0.0, value / density, 0.0) for value in found]
         dr.eval(direction, found)
         light = np.stack([np.array(value) for value in found], axis=-1)
         return direction.numpy().T.reshape(batches, -1, 3), light.reshape(batches, -1, len(found))
+
+    def arriving_along(self, ray: Any, sampler: Any, active: Any) -> list[Any]:
+        """Return the light that is shared, per channel, as it arrives along rays from the coat."""
+        arriving = ArrivingLight(self, self.batch_of_lane)
+        found, _ = follow(self.paths, arriving, self.finger.scene, sampler, ray, FROM_EYE, active)  # type: ignore[no-untyped-call]
+        return list(found)
 
     def _arriving(self, drawn: Floats32, light: Floats32) -> Floats32:
         """Return what arrives at the places in one batch, (place, bin, channel), padded to whole packets."""
@@ -478,7 +483,7 @@ def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, no
     return weights
 
 
-class _Arriving:
+class ArrivingLight:
     """What arrives along rays from the coat, per channel, but for what comes straight from walls and from panels.
 
     Paths start in the state FROM_EYE: they are in it until they meet a surface that is not smooth.
@@ -516,7 +521,7 @@ class _Arriving:
         return [old + new for old, new in zip([*sums[:2], sums[2] + led, *sums[3:]], straight, strict=True)]
 
 
-class _BySmoothFaces:
+class MirroredLight:
     """The panels' light that comes to the coat by smooth surfaces only, but for what comes straight."""
 
     ends_at, first, spares_smooth = 2, None, True
@@ -540,7 +545,7 @@ class _BySmoothFaces:
         return sums
 
 
-def _mirrored_light(
+def mirrored_light(
     gathers: SharedGathers, scene: Any, sampler: Any, si: Any, shift: Sequence[Any], number: Any, active: Any
 ) -> Any:
     """Return what one path to the panels by mirror and faces brings to the camera."""
@@ -548,12 +553,12 @@ def _mirrored_light(
     way, density = gathers.drawn(si, numbers, _GUIDED)
     value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(way), active)
     here = active & (density > 0.0) & (value.z > 0.0)
-    ray, light = si.spawn_ray(way), _BySmoothFaces(gathers.paths)
+    ray, light = si.spawn_ray(way), MirroredLight(gathers.paths)
     found, _ = follow(gathers.paths, light, scene, sampler, ray, FROM_SURFACE, here)  # type: ignore[no-untyped-call]
     return dr.select(here, value.z * found[0] / density, 0)
 
 
-def _straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+def straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
     """Return what one point on each wall and one on the panels bring to the camera, per channel."""
     bsdf = si.bsdf()
     x = [_spread(shift[k], number, _STEPS_4[k % 4]) for k in range(8)]
@@ -564,7 +569,7 @@ def _straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence
     return lit
 
 
-def _shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
     """Return what light from some of the directions brings to the camera, per channel: all together at each number."""
     bins, packets = gathers.bins, gathers.walls.packets
     # evenly spread over the bins, from a random start
@@ -589,17 +594,17 @@ def _coat_radiance(gathers, scene, sampler, si, shift, active):  # type: ignore[
     )
     number = mi.UInt32(0)
     while active & (number < points):
-        found = _straight_light(gathers, scene, si, shift, number, active)
+        found = straight_light(gathers, scene, si, shift, number, active)
         for k in range(len(sums)):
             sums[k] += found[k] / gathers.counts.points
         number += 1
     number = mi.UInt32(0)
     while active & (number < mirrored):
-        sums[2] += _mirrored_light(gathers, scene, sampler, si, shift, number, active) / gathers.counts.mirrored
+        sums[2] += mirrored_light(gathers, scene, sampler, si, shift, number, active) / gathers.counts.mirrored
         number += 1
     number = mi.UInt32(0)
     while active & (number < directions):
-        found = _shared_light(gathers, si, shift, number, active)
+        found = shared_light(gathers, si, shift, number, active)
         for k in range(len(sums)):
             sums[k] += found[k]
         number += 1
@@ -612,7 +617,7 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
     rest, weight = ray, mi.Float(1)
     sums = [mi.Float(0) for _ in gathers.chains]
     for _ in range(_SIGHTS):
-        sight = _Sight.along(gathers, scene, rest)
+        sight = Sight.along(gathers, scene, rest)
         glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
         shift = [sampler.next_1d() for _ in range(8)]
         lit = _coat_radiance(gathers, scene, sampler, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
@@ -632,7 +637,7 @@ def _spread(shift: Any, number: Any, step: float) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sight:
+class Sight:
     """How rays from the camera go by the mirror through the inner face, and what is left for the path tracer.
 
     Attributes
@@ -658,7 +663,7 @@ class _Sight:
     rest_weight: Any
 
     @classmethod
-    def along(cls, gathers: SharedGathers, scene: Any, ray: Any) -> "_Sight":
+    def along(cls, gathers: SharedGathers, scene: Any, ray: Any) -> "Sight":
         """Follow rays."""
         paths, context = gathers.paths, mi.BSDFContext()
         ray = mi.Ray3f(ray)
