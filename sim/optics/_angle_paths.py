@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, LightPanel
-from sim.optics._band_paths import Vertex, WallGlow, WallTexels, band_paths, follow
+from sim.optics._band_paths import PathLight, Vertex, WallGlow, WallTexels, band_paths, follow
 from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP
 from sim.optics._panel_light import DIRECT, FROM_EYE, FROM_START, FROM_SURFACE, STRAIGHT_OUT, PosedPanel
 from sim.optics._path_rules import LIFT_MM, NEWTON_STEPS, SMALLEST_COS_AIR, Tally, even_points
@@ -212,13 +212,13 @@ class AnglePaths:
         return reached, in_gel, weight, outside, dr.select(hit.is_valid(), hit.t, dr.inf)
 
 
-class _LightOfAngles:
+class _LightOfAngles(PathLight):
     """The LED radiance of every angle; the walls are told what has met them.
 
     The sums hold the radiance of each angle, then where no panel in that pose has been met yet.
     """
 
-    ends_at, spares_smooth = 0, False
+    spares_smooth = False
 
     def __init__(self, tracer: AnglePaths, walls: WallTexels | WallGlow, first: Any = None) -> None:
         self.tracer, self.walls, self.first = tracer, walls, first
@@ -251,11 +251,6 @@ class _LightOfAngles:
                 here, sent = seen[number]
                 led[k] = led[k] + dr.select(reached & free[k] & here, value * sent, 0)
         return led + free, None
-
-    def scattered(
-        self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, led: Any, sampler: Any
-    ) -> list[Any]:
-        return sums
 
 
 Floats32 = NDArray[np.float32]

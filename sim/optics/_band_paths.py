@@ -9,7 +9,7 @@ written in Python do not run in scalar variants, which use Mitsuba's own ``path`
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -236,7 +236,7 @@ class Vertex(NamedTuple):
     depth: Any
 
 
-class PathLight(Protocol):
+class PathLight:
     """What :func:`follow` adds up along paths: sums that it hands on, and which paths it lets go on.
 
     Attributes
@@ -249,25 +249,29 @@ class PathLight(Protocol):
         Whether chance ends no path between smooth faces.
     """
 
-    ends_at: int
-    first: Any
-    spares_smooth: bool
+    ends_at: int = 0
+    first: Any = None
+    spares_smooth: bool = True
 
     def start(self) -> list[Any]:
         """Return the sums before the first surface."""
+        return [mi.Float(0)]
 
     def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
         """Return the sums after the light of panels and walls that rays have met."""
+        raise NotImplementedError
 
     def aim(
         self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, sampler: Any
     ) -> tuple[list[Any], tuple[Any, Any, Any] | None]:
-        """Return the sums, and (seen, direction, weight) of a point of a panel if it is left to the loop's material."""
+        """Return the sums, and (seen, direction, weight) of a point of a panel whose light the loop scatters."""
+        return sums, None
 
     def scattered(
         self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, led: Any, sampler: Any
     ) -> list[Any]:
-        """Return the sums after the panels' light, as it leaves the vertex, and what else is aimed at."""
+        """Return the sums after the panel's light, as it leaves the vertex, and what else is aimed at."""
+        return sums
 
 
 @dr.syntax
@@ -324,10 +328,8 @@ def follow(paths, light, scene, sampler, ray, start, active):  # type: ignore[no
     return sums, valid
 
 
-class _ChainLight:
+class _ChainLight(PathLight):
     """The light of each chain: the panels', then all chains of the red wall, then those of the green one."""
-
-    ends_at, first, spares_smooth = 0, None, True
 
     def __init__(self, paths: BandPaths) -> None:
         self.paths = paths
@@ -355,6 +357,19 @@ class _ChainLight:
         self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, led: Any, sampler: Any
     ) -> list[Any]:
         return [sums[0] + led, *sums[1:]]
+
+
+class MirroredLight(PathLight):
+    """The panels' light that comes to the coat by smooth surfaces only, but for what comes straight."""
+
+    ends_at = 2
+
+    def __init__(self, paths: BandPaths) -> None:
+        self.paths = paths
+
+    def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
+        here = vertex.active & vertex.si.is_valid() & (mi.Frame3f.cos_theta(vertex.si.wi) > 0)
+        return [sums[0] + dr.select(here, throughput.z * self.paths.panel_met(vertex.si, state), 0)]
 
 
 Floats = NDArray[np.float64]

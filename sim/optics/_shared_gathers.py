@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from data_schemas import CameraCalibration, SimulateError
-from sim.optics._band_paths import BandPaths, Vertex, band_paths, first_texel, follow
+from sim.optics._band_paths import BandPaths, MirroredLight, PathLight, Vertex, band_paths, first_texel, follow
 from sim.optics._mirror_guide import GUIDE_CHANCE
 from sim.optics._optical_layout import camera_pose
 from sim.optics._paint_bands import BAND_NAMES
@@ -483,13 +483,13 @@ def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, no
     return weights
 
 
-class ArrivingLight:
+class ArrivingLight(PathLight):
     """What arrives along rays from the coat, per channel, but for what comes straight from walls and from panels.
 
     Paths start in the state FROM_EYE: they are in it until they meet a surface that is not smooth.
     """
 
-    ends_at, first, spares_smooth = 1, None, True
+    ends_at = 1
 
     def __init__(self, gathers: SharedGathers, batch: Any) -> None:
         self.gathers, self.paths, self.batch = gathers, gathers.paths, batch
@@ -519,30 +519,6 @@ class ArrivingLight:
         lit = self.gathers.straight(scene, vertex.si, bsdf, numbers, vertex.on_coat)
         straight = [dr.select(vertex.on_coat, throughput[b] * lit[k], 0) for k, b in enumerate(self.gathers.band_of)]
         return [old + new for old, new in zip([*sums[:2], sums[2] + led, *sums[3:]], straight, strict=True)]
-
-
-class MirroredLight:
-    """The panels' light that comes to the coat by smooth surfaces only, but for what comes straight."""
-
-    ends_at, first, spares_smooth = 2, None, True
-
-    def __init__(self, paths: BandPaths) -> None:
-        self.paths = paths
-
-    def start(self) -> list[Any]:
-        return [mi.Float(0)]
-
-    def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
-        here = vertex.active & vertex.si.is_valid() & (mi.Frame3f.cos_theta(vertex.si.wi) > 0)
-        return [sums[0] + dr.select(here, throughput.z * self.paths.panel_met(vertex.si, state), 0)]
-
-    def aim(self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, sampler: Any) -> Any:
-        return sums, None
-
-    def scattered(
-        self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, led: Any, sampler: Any
-    ) -> list[Any]:
-        return sums
 
 
 def mirrored_light(

@@ -96,7 +96,7 @@ def test_a_panel_seen_by_smooth_faces_is_found_by_the_pixel_or_shared_but_not_bo
     """With the same random numbers, paths from the coat differ by just the light that is left to the pixel."""
     import drjit as dr
 
-    from sim.optics._band_paths import follow
+    from sim.optics._band_paths import MirroredLight, follow
     from sim.optics._panel_light import FROM_EYE, FROM_SURFACE
 
     monkeypatch.setattr(gathers, "RAYS", 1)
@@ -119,7 +119,7 @@ def test_a_panel_seen_by_smooth_faces_is_found_by_the_pixel_or_shared_but_not_bo
     everything, kept = (
         led_along(gathers.ArrivingLight(shared, shared.batch), start) for start in (FROM_SURFACE, FROM_EYE)
     )
-    by_pixel = led_along(gathers.MirroredLight(shared.paths), FROM_SURFACE)
+    by_pixel = led_along(MirroredLight(shared.paths), FROM_SURFACE)
     assert (by_pixel > 0.0).sum() > 100
     assert (kept > 0.0).sum() > 100
     np.testing.assert_allclose(kept + by_pixel, everything, rtol=1e-4, atol=1e-6 * everything.max())
