@@ -52,8 +52,8 @@ _BELOW_MM = 0.3
 _BESIDE_MM = 7e-3
 # what arrives is known at places this far apart, linear between them
 _PLACE_MM = (1.5, 2.5)
-# a place is served by the nodes around it, across and along the pad: at the ends of the pad more would be extrapolated
-_REACH_MM = np.array([6.0, 8.0])
+# a place is served by the nodes around it, across and along the pad: the face blurs what it sends back over 12 mm
+_REACH_MM = np.array([7.0, 12.0])
 _HEIGHT_PRIOR = 1e-6
 # directions are told apart by their height over the coat, rows per unit of its cosine, and by their turn
 _ROWS, _TURNS = 16, 36

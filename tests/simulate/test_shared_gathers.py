@@ -107,6 +107,7 @@ def test_a_panel_seen_by_smooth_faces_is_found_by_the_pixel_or_shared_but_not_bo
     guide = open_guide(scene, design, shape, llvm)
     lit = LoadedScene(scene, design, shape, bands, llvm)
     shared = gathers.SharedGathers(lit, dark, np.zeros((1, 2, TEXELS_ALONG, TEXELS_UP, 3)), guide, 1)
+    shared.batch_of_lane = shared.batch  # one for all lanes, where the nodes had their own
 
     def led_along(light, start):
         sampler = llvm.load_dict({"type": "independent"})
