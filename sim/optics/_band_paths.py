@@ -497,7 +497,7 @@ def band_integrator(
             self, scene, sampler, ray, medium=None, active=True
         ):
             """Return the radiance of the chains along rays (called by the renderer)."""
-            return paths.sample(scene, sampler, ray, medium, active)  # type: ignore[no-untyped-call]
+            return paths.sample(scene, sampler, ray, medium, active)
 
         def aov_names(self) -> list[str]:
             """Return the names of the channels beyond the first three chains."""

@@ -601,7 +601,7 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
             met = dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0))
             sums[k] += weight * sight.through * met
         rest, weight = sight.rest, weight * sight.rest_weight
-    others, valid, further = gathers.paths.sample(scene, sampler, rest)  # type: ignore[no-untyped-call]
+    others, valid, further = gathers.paths.sample(scene, sampler, rest)
     sums = [own + weight * other for own, other in zip(sums, [others.x, others.y, others.z, *further], strict=True)]
     return mi.Color3f(sums[0], sums[1], sums[2]), valid, sums[3:]
 
