@@ -407,7 +407,7 @@ def _reflectance_seen(rig: _Rig) -> float:
     """Return the reflectance at the laser that the excitation filter shows, before any curve is known."""
     through = rig.data.weights.is_excitation[rig.data.kept]
     laser = np.where(through, rig.laser, 0.0)
-    found = float(laser @ rig.y / max(laser @ laser, 1e-300)) if laser.any() else _REFLECTANCE
+    found = float(laser @ rig.y) / float(laser @ laser) if laser.any() else _REFLECTANCE
     return float(np.clip(found, 1e-3, 1.0))
 
 

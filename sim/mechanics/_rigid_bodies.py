@@ -222,7 +222,7 @@ class FacetedBody:
     def _from_facets(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return signed distance and gradient at points near the body."""
         from_middle, _ = self._tree.query(points)
-        found = self._tree.query_ball_point(points, from_middle + self._reach_mm * (1.0 + 1e-9))
+        found: list[list[int]] = list(self._tree.query_ball_point(points, from_middle + self._reach_mm * (1.0 + 1e-9)))
         counts = np.array([len(some) for some in found])
         row = np.repeat(np.arange(len(points)), counts)
         facet = self._owner[np.concatenate(found).astype(np.int64)]
@@ -304,8 +304,8 @@ def _nearest_weights(points: FloatArray, corners: FloatArray) -> FloatArray:
     for k in range(3):
         a, b = corners[rows, (k + 1) % 3], corners[rows, (k + 2) % 3]
         inner[:, k] = np.einsum("ki,ki->k", np.cross(b - a, points - a), normal) / double
-    inside = (inner > 0.0).all(axis=1)
-    return np.where(inside[:, None], inner, best)
+    inside = np.all(inner > 0.0, axis=1, keepdims=True)
+    return np.where(inside, inner, best)
 
 
 def rotation_matrix(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:

@@ -175,11 +175,11 @@ def drawn_press(plan: DatasetPlan, press: int) -> FingerDesign:
     )
     along, across = _room_mm(plan.design.model_copy(update={"indenter": indenter}))
     place = rng.uniform(-1.0, 1.0, 2)
-    placed = {
+    placed: dict[str, Any] = {
         "position_mm": plan.design.pad.length_mm / 2.0 + along * float(place[0]),
         "across_mm": across * float(place[1]) if indenter.shape == "ball" else 0.0,
+        "path": _to_depth(indenter.path, indenter.depth_mm),
     }
-    placed["path"] = _to_depth(indenter.path, indenter.depth_mm)
     return plan.design.model_copy(update={"indenter": indenter.model_copy(update=placed)})
 
 
