@@ -222,7 +222,9 @@ class FacetedBody:
     def _from_facets(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return signed distance and gradient at points near the body."""
         from_middle, _ = self._tree.query(points)
-        found: list[list[int]] = list(self._tree.query_ball_point(points, from_middle + self._reach_mm * (1.0 + 1e-9)))
+        found = np.asarray(
+            self._tree.query_ball_point(points, from_middle + self._reach_mm * (1.0 + 1e-9)), dtype=object
+        )
         counts = np.array([len(some) for some in found])
         row = np.repeat(np.arange(len(points)), counts)
         facet = self._owner[np.concatenate(found).astype(np.int64)]
