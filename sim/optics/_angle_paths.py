@@ -24,10 +24,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, LightPanel
-from sim.optics._band_paths import PathLight, Vertex, WallGlow, WallTexels, band_paths, follow
+from sim.optics._band_paths import WallGlow, WallTexels, band_paths
 from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP
-from sim.optics._panel_light import DIRECT, FROM_EYE, FROM_START, FROM_SURFACE, STRAIGHT_OUT, PosedPanel
-from sim.optics._path_rules import LIFT_MM, NEWTON_STEPS, SMALLEST_COS_AIR, Tally, even_points
+from sim.optics._panel_light import DIRECT, FROM_EYE, FROM_START, FROM_SURFACE, STRAIGHT_OUT, PosedPanel, state_after
+from sim.optics._path_rules import (
+    LARGEST_SURVIVAL,
+    LIFT_MM,
+    MAX_DEPTH,
+    NEWTON_STEPS,
+    ROULETTE_DEPTH,
+    SMALLEST_COS_AIR,
+    Tally,
+    even_points,
+)
 from sim.optics._probes import Facets, Probes
 from sim.optics._refraction import refract_through
 from sim.surface_meshes import FingerShape
@@ -100,8 +109,10 @@ class AnglePaths:
             first = mi.Point3f(np.ascontiguousarray(spread[chunk].T, dtype=np.float32))
             group = (dr.arange(mi.UInt32, o.shape[1]) + number * _MOST_PATHS) // per_group
             walls = WallTexels(by_wall, kept_away, group, self.count)
-            ray, state = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), FROM_START if from_wall else FROM_EYE
-            found = self._followed(_LightOfAngles(self, walls, first), sampler, ray, state)
+            state = FROM_START if from_wall else FROM_EYE
+            found = _follow(  # type: ignore[no-untyped-call]
+                self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), first, walls, state
+            )
             for k, radiance in enumerate(found):
                 led.add(radiance, group * self.count + k)
             dr.eval(led.sums, by_wall.sums, kept_away.sums)
@@ -132,17 +143,12 @@ class AnglePaths:
             sampler = mi.load_dict({"type": "independent"})
             sampler.seed(int(rng.integers(2**32)), o.shape[1])
             walls = WallGlow(emitted, o.shape[1])
-            ray = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d))
-            led = self._followed(_LightOfAngles(self, walls), sampler, ray, FROM_SURFACE)
+            ray, first = mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), mi.Point3f(0.0)
+            led = _follow(self, sampler, ray, first, walls, FROM_SURFACE)  # type: ignore[no-untyped-call]
             dr.eval(led, walls.radiance.sums)
             light[chunk, :, :2] = np.array(walls.radiance.sums).reshape(-1, self.count, 2)
             light[chunk, :, 2] = np.stack([np.array(radiance) for radiance in led], axis=1)
         return light
-
-    def _followed(self, light: "_LightOfAngles", sampler: Any, ray: Any, start: int) -> list[Any]:
-        """Return the LED radiance of every angle along rays."""
-        sums, _ = follow(self.paths, light, self.scene, sampler, ray, start, True)  # type: ignore[no-untyped-call]
-        return list(sums[: self.count])
 
     def straight(
         self, origins_mm: Floats, looking: Floats, per_group: int, seed: int
@@ -212,45 +218,68 @@ class AnglePaths:
         return reached, in_gel, weight, outside, dr.select(hit.is_valid(), hit.t, dr.inf)
 
 
-class _LightOfAngles(PathLight):
-    """The LED radiance of every angle; the walls are told what has met them.
-
-    The sums hold the radiance of each angle, then where no panel in that pose has been met yet.
-    """
-
-    spares_smooth = False
-
-    def __init__(self, tracer: AnglePaths, walls: WallTexels | WallGlow, first: Any = None) -> None:
-        self.tracer, self.walls, self.first = tracer, walls, first
-
-    def start(self) -> list[Any]:
-        count = self.tracer.count
-        return [*(mi.Float(0) for _ in range(count)), *(mi.Bool(True) for _ in range(count))]
-
-    def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
-        tracer, led, free = self.tracer, sums[: self.tracer.count], sums[self.tracer.count :]
+@dr.syntax
+def _follow(  # type: ignore[no-untyped-def]
+    tracer, sampler, ray, first, walls, start
+):
+    """Follow paths; return the LED radiance of every angle and tell the walls what has met them."""
+    paths, scene = tracer.paths, tracer.scene
+    context = mi.BSDFContext()
+    ray = mi.Ray3f(ray)
+    throughput: Any = mi.Color3f(1)
+    led = [mi.Float(0) for _ in range(tracer.count)]
+    free = [mi.Bool(True) for _ in range(tracer.count)]
+    depth, eta, active = mi.UInt32(0), mi.Float(1), mi.Bool(True)
+    state = mi.UInt32(start)
+    while dr.hint(active, max_iterations=MAX_DEPTH):
+        si = scene.ray_intersect(ray, active)
         aimed_at = [(state == DIRECT) | ((state == STRAIGHT_OUT) & panel.aim.faces(ray)) for panel in tracer.panels]
-        for k, met in enumerate(tracer.met(ray, vertex.si.t)):
-            before = free[k]
-            for (here, sent), counted in zip(met, aimed_at, strict=True):
-                led[k] = led[k] + dr.select(vertex.active & before & here & ~counted, throughput.z * sent, 0)
-                free[k] = free[k] & ~here
-        self.walls.met(vertex.si, vertex.is_green, throughput, free, vertex.on_wall)
-        return led + free
-
-    def aim(self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, sampler: Any) -> Any:
-        tracer, si, context = self.tracer, vertex.si, mi.BSDFContext()
-        led, free = sums[: tracer.count], sums[tracer.count :]
-        can_connect = vertex.active & (vertex.on_wall | vertex.on_coat)
-        for number, panel in enumerate(tracer.panels):
+        met = tracer.met(ray, si.t)
+        for k in range(tracer.count):
+            for (here, sent), counted in zip(met[k], aimed_at, strict=True):
+                led[k] += dr.select(active & free[k] & here & ~counted, throughput.z * sent, 0)
+            for here, _ in met[k]:
+                free[k] &= ~here
+        active &= si.is_valid()
+        front = mi.Frame3f.cos_theta(si.wi) > 0
+        is_red, is_green = si.shape == paths.red, si.shape == paths.green
+        on_wall = active & front & (is_red | is_green)
+        walls.met(si, is_green, throughput, free, on_wall)
+        active &= (depth + 1) < MAX_DEPTH
+        bsdf = si.bsdf(ray)
+        can_connect = active & (on_wall | (~front & (si.shape == paths.coat)))
+        for panel in tracer.panels:
             reached, direction, weight, outside, length = tracer.connect(
                 panel, si, sampler.next_2d(can_connect), can_connect
             )
             value = throughput.z * bsdf.eval(context, si, si.to_local(direction), reached).z * weight
-            for k, seen in enumerate(tracer.met(outside, length)):
-                here, sent = seen[number]
-                led[k] = led[k] + dr.select(reached & free[k] & here, value * sent, 0)
-        return led + free, None
+            seen = tracer.met(outside, length)
+            number = tracer.panels.index(panel)
+            for k in range(tracer.count):
+                here, sent = seen[k][number]
+                led[k] += dr.select(reached & free[k] & here, value * sent, 0)
+        lobe, spot = sampler.next_1d(active), sampler.next_2d(active)
+        if dr.hint(start != FROM_SURFACE, mode="scalar"):
+            lobe = dr.select(depth == 0, first.z, lobe)
+            spot = dr.select(depth == 0, mi.Point2f(first.x, first.y), spot)
+        chosen, chosen_weight = bsdf.sample(context, si, lobe, spot, active)
+        smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+        transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        throughput *= chosen_weight
+        on_inner = si.shape == paths.inner
+        if dr.hint(paths.face.film is not None, mode="scalar"):
+            throughput *= dr.select(on_inner & smooth, paths.film_factor(si, transmitted), 1)
+        eta *= dr.select(smooth, chosen.eta, 1.0)
+        state = state_after(state, smooth, transmitted & on_inner & ~front)
+        ray = si.spawn_ray(si.to_world(chosen.wo))
+        depth += 1
+        largest = dr.max(throughput)
+        active &= largest > 0
+        survival = dr.minimum(largest * eta * eta, LARGEST_SURVIVAL)
+        survival = dr.select(depth >= ROULETTE_DEPTH, survival, 1.0)
+        active &= sampler.next_1d(active) < survival
+        throughput /= survival
+    return led
 
 
 Floats32 = NDArray[np.float32]

@@ -9,7 +9,7 @@ written in Python do not run in scalar variants, which use Mitsuba's own ``path`
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -168,32 +168,71 @@ class BandPaths:
         reflected = (1.0 - (1.0 - bare_reflectance) * relative) / bare_reflectance
         return dr.select(transmitted, relative, reflected)
 
-    def sample(
-        self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True
-    ) -> tuple[Any, Any, Any]:
+    @dr.syntax
+    def sample(  # type: ignore[no-untyped-def]
+        self, scene, sampler, ray, medium=None, active=True
+    ):
         """Return radiance along rays: of the first three chains, whether anything was met, of the other chains."""
-        start, reds = FROM_SURFACE if self.from_wall else FROM_EYE, len(self.of_wall["red"])
-        found, valid = follow(self, _ChainLight(self), scene, sampler, ray, start, active)  # type: ignore[no-untyped-call]
-        led, red, green = found[0], found[1 : 1 + reds], found[1 + reds :]
-        return mi.Color3f(red[0], green[0], led), valid, red[1:] + green[1:]
+        ray = mi.Ray3f(ray)
+        throughput: Any = mi.Color3f(1)
+        led = mi.Float(0)
+        reds, greens = [mi.Float(0) for _ in self.of_wall["red"]], [mi.Float(0) for _ in self.of_wall["green"]]
+        depth, eta = mi.UInt32(0), mi.Float(1)
+        active, valid = mi.Bool(active), mi.Bool(False)
+        state = mi.UInt32(FROM_SURFACE if self.from_wall else FROM_EYE)
+        while dr.hint(active, max_iterations=self.max_depth):
+            si = scene.ray_intersect(ray, active)
+            valid |= si.is_valid() & (depth == 0)
+            active &= si.is_valid()
+            front = mi.Frame3f.cos_theta(si.wi) > 0
+            if dr.hint(self.with_led, mode="scalar"):
+                led += dr.select(active & front, throughput.z * self.panel_met(si, state), 0)
+            is_red, is_green = si.shape == self.red, si.shape == self.green
+            on_wall = active & front & (is_red | is_green)
+            glow = self.wall_radiance(si, is_green, on_wall)
+            for k in range(len(reds)):
+                reds[k] += dr.select(on_wall & is_red, throughput.x * glow[k], 0)
+            for k in range(len(greens)):
+                greens[k] += dr.select(on_wall & is_green, throughput.y * glow[k], 0)
+            active &= (depth + 1) < self.max_depth
+            on_coat = active & ~front & (si.shape == self.coat)
+            direction = mi.Vector3f(0, 0, 1)
+            weight, seen = mi.Float(0), mi.Bool(False)
+            if dr.hint(self.with_led and self.refractive, mode="scalar"):
+                can_connect = on_wall | on_coat
+                seen, direction, weight = self.connect(scene, si, sampler.next_2d(can_connect), can_connect & active)
+            value, chosen, onward, usual_weight, chosen_weight = self.scatter(
+                si, si.bsdf(ray), sampler, direction, on_coat, active
+            )
+            led += dr.select(seen, throughput.z * value.z * weight, 0)
+            smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+            transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
+            carried_usually = dr.max(throughput * usual_weight)
+            throughput *= chosen_weight
+            on_inner = si.shape == self.inner
+            if dr.hint(self.face.film is not None, mode="scalar"):
+                throughput *= dr.select(on_inner & smooth, self.film_factor(si, transmitted), 1)
+            eta *= dr.select(smooth, chosen.eta, 1.0)
+            state = state_after(state, smooth, transmitted & on_inner & ~front)
+            ray = si.spawn_ray(onward)
+            depth += 1
+            active &= dr.max(throughput) > 0
+            # a guided path carries little of the walls' light but may be about to meet a panel: judged as any other,
+            # and not between smooth faces, where what it carries now says nothing of that
+            survival = dr.minimum(carried_usually * eta * eta, LARGEST_SURVIVAL)
+            survival = dr.select((depth >= ROULETTE_DEPTH) & ~smooth, survival, 1.0)
+            active &= sampler.next_1d(active) < survival
+            throughput /= survival
+        return mi.Color3f(reds[0], greens[0], led), valid, reds[1:] + greens[1:]
 
     def scatter(
-        self, vertex: "Vertex", bsdf: Any, sampler: Any, aimed: Any, first: Any
+        self, si: Any, bsdf: Any, sampler: Any, aimed: Any, on_coat: Any, active: Any
     ) -> tuple[Any, Any, Any, Any, Any]:
-        """Return (BSDF times cosine towards `aimed`, BSDF sample, way on, its weight without guide, its weight).
-
-        Nothing need be aimed at; the numbers that draw the way on from the first surface may be given.
-        """
-        si, on_coat, active, context = vertex.si, vertex.on_coat, vertex.active, mi.BSDFContext()
-        lobe, spot = sampler.next_1d(active), sampler.next_2d(active)
-        if first is not None:
-            lobe = dr.select(vertex.depth == 0, first.z, lobe)
-            spot = dr.select(vertex.depth == 0, mi.Point2f(first.x, first.y), spot)
-        if aimed is None:
-            value: Any = None
-            chosen, chosen_weight = bsdf.sample(context, si, lobe, spot, active)
-        else:
-            value, _, chosen, chosen_weight = bsdf.eval_pdf_sample(context, si, si.to_local(aimed), lobe, spot, active)
+        """Return (BSDF times cosine towards `aimed`, BSDF sample, way on, its weight without guide, its weight)."""
+        context = mi.BSDFContext()
+        value, _, chosen, chosen_weight = bsdf.eval_pdf_sample(
+            context, si, si.to_local(aimed), sampler.next_1d(active), sampler.next_2d(active), active
+        )
         onward = si.to_world(chosen.wo)
         if self.guide is None:
             return value, chosen, onward, chosen_weight, chosen_weight
@@ -223,153 +262,6 @@ class BandPaths:
             sent = beam * panel.radiance
             radiance = dr.select(si.shape == shape, sent, radiance)
         return dr.select(state == STRAIGHT_OUT, 0, radiance) if self.refractive else radiance
-
-
-class Vertex(NamedTuple):
-    """What rays have met: `active` where anything was, and the path goes on."""
-
-    si: Any
-    is_green: Any
-    on_wall: Any
-    on_coat: Any
-    active: Any
-    depth: Any
-
-
-class PathLight:
-    """What :func:`follow` adds up along paths: sums that it hands on, and which paths it lets go on.
-
-    Attributes
-    ----------
-    ends_at
-        Where paths end: 0 by chance alone, 1 also at the walls, 2 at every surface that is not smooth.
-    first
-        Numbers (x, y for the direction, z for the lobe) that draw the way on from the first surface; None for chance.
-    spares_smooth
-        Whether chance ends no path between smooth faces.
-    """
-
-    ends_at: int = 0
-    first: Any = None
-    spares_smooth: bool = True
-
-    def start(self) -> list[Any]:
-        """Return the sums before the first surface."""
-        return [mi.Float(0)]
-
-    def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
-        """Return the sums after the light of panels and walls that rays have met."""
-        raise NotImplementedError
-
-    def aim(
-        self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, sampler: Any
-    ) -> tuple[list[Any], tuple[Any, Any, Any] | None]:
-        """Return the sums, and (seen, direction, weight) of a point of a panel whose light the loop scatters."""
-        return sums, None
-
-    def scattered(
-        self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, led: Any, sampler: Any
-    ) -> list[Any]:
-        """Return the sums after the panel's light, as it leaves the vertex, and what else is aimed at."""
-        return sums
-
-
-@dr.syntax
-def follow(paths, light, scene, sampler, ray, start, active):  # type: ignore[no-untyped-def]
-    """Follow paths from surface to surface; return the sums of `light`, and whether a path has met anything.
-
-    The loop of all tracers but that of :mod:`sim.optics._fluorescent_paths`, whose paths change their colour.
-    """
-    ray = mi.Ray3f(ray)
-    throughput: Any = mi.Color3f(1)
-    sums = light.start()
-    depth, eta = mi.UInt32(0), mi.Float(1)
-    active, valid = mi.Bool(active), mi.Bool(False)
-    state = mi.UInt32(start)
-    while dr.hint(active, max_iterations=paths.max_depth):
-        si = scene.ray_intersect(ray, active)
-        valid |= si.is_valid() & (depth == 0)
-        front, is_green = mi.Frame3f.cos_theta(si.wi) > 0, si.shape == paths.green
-        on_wall = active & si.is_valid() & front & (is_green | (si.shape == paths.red))
-        sums = light.met(sums, ray, Vertex(si, is_green, on_wall, on_wall, active, depth), throughput, state)
-        active &= si.is_valid() & ((depth + 1) < paths.max_depth)
-        on_coat = active & ~front & (si.shape == paths.coat)
-        if dr.hint(light.ends_at > 0, mode="scalar"):
-            active &= ~on_wall
-        bsdf, vertex = si.bsdf(ray), Vertex(si, is_green, on_wall, on_coat, active, depth)
-        sums, aimed = light.aim(sums, scene, vertex, bsdf, throughput, sampler)
-        way = None if aimed is None else aimed[1]
-        value, chosen, onward, usual_weight, chosen_weight = paths.scatter(vertex, bsdf, sampler, way, light.first)
-        led = 0.0 if aimed is None else dr.select(aimed[0], throughput.z * value.z * aimed[2], 0)
-        sums = light.scattered(sums, scene, vertex, bsdf, throughput, led, sampler)
-        smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
-        transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
-        carried_usually = dr.max(throughput * usual_weight)
-        throughput *= chosen_weight
-        on_inner = si.shape == paths.inner
-        if dr.hint(paths.face.film is not None, mode="scalar"):
-            throughput *= dr.select(on_inner & smooth, paths.film_factor(si, transmitted), 1)
-        eta *= dr.select(smooth, chosen.eta, 1.0)
-        state = state_after(state, smooth, transmitted & on_inner & ~front)
-        ray = si.spawn_ray(onward)
-        depth += 1
-        active &= dr.max(throughput) > 0
-        if dr.hint(light.ends_at > 1, mode="scalar"):
-            active &= smooth
-        # a guided path carries little of the walls' light but may be about to meet a panel: judged as any other,
-        # and not between smooth faces, where what it carries now says nothing of that
-        survival = dr.minimum(carried_usually * eta * eta, LARGEST_SURVIVAL)
-        judged = depth >= ROULETTE_DEPTH
-        if dr.hint(light.spares_smooth, mode="scalar"):
-            judged &= ~smooth
-        survival = dr.select(judged, survival, 1.0)
-        active &= sampler.next_1d(active) < survival
-        throughput /= survival
-    return sums, valid
-
-
-class _ChainLight(PathLight):
-    """The light of each chain: the panels', then all chains of the red wall, then those of the green one."""
-
-    def __init__(self, paths: BandPaths) -> None:
-        self.paths = paths
-
-    def start(self) -> list[Any]:
-        return [mi.Float(0) for _ in range(1 + sum(map(len, self.paths.of_wall.values())))]
-
-    def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
-        led, paths, (si, is_green, on_wall, _, active, _) = sums[0], self.paths, vertex
-        if paths.with_led:
-            here = active & si.is_valid() & (mi.Frame3f.cos_theta(si.wi) > 0)
-            led = led + dr.select(here, throughput.z * paths.panel_met(si, state), 0)
-        glow, reds = paths.wall_radiance(si, is_green, on_wall), len(paths.of_wall["red"])
-        added = [dr.select(on_wall & ~is_green, throughput.x * glow[k], 0) for k in range(reds)]
-        added += [dr.select(on_wall & is_green, throughput.y * glow[k], 0) for k in range(len(sums) - 1 - reds)]
-        return [led, *(old + new for old, new in zip(sums[1:], added, strict=True))]
-
-    def aim(self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, sampler: Any) -> Any:
-        if not (self.paths.with_led and self.paths.refractive):
-            return sums, (mi.Bool(False), mi.Vector3f(0, 0, 1), mi.Float(0))
-        can_connect = vertex.on_wall | vertex.on_coat
-        return sums, self.paths.connect(scene, vertex.si, sampler.next_2d(can_connect), can_connect & vertex.active)
-
-    def scattered(
-        self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, led: Any, sampler: Any
-    ) -> list[Any]:
-        return [sums[0] + led, *sums[1:]]
-
-
-class MirroredLight(PathLight):
-    """The panels' light that comes to the coat by smooth surfaces only, but for what comes straight."""
-
-    ends_at = 2
-
-    def __init__(self, paths: BandPaths) -> None:
-        self.paths = paths
-
-    def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
-        here = vertex.active & vertex.si.is_valid() & (mi.Frame3f.cos_theta(vertex.si.wi) > 0)
-        return [sums[0] + dr.select(here, throughput.z * self.paths.panel_met(vertex.si, state), 0)]
 
 
 Floats = NDArray[np.float64]
@@ -497,7 +389,7 @@ def band_integrator(
             self, scene, sampler, ray, medium=None, active=True
         ):
             """Return the radiance of the chains along rays (called by the renderer)."""
-            return paths.sample(scene, sampler, ray, medium, active)
+            return paths.sample(scene, sampler, ray, medium, active)  # type: ignore[no-untyped-call]
 
         def aov_names(self) -> list[str]:
             """Return the names of the channels beyond the first three chains."""

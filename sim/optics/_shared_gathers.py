@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from data_schemas import CameraCalibration, SimulateError
-from sim.optics._band_paths import BandPaths, MirroredLight, PathLight, Vertex, band_paths, first_texel, follow
+from sim.optics._band_paths import BandPaths, band_paths, first_texel
 from sim.optics._mirror_guide import GUIDE_CHANCE
 from sim.optics._optical_layout import camera_pose
 from sim.optics._paint_bands import BAND_NAMES
 from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP, WALLS, WallLight, last_band, wall_map
-from sim.optics._panel_light import FROM_EYE, FROM_SURFACE
-from sim.optics._path_rules import LookupTable, cell_at
+from sim.optics._panel_light import FROM_SURFACE, state_after
+from sim.optics._path_rules import LARGEST_SURVIVAL, MAX_DEPTH, ROULETTE_DEPTH, LookupTable, cell_at
 from sim.optics._pixel_maps import camera_rays
 from sim.optics._position_map import PositionMap
 from sim.optics._scene import LoadedScene
@@ -65,8 +65,6 @@ _BEFORE_WALL_MM = 0.05
 # share of the points on a wall that are drawn evenly up it: weights stay bounded on facets that lean to the wall
 _EVENLY = 0.25
 _SMALLEST_MM = 1e-3
-# chance that paths to the panels by the mirror follow the guide
-_GUIDED = 0.8
 # the coat is seen through the inner face, and once more in what that reflects to the mirror
 _SIGHTS = 2
 _MOST_PATHS = 1 << 21
@@ -84,13 +82,10 @@ class GatherCounts:
         Directions, of some 600, from which it weights what arrives.
     points
         Points drawn on each wall, and on the panels.
-    mirrored
-        Paths to the panels by mirror and faces.
     """
 
     directions: int = 288
     points: int = 4
-    mirrored: int = 8
 
 
 class LitWalls:
@@ -258,7 +253,7 @@ class SharedGathers:
         """Return texture coordinates (n, 2) and last legs (n, 3) of the camera's rays that meet the coat."""
         design, scene = self.finger.design, self.finger.scene
         directions = np.ascontiguousarray(camera_rays(design, calibration).reshape(-1, 3).T, dtype=np.float32)
-        sight = Sight.along(
+        sight = _Sight.along(
             self, scene, mi.Ray3f(mi.Point3f(camera_pose(design).centre_mm.tolist()), mi.Vector3f(directions))
         )
         uv, leg = sight.si.uv, -sight.si.to_world(sight.si.wi)
@@ -296,20 +291,13 @@ class SharedGathers:
         shifts = LookupTable(rng.random((self.nodes.count * batches, 4)), mi).row(group)
         numbers = [_spread(shifts[k], lane - group * rays, step) for k, step in enumerate(_STEPS_4)]
         si = self.nodes.seen(self.finger.scene, group - batch * nodes)
-        direction, density = self.drawn(si, numbers, GUIDE_CHANCE)
+        direction, density = self._drawn(si, numbers)
         ray = si.spawn_ray(direction)
-        self.batch_of_lane = batch + first
-        found = self.arriving_along(ray, sampler, mi.Bool(True))
+        found = _follow(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
         found = [dr.select(density > 0.0, value / density, 0.0) for value in found]
         dr.eval(direction, found)
         light = np.stack([np.array(value) for value in found], axis=-1)
         return direction.numpy().T.reshape(batches, -1, 3), light.reshape(batches, -1, len(found))
-
-    def arriving_along(self, ray: Any, sampler: Any, active: Any) -> list[Any]:
-        """Return the light that is shared, per channel, as it arrives along rays from the coat."""
-        arriving = ArrivingLight(self, self.batch_of_lane)
-        found, _ = follow(self.paths, arriving, self.finger.scene, sampler, ray, FROM_EYE, active)  # type: ignore[no-untyped-call]
-        return list(found)
 
     def _arriving(self, drawn: Floats32, light: Floats32) -> Floats32:
         """Return what arrives at the places in one batch, (place, bin, channel), padded to whole packets."""
@@ -320,8 +308,8 @@ class SharedGathers:
             channels[:, k] = np.bincount(cell, weights=light[:, k] / RAYS, minlength=size)
         return np.asarray(self.nodes.weights @ channels.reshape(self.nodes.count, -1))
 
-    def drawn(self, si: Any, numbers: Sequence[Any], guided: float) -> tuple[Any, Any]:
-        """Return directions from the coat, drawn as it reflects and, with a chance, by the guide; their density."""
+    def _drawn(self, si: Any, numbers: Sequence[Any]) -> tuple[Any, Any]:
+        """Return directions from nodes, drawn as the coat reflects and along the guide, and their density."""
         bsdf, context, guide = si.bsdf(), mi.BSDFContext(), self.paths.guide
         spot = mi.Point2f(numbers[0], numbers[1])
         sample, _ = bsdf.sample(context, si, numbers[2], spot)
@@ -329,7 +317,7 @@ class SharedGathers:
         if guide is None:
             return way, bsdf.pdf(context, si, si.to_local(way))
         lobes = guide.lobes(si, mi.Bool(True))
-        chance = dr.select(guide.known(lobes), guided, 0.0)
+        chance = dr.select(guide.known(lobes), GUIDE_CHANCE, 0.0)
         way = dr.select(numbers[3] < chance, guide.direction(lobes, numbers[2], spot), way)
         usual = bsdf.pdf(context, si, si.to_local(way))
         return way, usual + chance * (guide.density(lobes, way) - usual)
@@ -483,58 +471,56 @@ def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, no
     return weights
 
 
-class ArrivingLight(PathLight):
-    """What arrives along rays from the coat, per channel, but for what comes straight from walls and from panels.
-
-    Paths start in the state FROM_EYE: they are in it until they meet a surface that is not smooth.
-    """
-
-    ends_at = 1
-
-    def __init__(self, gathers: SharedGathers, batch: Any) -> None:
-        self.gathers, self.paths, self.batch = gathers, gathers.paths, batch
-
-    def start(self) -> list[Any]:
-        return [mi.Float(0) for _ in self.gathers.chains]
-
-    def met(self, sums: list[Any], ray: Any, vertex: Vertex, throughput: Any, state: Any) -> list[Any]:
-        si, is_green, on_wall = vertex.si, vertex.is_green, vertex.on_wall
-        lit = vertex.active & si.is_valid() & (mi.Frame3f.cos_theta(si.wi) > 0)
-        lit &= state != FROM_EYE
-        led = sums[2] + dr.select(lit, throughput.z * self.paths.panel_met(si, state), 0)
-        # what comes straight from a wall to the coat has been found by points drawn on the wall
-        here = on_wall & (state != FROM_SURFACE) & (vertex.depth > 0)
-        glow = self.gathers.walls.at(si, is_green, self.batch, here)
-        carried = [dr.select(here, throughput[b] * glow[k], 0) for k, b in enumerate(self.gathers.band_of)]
-        return [old + new for old, new in zip([*sums[:2], led, *sums[3:]], carried, strict=True)]
-
-    def aim(self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, sampler: Any) -> Any:
-        on_coat = vertex.on_coat
-        return sums, self.paths.connect(scene, vertex.si, sampler.next_2d(on_coat), on_coat)
-
-    def scattered(
-        self, sums: list[Any], scene: Any, vertex: Vertex, bsdf: Any, throughput: Any, led: Any, sampler: Any
-    ) -> list[Any]:
-        numbers = [sampler.next_1d(vertex.on_coat) for _ in range(6)]
-        lit = self.gathers.straight(scene, vertex.si, bsdf, numbers, vertex.on_coat)
-        straight = [dr.select(vertex.on_coat, throughput[b] * lit[k], 0) for k, b in enumerate(self.gathers.band_of)]
-        return [old + new for old, new in zip([*sums[:2], sums[2] + led, *sums[3:]], straight, strict=True)]
-
-
-def mirrored_light(
-    gathers: SharedGathers, scene: Any, sampler: Any, si: Any, shift: Sequence[Any], number: Any, active: Any
-) -> Any:
-    """Return what one path to the panels by mirror and faces brings to the camera."""
-    numbers = [_spread(shift[k], number, step) for k, step in zip((3, 5, 6, 7), _STEPS_4, strict=True)]
-    way, density = gathers.drawn(si, numbers, _GUIDED)
-    value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(way), active)
-    here = active & (density > 0.0) & (value.z > 0.0)
-    ray, light = si.spawn_ray(way), MirroredLight(gathers.paths)
-    found, _ = follow(gathers.paths, light, scene, sampler, ray, FROM_SURFACE, here)  # type: ignore[no-untyped-call]
-    return dr.select(here, value.z * found[0] / density, 0)
+@dr.syntax
+def _follow(gathers, scene, sampler, ray, batch):  # type: ignore[no-untyped-def]
+    """Return what arrives along rays from the coat, per channel, but for what comes straight from walls and panels."""
+    paths, walls, ray = gathers.paths, gathers.walls, mi.Ray3f(ray)
+    throughput: Any = mi.Color3f(1)
+    sums = [mi.Float(0) for _ in gathers.chains]
+    depth, eta, active = mi.UInt32(0), mi.Float(1), mi.Bool(True)
+    state, straight = mi.UInt32(FROM_SURFACE), mi.Bool(True)
+    gathers.batch_of_lane = batch
+    while dr.hint(active, max_iterations=MAX_DEPTH):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        front = mi.Frame3f.cos_theta(si.wi) > 0
+        sums[2] += dr.select(active & front, throughput.z * paths.panel_met(si, state), 0)
+        is_green = si.shape == paths.green
+        on_wall = active & front & (is_green | (si.shape == paths.red))
+        glow = walls.at(si, is_green, batch, on_wall & ~straight)
+        for k in range(len(sums)):
+            sums[k] += dr.select(on_wall & ~straight, throughput[gathers.band_of[k]] * glow[k], 0)
+        active &= ~on_wall & ((depth + 1) < MAX_DEPTH)
+        on_coat = active & ~front & (si.shape == paths.coat)
+        seen, direction, weight = paths.connect(scene, si, sampler.next_2d(on_coat), on_coat)
+        bsdf = si.bsdf(ray)
+        value, chosen, onward, usual, guided = paths.scatter(si, bsdf, sampler, direction, on_coat, active)
+        sums[2] += dr.select(seen, throughput.z * value.z * weight, 0)
+        numbers = [sampler.next_1d(on_coat) for _ in range(6)]
+        lit = gathers.straight(scene, si, bsdf, numbers, on_coat)
+        for k in range(len(sums)):
+            sums[k] += dr.select(on_coat, throughput[gathers.band_of[k]] * lit[k], 0)
+        smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+        transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        carried_usually = dr.max(throughput * usual)
+        throughput *= guided
+        on_inner = si.shape == paths.inner
+        if dr.hint(paths.face.film is not None, mode="scalar"):
+            throughput *= dr.select(on_inner & smooth, paths.film_factor(si, transmitted), 1)
+        eta *= dr.select(smooth, chosen.eta, 1.0)
+        state = state_after(state, smooth, transmitted & on_inner & ~front)
+        straight = on_coat
+        ray = si.spawn_ray(onward)
+        depth += 1
+        active &= dr.max(throughput) > 0
+        survival = dr.minimum(carried_usually * eta * eta, LARGEST_SURVIVAL)
+        survival = dr.select((depth >= ROULETTE_DEPTH) & ~smooth, survival, 1.0)
+        active &= sampler.next_1d(active) < survival
+        throughput /= survival
+    return sums
 
 
-def straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+def _straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
     """Return what one point on each wall and one on the panels bring to the camera, per channel."""
     bsdf = si.bsdf()
     x = [_spread(shift[k], number, _STEPS_4[k % 4]) for k in range(8)]
@@ -545,7 +531,7 @@ def straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[
     return lit
 
 
-def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+def _shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
     """Return what light from some of the directions brings to the camera, per channel: all together at each number."""
     bins, packets = gathers.bins, gathers.walls.packets
     # evenly spread over the bins, from a random start
@@ -561,26 +547,19 @@ def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: 
 
 
 @dr.syntax
-def _coat_radiance(gathers, scene, sampler, si, shift, active):  # type: ignore[no-untyped-def]
+def _coat_radiance(gathers, scene, si, shift, active):  # type: ignore[no-untyped-def]
     """Return the radiance of points of the coat, per channel."""
     sums = [mi.Float(0) for _ in gathers.chains]
-    counts = gathers.counts
-    points, mirrored, directions = (
-        dr.opaque(mi.UInt32, n) for n in (counts.points, counts.mirrored, counts.directions)
-    )
+    points, directions = (dr.opaque(mi.UInt32, n) for n in (gathers.counts.points, gathers.counts.directions))
     number = mi.UInt32(0)
     while active & (number < points):
-        found = straight_light(gathers, scene, si, shift, number, active)
+        found = _straight_light(gathers, scene, si, shift, number, active)
         for k in range(len(sums)):
             sums[k] += found[k] / gathers.counts.points
         number += 1
     number = mi.UInt32(0)
-    while active & (number < mirrored):
-        sums[2] += mirrored_light(gathers, scene, sampler, si, shift, number, active) / gathers.counts.mirrored
-        number += 1
-    number = mi.UInt32(0)
     while active & (number < directions):
-        found = shared_light(gathers, si, shift, number, active)
+        found = _shared_light(gathers, si, shift, number, active)
         for k in range(len(sums)):
             sums[k] += found[k]
         number += 1
@@ -593,15 +572,15 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
     rest, weight = ray, mi.Float(1)
     sums = [mi.Float(0) for _ in gathers.chains]
     for _ in range(_SIGHTS):
-        sight = Sight.along(gathers, scene, rest)
+        sight = _Sight.along(gathers, scene, rest)
         glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
         shift = [sampler.next_1d() for _ in range(8)]
-        lit = _coat_radiance(gathers, scene, sampler, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
+        lit = _coat_radiance(gathers, scene, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
         for k in range(len(sums)):
             met = dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0))
             sums[k] += weight * sight.through * met
         rest, weight = sight.rest, weight * sight.rest_weight
-    others, valid, further = gathers.paths.sample(scene, sampler, rest)
+    others, valid, further = gathers.paths.sample(scene, sampler, rest)  # type: ignore[no-untyped-call]
     sums = [own + weight * other for own, other in zip(sums, [others.x, others.y, others.z, *further], strict=True)]
     return mi.Color3f(sums[0], sums[1], sums[2]), valid, sums[3:]
 
@@ -613,7 +592,7 @@ def _spread(shift: Any, number: Any, step: float) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class _Sight:
     """How rays from the camera go by the mirror through the inner face, and what is left for the path tracer.
 
     Attributes
@@ -639,7 +618,7 @@ class Sight:
     rest_weight: Any
 
     @classmethod
-    def along(cls, gathers: SharedGathers, scene: Any, ray: Any) -> "Sight":
+    def along(cls, gathers: SharedGathers, scene: Any, ray: Any) -> "_Sight":
         """Follow rays."""
         paths, context = gathers.paths, mi.BSDFContext()
         ray = mi.Ray3f(ray)

@@ -257,7 +257,8 @@ WITHOUT_LANES = re.compile(r"\d+|[A-Z_]+|[A-Z_]+ if [\w.]+ else [A-Z_]+")
 # call, and why no lane can leave anything by it
 SAFE_CALLS = {
     "mi.UInt32(start)": "a constant of sim.optics._panel_light",
-    "paths.scatter(vertex, bsdf, sampler, way, light.first)": "scatters light at a surface",
+    "self.scatter(si, si.bsdf(ray), sampler, direction, on_coat, active)": "scatters light at a surface",
+    "paths.scatter(si, bsdf, sampler, direction, on_coat, active)": "the same, of paths from the coat",
     "mi.UInt32(k)": "the number of a paint, counted by Python",
     "self.rays.eval_cubic(place, active, force_nonaccel=True)": "the renderer's own texture holds its places within",
 }

@@ -8,7 +8,7 @@ from benchmarks.fluorescence_levels import paints as glowing_paints
 from data_schemas import SimulateError
 from sim.optics import LoadedScene, RenderSettings, paint_bands, render_press
 from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP
-from sim.optics._render import open_guide, open_scene
+from sim.optics._render import open_scene
 from sim.surface_meshes import rest_shape
 
 pytestmark = pytest.mark.renderer
@@ -90,40 +90,6 @@ def test_every_node_lies_on_the_coat(llvm, gathers, monkeypatch):
     si = nodes.seen(scene, dr.arange(llvm.UInt32, nodes.count))
     assert np.array(si.shape == nodes.coat).all()
     assert nodes.count == 36 * 36
-
-
-def test_a_panel_seen_by_smooth_faces_is_found_by_the_pixel_or_shared_but_not_both(llvm, gathers, monkeypatch):
-    """With the same random numbers, paths from the coat differ by just the light that is left to the pixel."""
-    import drjit as dr
-
-    from sim.optics._band_paths import MirroredLight, follow
-    from sim.optics._panel_light import FROM_EYE, FROM_SURFACE
-
-    monkeypatch.setattr(gathers, "RAYS", 1)
-    design, count = finger(64), 50_000
-    shape, bands = rest_shape(design), paint_bands(*glowing_paints().values(), design.light)
-    scene = open_scene(design, shape, bands, llvm)
-    dark = {f"led>{wall}": np.zeros((1, TEXELS_ALONG, TEXELS_UP)) for wall in ("red", "green")}
-    guide = open_guide(scene, design, shape, llvm)
-    lit = LoadedScene(scene, design, shape, bands, llvm)
-    shared = gathers.SharedGathers(lit, dark, np.zeros((1, 2, TEXELS_ALONG, TEXELS_UP, 3)), guide, 1)
-    shared.batch_of_lane = shared.batch  # one for all lanes, where the nodes had their own
-
-    def led_along(light, start):
-        sampler = llvm.load_dict({"type": "independent"})
-        sampler.seed(1, count)
-        si = shared.nodes.seen(scene, dr.arange(llvm.UInt32, count) % shared.nodes.count)
-        way, _ = shared.drawn(si, [sampler.next_1d() for _ in range(4)], 0.8)
-        sums, _ = follow(shared.paths, light, scene, sampler, si.spawn_ray(way), start, True)
-        return np.array(sums[-1], dtype=np.float64)
-
-    everything, kept = (
-        led_along(gathers.ArrivingLight(shared, shared.batch), start) for start in (FROM_SURFACE, FROM_EYE)
-    )
-    by_pixel = led_along(MirroredLight(shared.paths), FROM_SURFACE)
-    assert (by_pixel > 0.0).sum() > 100
-    assert (kept > 0.0).sum() > 100
-    np.testing.assert_allclose(kept + by_pixel, everything, rtol=1e-4, atol=1e-6 * everything.max())
 
 
 def test_the_picture_is_the_path_tracers_with_less_noise(llvm):
