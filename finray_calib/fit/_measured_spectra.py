@@ -394,27 +394,13 @@ def scored_components(data: BandData, spectra: MeasuredSpectra, ln_blocking_sd: 
     parts = components_of(spectra, data.weights.wavelength_nm, data.weights.laser_nm)
     bands = parts.curves @ rig.emission.T
     seen = np.flatnonzero(bands.max(axis=1) > 1e-6 * bands.max())
-    # leaks of the laser count from the first pass on: else a bump of emission is put where they are seen
-    columns = rig.columns(np.zeros(parts.wavelength_nm.size), _reflectance_seen(rig))
-    first = _first_pass(rig, parts, bands, seen, columns)
-    columns = rig.columns(*_reference(first, parts))
+    first = _first_pass(rig, parts, bands, seen)
     best = first.chosen[np.argsort(-first.weight)[:_KEPT]]
+    curve = (first.weight * np.maximum(first.height[:, 0], 0.0)) @ parts.curves[first.chosen]
+    reflectance = max(float(first.weight @ first.height[:, 1]), 1e-3)
+    columns = rig.columns(curve, reflectance)
     second = _second_pass(rig, parts, bands, best, columns, first)
     return ScoredSpectra(rig, parts, bands, second, columns)
-
-
-def _reflectance_seen(rig: _Rig) -> float:
-    """Return the reflectance at the laser that the excitation filter shows, before any curve is known."""
-    through = rig.data.weights.is_excitation[rig.data.kept]
-    laser = np.where(through, rig.laser, 0.0)
-    found = float(laser @ rig.y) / float(laser @ laser) if laser.any() else _REFLECTANCE
-    return float(np.clip(found, 1e-3, 1.0))
-
-
-def _reference(first: _Scored, parts: Components) -> tuple[Floats, float]:
-    """Return mean curve (L,) and reflectance of scored components, at which errors of the rig are linear."""
-    curve = (first.weight * np.maximum(first.height[:, 0], 0.0)) @ parts.curves[first.chosen]
-    return curve, max(float(first.weight @ first.height[:, 1]), 1e-3)
 
 
 def prior_curves(parts: Components, count: int, rng: np.random.Generator) -> Floats:
@@ -522,8 +508,8 @@ def _scored(
     return np.where(found[:, 0] > 0, ln, -np.inf), np.asarray(found), information, np.asarray(inverse)
 
 
-def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.int64], columns: Floats) -> _Scored:
-    """Score all components with one coarse size of the departure, and with what is uncertain of the rig."""
+def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.int64]) -> _Scored:
+    """Score all components with one coarse size of the departure."""
     own = bands[seen]
     centre = (rig.emission @ parts.wavelength_nm) / np.maximum(rig.emission.sum(axis=1), 1e-300)
     near = np.exp(-0.5 * ((centre[:, None] - centre) / (2 * _PROCESS_LENGTH_NM)) ** 2)
@@ -531,6 +517,7 @@ def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.in
     departures = _FIRST_PASS_SIZE**2 * floor[:, :, None] * near * floor[:, None, :]
     moved = parts.moved(seen) @ rig.emission.T
     departures = departures + np.einsum("nqi,nqj->nij", moved, moved)
+    columns = rig.columns(None, 0.0)
     covariance = rig.data.covariance[np.ix_(rig.data.kept, rig.data.kept)]
     rest = covariance + columns @ columns.T
     emitting = ~rig.data.weights.is_excitation[rig.data.kept]

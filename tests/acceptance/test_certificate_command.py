@@ -102,8 +102,8 @@ def test_a_quantity_outside_its_limits_ends_with_1(tmp_path, capsys):
     assert "FAIL" in capsys.readouterr().out
 
 
-def certificate(**details):
-    given = CertificateDetails(**details)
+def certificate(paint=None, **details):
+    given, paint = CertificateDetails(**details), paint or example()
     sources = (*(f"source {i}" for i in range(10)), "lamp", "prior")
     shares = (*[0.02] * 10, 0.3, 0.5)
     budget = tuple(
@@ -111,8 +111,8 @@ def certificate(**details):
         for name in (*CERTIFIED, "stokes_shift_nm")
         for source, share in zip(sources, shares, strict=True)
     )
-    results = certified_results(example(), given, MEASURED_ON)
-    return certificate_of(example(), results, given, "0" * 64, MEASURED_ON, budget=budget)
+    results = certified_results(paint, given, MEASURED_ON)
+    return certificate_of(paint, results, given, "0" * 64, MEASURED_ON, budget=budget)
 
 
 def test_words_of_a_user_are_text_and_no_markup():
@@ -134,8 +134,8 @@ def test_scatter_of_combined_sessions_stands_on_the_certificate():
     off = alone.energy_yield.model_copy(update={"estimate": 0.0213, "low95": 0.003, "high95": 0.083})
     scatter = SessionScatter(level_rel=off, filter_rel=off, session_levels_rel=(0.01, -0.01, 0.0))
     paint = alone.model_copy(update={"between_sessions": scatter})
-    assert "sessions were combined" not in certificate_page(certificate(), alone)
-    told = certificate_page(certificate(), paint)
+    assert "sessions were combined" not in certificate_page(certificate(alone), alone)
+    told = certificate_page(certificate(paint), paint)
     assert re.search(r"3 sessions were combined; .*2\.1\s%\s\[0\.3\s%,\s8\.3\s%\] of the level", told)
 
 

@@ -295,7 +295,7 @@ CASES = (
         "newer session",
         "radiometry {tmp}/session",
         rf"session\.json: schema_version 9 was written by a newer finray; this one reads up to \d: update with {NEW}",
-        session(lambda folder: edit(folder / "session.json", '"schema_version": 5', '"schema_version": 9')),
+        session(lambda folder: edit(folder / "session.json", '"schema_version": 6', '"schema_version": 9')),
     ),
     # stored records
     Case(
@@ -359,7 +359,7 @@ CASES = (
         "newer record",
         "decide {tmp}/sweep.json",
         rf"sweep\.json: schema_version 9 was written by a newer finray; .* update with {NEW}",
-        edited("sweep.json", '"schema_version": 3', '"schema_version": 9'),
+        edited("sweep.json", '"schema_version": 4', '"schema_version": 9'),
     ),
     Case(
         "record without its arrays",

@@ -116,9 +116,18 @@ def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("--force 2", "leave out --path, or --force"),
-        ("--contact barrier", "leave out --path, or --force"),
-        ("--sensitivities", "leave out --path, or --force"),
+        (
+            "--force 2",
+            "--path moves the indenter from first touch by the penalty of the elements here; leave it out, or --force",
+        ),
+        (
+            "--contact barrier",
+            "--path moves the indenter from first touch by the penalty of the elements here; leave it out, or --force",
+        ),
+        (
+            "--sensitivities",
+            "--path moves the indenter from first touch by the penalty of the elements here; leave it out, or --force",
+        ),
     ],
 )
 def test_a_path_does_not_go_with_other_presses(tmp_path: Path, options: str, message: str) -> None:
