@@ -264,15 +264,14 @@ def press_along(
     elasticity = Elasticity(touch.mesh, finger_materials(design), settings.threads)
     assembly = Assembly(elasticity, [touch.sliding, *ties])
     history = PressHistory(assembly, ties, touch)
-    total = path.total
     load = Load(
         at=touch.move,
         settle=touch.settle if touch.sliding.friction_ratio > 0.0 else None,
         refuse=lambda state, share: touch.passed_through(state),
         accept=touch.accept,
     )
+    total, unreached, reached = path.total, "", 0.0
     stops = [(k + 1) / total for k in range(total)]
-    unreached, reached = "", 0.0
     try:
         for step in load_increments(
             assembly,
