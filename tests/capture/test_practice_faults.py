@@ -1,5 +1,6 @@
 """Each fault to practise on is said by the command that its page names, not said without it, and mended by resuming."""
 
+import contextlib
 import os
 import re
 from pathlib import Path
@@ -63,8 +64,8 @@ def good(tmp_path_factory) -> dict[str, str]:
     lay_out_folder(base / "good", None)
     capture = said_in(base / "good", "capture")
     said = {"base": str(base), "capture": capture, "check": said_in(base / "good", "check")}
-    os.chdir(base / "good")
-    said["radiometry"] = " ".join(finray("radiometry session").out.split())
+    with contextlib.chdir(base / "good"):
+        said["radiometry"] = " ".join(finray("radiometry session").out.split())
     lay_out_folder(base / "alike", None)
     return said | {"like": said_in(base / "alike", "like")}
 
