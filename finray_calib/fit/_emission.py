@@ -26,8 +26,7 @@ from finray_calib.fit._importance import (
     WeightedSample,
     importance_sample,
 )
-from finray_calib.fit._likelihood import LogPosterior
-from finray_calib.fit._map_search import Maxima, find_maxima, starting_points
+from finray_calib.fit._likelihood import LogPosterior, Maxima, find_maxima, starting_points
 from finray_calib.fit._markov_chains import ChainDiagnostics, MovedDraws, SamplerSettings, moved_draws, sample_posterior
 from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, Discrepancy, EmissionPrior, chi_square_survival
 from finray_calib.spectra import CurveQuantities, EmissionFamily, curve_quantities

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from data_schemas import (
     BadFrameError,
@@ -31,10 +31,12 @@ from data_schemas import (
     Witness,
 )
 from rigs import LightSwitch, OpenRig, driver_module, find_driver, open_camera
-from rigs.capture._check_frames import CheckFrames
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
 from rigs.capture._plan import Step
 from rigs.light_guard import GuardedLight, LightLostError, require_outside_layer
+
+if TYPE_CHECKING:
+    from rigs.capture._check_session import CheckFrames
 
 LONGEST_SIGHT_S: Final = 0.05
 """Exposure of the frames that watch the laser: they resolve the time in which it goes off."""
@@ -79,7 +81,7 @@ class Sight:
     on_dn: float
 
 
-def find_sight(opened: OpenRig, rig: RigFile, frames: CheckFrames) -> Sight | None:
+def find_sight(opened: OpenRig, rig: RigFile, frames: "CheckFrames") -> Sight | None:
     """Look at the white tile with the laser on and off through the filter that passes it; None if both look alike.
 
     The wheel stays where the laser is seen.
@@ -120,7 +122,7 @@ class CameraWatch:
 
     witness: Witness = "the camera"
 
-    def __init__(self, rig: RigFile, folder: Path, frames: CheckFrames, sight: Sight) -> None:
+    def __init__(self, rig: RigFile, folder: Path, frames: "CheckFrames", sight: Sight) -> None:
         self._rig, self._folder, self._frames, self._sight = rig, folder, frames, sight
 
     @contextmanager
