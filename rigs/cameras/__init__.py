@@ -11,7 +11,7 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from rigs.cameras._genicam import Delivered, Device, Features, GenicamCamera
-    from rigs.cameras.image_folder import (
+    from rigs.cameras._image_files import (
         decoded_picture,
         read_content,
         read_dng,

@@ -25,7 +25,7 @@ from data_schemas import (
     TimedOutError,
 )
 from rigs import RawFrame
-from rigs.cameras.image_folder import decoded_jpeg, jpeg_size_px
+from rigs.cameras._image_files import decoded_jpeg, jpeg_size_px
 from rigs.transports import MultipartStream, NewestPart, Part, repeated
 
 OPEN_DEADLINE_S: Final = 5.0

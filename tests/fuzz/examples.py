@@ -266,7 +266,7 @@ def _images(folder: Path) -> None:
 
 def _read_images(folder: Path) -> None:
     from rigs.cameras import read_raw
-    from rigs.cameras.image_folder import read_exposure_s
+    from rigs.cameras._image_files import read_exposure_s
 
     for name in ("packed.dng", "plain.tiff", "grey.png"):
         read_exposure_s(folder / name)
@@ -368,7 +368,7 @@ def _engines(folder: Path) -> None:
 
 def _read_engines(folder: Path) -> None:
     from sim.mechanics.other_engines import read_fil
-    from sim.mechanics.other_engines._calculix import read_frd, read_totals
+    from sim.mechanics.other_engines._calculix_results import read_frd, read_totals
 
     read_frd(folder / "x.frd")
     read_totals(folder / "x.dat")

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from data_schemas import BadFrameError, CameraSettings, CaptureSession, MissingExtraError, RefusedError
 from data_schemas.storage import rggb_frame
 from rigs.cameras import read_dng, read_raw
-from rigs.cameras.image_folder import BRCM_ORDERS, open_camera, read_exposure_s
+from rigs.cameras._image_files import BRCM_ORDERS, read_exposure_s
+from rigs.cameras.image_folder import open_camera
 from rigs.capture import read_frame_of
 from tests.capture.drivers.programs import require_module
 

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from data_schemas import BadFrameError, CameraSettings, CaptureError, LostError, RefusedError, TimedOutError
 from rigs import SystemClock
-from rigs.cameras.image_folder import decoded_jpeg, jpeg_size_px
+from rigs.cameras._image_files import decoded_jpeg, jpeg_size_px
 from rigs.cameras.mjpeg import open_camera
 from rigs.capture._exposure import CheckedCamera
 from rigs.capture._plan import Step
