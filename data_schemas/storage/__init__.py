@@ -75,7 +75,6 @@ if TYPE_CHECKING:
         clear_leftovers,
         manifest_faults,
         manifest_text,
-        sha256_of,
         write_manifest,
     )
     from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, write_record
