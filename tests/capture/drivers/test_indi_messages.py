@@ -139,7 +139,7 @@ def test_a_damaged_frame_is_bytes_or_bad(text: str, kind: str, size: str) -> Non
         said = str(error)
     else:
         said = "camera"
-        assert len(content) == int(size)
+        assert size in ("", str(len(content)))
     assert said.startswith("camera")
 
 

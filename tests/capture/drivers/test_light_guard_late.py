@@ -216,10 +216,11 @@ def test_successor_is_started_also_where_the_stopped_guard_ends_before_it_is_kil
     monkeypatch.setattr(watch, "OtherProcess", lambda pid: Missing(pid, states[pid]))
     monkeypatch.setattr(os, "kill", gone)
     monkeypatch.setattr(os, "execv", lambda program, words: started.append(words))
-    guard_line, _held = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    try:
-        watch.main([str(guard_line.detach()), "11", "laser at a port", "python", "alone"])
-    finally:
-        gc.enable()  # the watch runs without it
+    ours, its_own = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours:
+        try:
+            watch.main([str(its_own.detach()), "11", "laser at a port", "python", "alone"])
+        finally:
+            gc.enable()  # the watch runs without it
     assert started == [["python", "alone"]]
     assert "the stopped guard process could not be ended (No such process)" in capfd.readouterr().err
