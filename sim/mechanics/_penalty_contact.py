@@ -262,8 +262,6 @@ class PenaltyPress(PenaltyTouch):
         """Do nothing: an increment leaves nothing behind."""
 
 
-BoolArray = NDArray[np.bool_]
-
 _SETTLED_REL = 1e-3  # of the normal forces: by how much friction may still change when its limits are renewed
 # of the penalty's stiffness: stick gives way by 0.05 of an element where the shear is a whole modulus, 0.005 where it
 # is a tenth; Newton's method meets fewer kinks the softer it is
