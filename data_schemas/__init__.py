@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from data_schemas._lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from data_schemas._arrays import ArraySpec
+    from data_schemas._arrays import ArraySpec, read_only
     from data_schemas._capture import (
         CaptureSession,
         CharucoBoard,
@@ -597,6 +597,7 @@ __all__ = [
     "package_version",
     "practice_fault",
     "provenance",
+    "read_only",
     "register_record_methods",
     "require_coverage",
     "significant",
