@@ -368,7 +368,7 @@ def _engines(folder: Path) -> None:
 
 def _read_engines(folder: Path) -> None:
     from sim.mechanics.other_engines import read_fil
-    from sim.mechanics.other_engines._calculix_results import read_frd, read_totals
+    from sim.mechanics.other_engines._calculix import read_frd, read_totals
 
     read_frd(folder / "x.frd")
     read_totals(folder / "x.dat")
