@@ -54,9 +54,13 @@ test-rigs: $(VENV)/installed-dev $(OTHERS)/installed rig-programs
 	FINRAY_OTHERS_VENV=$(CURDIR)/$(OTHERS) $(BIN)/pytest -m rigs
 
 # What is known about the light, on an NVIDIA GPU in place of the processor; without one it says "NO GPU".
-GPU_TESTS = $(addprefix tests/simulate/test_,gpu.py furnace_bands.py furnace_spectrum.py energy_balance.py \
-            fluorescence_levels.py fluorescent_regression.py mitsuba_scenes.py optics_paths.py optics_render.py \
-            optics_position_map.py optics_curved_refraction.py shared_gathers.py mirror_guide.py poisoned_lanes.py)
+GPU_TESTS = tests/simulate/test_gpu.py tests/simulate/test_furnace_bands.py \
+            tests/simulate/test_furnace_spectrum.py tests/simulate/test_energy_balance.py \
+            tests/simulate/test_mitsuba_scenes.py tests/simulate/test_optics_position_map.py \
+            tests/simulate/test_optics_paths.py tests/simulate/test_fluorescence_levels.py \
+            tests/simulate/test_fluorescent_regression.py tests/simulate/test_optics_render.py \
+            tests/simulate/test_optics_curved_refraction.py tests/simulate/test_shared_gathers.py \
+            tests/simulate/test_mirror_guide.py tests/simulate/test_poisoned_lanes.py
 test-gpu: $(VENV)/installed-dev llvm
 	FINRAY_TEST_ENGINE=cuda $(BIN)/pytest -rs -m renderer $(GPU_TESTS)
 
