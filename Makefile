@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OTHERS := .venv-others
 PYTHONS := 3.11 3.12 3.13
 
-.PHONY: plain demo test quick test-rigs test-pythons lint check-types contracts pytest schemas drawing reference docs \
+.PHONY: plain demo test quick test-rigs test-gpu test-pythons lint check-types contracts pytest schemas drawing reference docs \
         pictures gallery lock check-arm llvm \
         rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz verification
 
@@ -52,6 +52,17 @@ quick: $(VENV)/installed-dev lint check-types contracts
 # the environment it is a failure.
 test-rigs: $(VENV)/installed-dev $(OTHERS)/installed rig-programs
 	FINRAY_OTHERS_VENV=$(CURDIR)/$(OTHERS) $(BIN)/pytest -m rigs
+
+# What is known about the light, on an NVIDIA GPU in place of the processor; without one it says "NO GPU".
+GPU_TESTS = tests/simulate/test_gpu.py tests/simulate/test_furnace_bands.py \
+            tests/simulate/test_furnace_spectrum.py tests/simulate/test_energy_balance.py \
+            tests/simulate/test_mitsuba_scenes.py tests/simulate/test_optics_position_map.py \
+            tests/simulate/test_optics_paths.py tests/simulate/test_fluorescence_levels.py \
+            tests/simulate/test_fluorescent_regression.py tests/simulate/test_optics_render.py \
+            tests/simulate/test_optics_curved_refraction.py tests/simulate/test_shared_gathers.py \
+            tests/simulate/test_mirror_guide.py tests/simulate/test_poisoned_lanes.py
+test-gpu: $(VENV)/installed-dev llvm
+	FINRAY_TEST_ENGINE=cuda $(BIN)/pytest -rs -m renderer $(GPU_TESTS)
 
 # The demo and all tests on every Python that is here, each in an environment of its own (.venv-3.12); hours. What was
 # skipped stands at the end: it is the barrier contact only, and only where the processor has no AVX2.

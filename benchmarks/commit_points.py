@@ -58,8 +58,8 @@ STUDY = """
 kind = "design"
 name = "two angles"
 [set]
-"camera.width_px" = 64
-"camera.height_px" = 48
+"camera.width_px" = 160
+"camera.height_px" = 120
 [measure]
 samples = 2
 [[vary]]
@@ -235,7 +235,8 @@ COMMANDS = {
         0,
     ),
     "design paints": Command(
-        "design paints {i}/whole.toml --paint {i}/red.paint.json --paint {i}/green.paint.json --out {o}/p.json",
+        "design paints {i}/whole.toml --paint {i}/fitted.paint.json --paint {i}/fitted-green.paint.json "
+        "--out {o}/p.json",
         "p.json",
         ("finray_calib.cli._design:open_engine", "sim.experiments._paint_choice:paint_pairs"),
     ),
@@ -456,8 +457,13 @@ def laboratory(folder: Path) -> str:
     succeed(f"capture {folder}/camera.toml --rig {folder}/rig.toml --out {folder}/camera")
     succeed(f"radiometry {folder}/session --pixels --out {folder}/bands.json")
     (folder / "bands.pixels.json").rename(folder / "pixels.json")
+    write_rig(simulated_rig("green", width_px=320, height_px=256), folder / "green-rig.toml")
+    write_plan(paint_plan("green", rig.camera), folder / "green-plan.toml")
+    succeed(f"capture {folder}/green-plan.toml --rig {folder}/green-rig.toml --out {folder}/green-session")
+    succeed(f"radiometry {folder}/green-session --out {folder}/green-bands.json")
     with patch("finray_calib.fit._paint_calibration.calibrate_paint", ORIGINAL_FIT):
         succeed(f"fit {folder}/bands.json --out {folder}/fitted.paint.json")
+        succeed(f"fit {folder}/green-bands.json --out {folder}/fitted-green.paint.json")
     succeed(f"compare {folder}/press.json {folder}/capture.json --out {folder}/report.json")
     write_catalog(folder / "balls")
     succeed(f"import captures {write_fots(folder / 'fots')} --recipe fots-gelsight --out {folder}/set")

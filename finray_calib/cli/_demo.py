@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
+    add_engine,
     add_out,
     add_seed,
     command_line,
@@ -36,7 +37,7 @@ def add_demo(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--green", type=Path, metavar="FILE", help="re-radiation matrix (CSV) that lies on the green wall"
     )
     parser.add_argument("--sensor", type=Path, metavar="FILE", help="camera response (CSV) of both cameras")
-    parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
+    add_engine(parser)
     add_out(parser, "finray-demo/, or the next free finray-demo-N/, or the last one if it was interrupted")
     add_seed(parser)
     parser.set_defaults(run=run_demo_verb)
@@ -45,12 +46,12 @@ def add_demo(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run_demo_verb(arguments: argparse.Namespace) -> None:
     """Run and report."""
     from finray_calib.demo import COMPILED_EFFORT, SCALAR_EFFORT, DemoSettings, run_demo, settings_json
-    from sim.optics import choose_variant
+    from sim.optics import SCALAR_VARIANT, choose_variant
 
     materials = {c: f for c, f in (("red", arguments.red), ("green", arguments.green)) if f is not None}
     _require_usable_curves(materials.values(), arguments.sensor)
     engine = choose_variant(arguments.engine)
-    effort = SCALAR_EFFORT if engine.llvm_library is None else COMPILED_EFFORT
+    effort = SCALAR_EFFORT if engine.variant == SCALAR_VARIANT else COMPILED_EFFORT
     settings = DemoSettings(Path(), materials, arguments.sensor, arguments.seed, command_line(), effort)
     as_json = settings_json(settings, engine)
     out = require_place(arguments.out or _where_to_go_on(Path("finray-demo"), as_json))

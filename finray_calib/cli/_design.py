@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from finray_calib.cli._design_search import add_optimise, add_tolerances
 from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
+    add_engine,
     add_seed,
     command_line,
     file_name,
@@ -114,7 +115,7 @@ def _add_init(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
 def _add_show(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     show = actions.add_parser("show", help="drawing, the camera's view of the pad", description=SHOW_DESCRIPTION)
     show.add_argument("design", type=Path, metavar="DESIGN", help="design (TOML), or the name of a preset")
-    show.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
+    add_engine(show)
     show.add_argument(
         "--out", type=Path, metavar="FILE", help="drawing (.png) or interactive page (.html); must be new"
     )
@@ -147,7 +148,7 @@ def _add_paints(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "--paint", type=Path, action="append", required=True, metavar="FILE",
         help="paint calibration, written by 'finray fit'; at least two",
     )  # fmt: skip
-    paints.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
+    add_engine(paints, is_scalar_enough=False)
     paints.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.paint-choice.json; must be new")
     add_seed(paints)
     paints.set_defaults(run=run_paints)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
+    add_engine,
     add_paint,
     add_paints_as_given,
     add_seed,
@@ -111,7 +112,7 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )  # fmt: skip
     add_paint(search)
     add_paints_as_given(search)
-    search.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
+    add_engine(search, is_scalar_enough=False)
     search.add_argument("--out", type=Path, metavar="DIR", help="folder of the search (default: NAME.optimised)")
     add_seed(search)
     search.set_defaults(run=run_optimise)
@@ -163,7 +164,8 @@ def run_optimise(arguments: argparse.Namespace) -> None:
         light, paints = _light_measure(arguments, design, folder)
     origin = provenance(command_line(), input_digests([*files, *paints]), arguments.seed)
     out.mkdir(parents=True, exist_ok=True)
-    clear_leftovers(out)
+    for kept in (out, out / EVALUATIONS):
+        clear_leftovers(kept)
     evaluations = DesignEvaluations(out / EVALUATIONS, objectives, origin, light)
     with naming(SimulateError, arguments.design), progress_bar(f"search of {design.name}") as progress:
         searched = search_designs(
@@ -290,7 +292,7 @@ def add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]
     tolerances.add_argument(
         "--samples", type=int, default=1024, metavar="N", help="paths per point and repeat: 1024, some 1 s a finger"
     )
-    tolerances.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
+    add_engine(tolerances, is_scalar_enough=False)
     tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
     add_seed(tolerances)
     tolerances.set_defaults(run=run_tolerances)

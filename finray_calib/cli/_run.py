@@ -56,6 +56,17 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_engine(parser: argparse.ArgumentParser, *, is_scalar_enough: bool = True) -> None:
+    """Add ``--engine``; what needs paths that only a compiled renderer traces has no scalar one."""
+    scalar = ["scalar"] if is_scalar_enough else []
+    parser.add_argument(
+        "--engine", choices=["auto", "llvm", *scalar, "cuda"], default="auto",
+        help="renderer: compiled for the processor (llvm) or for an NVIDIA GPU (cuda)"
+        + (", or not compiled (scalar)" if scalar else "")
+        + "; auto never takes the GPU (default: auto)",
+    )  # fmt: skip
+
+
 def increment_count(text: str) -> int:
     """Parse a number of increments."""
     if not text.isdecimal() or not 1 <= int(text) <= 1000:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     LongWork,
+    add_engine,
     add_out,
     add_paint,
     add_paints_as_given,
@@ -151,7 +152,7 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
         "--surfaces", type=Path, metavar="FILE",
         help="the finger without and with contact, by 'finray simulate press' (default: pressed by a formula)",
     )  # fmt: skip
-    parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
+    add_engine(parser)
 
 
 def _long_render(arguments: argparse.Namespace) -> LongWork:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from finray_calib.cli._output import give, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
+    add_engine,
     add_out,
     add_paint,
     add_seed,
@@ -188,7 +189,7 @@ def add_illumination_studies(studies: "argparse._SubParsersAction[argparse.Argum
         whose = "probe and repeat" if study.name == "light-angle" else "pixel, an even number"
         parser.add_argument("--samples", type=partial(_samples, even=study.name != "light-angle"), metavar="N",
                             default=study.samples, help=f"paths per {whose} (default: {study.samples})")  # fmt: skip
-        parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer")
+        add_engine(parser)
         add_out(parser, f"{study.name}, a folder")
         add_seed(parser)
         parser.set_defaults(run=partial(run_illumination_study, study))

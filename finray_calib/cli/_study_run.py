@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from finray_calib.cli._output import give, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
+    add_engine,
     add_paint,
     add_paints_as_given,
     add_seed,
@@ -107,7 +108,7 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
     run.add_argument("plan", metavar="PLAN", help="plan (TOML), or the name of one that comes with finray")
     add_paint(run)
     add_paints_as_given(run)
-    run.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
+    add_engine(run)
     run.add_argument("--workers", type=_count, metavar="N", help="worker processes (default: by cores and memory)")
     run.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
     run.add_argument("--out", type=Path, metavar="DIR", help="folder of the study (default: its name)")
@@ -143,7 +144,7 @@ def _add_dataset(studies: "argparse._SubParsersAction[argparse.ArgumentParser]")
                       help="presses in a shard (default: 10)")  # fmt: skip
     add_paint(made)
     add_paints_as_given(made)
-    made.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
+    add_engine(made, is_scalar_enough=False)
     made.add_argument("--workers", type=_count, metavar="N", help="worker processes (default: by cores and memory)")
     made.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
     add_seed(made)

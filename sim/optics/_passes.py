@@ -16,8 +16,8 @@ from sim.optics._path_rules import LookupTable
 MOST_PASSES: Final = 16
 """Passes of a picture, as many as batches of a bake: Student's t with 15 degrees of freedom is near the normal."""
 
-_LANES = 1 << 22
-"""Paths traced at once; more need memory and gain nothing."""
+_LANES: Final = {"cuda": 1 << 24, "llvm": 1 << 22}
+"""Paths traced at once, by what they are compiled for; more need memory and gain nothing."""
 
 _AROUND_PX = 5
 
@@ -95,8 +95,9 @@ def traced_picture(
     picture = PassedPicture(
         *(np.zeros((rows, columns, n), dtype=np.float32) for n in (len(chains), len(chains), len(BAND_NAMES)))
     )
+    most_lanes = _LANES[renderer.variant().partition("_")[0]]
     for number, (pixels, paths) in enumerate(regions):
-        chunks = np.array_split(pixels, -(-len(pixels) * paths // _LANES)) if len(pixels) else []
+        chunks = np.array_split(pixels, -(-len(pixels) * paths // most_lanes)) if len(pixels) else []
         for part, chunk in enumerate(chunks):
             lanes = _Lanes(chunk, (rows, columns), paths, passes)
             traced = lanes.traced(scene, integrator, renderer, seed_of(1 + number + len(regions) * part))
@@ -147,7 +148,7 @@ class _Lanes(NamedTuple):
         dr.eval(channels)
         if divide is not None:
             divide(dr.opaque(renderer.UInt32, 0))
-        values = np.stack([np.array(channel) for channel in channels], axis=-1)
-        return np.asarray(
-            values.reshape(len(self.corners), self.passes, -1, len(channels)).mean(axis=2).transpose(1, 0, 2)
-        )
+        own = self.paths // self.passes
+        # summed where they were traced: to bring all paths here from a GPU takes longer than to trace them
+        values = np.stack([np.array(dr.block_sum(channel, own)) for channel in channels], axis=-1) / np.float32(own)
+        return np.asarray(values.reshape(len(self.corners), self.passes, len(channels)).transpose(1, 0, 2))

@@ -284,6 +284,7 @@ def run_dataset(
     MissingExtraError
         Dask is not installed.
     """
+    clear_leftovers(task.folder / SHARDS)  # the last shard of a run that was killed may be whole already
     todo = [shard for shard in shards if stored_shard(task, shard) is None]
     failed = []
     for shard, reason in each_computed(_try_shard, task, todo, "shard ", (workers, scheduler), progress):

@@ -14,7 +14,17 @@ from contextlib import contextmanager
 from typing import Any, Final, Protocol, TypeVar
 
 from data_schemas import FinrayError, MissingExtraError, SimulateError, StudyFailure, StudyPoint
-from sim.studies._point import PlannedPoint, StudyTask, compute_point, compute_press, press_file, stored_point
+from data_schemas.storage import clear_leftovers
+from sim.studies._point import (
+    POINTS,
+    PRESSES,
+    PlannedPoint,
+    StudyTask,
+    compute_point,
+    compute_press,
+    press_file,
+    stored_point,
+)
 
 
 class Numbered(Protocol):
@@ -83,6 +93,8 @@ def run_study(
     MissingExtraError
         Dask is not installed.
     """
+    for kept in (POINTS, PRESSES):  # the last point of a run that was killed may be whole already
+        clear_leftovers(task.folder / kept)
     todo = [point for point in points if stored_point(task, point) is None]
     presses = {file: point for point in todo if (file := press_file(task, point.design)) and not file.exists()}
     failed: dict[int, str] = {}

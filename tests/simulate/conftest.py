@@ -1,12 +1,21 @@
-"""Paints and renderers of the optics tests."""
+"""Paints and renderers of the optics tests.
 
+Tests of the compiled renderer run with LLVM; with FINRAY_TEST_ENGINE=cuda, as `make test-gpu` sets it, on a GPU.
+"""
+
+import os
 from collections.abc import Callable
 from types import ModuleType
 
 import numpy as np
 import pytest
 
+from data_schemas import MissingExtraError
 from sim.optics import PaintOptics, RendererChoice, choose_variant, open_renderer
+
+ON_GPU = os.environ.get("FINRAY_TEST_ENGINE") == "cuda"
+
+collect_ignore = [] if ON_GPU else ["test_gpu.py"]
 
 
 def gaussian(wavelength_nm, center_nm, sigma_nm, peak):
@@ -30,12 +39,36 @@ def scalar() -> ModuleType:
     return open_renderer(choose_variant("scalar"))
 
 
-@pytest.fixture(scope="session")
-def llvm_choice() -> RendererChoice:
-    choice = choose_variant("auto")
-    if choice.llvm_library is None:
+def compiled(spectral: bool) -> RendererChoice:
+    """Return the compiled renderer that is tested."""
+    try:
+        choice = choose_variant("cuda" if ON_GPU else "auto", spectral=spectral)
+    except MissingExtraError as error:
+        pytest.skip(f"NO GPU: {error}")
+    if choice.variant.startswith("scalar"):
         pytest.skip(f"NO LLVM: {choice.note}")
     return choice
+
+
+@pytest.fixture(scope="session")
+def llvm_choice() -> RendererChoice:
+    return compiled(spectral=False)
+
+
+@pytest.fixture(scope="session")
+def gpu(llvm_choice: RendererChoice) -> RendererChoice:
+    assert llvm_choice.variant == "cuda_ad_rgb"
+    return llvm_choice
+
+
+@pytest.fixture(scope="session")
+def spectral_choice(llvm_choice: RendererChoice) -> RendererChoice:
+    return compiled(spectral=True)
+
+
+@pytest.fixture
+def spectral(spectral_choice: RendererChoice) -> ModuleType:
+    return open_renderer(spectral_choice)
 
 
 @pytest.fixture

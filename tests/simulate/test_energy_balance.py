@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from data_schemas import SimulateError
-from sim.optics import choose_variant, open_renderer
 from sim.optics._fluorescent_paint import FluorescentPaint
 
 pytestmark = pytest.mark.renderer
@@ -23,11 +22,6 @@ RAYS = 120_000
 LAMP_HALF = 0.3
 # plates face each other: green emission reaches the red plate, and the other way round
 WALLS = {"red": ((-0.9, 0.0, 0.0), (0, 1, 0), 90.0), "green": ((0.9, 0.0, 0.0), (0, 1, 0), -90.0)}
-
-
-@pytest.fixture
-def spectral(llvm_choice):
-    return open_renderer(choose_variant("llvm", [llvm_choice.llvm_library], spectral=True))
 
 
 def room():

@@ -3,18 +3,11 @@
 import numpy as np
 import pytest
 
-from sim.optics import choose_variant, open_renderer
-
 pytestmark = pytest.mark.renderer
 
 SEEDS, RAYS = 6, 40_000
 FINE_NM = np.arange(380.0, 780.001, 0.05)
 WINDOWS_NM = ((440.0, 460.0), (500.0, 530.0), (590.0, 620.0), (650.0, 700.0))
-
-
-@pytest.fixture
-def spectral(llvm_choice):
-    return open_renderer(choose_variant("llvm", [llvm_choice.llvm_library], spectral=True))
 
 
 def furnace(name, wavelengths, seeds=SEEDS, rays=RAYS):

@@ -3,17 +3,11 @@
 import numpy as np
 import pytest
 
-from sim.optics import choose_variant, open_renderer
 from tests.simulate.z_test import z_test
 
 pytestmark = pytest.mark.renderer
 
 RUNS = 16
-
-
-@pytest.fixture
-def spectral(llvm_choice):
-    return open_renderer(choose_variant("llvm", [llvm_choice.llvm_library], spectral=True))
 
 
 def cornell_box(columns=32, rows=24, light=None):

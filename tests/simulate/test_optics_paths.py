@@ -7,7 +7,7 @@ import pytest
 
 from data_schemas import FingerDesign, LightPanel
 from data_schemas._design_parts import TactileCamera
-from sim.optics import TEXELS_ALONG, choose_variant, inner_face, open_renderer, paint_bands
+from sim.optics import TEXELS_ALONG, inner_face, open_renderer, paint_bands
 from sim.optics._painted_walls import TEXELS_UP, direct_irradiance, texel_uv
 from sim.optics._path_rules import LedSearch
 from sim.optics._scene import finger_scene
@@ -153,11 +153,10 @@ def test_one_panel_plus_one_panel_equals_two(llvm, paints):
 
 
 @pytest.mark.renderer
-def test_an_integrator_belongs_to_the_variant_that_is_set(llvm_choice, paints):
+def test_an_integrator_belongs_to_the_variant_that_is_set(llvm_choice, spectral_choice, paints):
     """The renderer refuses integrators of another variant: which one was set first must not matter."""
-    spectral = choose_variant("llvm", [llvm_choice.llvm_library], spectral=True)
     shape, bands = rest_shape(DESIGN), paint_bands(paints["red"], paints["green"], DESIGN.light)
-    for choice in (spectral, llvm_choice, spectral, llvm_choice):
+    for choice in (spectral_choice, llvm_choice, spectral_choice, llvm_choice):
         renderer = open_renderer(choice)
         from sim.optics._band_paths import band_integrator  # the first time in whatever variant is set
 
