@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.angle_sweep_bias import at_angle
 from benchmarks.fluorescence_levels import finger, paints
 from data_schemas import FingerDesign
 from sim.optics import BAND_NAMES, choose_variant, open_renderer
@@ -167,11 +168,6 @@ def blocks_around_probes(design: FingerDesign) -> list[Any]:
         row, column = (int(i) - BLOCK_PX // 2 for i in np.unravel_index(np.argmin(distance), distance.shape))
         blocks.append(Window(row, row + BLOCK_PX, column, column + BLOCK_PX))
     return blocks
-
-
-def at_angle(design: FingerDesign, angle_deg: float) -> FingerDesign:
-    """Return the design with another light angle."""
-    return design.model_copy(update={"light": design.light.model_copy(update={"angle_deg": angle_deg})})
 
 
 def main() -> None:

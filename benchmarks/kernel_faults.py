@@ -13,7 +13,6 @@ import json
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -26,7 +25,7 @@ from data_schemas.storage import write_record
 from data_schemas.storage._product_set import is_whole
 from tests.command_line.records import capture_of, press, sweep, with_known_camera
 from tests.command_line.running import succeed
-from tests.command_line.verb_faults import OWN, products
+from tests.command_line.verb_faults import fresh_folders, products
 from tests.documentation.example_records import example_results
 
 CALLS = (
@@ -59,12 +58,7 @@ class Run:
 
     def fresh(self) -> dict[str, bytes]:
         """Make the folders anew, with files of the user, and return what lies in them."""
-        for folder in (self.here, self.there):
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir(parents=True)
-            for name in OWN:
-                (folder / name).write_bytes(b"the user's own")
-        return products(self.here, self.there)
+        return fresh_folders(self.here, self.there)
 
     def run(self, *strace: str) -> tuple[int, str]:
         """Run, below strace where something is asked of it; return exit status and standard error."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from data_schemas import BandSignals, Optics
-from data_schemas.storage import assumed_camera_response, halogen_lamp
+from benchmarks.drawn_paints import nominal_optics
+from data_schemas import BandSignals
 from finray_calib.fit import PAINT_DISCREPANCY, BandData, EmissionPrior, LogPosterior, band_data
 from finray_calib.fit._band_data import band_values
 from finray_calib.fit._emission import REFERENCE_ROUNDS
@@ -17,7 +17,6 @@ from finray_calib.spectra import (
     weights_of,
 )
 from finray_calib.spectra._band_weights import laser_line
-from rigs import simulated_rig
 
 CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)
 CALIBRATION_REL, NOISE_REL = 0.01, 0.003
@@ -29,22 +28,9 @@ ORANGE = {
 """An orange paint that reflects a tenth of the laser."""
 
 
-def rig_optics() -> Optics:
-    """Return the paper's eight filters with a Bayer camera and a halogen lamp."""
-    rig = simulated_rig("red")
-    return Optics(
-        filters=rig.filter_wheel.filters,
-        excitation_filter="450",
-        laser=rig.laser,
-        lamp=halogen_lamp(),
-        white_reference=rig.white_reference,
-        camera_response=assumed_camera_response(),
-    )
-
-
 def five_parameter_posterior(seed: int) -> LogPosterior:
     """Return the paper's family and the reflected laser: eight bands, one channel, filters without leak."""
-    optics, grid = rig_optics(), WAVELENGTH_NM
+    optics, grid = nominal_optics(), WAVELENGTH_NM
     floors = np.array([10.0**-f.blocking_od for f in optics.filters])
     passed = np.array([filter_transmission(f, grid) for f in optics.filters]) - floors[:, None]
     white = np.full(grid.shape, optics.white_reference.reflectance)
@@ -60,7 +46,7 @@ def five_parameter_posterior(seed: int) -> LogPosterior:
 
 def paint_signals(seed: int) -> BandSignals:
     """Return the band signals of the orange paint, eight bands of three channels."""
-    optics = rig_optics()
+    optics = nominal_optics()
     y, sd = _measured(
         family_named("log_normal_wavenumber"), weights_of(optics, CHANNEL_WEIGHTS), np.random.default_rng(seed)
     )

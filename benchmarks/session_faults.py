@@ -249,14 +249,14 @@ def mjpeg_server() -> Iterator[int]:
             self.send_response(200)
             self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=part")
             self.end_headers()
-            try:
-                while True:
-                    body = picture()
-                    head = f"--part\r\nContent-Type: image/jpeg\r\nContent-Length: {len(body)}\r\n\r\n"
+            while True:
+                body = picture()
+                head = f"--part\r\nContent-Type: image/jpeg\r\nContent-Length: {len(body)}\r\n\r\n"
+                try:
                     self.wfile.write(head.encode() + body + b"\r\n")
-                    time.sleep(0.05)
-            except OSError:
-                pass
+                except ConnectionError:  # the camera's driver hung up; anything else is a fault of this server
+                    return
+                time.sleep(0.05)
 
         def log_message(self, format: str, *args: object) -> None:
             """Say nothing."""

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from data_schemas import Optics
-from data_schemas.storage import assumed_camera_response, halogen_lamp
+from benchmarks.drawn_paints import nominal_optics
 from finray_calib.fit import map_pixels
 from finray_calib.fit._pixel_maps import pixel_problem
 from finray_calib.spectra import weights_of
-from rigs import simulated_rig
 from tests.fit.pixel_scenes import SPREAD, PixelScene, center_of, scene, whole_rule
 
 FAMILIES = ("zheng2014", "log_normal_wavenumber")
@@ -27,25 +25,13 @@ TILE = 64
 """Rows and columns that are simulated; the frame repeats them."""
 
 
-def optics() -> Optics:
-    rig = simulated_rig("red")
-    return Optics(
-        filters=rig.filter_wheel.filters,
-        excitation_filter="450",
-        laser=rig.laser,
-        lamp=halogen_lamp(),
-        white_reference=rig.white_reference,
-        camera_response=assumed_camera_response(),
-    )
-
-
 def frame(name: str) -> PixelScene:
     """A 1.3 MP frame: paint of uneven thickness and mode, 1 % noise."""
     rng = np.random.default_rng(1)
     truth = np.tile(center_of(name), (TILE * TILE, 1))
     truth[:, 2] += 0.2 * rng.standard_normal(len(truth))
     truth[:, 0] += 2.0 * rng.standard_normal(len(truth))
-    small = scene(name, optics(), truth, rng, rows=TILE)
+    small = scene(name, nominal_optics(), truth, rng, rows=TILE)
     repeat = (ROWS // TILE, COLUMNS // TILE)
     fields = {
         key: np.tile(value, (1,) * (value.ndim - 2) + repeat)

@@ -12,17 +12,7 @@ from typing import TYPE_CHECKING
 from data_schemas._lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from data_schemas._arrays import ArraySpec
-    from data_schemas._camera import (
-        FEWEST_LEVELS,
-        CameraCharacterisation,
-        CameraPlan,
-        CameraSession,
-        ChannelCharacterisation,
-        ChannelName,
-        PhotonTransferCurve,
-        Resolvable,
-    )
+    from data_schemas._arrays import ArraySpec, read_only
     from data_schemas._capture import (
         CaptureSession,
         CharucoBoard,
@@ -170,6 +160,7 @@ if TYPE_CHECKING:
         SamplingMethod,
         SessionScatter,
     )
+    from data_schemas._lazy_exports import register_record_methods
     from data_schemas._model import Estimate, Model, Quantity, Record, explain
     from data_schemas._plain_sensor import (
         CHANNELS,
@@ -181,8 +172,22 @@ if TYPE_CHECKING:
         TranslucentLayer,
     )
     from data_schemas._provenance import Provenance, digest_of_input, note_renderer, package_version, provenance
-    from data_schemas._radiometry import BandSignals, Bleaching, Flag, Optics, PixelSignals, TiltRatio
-    from data_schemas._record_methods import register_record_methods
+    from data_schemas._radiometry import (
+        FEWEST_LEVELS,
+        BandSignals,
+        Bleaching,
+        CameraCharacterisation,
+        CameraPlan,
+        CameraSession,
+        ChannelCharacterisation,
+        ChannelName,
+        Flag,
+        Optics,
+        PhotonTransferCurve,
+        PixelSignals,
+        Resolvable,
+        TiltRatio,
+    )
     from data_schemas._record_text import decimals_for, fixed, interval_text, kind_in_words, needed_kind, significant
     from data_schemas._rig import (
         EXCHANGED_FILTERS,
@@ -592,6 +597,7 @@ __all__ = [
     "package_version",
     "practice_fault",
     "provenance",
+    "read_only",
     "register_record_methods",
     "require_coverage",
     "significant",

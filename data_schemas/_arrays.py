@@ -9,13 +9,14 @@ model: use :func:`check_dimensions` in a validator.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 _JSON_TYPE = {"f": "number", "u": "integer", "i": "integer", "b": "boolean"}
 
 
@@ -150,3 +151,10 @@ def _none_for_nan(value: Any) -> Any:
     if isinstance(value, list):
         return [_none_for_nan(v) for v in value]
     return None if value != value else value
+
+
+def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """Return a view that cannot be written through; the caller's array stays writable."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

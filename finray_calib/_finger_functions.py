@@ -21,7 +21,7 @@ from data_schemas import (
     naming,
     narrow_sweep_text,
 )
-from finray_calib._given_records import PathLike, digest_of, given, made
+from finray_calib._library import PathLike, digest_of, given, made
 
 if TYPE_CHECKING:
     from typing import Unpack

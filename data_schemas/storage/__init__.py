@@ -75,7 +75,6 @@ if TYPE_CHECKING:
         clear_leftovers,
         manifest_faults,
         manifest_text,
-        sha256_now,
         write_manifest,
     )
     from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, write_record
@@ -140,7 +139,6 @@ __all__ = [
     "refuse_taken",
     "require_decoded_size",
     "rggb_frame",
-    "sha256_now",
     "sha256_of",
     "stopping_together",
     "tell",

@@ -29,6 +29,7 @@ from data_schemas import ChecksumError, DiedError, FinrayError, ImportFormatErro
 from data_schemas.storage._child_process import Child
 from data_schemas.storage._foreign_files import LARGEST_ARRAY_FILE_BYTES, MB, digest_as_read, read_bytes
 from data_schemas.storage._whole_files import write_bytes
+from data_schemas.storage._zip_archives import brief_fault
 
 LARGEST_FOREIGN_ARRAYS_BYTES: Final = 512 * MB
 """Of all arrays of a file of others together, unpacked."""
@@ -373,7 +374,7 @@ def tiff_image(content: bytes, where: object, error: type[FinrayError]) -> NDArr
             if page.compression == _UNCOMPRESSED:
                 return np.asarray(page.asarray())
     except Exception as fault:  # of a broken file the TIFF reader raises nearly anything
-        raise error(f"{where}: cannot be read as TIFF ({_brief(fault)}); is the file complete?") from None
+        raise error(f"{where}: cannot be read as TIFF ({brief_fault(fault)}); is the file complete?") from None
     return parse_in_child(f"{__name__}:unpacked_tiff", content, where, "TIFF", error)[1]["image"]
 
 
@@ -385,7 +386,9 @@ def unpacked_tiff(content: bytes, where: str) -> tuple[None, dict[str, NDArray[A
         with tifffile.TiffFile(io.BytesIO(content)) as file:
             return None, {"image": np.asarray(file.pages[0].asarray())}
     except Exception as fault:
-        raise ImportFormatError(f"{where}: cannot be read as TIFF ({_brief(fault)}); is the file complete?") from None
+        raise ImportFormatError(
+            f"{where}: cannot be read as TIFF ({brief_fault(fault)}); is the file complete?"
+        ) from None
 
 
 def require_decoded_size(page: Any) -> None:
@@ -403,11 +406,6 @@ def require_decoded_size(page: Any) -> None:
             f"an image of shape {page.shape} takes {size / 2**20:.4g} MB when decoded; more than 0 and at "
             f"most {LARGEST_DECODED_BYTES / 2**20:g} MB are allowed"
         )
-
-
-def _brief(fault: Exception) -> str:
-    """Return what the TIFF reader says, in one line of bounded length."""
-    return " ".join(f"{fault}".split())[:200] or type(fault).__name__
 
 
 BayerOrder = Literal["RGGB", "BGGR", "GRBG", "GBRG"]

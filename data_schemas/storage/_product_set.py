@@ -36,7 +36,7 @@ from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple
 
 from data_schemas import RecordError
-from data_schemas.storage._foreign_files import files_below, has_file, open_regular, read_text
+from data_schemas.storage._foreign_files import files_below, has_file, read_text
 from data_schemas.storage._whole_files import (
     PART_ENDING,
     give_name,
@@ -555,18 +555,6 @@ class FileFault:
     text: str
 
 
-def sha256_now(path: Path) -> str:
-    """Return the SHA-256 of a regular file as it is now; provenance takes that of the bytes that were read instead.
-
-    Raises
-    ------
-    RecordError
-        It is no regular file, or cannot be read.
-    """
-    with open_regular(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def manifest_text(folder: Path, added: Mapping[str, str] | None = None, left_out: Iterable[str] = ()) -> bytes:
     """Return the checksums of all files below a folder as ``sha256sum`` writes them.
 
@@ -582,7 +570,7 @@ def manifest_text(folder: Path, added: Mapping[str, str] | None = None, left_out
     files = (path for path in folder.rglob("*") if path.is_file() and not _is_hidden(path, folder))
     named = {path.relative_to(folder).as_posix(): path for path in files}
     skipped = set(left_out)
-    digests = {name: sha256_now(path) for name, path in named.items() if name.split("/")[0] not in skipped}
+    digests = {name: sha256_of(path) for name, path in named.items() if name.split("/")[0] not in skipped}
     lines = [f"{digest}  {name}\n" for name, digest in sorted({**digests, **(added or {})}.items())]
     return "".join(lines).encode()
 
@@ -646,7 +634,7 @@ def _fault(file: Path, digest: str, known: Mapping[Path, str]) -> Iterable[FileF
         yield FileFault(file, "missing", f"is missing; {MANIFEST_NAME} lists it")
         return
     try:
-        now = known.get(file) or sha256_now(file)
+        now = known.get(file) or sha256_of(file)
     except RecordError as error:
         yield FileFault(file, "changed", str(error).removeprefix(f"{file}: "))
         return

@@ -32,7 +32,13 @@ LONGEST_NAME_BYTES = 180
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes as 64 hex digits."""
+    """Return the SHA-256 of a regular file as it is now; provenance takes that of the bytes that were read instead.
+
+    Raises
+    ------
+    RecordError
+        It is no regular file, or cannot be read.
+    """
     with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import PurePosixPath
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final
 
 ENDING: Final = ".zip"
 MOST_MEMBERS: Final = 50_000
@@ -54,7 +54,7 @@ class ZipArchive:
         try:
             self._archive = zipfile.ZipFile(self._file)
         except _DAMAGED as fault:
-            raise ValueError(f"cannot be read as a zip archive ({_brief(fault)}); is the file complete?") from None
+            raise ValueError(f"cannot be read as a zip archive ({brief_fault(fault)}); is the file complete?") from None
         entries = self._archive.infolist()
         self._entries = dict(_accepted(entries))
         _require_apart(entries)
@@ -98,7 +98,7 @@ class ZipArchive:
             with self._reading, self._file.being(file), self._archive.open(entry) as opened:
                 content = opened.read(entry.file_size + 1)
         except _DAMAGED as fault:
-            raise ValueError(f"is damaged in its archive ({_brief(fault)})") from None
+            raise ValueError(f"is damaged in its archive ({brief_fault(fault)})") from None
         if len(content) != entry.file_size:
             raise ValueError(f"breaks off in its archive: {len(content)} of {entry.file_size} bytes")
         return content
@@ -195,6 +195,6 @@ def _require_apart(entries: list[zipfile.ZipInfo]) -> None:
         end = entry.header_offset + _LOCAL_HEADER_BYTES + entry.compress_size
 
 
-def _brief(fault: Any) -> str:
+def brief_fault(fault: object) -> str:
     """Return what the reader says, in one line of bounded length."""
     return " ".join(f"{fault}".split())[:200] or type(fault).__name__

@@ -39,7 +39,6 @@ ACCEPTED_SHARE, REFUSED_SHARE = 0.10, 0.30
 """Of the measurement's standard deviation in the total one: below, acceptable; above, not (AIAG)."""
 FEWEST_SESSIONS: Final = 6
 """Below it the interval of the measurement's standard deviation spans a factor of five and more."""
-FEWEST_CATEGORIES: Final = 5
 DRAWS: Final = 20_000
 _ALPHA: Final = 0.05
 

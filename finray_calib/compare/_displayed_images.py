@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from data_schemas import CompareError, MissingExtraError, TactileCapture
 from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._region_sums import Captured
-from finray_calib.compare._regions import pixels_within, usable_pixels
+from finray_calib.compare._regions import usable_pixels
 from finray_calib.compare._structural_similarity import (
     StructuralSimilarity,
     multi_scale_similarity,
@@ -224,15 +224,6 @@ _TO_RATIO = _SRGB_TO_XYZ / _WHITE_XYZ[:, None]
 _CHUNK_PX = 8192
 
 
-@dataclass(frozen=True, slots=True)
-class ColourDifference:
-    """Hold the CIEDE2000 difference over a region: mean and 95th percentile of its `pixels`."""
-
-    mean: float
-    p95: float
-    pixels: int
-
-
 def srgb_to_lab(srgb: Floats) -> Floats:
     """Convert sRGB to CIE L*a*b* under D65 for the 2 degree observer.
 
@@ -316,30 +307,6 @@ def colour_difference_map(first_srgb: Floats, second_srgb: Floats) -> Floats:
         )
     first, second = _checked_srgb(first_srgb), _checked_srgb(second_srgb)
     return _in_chunks(_srgb_difference, first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
-
-
-def colour_difference_within(first_srgb: Floats, second_srgb: Floats, mask: NDArray[np.bool_]) -> ColourDifference:
-    """Return mean and 95th percentile of the CIEDE2000 difference of two displayed images over a region.
-
-    Parameters
-    ----------
-    first_srgb, second_srgb : ndarray, shape (H, W, 3)
-        Encoded sRGB, 0..1, see `displayed_image`; pixels that are not finite in both are left out.
-    mask : ndarray of bool, shape (H, W)
-
-    Returns
-    -------
-    ColourDifference
-
-    Raises
-    ------
-    CompareError
-        If shapes differ, no pixel is usable, or values lie outside 0..1.
-    """
-    used = usable_pixels(mask, first_srgb, second_srgb)
-    first, second = _checked_srgb(pixels_within(first_srgb, used)), _checked_srgb(pixels_within(second_srgb, used))
-    difference = _in_chunks(_srgb_difference, first, second)
-    return ColourDifference(float(difference.mean()), float(np.quantile(difference, 0.95)), difference.size)
 
 
 def _checked_srgb(srgb: Floats) -> Floats:

@@ -23,9 +23,15 @@ if TYPE_CHECKING:
         next_design,
         screening_designs,
     )
-    from finray_calib.decide._design_optimum import DesignSearch, design_optimum, losses
+    from finray_calib.decide._design_optimum import (
+        DesignSearch,
+        PairedRanking,
+        design_optimum,
+        losses,
+        paint_choice,
+        rank_by_draws,
+    )
     from finray_calib.decide._light_angle import AngleDecision, SweptContact, decide_angle, decide_contacts
-    from finray_calib.decide._paired_ranking import PairedRanking, paint_choice, rank_by_draws
     from finray_calib.decide._tolerances import (
         ChaosEmulator,
         Estimates,

@@ -40,14 +40,16 @@ from finray_calib.demo._results import (
     truth_statement,
     validation_statement,
 )
-from finray_calib.demo._run import LOGS, REPORT_PAGE, SUMMARY
 from finray_calib.demo._stages import (
     CAPTURE,
     DECISION,
+    LOGS,
     MECHANICS,
     OTHER_TRUE_SWEEPS,
     PRESS,
     REPORT,
+    REPORT_PAGE,
+    SUMMARY,
     SURFACES,
     SWEEP,
     TRUE_SWEEP,

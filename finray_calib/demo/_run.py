@@ -32,19 +32,19 @@ from finray_calib.demo._stages import (
     CAPTURE,
     COLOURS,
     DECISION,
+    LOGS,
     MECHANICS,
     OTHER_SWEEPS,
     OTHER_TRUE_SWEEPS,
     PRESS,
     REPORT,
+    REPORT_PAGE,
     SURFACES,
     SWEEP,
     TRUE_SWEEP,
 )
 
 SETTINGS, TIMES = "demo.json", "stage-times.jsonl"
-LOGS = "logs"
-SUMMARY, REPORT_PAGE = "summary.json", "report.html"
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,6 +56,7 @@ OTHER_SWEEPS = tuple(f"sweep-{place:02.0f}mm.json" for place in OTHER_PLACES_MM)
 OTHER_TRUE_SWEEPS = tuple(f"true-{name}" for name in OTHER_SWEEPS)
 REPORT = {"a": "photometric-error-level-a.json", "b": "photometric-error.json"}
 DECISION = "light-angle-decision.json"
+SUMMARY, REPORT_PAGE, LOGS = "summary.json", "report.html", "logs"
 WITH_PROGRESS = frozenset({"capture", "press", "simulate", "sweep", "other_sweeps", "true_sweeps", "twin"})
 Progress = Callable[[int, int, str], None]
 R = TypeVar("R", bound=Record)

@@ -39,8 +39,7 @@ if TYPE_CHECKING:
         stock_catalogue,
     )
     from finray_calib.fit._importance import FEWEST_EFFECTIVE, LARGEST_PARETO_K, importance_sample, smooth_weights
-    from finray_calib.fit._likelihood import LogPosterior
-    from finray_calib.fit._map_search import find_maxima
+    from finray_calib.fit._likelihood import LogPosterior, find_maxima
     from finray_calib.fit._markov_chains import (
         LARGEST_MEMORY,
         LARGEST_R_HAT,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import BandSignals, Estimate, FitError, Reradiation, SpectralCurve
-from finray_calib.fit._emission import summarise
+from finray_calib.fit._emission import estimate
 from finray_calib.fit._prior import AbsorptionPrior
 from finray_calib.spectra import WAVELENGTH_NM, absorptance, photon_yield, reradiation_matrix, smooth_covariance
 
@@ -328,7 +328,7 @@ def fit_absorption(
         low95=low95,
         high95=high95,
         absorption_rel_draws=draws,
-        stokes_shift_nm=_estimate(shift_nm),
+        stokes_shift_nm=estimate(shift_nm),
         stokes_shift_draws_nm=shift_nm,
         measured_at_nm=tuple(light.excitation_nm for light in yields),
         prior_driven=len(yields) == 1 or float(shift_nm.std()) > MEASURED_STOKES_SD_NM,
@@ -413,12 +413,6 @@ def _relative_to_laser(yields: Sequence[ExcitationYield], laser_nm: float) -> Li
     ln_energy = np.array([np.log(light.yield_rel / yields[0].yield_rel) for light in yields[1:]])
     sd_rel = np.array([light.sd_rel for light in yields])
     return LightYields(laser_nm, lights_nm, ln_energy - np.log(lights_nm / laser_nm), sd_rel)
-
-
-def _estimate(draws: Floats) -> Estimate:
-    """Return the record of a posterior summary."""
-    s = summarise(draws)
-    return Estimate(estimate=s.estimate, sd=s.sd, low68=s.low68, high68=s.high68, low95=s.low95, high95=s.high95)
 
 
 def _statement(yields: Sequence[ExcitationYield], laser_nm: float, bounded: bool, effective: int) -> str:

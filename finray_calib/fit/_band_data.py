@@ -25,7 +25,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import HELD_UNCERTAINTY_REL, BandSignals, FitError
+from data_schemas import HELD_UNCERTAINTY_REL, BandSignals, FitError, read_only
 from finray_calib.spectra import (
     BandQuadrature,
     BandTolerances,
@@ -33,7 +33,6 @@ from finray_calib.spectra import (
     band_quadrature,
     held_shares,
     lamp_response,
-    read_only,
     tolerances_of,
     weights_of,
 )

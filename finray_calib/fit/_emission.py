@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import FitError, SamplingMethod
+from data_schemas import Estimate, FitError, SamplingMethod
 from finray_calib.fit._band_data import BandData, band_values, blocking_column
 from finray_calib.fit._importance import (
     GOOD_EFFECTIVE_SHARE,
@@ -26,8 +26,7 @@ from finray_calib.fit._importance import (
     WeightedSample,
     importance_sample,
 )
-from finray_calib.fit._likelihood import LogPosterior
-from finray_calib.fit._map_search import Maxima, find_maxima, starting_points
+from finray_calib.fit._likelihood import LogPosterior, Maxima, find_maxima, starting_points
 from finray_calib.fit._markov_chains import ChainDiagnostics, MovedDraws, SamplerSettings, moved_draws, sample_posterior
 from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, Discrepancy, EmissionPrior, chi_square_survival
 from finray_calib.spectra import CurveQuantities, EmissionFamily, curve_quantities
@@ -483,3 +482,16 @@ def summarise(draws: NDArray[np.float64]) -> Summary:
         )
     low95, low68, median, high68, high95 = np.quantile(draws, [0.025, 0.16, 0.5, 0.84, 0.975])
     return Summary(float(median), float(draws.std(ddof=1)), float(low68), float(high68), float(low95), float(high95))
+
+
+def estimate(draws: NDArray[np.float64]) -> Estimate:
+    """Return the record of :func:`summarise`."""
+    summary = summarise(draws)
+    return Estimate(
+        estimate=summary.estimate,
+        sd=summary.sd,
+        low68=summary.low68,
+        high68=summary.high68,
+        low95=summary.low95,
+        high95=summary.high95,
+    )

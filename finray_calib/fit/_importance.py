@@ -15,7 +15,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.fit._map_search import Maxima
+from finray_calib.fit._likelihood import Maxima
 from finray_calib.fit._prior import Prior
 from finray_calib.spectra import compiled
 

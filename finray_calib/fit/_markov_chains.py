@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from data_schemas import FitError
 from finray_calib.fit._importance import WeightedSample, tempered_weights
-from finray_calib.fit._map_search import Maxima
+from finray_calib.fit._likelihood import Maxima
 
 FloatArray = NDArray[np.float64]
 

@@ -37,7 +37,7 @@ from data_schemas import (
 from finray_calib.fit._absorption import matrix_warnings, paint_absorption, refuse_unfit_lights
 from finray_calib.fit._band_data import BandData, band_data
 from finray_calib.fit._detection import blank_model, detect_emission
-from finray_calib.fit._emission import EmissionPosterior, summarise
+from finray_calib.fit._emission import EmissionPosterior, estimate
 from finray_calib.fit._family_choice import FamilyFits, FamilyScore, FitOptions, fit_families, fit_family
 from finray_calib.fit._importance import mean_shifts
 from finray_calib.fit._markov_chains import ChainDiagnostics, SamplerSettings, sample_posterior
@@ -77,19 +77,6 @@ def curve_bands(curves: Floats) -> CurveBands:
     low, high = ordered[below[:, 0]], ordered[np.minimum(below[:, 0] + 1, len(curves) - 1)]
     low95, low68, high68, high95 = low + (place - below) * (high - low)
     return CurveBands(curves.mean(axis=0), low95, high95, low68, high68)
-
-
-def estimate(draws: Floats) -> Estimate:
-    """Return the record of a posterior summary."""
-    summary = summarise(draws)
-    return Estimate(
-        estimate=summary.estimate,
-        sd=summary.sd,
-        low68=summary.low68,
-        high68=summary.high68,
-        low95=summary.low95,
-        high95=summary.high95,
-    )
 
 
 def _quantities(q: CurveQuantities) -> dict[str, Floats]:

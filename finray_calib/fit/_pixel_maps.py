@@ -15,7 +15,7 @@ Uniformity is the spread between pixels without their noise, a coarse map of blo
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from data_schemas import (
     PaintSpread,
     PixelSignals,
     RegionOfInterest,
+    read_only,
 )
 from finray_calib.fit._prior import BLOCKING, OWN_LEAK, REFLECTED_LASER
 from finray_calib.fit.pixel_kernel import (
@@ -162,7 +163,6 @@ def _own_ln_leak(paint: PaintCalibration) -> Floats:
 
 
 Floats32 = NDArray[np.float32]
-_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 def map_paint(pixels: PixelSignals, paint: PaintCalibration, spread: PixelSpread | None = None) -> PaintMap:
@@ -215,8 +215,8 @@ def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> 
         area=pixels.area,
         **maps,
         shape_name=region.family.own[0].name,
-        bands_used=_frozen(bands),
-        converged=_frozen(status == CONVERGED),
+        bands_used=read_only(bands),
+        converged=read_only(status == CONVERGED),
         region=region.quantities,
         prior_sd=dict(zip((*region.family.parameter_names, "reflectance_at_laser"), prior_sd, strict=True)),
         prior_in_words="normal around the region's fit: noisy pixels shrink to it",
@@ -267,7 +267,7 @@ def _named_maps(results: Floats32, region: RegionFit, problem: PixelProblem) -> 
         results[[row, row + 6, row + 12]] *= np.float32(scale)
     names = ("mode_nm", "fwhm_nm", "peak_per_nm", "shape_value", "reflectance_at_laser", "energy_yield")
     sds = ("mode_sd_nm", "fwhm_sd_nm", "peak_sd_per_nm", "shape_sd", "reflectance_at_laser_sd", "energy_yield_sd")
-    return {name: _frozen(results[i]) for name, i in zip((*names, *sds, "chi_square"), (*range(12), -1), strict=True)}
+    return {name: read_only(results[i]) for name, i in zip((*names, *sds, "chi_square"), (*range(12), -1), strict=True)}
 
 
 def _uniformity(
@@ -280,12 +280,6 @@ def _uniformity(
         quantity: paint_spread(quantity, maps, noise, region.quantities[quantity].estimate, sd)
         for (quantity, sd), noise in zip(around.items(), results[[12, 14, 17]], strict=True)
     }
-
-
-def _frozen(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """Return the array read-only, so that the record takes it without a copy."""
-    array.flags.writeable = False
-    return array
 
 
 def _require_one_session(pixels: PixelSignals, paint: PaintCalibration) -> None:

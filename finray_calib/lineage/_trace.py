@@ -37,7 +37,7 @@ from data_schemas.storage import (
     manifest_faults,
     read_json,
     read_record,
-    sha256_now,
+    sha256_of,
 )
 from rigs.capture import JOURNAL_NAME, SESSION_KINDS, SESSION_NAME, verify_session
 
@@ -257,7 +257,7 @@ class Tracer:
         place = file.resolve()
         if place not in self._digests:
             try:
-                self._digests[place] = sha256_now(place)
+                self._digests[place] = sha256_of(place)
             except RecordError:
                 return None
         return self._digests[place]

@@ -109,11 +109,12 @@ if TYPE_CHECKING:
         signed_percent,
         significant,
     )
-    from finray_calib.reports._record_plots import RecordPlot, plot_record
-    from finray_calib.reports._study_figures import (
+    from finray_calib.reports._record_plots import (
+        RecordPlot,
         fluorescent_rendering_png,
         light_angle_png,
         paper_paints_png,
+        plot_record,
         two_lights_png,
     )
     from finray_calib.reports._style import (

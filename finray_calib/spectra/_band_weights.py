@@ -11,15 +11,23 @@ The known curves of a rig are laid on one wavelength grid, and band values move 
 """
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_schemas import BandPassFilter, CurveError, FitError, LaserSettings, Optics, SpectralCurve, half_maximum_nm
+from data_schemas import (
+    BandPassFilter,
+    CurveError,
+    FitError,
+    LaserSettings,
+    Optics,
+    SpectralCurve,
+    half_maximum_nm,
+    read_only,
+)
 
 FloatArray = NDArray[np.float64]
-_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,13 +230,6 @@ def _visible_laser(laser_white: FloatArray, white_signal: FloatArray, excitation
     if visible <= 0:
         raise FitError(f"excitation band {excitation_band} passes no laser light: check filter and laser curves")
     return visible
-
-
-def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """Return a view that cannot be written through; the caller's array stays writable."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
 
 
 def _curve(name: str, values: ArrayLike, dimensions: int, length: int | None) -> FloatArray:

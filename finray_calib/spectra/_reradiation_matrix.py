@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_schemas import HELD_UNCERTAINTY_REL, CurveError, DonaldsonMatrix, Reradiation, SpectralCurve
-from finray_calib.spectra._band_weights import read_only
+from data_schemas import HELD_UNCERTAINTY_REL, CurveError, DonaldsonMatrix, Reradiation, SpectralCurve, read_only
 
 Floats = NDArray[np.float64]
 ROUNDING = 1e-9

@@ -41,7 +41,6 @@ from data_schemas.storage import (
     read_frame,
     read_json,
     read_record,
-    sha256_now,
     sha256_of,
     write_manifest,
     write_record,
@@ -338,7 +337,7 @@ def verify_session(folder: Path) -> SessionCheck:
     faults: list[FileFault] = []
     try:
         session, is_sealed = _read(path)
-        digests[path] = digest_as_read(path) or sha256_now(path)
+        digests[path] = digest_as_read(path) or sha256_of(path)
         faults += _frame_faults(folder, session, digests)
     except RecordError as error:
         if not has_file(path):
@@ -385,7 +384,7 @@ def _frame_faults(folder: Path, session: Session, digests: dict[Path, str]) -> I
         try:
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise RecordError(f"{path}: leads out of the session's folder")
-            digests[path] = sha256_now(path)
+            digests[path] = sha256_of(path)
         except RecordError as error:
             yield FileFault(path, "changed", str(error).removeprefix(f"{path}: "))
             continue

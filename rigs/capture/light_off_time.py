@@ -18,6 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from data_schemas import (
     BadFrameError,
     CaptureError,
@@ -31,7 +34,6 @@ from data_schemas import (
     Witness,
 )
 from rigs import LightSwitch, OpenRig, driver_module, find_driver, open_camera
-from rigs.capture._check_frames import CheckFrames
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
 from rigs.capture._plan import Step
 from rigs.light_guard import GuardedLight, LightLostError, require_outside_layer
@@ -57,6 +59,22 @@ class Reading(NamedTuple):
     on: bool | None
 
 
+class RegionFrames(Protocol):
+    """Frames of the region that shows the laser."""
+
+    def region_mean_dn(self, counts: NDArray[np.uint16]) -> float:
+        """Return the mean count of the region (DN) of a frame's counts (H, W)."""
+        ...
+
+    def expose(self, step: Step, exposure_s: float) -> float:
+        """Take a checked frame and return the region's mean count (DN)."""
+        ...
+
+    def meter(self, step: Step) -> float:
+        """Return the exposure (s) at which the region is well exposed."""
+        ...
+
+
 class LaserWatch(Protocol):
     """Somebody who looks at the laser again and again."""
 
@@ -79,7 +97,7 @@ class Sight:
     on_dn: float
 
 
-def find_sight(opened: OpenRig, rig: RigFile, frames: CheckFrames) -> Sight | None:
+def find_sight(opened: OpenRig, rig: RigFile, frames: RegionFrames) -> Sight | None:
     """Look at the white tile with the laser on and off through the filter that passes it; None if both look alike.
 
     The wheel stays where the laser is seen.
@@ -113,14 +131,14 @@ class CameraWatch:
     rig, folder
         The rig file and where its relative paths start.
     frames
-        Knows the region.
+        Know the region.
     sight
         What the laser looks like.
     """
 
     witness: Witness = "the camera"
 
-    def __init__(self, rig: RigFile, folder: Path, frames: CheckFrames, sight: Sight) -> None:
+    def __init__(self, rig: RigFile, folder: Path, frames: RegionFrames, sight: Sight) -> None:
         self._rig, self._folder, self._frames, self._sight = rig, folder, frames, sight
 
     @contextmanager

@@ -163,7 +163,8 @@ class WatchLine:
 
     def listen(self) -> None:
         """Take in all that the watch has said."""
-        with contextlib.suppress(OSError):
+        # Nothing more has come, or the watch is gone, which its state tells; any other fault is the guard's own.
+        with contextlib.suppress(BlockingIOError, ConnectionResetError):
             while packet := self.socket.recv(LONGEST_PACKET_BYTES):
                 text = packet.decode()
                 if text.startswith("fired "):
@@ -350,19 +351,20 @@ class Guard:
 
     def _listen(self) -> None:
         """Take in all that has come from the owner, before its silence is judged."""
-        try:
-            while True:
+        while True:
+            try:
                 message = receive(self._owner, time.monotonic())
-                # One that waited here while the guard was busy shows that the owner worked when it was sent, not now.
-                self._lease_s = float(message["lease_s"])
-                self._lease_until_s = float(message["sent_s"]) + self._lease_s
-                if self._lit:
-                    self._watch.renew(self._lease_until_s)
-                self._questions.append(message)
-        except TimeoutError:
-            pass
-        except HungUpError:
-            self._is_owner_gone = True
+            except TimeoutError:
+                return  # that was all
+            except HungUpError:
+                self._is_owner_gone = True
+                return
+            # One that waited here while the guard was busy shows that the owner worked when it was sent, not now.
+            self._lease_s = float(message["lease_s"])
+            self._lease_until_s = float(message["sent_s"]) + self._lease_s
+            if self._lit:
+                self._watch.renew(self._lease_until_s)
+            self._questions.append(message)
 
     def _pause_s(self) -> float | None:
         """Return how long nothing is to be done unless something comes; None for ever."""

@@ -46,10 +46,11 @@ class OtherProcess:
         self._stat = os.open(f"/proc/{pid}/stat", os.O_RDONLY | os.O_CLOEXEC)
         # Wakes a poll at once; Pythons built for old kernels lack it, some containers forbid it: the next look tells.
         self._pidfd: int | None = None
-        try:  # noqa: SIM105 - contextlib is one more module to load
-            self._pidfd = os.pidfd_open(pid)
-        except (AttributeError, OSError):
-            pass
+        if hasattr(os, "pidfd_open"):
+            try:  # noqa: SIM105 - contextlib is one more module to load
+                self._pidfd = os.pidfd_open(pid)
+            except OSError:
+                pass
 
     @property
     def descriptors(self) -> list[int]:
@@ -305,9 +306,12 @@ def main(arguments: "list[str]") -> None:
         watch.run()
         if watch.is_over or not watch.is_alone:
             return
-    try:
-        if guard.missing() == "was stopped":
+    if guard.missing() == "was stopped":
+        try:
             os.kill(guard.pid, SIGKILL)  # it holds the light's line; a stopped owner is left for its user
+        except OSError as error:  # it has ended meanwhile, or the successor will find the line taken and say so
+            shout(f"{name}: the stopped guard process could not be ended ({error.strerror})")
+    try:
         os.execv(successor[0], successor)
     except OSError as error:
         shout(f"{name}: OFF WAS SENT AND IS NOT CONFIRMED ({error.strerror}). LOOK BEFORE ANYONE OPENS THE BOX.")

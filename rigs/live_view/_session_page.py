@@ -60,11 +60,6 @@ HELP: Final = (
     "The session runs on when this terminal is closed. Its address, for a browser",
     "of this computer:",
 )
-KEY_OF_ANSWER: Final = {
-    "done": " Press Enter when done.",
-    "yes": " Press y or n.",
-    "goggles": " Press g when they do.",
-}
 LETTERS: Final = {
     "A": "010 101 111 101 101", "B": "110 101 110 101 110", "C": "011 100 100 100 011", "D": "110 101 101 101 110",
     "E": "111 100 110 100 111", "F": "111 100 110 100 100", "G": "0110 1000 1011 1001 0110", "H": "101 101 111 101 101",

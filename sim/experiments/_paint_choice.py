@@ -211,7 +211,7 @@ def paint_pairs(
     light = finger.design.light
     pairs = tuple(permutations(paints, 2))
     bands = [paint_bands(paints[red].optics, paints[green].optics, light) for red, green in pairs]
-    steps = _Steps(progress, 2 * len(_WALLS) + 1 + len(pairs))
+    steps = Steps(progress, 2 * len(_WALLS) + 1 + len(pairs))
     traced = trace_pairs(finger, bands, paths, steps)
     drawn = {
         name: PaintEmission.drawn(paint, finger, draws, np.random.default_rng([seed, k]))
@@ -237,7 +237,7 @@ def paint_pairs(
 
 
 def trace_pairs(
-    finger: BareFinger, bands: Sequence[PaintBands], paths: ProbePaths, steps: "_Steps | None" = None
+    finger: BareFinger, bands: Sequence[PaintBands], paths: ProbePaths, steps: "Steps | None" = None
 ) -> PairPaths:
     """Trace the facets for all pairs: in the middle of their reflectances, and with one group of them at its highest.
 
@@ -374,7 +374,7 @@ def _notes(finger: BareFinger, paints: Mapping[str, PaintDraws], bands: Sequence
     )
 
 
-class _Steps:
+class Steps:
     """Tell how many steps of a known number are done."""
 
     def __init__(self, progress: Progress | None, total: int) -> None:

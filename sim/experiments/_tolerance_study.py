@@ -27,7 +27,7 @@ from finray_calib.decide import (
 )
 from sim.experiments._design_sensitivities import changed_design, design_value
 from sim.experiments._finger_evaluation import FingerEvaluator
-from sim.experiments._paint_choice import PaintDraws
+from sim.experiments._paint_choice import PaintDraws, Steps
 from sim.optics import Progress, camera_pose
 from sim.surface_meshes import mirror_shape
 
@@ -312,7 +312,7 @@ def study_tolerances(
     """
     _check(inputs, settings)
     total = 2 * len(inputs) + settings.runs + 1
-    told = _Steps(progress, total)
+    told = Steps(progress, total)
     growth = _Growth(evaluate, design, paints, inputs, settings.seed)
     sides = []
     for number, one in enumerate(inputs):
@@ -519,18 +519,6 @@ def _check(inputs: Sequence[ToleranceInput], settings: ToleranceSettings) -> Non
         )
     if not settings.allowed_rel > 0.0:
         raise SimulateError(f"--allowed {settings.allowed_rel:g}: the allowed growth must be more than 0, such as 0.1")
-
-
-class _Steps:
-    """Tell how many steps of a known number are done."""
-
-    def __init__(self, progress: Progress | None, total: int) -> None:
-        self.progress, self.total, self.count = progress, total, 0
-
-    def done(self, what: str) -> None:
-        self.count += 1
-        if self.progress is not None:
-            self.progress(self.count, self.total, what)
 
 
 class FingerError:

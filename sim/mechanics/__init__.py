@@ -33,7 +33,14 @@ if TYPE_CHECKING:
     from sim.mechanics._loads import LoadedFinger, press_to_force
     from sim.mechanics._materials import LinearElastic, Material, Ogden
     from sim.mechanics._mesh import Block, FingerMesh
-    from sim.mechanics._penalty_contact import QUAD_CORNERS, PenaltyContact, penalty_mpa_per_mm, quad_shapes
+    from sim.mechanics._penalty_contact import (
+        QUAD_CORNERS,
+        ContactMotion,
+        PenaltyContact,
+        SlidingContact,
+        penalty_mpa_per_mm,
+        quad_shapes,
+    )
     from sim.mechanics._press import (
         ContactChoice,
         PressedFinger,
@@ -52,7 +59,6 @@ if TYPE_CHECKING:
     from sim.mechanics._printed_parts import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
     from sim.mechanics._rigid_bodies import Body, Cylinder, Pose, RoundedBox, Sphere, body_mesh, read_triangles
     from sim.mechanics._skeleton import SkeletonLayout, back_curve_mm, skeleton_layout, skeleton_mesh
-    from sim.mechanics._sliding_contact import ContactMotion, SlidingContact
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 

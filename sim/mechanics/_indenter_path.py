@@ -18,10 +18,9 @@ from sim.mechanics._increments import Extrapolation, Load, Watch, load_increment
 from sim.mechanics._indenters import RigidIndenter, rigid_indenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._newton import NewtonOptions, Supports
-from sim.mechanics._penalty_contact import penalty_mpa_per_mm
+from sim.mechanics._penalty_contact import ContactMotion, SlidingContact, SlidingTouch, penalty_mpa_per_mm
 from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, press_finger
 from sim.mechanics._rigid_bodies import FacetedBody, Pose
-from sim.mechanics._sliding_contact import ContactMotion, SlidingContact, SlidingTouch
 
 FloatArray = NDArray[np.float64]
 

@@ -1,6 +1,10 @@
-"""Frictionless contact with a rigid body by a penalty on its signed distance: the fast path, of the coat alone."""
+"""Contact with a rigid body by a penalty on its signed distance: the fast path, of the coat alone.
+
+Without friction for a body that is pressed straight in; with Coulomb friction that remembers for one that moves freely.
+"""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -256,3 +260,291 @@ class PenaltyPress(PenaltyTouch):
 
     def accept(self, state: State) -> None:
         """Do nothing: an increment leaves nothing behind."""
+
+
+_SETTLED_REL = 1e-3  # of the normal forces: by how much friction may still change when its limits are renewed
+# of the penalty's stiffness: stick gives way by 0.05 of an element where the shear is a whole modulus, 0.005 where it
+# is a tenth; Newton's method meets fewer kinks the softer it is
+_STICK_SHARE = 0.2
+_LEAST_MM = 1e-300  # keeps a stretch of nothing from dividing by nothing
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """What the m points of the faces remember of the last increment, in the body's axes."""
+
+    anchors_mm: FloatArray  # (m, 3), where they hold on to the body; NaN where they do not touch
+    places_mm: FloatArray  # (m, 3)
+    gaps_mm: FloatArray  # (m,)
+    normals: FloatArray  # (m, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class _Lag:
+    """What friction takes as given while an equilibrium is sought, of the m points, in space."""
+
+    anchors_mm: FloatArray  # (m, 3), of any value where the limit is nought
+    limits_mpa: FloatArray  # (m,), mu p
+    normals: FloatArray  # (m, 3)
+
+
+class SlidingContact(PenaltyContact):
+    r"""A penalty contact with Coulomb's friction between the faces' points and the body.
+
+    .. math:: \Pi = \frac\epsilon2 \sum_q A_q \min(g_q, 0)^2 + \sum_q A_q \phi(|t_q|), \qquad
+        \phi(t) = \begin{cases} k t^2 / 2 & k t \le \mu p \\ \mu p\, t - (\mu p)^2 / 2 k
+        & \text{else} \end{cases}, \quad k = \epsilon / 5
+
+    t is the part across the normal of the way from a point's anchor, a place of the body, to the point. A point that
+    sticks keeps its anchor, and its shear is k t; one that slips takes its anchor along (return mapping), and its
+    shear is mu p. The pressure p and the normal are those of the last equilibrium, renewed until friction changes by
+    less than a thousandth of the normal forces: the energy is convex in t, and its second derivative symmetric. A
+    point that comes to touch is anchored where it met the body, on the straight way from its last place.
+
+    Valid for any rigid motion in increments short beside the patch: slip is straight within an increment, and friction
+    acts along its end. Stick gives way by shear / k, as the body sinks in by pressure / epsilon.
+
+    Parameters
+    ----------
+    nodes_mm, quads, body, pose, stiffness_mpa_per_mm
+        See :class:`~sim.mechanics.PenaltyContact`.
+    friction_ratio
+        Coulomb's coefficient mu.
+
+    Raises
+    ------
+    SimulateError
+        When the coefficient is negative.
+    """
+
+    def __init__(
+        self,
+        nodes_mm: FloatArray,
+        quads: NDArray[np.int64],
+        body: Body,
+        pose: Pose,
+        stiffness_mpa_per_mm: float,
+        friction_ratio: float,
+    ) -> None:
+        super().__init__(nodes_mm, quads, body, pose, stiffness_mpa_per_mm, curvature=False)
+        if not 0.0 <= friction_ratio < np.inf:
+            raise SimulateError(f"friction = {friction_ratio:g}: Coulomb's coefficient must be finite and not negative")
+        self.friction_ratio = friction_ratio
+        self._stick = _STICK_SHARE * stiffness_mpa_per_mm
+        places, gaps, normals = self._in_body(np.zeros_like(nodes_mm))
+        anchors = np.where((gaps < 0.0)[:, None], places, np.nan)
+        self._begin = self._end = _Memory(anchors, places, gaps, normals)
+        self._anchors = anchors.copy()
+        self._lag = self._lagged(gaps, normals)
+
+    def _in_body(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return places (m, 3), gaps (m,) and normals (m, 3) of the points in the body's axes."""
+        rotation = self.pose.rotation
+        places = (self._points(u) - np.array(self.pose.position_mm)) @ rotation
+        gaps, normals, _ = self.body.distances(places)
+        return places, gaps, normals
+
+    def _points(self, u: FloatArray) -> FloatArray:
+        return self._touching(u)[2]
+
+    def _lagged(self, gaps: FloatArray, normals: FloatArray) -> _Lag:
+        """Return the limits of friction by these gaps, at the body's present pose."""
+        anchored = np.isfinite(self._anchors[:, 0])
+        limits = np.where(anchored, self.friction_ratio * self._eps * np.maximum(-gaps, 0.0), 0.0)
+        held = np.where(anchored[:, None], self._anchors, 0.0)
+        in_space = held @ self.pose.rotation.T + np.array(self.pose.position_mm)
+        return _Lag(in_space, limits, normals @ self.pose.rotation.T)
+
+    def restart(self, pose: Pose) -> None:
+        """Put the body at a pose for an increment that begins, or begins again, where the last one ended."""
+        self.place(pose)
+        self._begin = self._end
+        self._anchors = self._begin.anchors_mm.copy()
+        self._lag = self._lagged(self._begin.gaps_mm, self._begin.normals)
+
+    def settle(self, u: FloatArray) -> bool:
+        """Renew the limits of friction at an equilibrium; return whether friction stayed as it was."""
+        if self.friction_ratio == 0.0:
+            return True
+        before = self._friction_n(u)
+        places, gaps, normals = self._in_body(u)
+        self._anchor(places, gaps)
+        self._lag = self._lagged(gaps, normals)
+        change = np.linalg.norm(self._friction_n(u) - before)
+        pushes = self._eps * self._areas.ravel() * np.maximum(-gaps, 0.0)
+        return bool(change <= _SETTLED_REL * np.linalg.norm(pushes))
+
+    def _anchor(self, places: FloatArray, gaps: FloatArray) -> None:
+        """Anchor the points that have come to touch in this increment where they met the body."""
+        begin = self._begin
+        fresh = ~np.isfinite(begin.anchors_mm[:, 0])
+        self._anchors[fresh & (gaps >= 0.0)] = np.nan
+        new = fresh & (gaps < 0.0) & ~np.isfinite(self._anchors[:, 0])
+        way = np.maximum(begin.gaps_mm[new], 0.0)
+        share = (way / (way - gaps[new]))[:, None]
+        self._anchors[new] = (1.0 - share) * begin.places_mm[new] + share * places[new]
+
+    def accept(self, u: FloatArray) -> None:
+        """Remember an increment's end for the next one; what this one gives stays until :meth:`restart`."""
+        places, gaps, normals = self._in_body(u)
+        stretch, length = self._stretch(u)
+        kept = np.minimum(1.0, self._lag.limits_mpa / (self._stick * length))[:, None] * stretch
+        anchors = np.where((gaps < 0.0)[:, None], places - kept @ self.pose.rotation, np.nan)
+        self._end = _Memory(anchors, places, gaps, normals)
+
+    def _stretch(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return t of the points (m, 3) and its length (m,), nought where nothing holds."""
+        way = np.where((self._lag.limits_mpa > 0.0)[:, None], self._points(u) - self._lag.anchors_mm, 0.0)
+        along = np.einsum("mi,mi->m", way, self._lag.normals)
+        stretch = way - along[:, None] * self._lag.normals
+        return stretch, np.maximum(np.linalg.norm(stretch, axis=1), _LEAST_MM)
+
+    def shears_mpa(self, u: FloatArray) -> FloatArray:
+        """Return the shear by friction on the body at each face's points, referred to the area at rest, (k, q, 3)."""
+        stretch, length = self._stretch(u)
+        size = np.minimum(self._stick * length, self._lag.limits_mpa)
+        return np.asarray((size / length)[:, None] * stretch).reshape(*self._areas.shape, 3)
+
+    def slips_mm(self, u: FloatArray) -> FloatArray:
+        """Return how far each face's points have slipped over the body since the increment began, (k, q)."""
+        _, length = self._stretch(u)
+        slipped = np.maximum(length - self._lag.limits_mpa / self._stick, 0.0)
+        return np.where(self._lag.limits_mpa > 0.0, slipped, 0.0).reshape(self._areas.shape)
+
+    def friction_work_n_mm(self, u: FloatArray) -> float:
+        """Return the work lost since the increment began, sum A mu p s, with the limits at its end."""
+        return float((self._areas * self._lag.limits_mpa.reshape(self._areas.shape) * self.slips_mm(u)).sum())
+
+    def stored_energy(self, u: FloatArray) -> float:
+        """Return the energy that comes back, in N mm: of the sinking in, and of the stretch of what sticks."""
+        shear = np.linalg.norm(self.shears_mpa(u), axis=-1)
+        return super().energy(u) + float((self._areas * shear**2).sum()) / (2.0 * self._stick)
+
+    def _friction_n(self, u: FloatArray) -> FloatArray:
+        """Return the force of friction on the body at each point, (m, 3)."""
+        return np.asarray((self._areas[..., None] * self.shears_mpa(u)).reshape(-1, 3))
+
+    def energy(self, u: FloatArray) -> float:
+        """Return Pi in N mm at the limits that friction has now."""
+        _, length = self._stretch(u)
+        limit, k = self._lag.limits_mpa, self._stick
+        slips = k * length > limit
+        phi = np.where(slips, limit * length - limit**2 / (2.0 * k), 0.5 * k * length**2)
+        return super().energy(u) + float((self._areas.ravel() * np.where(limit > 0.0, phi, 0.0)).sum())
+
+    def gradient(self, u: FloatArray) -> FloatArray:
+        """Return dPi/du in N, shape (n, 3)."""
+        out = super().gradient(u)
+        force = self._friction_n(u).reshape(*self._areas.shape, 3)
+        np.add.at(out, self.quads.ravel(), np.einsum("qa,kqi->kai", self._shapes, force).reshape(-1, 3))
+        return out
+
+    def hessian(self, u: FloatArray, project: bool) -> sp.coo_array | sp.csr_array:
+        """Return the second derivative, which has no negative curvature: k A P of what sticks, less where it slips.
+
+        A mu p / t (P - t t) of a point that slips, with P = 1 - n n and the direction t of its slip.
+        """
+        pushed = super().hessian(u, project)
+        stretch, length = self._stretch(u)
+        limit, k, normal = self._lag.limits_mpa, self._stick, self._lag.normals
+        at = np.flatnonzero(limit > 0.0)
+        if not len(at):
+            return pushed
+        across = np.eye(3) - normal[at, :, None] * normal[at, None, :]
+        way = stretch[at] / length[at, None]
+        slips = (k * length[at] > limit[at])[:, None, None]
+        rate = np.minimum(k, limit[at] / length[at])[:, None, None]
+        blocks = rate * (across - np.where(slips, way[:, :, None] * way[:, None, :], 0.0))
+        face, number = np.divmod(at, self._areas.shape[1])
+        scaled = self._areas.ravel()[at, None, None] * blocks
+        return sp.coo_array(pushed + node_blocks(self.quads[face], self._shapes[number], scaled, len(u)))
+
+    def forces_n(self, u: FloatArray) -> FloatArray:
+        """Return the force on the body at each point, (m, 3)."""
+        distance, normal, _ = self.pose.distances(self.body, self._points(u))
+        pull = (self._eps * self._areas.ravel() * np.minimum(distance, 0.0))[:, None] * normal
+        return np.asarray(pull + self._friction_n(u))
+
+    def force_n(self, u: FloatArray) -> FloatArray:
+        """Return the force on the body (3,)."""
+        return np.asarray(self.forces_n(u).sum(axis=0))
+
+    def normal_force_n(self, u: FloatArray) -> FloatArray:
+        """Return the part of the force on the body that is pressure, (3,)."""
+        return super().force_n(u)
+
+    def torque_n_mm(self, u: FloatArray) -> FloatArray:
+        """Return the torque on the body about its origin, where that is now, (3,)."""
+        arms = self._points(u) - np.array(self.pose.position_mm)
+        return np.asarray(np.cross(arms, self.forces_n(u)).sum(axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class ContactMotion:
+    """Where an indenter was at k increments of its path, and what its contact did there.
+
+    Attributes
+    ----------
+    moves_mm
+        From first touch across the finger (x), along the pad's outward normal (y) and along the finger (z), (k, 3).
+    turns_deg
+        Rotation vector from first touch about the indenter's own middle, in the same axes, (k, 3).
+    origins_mm
+        Where that middle was, (k, 3).
+    torque_n_mm
+        On the indenter, about its middle where that was, (k, 3).
+    pressure_mpa
+        At the q points of the coat's f faces, (k, f, q).
+    shear_mpa
+        By friction, on the indenter, (k, f, q, 3).
+    slip_mm
+        Of the coat over the indenter in the increment, (k, f, q); 0 where it sticks or does not touch.
+    """
+
+    moves_mm: FloatArray
+    turns_deg: FloatArray
+    origins_mm: FloatArray
+    torque_n_mm: FloatArray
+    pressure_mpa: FloatArray
+    shear_mpa: FloatArray
+    slip_mm: FloatArray
+
+
+class SlidingTouch(PenaltyTouch):
+    """What a moved indenter's contact does at an equilibrium: a :class:`~sim.mechanics._press.Touch`.
+
+    Parameters
+    ----------
+    mesh
+        Finger.
+    contact
+        Of its coat with the indenter.
+    """
+
+    def __init__(self, mesh: FingerMesh, contact: SlidingContact) -> None:
+        super().__init__(mesh, contact)
+        self.sliding = contact
+        self.supports = Supports.at_rest(len(mesh.nodes_mm), mesh.node_sets["fixed"])
+
+    @property
+    def note(self) -> str:
+        """How the surfaces touch."""
+        ratio = self.sliding.friction_ratio
+        how = f"Coulomb friction {ratio:g} that remembers where the coat sticks" if ratio > 0.0 else "frictionless"
+        return f"contact by penalty: {how}; the indenter's distance is exact; ribs do not see each other"
+
+    def energy_n_mm(self, u: FloatArray) -> float:
+        """Return the energy that the contact gives back."""
+        return self.sliding.stored_energy(u)
+
+    def friction_work_n_mm(self, u: FloatArray) -> float:
+        """Return the work lost in the increment that ended at `u`."""
+        return self.sliding.friction_work_n_mm(u)
+
+    def settle(self, state: State) -> bool:
+        """Renew the limits of friction at an equilibrium; return whether it still is one."""
+        return self.sliding.settle(state.u_mm)
+
+    def accept(self, state: State) -> None:
+        """Let the next increment begin at a state."""
+        self.sliding.accept(state.u_mm)

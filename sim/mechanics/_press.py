@@ -26,7 +26,7 @@ from sim.mechanics._penalty_contact import PenaltyPress, penalty_mpa_per_mm
 
 if TYPE_CHECKING:
     from sim.mechanics._barrier_contact import Barrier
-    from sim.mechanics._sliding_contact import ContactMotion
+    from sim.mechanics._penalty_contact import ContactMotion
 
 FloatArray = NDArray[np.float64]
 ContactChoice = Literal["auto", "penalty", "barrier"]

@@ -161,12 +161,6 @@ class RayTable:
 
     coefficients: Floats
 
-    def texture_place(self, film: Floats) -> Floats:
-        """Return where in a texture of the coefficients (0..1) a point of the film (0..1, x right, y down) lies."""
-        rows, columns = self.coefficients.shape[:2]
-        intervals = np.array([columns, rows]) - _DEGREE
-        return np.asarray((film * intervals + 1.5) / (intervals + _DEGREE))
-
     def directions(self, film: Floats) -> Floats:
         """Return unit directions (..., 3) of points (..., 2) of the film, x and y in 0..1."""
         points = film.reshape(-1, 2)
@@ -355,7 +349,7 @@ def _sensor_class(renderer: ModuleType) -> type[Any]:
             texels = np.array(rays.shape[1::-1], dtype=np.float64)
             film = self.film()
             size, crop, offset = (np.array(v) for v in (film.size(), film.crop_size(), film.crop_offset()))
-            # position on the cropped film -> on the film -> in the texture, as RayTable.texture_place
+            # position on the cropped film -> on the film -> in the texture, see RayTable
             scale, shift = crop / size * (texels - 3.0) / texels, (offset / size * (texels - 3.0) + 1.5) / texels
             self.scale, self.shift = [float(v) for v in scale], [float(v) for v in shift]
 

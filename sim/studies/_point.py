@@ -48,6 +48,7 @@ from sim.optics import (
     choose_variant,
     open_renderer,
     render_press,
+    stream_seed,
 )
 from sim.surface_meshes import restore_shapes
 
@@ -361,7 +362,8 @@ def _rendered(
             design,
             finger.paints,
             renderer,
-            RenderSettings("b", _repeat_seed(point.seed, k), measure.samples),
+            # the same seeds for all points of a study, so that differences share their noise
+            RenderSettings("b", stream_seed(point.seed, k), measure.samples),
             shapes=shapes,
             calibration=finger.calibration,
         )
@@ -374,11 +376,6 @@ def _rendered(
     }
     notes = (renders[0].label, f"shape of the finger: {renders[0].contact_label}")
     return image_metrics(design, renders, matrix), pictures, (*notes, *finger.coverage_notes(renders[0].bands))
-
-
-def _repeat_seed(seed: int, repeat: int) -> int:
-    """Return the seed of a repeat: the same for all points of a study, so that differences share their noise."""
-    return int(np.random.SeedSequence((seed, repeat)).generate_state(1)[0])
 
 
 def _mechanics_file(surfaces_file: Path) -> Path:

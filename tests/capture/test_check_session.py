@@ -27,8 +27,7 @@ from rigs import OpenRig, RawFrame, open_rig, paint_plan
 from rigs.capture import _check_session as check_session
 from rigs.capture import check_filters, record_facts
 from rigs.capture import light_off_time as laser_watch
-from rigs.capture._check_frames import CheckFrames
-from rigs.capture._check_session import _Recorder
+from rigs.capture._check_session import CheckFrames, _Recorder
 from rigs.capture._exposure import shine
 from rigs.capture.light_off_time import (
     CameraWatch,

@@ -197,7 +197,12 @@ def test_laser_and_lamp_by_two_names_are_still_one_light() -> None:
 
 def test_a_camera_and_its_own_wheel_share_a_lock() -> None:
     rig = indi_rig("127.0.0.1/ZWO CCD", "localhost/Panel", "localhost/Lamp")
-    with rig_locked(rig):
+    assert device_keys("indi", rig.filter_wheel.address) & device_keys("indi", rig.camera.address)
+    with (
+        rig_locked(rig),
+        pytest.raises(CaptureError, match="filter wheel"),
+        device_locked("filter wheel", "indi", rig.filter_wheel.address),
+    ):
         pass
 
 
@@ -212,6 +217,7 @@ def test_wheel_and_lamp_by_two_links_are_still_one_port(tmp_path: Path) -> None:
 
 
 def test_what_is_no_device_is_not_locked() -> None:
+    """Held twice without an error, which is all that there is to see."""
     rig = simulated_rig("red")
     folder = ("camera", "folder", "a")
     with rig_locked(rig), rig_locked(rig), device_locked(*folder), device_locked(*folder):

@@ -86,7 +86,7 @@ def test_replaced_inputs_are_stored_as_they_were_read(verb, folder, readings, tm
 def test_no_verb_hashes_an_input_a_second_time():
     """All provenance of the verbs comes from what the gateway remembers; what hashes files anew is for trace."""
     allowed = {"finray_calib/demo/_run.py", "finray_calib/lineage/_trace.py"}
-    hashing = {"sha256_of", "sha256_now", "file_digest"}
+    hashing = {"sha256_of", "file_digest"}
     found = {
         path.relative_to(ROOT).as_posix()
         for package in ("finray_calib", "sim")

@@ -345,6 +345,11 @@ def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
     assert (tmp_path / "b.mechanics.png").exists()
 
 
+def dies_after_one(*place: Any, **more: Any) -> Iterator[Increment]:
+    yield next(load_increments(*place, **more))
+    raise KeyboardInterrupt
+
+
 @pytest.mark.usefixtures("rough_mesh")
 def test_an_interrupted_press_goes_on_with_the_same_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The process dies while the last product is written; before that, while the second increment is sought."""
@@ -353,10 +358,6 @@ def test_an_interrupted_press_goes_on_with_the_same_command(tmp_path: Path, monk
     assert finray(f"{press}/whole.press.json").status == 0
 
     def dies(*_: Any, **__: Any) -> Iterator[Increment]:
-        raise KeyboardInterrupt
-
-    def dies_after_one(*place: Any, **more: Any) -> Iterator[Increment]:
-        yield next(load_increments(*place, **more))
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
@@ -393,10 +394,6 @@ def test_an_interrupted_press_goes_on_with_the_same_command(tmp_path: Path, monk
 def test_an_interrupted_press_is_not_mixed_with_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: str, depth_mm: float
 ) -> None:
-    def dies_after_one(*place: Any, **more: Any) -> Iterator[Increment]:
-        yield next(load_increments(*place, **more))
-        raise KeyboardInterrupt
-
     (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.2\n")
     press = f"simulate press {tmp_path}/finger.toml"
     with monkeypatch.context() as patched:

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import socket
 import subprocess
 import sys
 import termios
@@ -15,6 +14,7 @@ from data_schemas import CameraSettings, FilterWheelSettings, FinrayError, syste
 from data_schemas.storage import write_bytes
 from finray_calib.cli import main as command
 from rigs import TerminalOperator, lone_camera, lone_laser, lone_wheel, paper_rig
+from tests.capture.drivers.programs import free_port
 from tests.command_line.running import finray
 
 FINRAY = [sys.executable, "-m", "finray_calib.cli.main"]
@@ -107,14 +107,7 @@ def test_streams_that_are_closed_do_no_harm(tmp_path: Path) -> None:
     assert (tmp_path / "rig.toml").read_text(encoding="utf-8").startswith("# A calibration rig.")
 
 
-def _closed_port() -> int:
-    """A port of this computer at which nothing listens."""
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        return int(taken.getsockname()[1])
-
-
-CLOSED = f"127.0.0.1:{_closed_port()}"
+CLOSED = f"127.0.0.1:{free_port()}"
 
 
 def wheel(driver: str, address: str) -> Callable[[], object]:

@@ -89,6 +89,16 @@ def replaying(names: Sequence[str]) -> Iterator[None]:
         yield
 
 
+def fresh_folders(*folders: Path) -> dict[str, bytes]:
+    """Make folders anew, with files of the user, and return what lies in them."""
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        for name in OWN:
+            (folder / name).write_bytes(b"the user's own")
+    return products(*folders)
+
+
 @dataclass
 class Tries:
     """One command, tried again and again in fresh folders that hold files of the user already."""
@@ -104,12 +114,7 @@ class Tries:
 
     def fresh(self) -> dict[str, bytes]:
         """Make the folders anew and return what lies in them."""
-        for folder in (self.here, self.there):
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir(parents=True)
-            for name in OWN:
-                (folder / name).write_bytes(b"the user's own")
-        return products(self.here, self.there)
+        return fresh_folders(self.here, self.there)
 
     def run(self, faults: FileFaults | None = None) -> tuple[int, str]:
         """Run the command in a forked process; return its exit status and what it said on standard error."""

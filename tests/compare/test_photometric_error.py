@@ -6,12 +6,13 @@ import pytest
 from data_schemas import CompareError, KnownInputs
 from finray_calib.compare import Region
 from finray_calib.compare import _input_draws as stopping_rule
-from finray_calib.compare._comparison import prepare_comparison, skill_score
+from finray_calib.compare._comparison import prepare_comparison
 from finray_calib.compare._image_noise import CaptureNoise
 from finray_calib.compare._input_draws import WALLS, Inputs, generator_of, inputs_of
 from finray_calib.compare._photometric_error import best, propagated, resampled
 from finray_calib.compare._prepared_images import prepare_images
 from tests.compare.layered_scenes import EVERYWHERE, MATRIX, SHAPE, captured_of, layers_of, smooth_layers
+from tests.compare.plain_skill import skill_score
 from tests.compare.twins import CAMERA_SD, DEPTH_SD_MM, twin
 
 DN = 900.0

@@ -5,7 +5,8 @@ import pytest
 
 from data_schemas import CompareError
 from finray_calib.compare import disc
-from finray_calib.compare._comparison import channel_weights, skill_score
+from finray_calib.compare._comparison import channel_weights
+from tests.compare.plain_skill import skill_score
 from tests.compare.scenes import CENTER_PX, SHAPE, press
 
 

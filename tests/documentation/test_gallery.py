@@ -47,7 +47,7 @@ def test_every_command_is_understood(line):
 def test_python_of_the_page_is_python():
     for kind, block in BLOCKS:
         if kind == "python":
-            compile(block, gallery.PAGE.name, "exec")
+            assert compile(block, gallery.PAGE.name, "exec").co_filename == gallery.PAGE.name
 
 
 def test_a_page_is_followed_in_its_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_schemas import ImportFormatError
-from sim.mechanics.other_engines._calculix_results import read_convergence, read_frd, read_totals
+from sim.mechanics.other_engines._calculix import read_convergence, read_frd, read_totals
 
 HEAD = "    1C\n    1UVERSION            Version 2.20                                              \n"
 NODES = "    2C                             2                                     1\n -1         1 0.00000E+00\n -3\n"

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.drawn_paints import nominal_optics
 from data_schemas import BandSignals, Optics
-from data_schemas.storage import assumed_camera_response, halogen_lamp
+from data_schemas.storage import assumed_camera_response
 from finray_calib.spectra import FilterSet, emission_weights
 from rigs import simulated_rig
 from rigs.simulated import Bench
@@ -76,15 +77,7 @@ def weights(rig):
 @pytest.fixture(scope="session")
 def optics() -> Optics:
     """The curves of the paper's eight filters with a Bayer camera and a halogen lamp."""
-    rig = simulated_rig("red")
-    return Optics(
-        filters=rig.filter_wheel.filters,
-        excitation_filter="450",
-        laser=rig.laser,
-        lamp=halogen_lamp(),
-        white_reference=rig.white_reference,
-        camera_response=assumed_camera_response(),
-    )
+    return nominal_optics()
 
 
 @pytest.fixture(scope="session")

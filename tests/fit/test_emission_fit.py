@@ -16,7 +16,7 @@ from finray_calib.fit import (
     sample_posterior,
 )
 from finray_calib.fit._emission import Sampling, draw_posterior
-from finray_calib.fit._map_search import Maxima
+from finray_calib.fit._likelihood import Maxima
 from finray_calib.spectra import FAMILIES
 from tests.fit.synthetic_bands import LOG_NORMAL, QUICK, orange, simulate
 

@@ -13,7 +13,7 @@ from finray_calib.fit import (
     importance_sample,
 )
 from finray_calib.fit._importance import MixtureProposal
-from finray_calib.fit._map_search import Maxima
+from finray_calib.fit._likelihood import Maxima
 from finray_calib.spectra import FAMILIES
 from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
 

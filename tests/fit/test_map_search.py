@@ -3,7 +3,7 @@ import pytest
 from scipy.optimize import minimize
 
 from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, EmissionPrior, LogPosterior, find_maxima
-from finray_calib.fit._map_search import starting_points
+from finray_calib.fit._likelihood import starting_points
 from finray_calib.spectra import FAMILIES
 from tests.fit.synthetic_bands import LOG_NORMAL, ZHENG, orange, simulate
 

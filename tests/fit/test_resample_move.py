@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2, kstest, spearmanr
 
 from finray_calib.fit import LARGEST_MEMORY, importance_sample
-from finray_calib.fit._map_search import Maxima
+from finray_calib.fit._likelihood import Maxima
 from finray_calib.fit._markov_chains import _centred_ranks, _largest_correlation, moved_draws
 from tests.fit.test_sampler import FACTOR, MEAN, WideNormal, normal_density, two_normals
 

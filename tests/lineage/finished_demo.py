@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from data_schemas import BandSignals, FingerSurfaces, PaintCalibration, Record, provenance
-from data_schemas.storage import read_record, sha256_now, write_bytes, write_manifest, write_record
+from data_schemas.storage import read_record, sha256_of, write_bytes, write_manifest, write_record
 from rigs import paint_plan, simulated_rig, write_plan, write_rig
 from rigs.capture import SessionRequest, capture_paint_session
 from tests.command_line.records import capture_of, press, sweep
@@ -45,7 +45,7 @@ def _paint(out: Path, colour: str, seed: int) -> None:
     plan = paint_plan(f"{colour} paint", rig.camera)
     folder = out / colour
     written = (write_rig(rig, folder / "rig.toml"), write_plan(plan, folder / "plan.toml"))
-    sources = {f"{colour}/{path.name}": sha256_now(path) for path in written}
+    sources = {f"{colour}/{path.name}": sha256_of(path) for path in written}
     capture_paint_session(rig, plan, SessionRequest(folder / "session", COMMAND, rig_folder=folder, sources=sources))
     _store(out, f"{colour}/bands.json", _example(BandSignals.__name__), [f"{colour}/session/session.json"])
     _store(out, f"{colour}/paint.json", _larger(_example(PaintCalibration.__name__)), [f"{colour}/bands.json"])
@@ -86,4 +86,4 @@ def _surfaces() -> FingerSurfaces:
 
 def _store(out: Path, name: str, record: Record, inputs: list[str]) -> None:
     """Store a record with the inputs that it was made from."""
-    write_record(record, out / name, provenance(COMMAND, {i: sha256_now(out / i) for i in inputs}, 1))
+    write_record(record, out / name, provenance(COMMAND, {i: sha256_of(out / i) for i in inputs}, 1))

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-LUMINANCE = 1.0 + np.add.outer(np.linspace(-1, 1, 12) ** 2, np.linspace(-1, 1, 16) ** 2)  # 12 rows x 16 columns
 GAMMA = 1 / 2.2
 
 

@@ -211,9 +211,10 @@ class TestSeal:
             read_record(stored, LightAngleDecision)
 
     def test_layout_is_no_change(self, stored):
+        before = read_record(stored, LightAngleDecision)
         envelope = json.loads(stored.read_text())
         stored.write_text(json.dumps(dict(reversed(envelope.items()))))
-        read_record(stored, LightAngleDecision)
+        assert read_record(stored, LightAngleDecision).model_dump_json() == before.model_dump_json()
 
     def test_canonical_form_by_another_route(self, stored):
         """As docs/explanation/versions-of-records.md states it, without our function."""

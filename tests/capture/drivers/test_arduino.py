@@ -1,7 +1,6 @@
 """The Arduino light against its real firmware in QEMU, recorded exchanges, and everything a line can say wrong."""
 
 import ast
-import contextlib
 import io
 import re
 import time
@@ -139,7 +138,8 @@ class TestFirmware:
 
 class TestRecorded:
     @pytest.mark.parametrize("exchange", [session, silence])
-    def test_exchange(self, exchange, monkeypatch):
+    def test_every_byte_is_spoken_as_recorded(self, exchange):
+        """Asserted by the exchange itself, and by `replayed` of what the host says."""
         with (
             replayed(read_transcript(TRANSCRIPTS / f"arduino_{exchange.__name__}.txt")) as address,
             open_switch(address, "laser", None) as switch,
@@ -159,7 +159,8 @@ class TestOpening:
         ):
             assert switch.has_dead_man
 
-    def test_board_that_missed_the_first_question(self, monkeypatch):
+    def test_board_that_missed_the_first_question_is_asked_again(self, monkeypatch):
+        """Asserted by `replayed`: the host must say all that stands here, and no more."""
         monkeypatch.setattr(arduino, "RESET_WITHIN_S", 0.2)
         with (
             replayed([("host", b"?\nI\n?\nI\n"), ("device", b"OFF\nLASER 1.7\n")]) as address,
@@ -221,10 +222,13 @@ class TestFaults:
 
     def test_trip_before_off_is_no_fault(self):
         with (
-            replayed(with_board(("host", b"L0\n"), ("device", b"TRIP\nOFF\n"))) as address,
+            replayed(
+                with_board(("host", b"L0\n"), ("device", b"TRIP\nOFF\n"), ("host", b"?\n"), ("device", b"OFF\n"))
+            ) as address,
             open_switch(address, "laser", None) as switch,
         ):
             switch.switch(False, DEADLINE_S)
+            assert not switch.state(DEADLINE_S)
 
     def test_the_answer_to_a_keep_alive_does_not_confirm_off(self):
         with (
@@ -296,6 +300,9 @@ class TestFaults:
             assert switch.identity().firmware == "1.4"
 
 
+SILENCE = "nothing more came"
+
+
 class LineOf:
     """A link at which some bytes wait and then nothing comes."""
 
@@ -311,7 +318,7 @@ class LineOf:
     def read_until(self, terminator: bytes, end_s: float) -> bytes:
         line, found_it, self.data = self.data.partition(terminator)
         if not found_it:
-            raise TimedOutError("nothing more came")
+            raise TimedOutError(SILENCE)
         return line + terminator
 
 
@@ -330,11 +337,19 @@ def test_any_line_is_a_word_or_lost(line):
 
 @given(data=st.lists(st.one_of(st.binary(max_size=6), WORDS), max_size=12).map(b"".join))
 def test_whatever_comes_only_declared_errors_leave_the_driver(data):
-    with contextlib.suppress(CaptureError), mock.patch.object(arduino, "IDENTITY_WITHIN_S", 0.0):
-        switch = ArduinoSwitch(LineOf(b"LASER 1.2\n"), "laser", "a port")
-        switch._link = LineOf(data)  # noqa: SLF001 - after a good start
-        switch.keep_alive()
-        switch.state(0.0)
-        switch.keep_alive()
-        switch.switch(False, DEADLINE_S)
-        switch.identity()
+    switch = ArduinoSwitch(LineOf(b"LASER 1.2\n"), "laser", "a port")
+    switch._link = LineOf(data)  # noqa: SLF001 - after a good start
+    try:
+        with mock.patch.object(arduino, "IDENTITY_WITHIN_S", 0.0):
+            switch.keep_alive()
+            is_on = switch.state(0.0)
+            switch.keep_alive()
+            switch.switch(False, DEADLINE_S)
+            identity = switch.identity()
+    except CaptureError as error:
+        said = str(error)
+    else:
+        said = SILENCE
+        assert is_on in (True, False)
+        assert identity.role == "laser"
+    assert said == SILENCE or said.startswith("laser at a port")

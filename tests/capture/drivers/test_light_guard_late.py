@@ -1,14 +1,16 @@
 """A light that is slow to answer, or comes on late, while its owner or its guard goes away."""
 
+import gc
 import os
 import signal
+import socket
 import time
 from pathlib import Path
 
 import pytest
 
 from data_schemas import LostError
-from rigs.light_guard import guarded_light
+from rigs.light_guard import guarded_light, watch
 from rigs.light_guard._held_light import LATE_ON_S, RETRY_FOR_S, HeldLight, HungUpError, channel, receive
 from rigs.light_guard.guard_process import LOOK_ALONE_S, LOOK_EVERY_S
 from tests.capture.drivers import file_switch
@@ -189,3 +191,36 @@ def test_guard_without_owner_goes_on_trying_after_it_shouted(folder):
     assert guards(str(folder))
     (folder / "refuse_off").write_text("0")
     is_off_at_once(folder, time.monotonic())
+
+
+class Missing:
+    """Another process as the watch sees it."""
+
+    descriptors: tuple[int, ...] = ()
+
+    def __init__(self, pid, state):
+        self.pid, self._state = pid, state
+
+    def missing(self):
+        return self._state
+
+
+def test_successor_is_started_also_where_the_stopped_guard_ends_before_it_is_killed(monkeypatch, capfd):
+    """The watch is the last that could see to the light: nothing may end it before it has a successor."""
+
+    def gone(pid, number):
+        raise ProcessLookupError(3, "No such process")
+
+    states = {11: "is gone", os.getppid(): "was stopped"}
+    started = []
+    monkeypatch.setattr(watch, "OtherProcess", lambda pid: Missing(pid, states[pid]))
+    monkeypatch.setattr(os, "kill", gone)
+    monkeypatch.setattr(os, "execv", lambda program, words: started.append(words))
+    ours, its_own = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours:
+        try:
+            watch.main([str(its_own.detach()), "11", "laser at a port", "python", "alone"])
+        finally:
+            gc.enable()  # the watch runs without it
+    assert started == [["python", "alone"]]
+    assert "the stopped guard process could not be ended (No such process)" in capfd.readouterr().err

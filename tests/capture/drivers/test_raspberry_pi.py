@@ -1,7 +1,6 @@
 """The picamera2 driver against a stand-in that follows picamera2's source; not against a Raspberry Pi."""
 
 import importlib.util
-import sys
 import threading
 import time
 from pathlib import Path
@@ -11,15 +10,8 @@ import pytest
 
 from data_schemas import BadFrameError, CameraSettings, LostError, MissingExtraError, RefusedError, TimedOutError
 from rigs.cameras.raspberry_pi import RawLayout, found, open_camera
-from tests.capture.drivers import picamera2_stand_in
 
 WIDTH_PX, HEIGHT_PX = 96, 64  # 98 x 66 of a BGGR sensor, less what does not begin with red
-
-
-@pytest.fixture
-def sensor(monkeypatch):
-    monkeypatch.setitem(sys.modules, "picamera2", picamera2_stand_in.module())
-    return picamera2_stand_in.Picamera2.sensor
 
 
 def opened(**other: object):
