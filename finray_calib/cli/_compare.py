@@ -27,8 +27,8 @@ each, and a page over all presses with an interval over presses, from three pres
 presses, one of each simulator, are ranked: 'finray compare MINE TABLE CAPTURES'.
 
 Another light angle, indenter, depth or position than the capture states is refused, and so are images that do not
-belong together (channel order, exposure, encoding, bit depth, black level). A camera that
-does not stand where the render has it is reported; --register moves the render accordingly.
+belong together (channel order, exposure, encoding, bit depth, black level). A camera that is not where the render has
+it is reported; --register moves the render accordingly.
 
 With --force, the force of a press by finite elements is compared with a measured one instead."""
 
@@ -79,7 +79,9 @@ def run(arguments: argparse.Namespace) -> None:
     if (arguments.pairs is None) == (not records):
         raise CompareError("give SIMULATED and CAPTURE, or --pairs CSV: one of the two")
     if len(records) == 1:
-        raise CompareError(f"{records[0]}: with what? Give CAPTURE too, a record or a folder as SIMULATED is")
+        raise CompareError(
+            f"{records[0]}: nothing to compare it with is given; add CAPTURE, a record or a folder as SIMULATED is"
+        )
     inside = [folder_at(path, CompareError) for path in records]
     folders = [folder is not None for folder in inside]
     if any(folders) and not all(folders):
@@ -88,7 +90,10 @@ def run(arguments: argparse.Namespace) -> None:
             "folders"
         )
     if len(records) > 2 and not any(folders):
-        raise CompareError(f"{records[2]}: one too many; give one record of a press and one of a capture, or folders")
+        raise CompareError(
+            f"{records[2]}: is a third record, and two are compared; give one record of a press and "
+            f"one of a capture, or folders"
+        )
     if records:
         records = [folder or path for folder, path in zip(inside, records, strict=True)]
         arguments.simulated, arguments.capture = records[:-1], records[-1]
@@ -145,8 +150,8 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--other-mesh", type=Path, metavar="FILE",
-        help="with --force: the same press on another mesh; where they differ by more than the mesh of the 70 x 35 "
-        "finger is known to be off by, that is its uncertainty",
+        help="with --force: the same press on another mesh; the difference of the two is the uncertainty of the mesh "
+             "where it is larger than the error known for the mesh of the 70 x 35 finger",
     )  # fmt: skip
 
 

@@ -84,7 +84,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     succeeded = [pair for pair in compared if pair.skill is not None]
     simulators, unshared = rank_simulators(compared)
     if unshared:
-        notes.append(f"not in the ranking, as not every simulator has them: {', '.join(unshared)}")
+        notes.append(f"left out of the ranking, because not every simulator has them: {', '.join(unshared)}")
     batch = ComparisonBatch(
         pairs=tuple(compared),
         headline_region=DILATED if succeeded else None,
@@ -488,8 +488,8 @@ def _stored_report(path: Path, origin: "Provenance") -> "PhotometricErrorReport"
     time = {"created_utc": origin.created_utc}
     if report.provenance is None or report.provenance.model_copy(update=time) != origin:
         raise RecordError(
-            f"{path}: is there already, of another command, version or other files; choose another --out or move it "
-            "away"
+            f"{path}: exists already, from another command, another version or other files; choose another --out or "
+            f"move it away"
         )
     return report
 

@@ -52,7 +52,9 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         help="record written by 'finray compare', once for each capture; best at several light angles",
     )  # fmt: skip
     parser.add_argument(
-        "--narrow-sweep", action="store_true", help="the sweep's angles span less than 4 deg and are not radians"
+        "--narrow-sweep",
+        action="store_true",
+        help="the sweep's angles span less than 4 deg and are meant in degrees, not in radians",
     )
     add_out(parser, "light-angle-decision.json")
     add_seed(parser)

@@ -42,7 +42,7 @@ def add_radiometry(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]")
     parser.add_argument(
         "--accept-repeat",
         action="store_true",
-        help="take a filter and its own repeat that disagree for one fading sample",
+        help="where a filter and its repeat disagree, take the difference for fading of the sample",
     )
     parser.add_argument("--whole-frame", action="store_true", help="with --pixels: every pixel of the frame")
     parser.add_argument("--report", type=Path, metavar="PAGE", help="of a camera session: also write its page (HTML)")
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> None:
     from rigs.capture import session_kind
 
     if arguments.whole_frame and not arguments.pixels:
-        raise RadiometryError("--whole-frame: says how far the map of --pixels reaches; give --pixels too")
+        raise RadiometryError("--whole-frame: extends the map of --pixels to the whole frame; give --pixels too")
     if session_kind(arguments.session) == "paint":
         if arguments.report is not None:
             raise RadiometryError(f"{arguments.session}: is a paint session; --report is for camera sessions")

@@ -48,7 +48,7 @@ NOTHING_KEPT = "Nothing is stored before its end: the same command begins again"
 RENDER_HELP = "render a painted finger or a classic sensor without and with contact, as its camera sees it"
 RENDER_DESCRIPTION = """\
 Render the contact and no-contact image of a finger with calibrated paints. Of a DESIGN the indenter is pressed in by a
-formula; of SURFACES, which 'finray simulate press' wrote, the finger is as deformed as they say.
+formula; of SURFACES, which 'finray simulate press' wrote, the finger has the deformed shape that they hold.
 
 Levels: b (default) the walls re-emit the blue light that reaches them; a the paper's emitter, textured by the
 distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only); c the
@@ -96,7 +96,7 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )  # fmt: skip
     parser.add_argument(
         "--denoise", action="store_true",
-        help="--images with denoised pictures too, for the eye only; needs pip install 'finray-calib[denoise]'",
+        help="--images, and denoised pictures to look at, not to measure in; needs pip install 'finray-calib[denoise]'",
     )  # fmt: skip
     parser.add_argument(
         "--pose-response", action="store_true",
@@ -123,11 +123,13 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--positions", type=_positions, metavar="FIRST:LAST:STEP or MM,MM,...",
         help="sweep with the indenter at each of these places along the pad (mm from the base), e.g. 8:64:4, so that "
-        "the light is decided on for the finger; places that are swept already are not swept again",
+        "the light is decided on for the finger; places that were swept before are not swept again",
     )  # fmt: skip
     _add_scene(parser)
     parser.add_argument(
-        "--narrow-sweep", action="store_true", help="the angles span less than 4 deg and are not radians"
+        "--narrow-sweep",
+        action="store_true",
+        help="the angles span less than 4 deg and are meant in degrees, not in radians",
     )
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
@@ -397,7 +399,7 @@ def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
     for number, (place, path) in enumerate(todo.items(), start=1):
         _sweep(arguments, path, place, f"simulate, place {number} of {len(todo)}")
     for path in kept:
-        say(f"{path}: is there already, from the same inputs")
+        say(f"{path}: exists already, made from the same inputs")
     go_on_with("finray decide", *outs.values())
 
 
@@ -489,16 +491,17 @@ def _views(press: "SimulatedPress", samples: int, denoise: bool) -> "dict[str, N
 RECOLOUR_HELP = "show a rendered press with other paints, camera or white balance"
 RECOLOUR_DESCRIPTION = """\
 Recompute the images of a press that 'finray simulate render' has made, for paints of another yield, absorption at the
-LED or emission shape, for another camera, or with another white balance. Nothing is rendered: the light of each chain
-of fluorescence was kept apart. Refused where a new render is needed: after a change of a paint's reflectance by more
-than 0.01 in a band, of a band's place by more than 10 nm, or when paint excites paint three times as much."""
+LED or emission shape, for another camera, or with another white balance. Nothing is rendered: the press stores the
+light of each chain of fluorescence separately. The command refuses what needs a new render: after a change of a paint's
+reflectance by more than 0.01 in a band, of a band's place by more than 10 nm, or when paint excites paint three times
+as much."""
 
 
 def add_recolour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
     parser = verbs.add_parser("recolour", help=RECOLOUR_HELP, description=RECOLOUR_DESCRIPTION)
     parser.add_argument("press", type=Path, metavar="PRESS", help="rendered press (JSON)")
-    add_paint(parser, "paint calibrations of both walls (an unchanged one again)")
+    add_paint(parser, "paint calibrations of both walls (give an unchanged one again)")
     parser.add_argument("--camera", type=Path, metavar="FILE", help="camera response (CSV)")
     parser.add_argument(
         "--white-balance", type=_white_balance, metavar="R:G:B",
@@ -531,7 +534,7 @@ def run_recolour(arguments: argparse.Namespace) -> None:
 
     files = paint_files(arguments, without="the press's own paints")
     if not files and arguments.camera is None and arguments.white_balance is None:
-        raise SimulateError("nothing is to change: give --paint for both walls, --camera or --white-balance")
+        raise SimulateError("no change is asked for: give --paint for both walls, --camera or --white-balance")
     out = require_new(arguments.out or arguments.press.with_name(f"{arguments.press.stem}-recoloured.json"))
     press = read_record(arguments.press, SimulatedPress)
     paints = {colour: paint_optics(read_record(path, PaintCalibration)) for colour, path in files.items()}

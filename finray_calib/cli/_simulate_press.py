@@ -92,7 +92,7 @@ def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False
     if resume is None or resume.parent.absolute() != increments.absolute():
         require_new(increments)
     elif any(_number(stored) > _number(resume) for stored in increments.glob("*.json")):
-        raise RecordError(f"{resume}: later increments stand beside it; give another --out to leave them as they are")
+        raise RecordError(f"{resume}: later increments are stored beside it; give another --out so that they are kept")
     return {**files, "increments": increments}
 
 
@@ -333,7 +333,7 @@ def _store(
     _tell(mechanics, files)
     if pressed.crossing:
         remedy = "press with --contact barrier, or less" if pressed.motion is None else "give a path that pushes less"
-        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: {remedy}")
+        warn(f"warning: {pressed.crossing}; its results from there on are not physical: {remedy}")
     if mechanics.motion is None:
         tell_few_nodes(pressed, mechanics)
     if mechanics.unreached:
@@ -410,7 +410,7 @@ PRESS_HELP = "press the indenter into a finger by finite elements"
 PRESS_DESCRIPTION = """\
 Press the indenter of the design into the finger by finite elements, as finely as the design's [mesh] table says. Stored
 are force over push (NAME.mechanics.json), the deformed finger (NAME.surfaces.json, for 'finray simulate render'), its
-mesh (.vtu) and a picture, and each increment on the way, after which an interrupted press goes on."""
+mesh (.vtu) and a picture, and each increment on the way, from which an interrupted press continues."""
 
 
 def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -113,7 +113,7 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
         if unlike:
             raise FitError(
                 f"session {number} is of a rig with another {unlike[0]} than the first: only sessions of one rig can "
-                "be combined, because what a rig knows badly is common to all of them; capture with one rig file"
+                "be combined, because the errors of a rig are common to all of its sessions; capture with one rig file"
             )
 
 

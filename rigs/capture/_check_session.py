@@ -171,7 +171,7 @@ class _Recorder:
             if isinstance(error, UnsafeError):
                 self._ended = "a light is not confirmed off"
             elif isinstance(error, LightLostError) and section == "light off" and is_hazardous(self._rig.laser):
-                self._ended = "the laser went out, and is not lit again before a person has looked why"
+                self._ended = "the laser went out, and is not lit again until a person has found out why"
             return None
 
     def _lights_are_off(self, opened: OpenRig, section: Section) -> None:
@@ -182,7 +182,7 @@ class _Recorder:
             on = [name for name, light in (("laser", opened.laser), ("lamp", opened.lamp)) if light.state()]
         except CaptureError as error:
             self._errors.setdefault(section, str(error))
-            self._ended = f"a light does not say whether it is off ({error})"
+            self._ended = f"a light does not report whether it is off ({error})"
             return
         if on:
             self._errors[section] = f"{on[0]}: reads back on after this section; pull its plug before you open the box"
@@ -238,7 +238,7 @@ class _Recorder:
 
 def _not_lit(why: str) -> str:
     """Say that a laser that harms eyes is not lit after an error: it may be that somebody opened the box."""
-    return f"not tried: the laser is not lit again before a person has looked why: {why}"
+    return f"not tried: the laser is not lit again until a person has found out why: {why}"
 
 
 HANDSHAKES: Final = 3

@@ -347,7 +347,7 @@ def verify_session(folder: Path) -> SessionCheck:
             faults.append(FileFault(path, "changed", str(error).removeprefix(f"{path}: ")))
         session, is_sealed = None, True
     if not is_sealed:
-        notes.append(f"{SESSION_NAME} is of a version before seals; its own values are checked by {MANIFEST_NAME} only")
+        notes.append(f"{SESSION_NAME} is of a version before seals; its values are checked by {MANIFEST_NAME} only")
     faults += _journal_faults(folder, session, is_sealed, digests.get(path), notes)
     of_manifest, unlisted = manifest_faults(folder, digests)
     told = {fault.path for fault in faults}
@@ -358,7 +358,7 @@ def verify_session(folder: Path) -> SessionCheck:
             text = f"does not list {file.relative_to(folder).as_posix()}: a line was removed"
             faults.append(FileFault(folder / MANIFEST_NAME, "changed", text))
         else:
-            notes.append(f"{file.relative_to(folder)}: came later, {MANIFEST_NAME} does not list it")
+            notes.append(f"{file.relative_to(folder)}: was added later; {MANIFEST_NAME} does not list it")
     if not has_file(folder / MANIFEST_NAME):
         notes.append(f"without {MANIFEST_NAME}, other files of the session are not checked")
     return SessionCheck(tuple(faults), tuple(notes), digests)
@@ -405,12 +405,17 @@ def _journal_faults(
     said: list[str] = []
     broken = next((line for line in lines if not line.holds), None)
     if broken is not None:
-        said.append(f"line {broken.number} or a line before it was changed or removed: its link does not hold")
+        said.append(
+            f"line {broken.number} or a line before it was changed or removed: its checksum does not follow "
+            f"from the line before"
+        )
     linked = [line for line in lines if line.link]
     if is_sealed and (not linked or not lines[0].link or not lines[-1].link):
-        said.append("holds lines without links, so that lines were added, changed or removed")
+        said.append("holds lines without a checksum of the line before: lines were added, changed or removed")
     elif not linked:
-        notes.append(f"{JOURNAL_NAME} is of a version before links; its lines are checked by {MANIFEST_NAME} only")
+        notes.append(
+            f"{JOURNAL_NAME} is of a version whose lines carry no checksums; they are checked by {MANIFEST_NAME} only"
+        )
     if is_sealed or linked:
         said += _ending_faults(lines, session_sha256)
     if session is not None:
@@ -427,7 +432,7 @@ def _ending_faults(lines: list[LinkedLine], session_sha256: str | None) -> Itera
     if noted is None:
         yield f"lacks the line that holds the checksum of {SESSION_NAME}"
     elif session_sha256 is not None and noted.get("sha256") != session_sha256:
-        yield f"holds another checksum of {SESSION_NAME} than it has: one of the two was changed"
+        yield f"holds a checksum of {SESSION_NAME} that differs from the file's: one of the two was changed"
 
 
 def _disagreements(lines: list[LinkedLine], session: Session) -> Iterator[str]:
@@ -435,7 +440,7 @@ def _disagreements(lines: list[LinkedLine], session: Session) -> Iterator[str]:
     start = next((line.entry for line in lines if line.entry["event"] == "start"), {})
     for name, record in (("plan", session.plan), ("rig", session.rig)):
         if name in start and not _is(start[name], record):
-            yield f"begins with another {name} than {SESSION_NAME} holds"
+            yield f"begins with a {name} that differs from the one in {SESSION_NAME}"
     noted = {line.entry.get("sequence"): line.entry for line in lines if line.entry["event"] == "frame"}
     for frame in session.frames:
         entry, wanted = noted.get(frame.sequence), frame.model_dump(mode="json")
@@ -443,7 +448,7 @@ def _disagreements(lines: list[LinkedLine], session: Session) -> Iterator[str]:
             yield f"lacks frame {frame.sequence}, {frame.file}"
         elif any(entry[key] != wanted[key] for key in entry.keys() & wanted.keys()):
             other = next(key for key in wanted if key in entry and entry[key] != wanted[key])
-            yield f"says another {other} of frame {frame.sequence} than {SESSION_NAME}"
+            yield f"and {SESSION_NAME} differ in {other} of frame {frame.sequence}"
 
 
 def _is(stored: Any, record: Record) -> bool:
@@ -467,8 +472,8 @@ def complete_session(folder: Path) -> None:
     faults = [fault for fault in found if not fault.text.startswith(unfinished)]
     if faults:
         raise CaptureError(
-            f"{faults[0].path}: {faults[0].text}; the checksums are not written, as they would hide it: restore the "
-            "file, or capture the session again"
+            f"{faults[0].path}: {faults[0].text}; the checksums are not written, because they would hide this: "
+            f"restore the file, or capture the session again"
         )
     if found:
         with Journal(folder, SystemClock(), resumed=True) as journal:

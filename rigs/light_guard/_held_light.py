@@ -150,7 +150,7 @@ class HeldLight:
                 self.close()
                 if time.monotonic() > end_s:
                     return why_not
-            tell(why_not or "a late on may come")
+            tell(why_not or "a late command to switch on may still be executed")
             time.sleep(RETRY_PAUSE_S)
 
     def _off_once(self, attempt_s: float) -> str | None:

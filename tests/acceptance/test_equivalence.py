@@ -118,7 +118,7 @@ def test_what_cannot_be_compared(monkeypatch):
     with pytest.raises(FinrayError, match="draws of this fit cannot be trusted"):
         tins_are_equivalent(one, [bad], {"mode_nm": 1.0})
     warm = example().model_copy(update={"optics": example().optics.model_copy(update={"lamp_temperature_k": 3000.0})})
-    with pytest.raises(FinrayError, match="on the same one"):
+    with pytest.raises(FinrayError, match="on the same rig"):
         tins_are_equivalent(one, [warm], {"mode_nm": 1.0})
     longer = example().model_copy(update={"wavelength_nm": example().wavelength_nm + 1.0})
     with pytest.raises(FinrayError, match="has other wavelengths"):

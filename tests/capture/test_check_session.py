@@ -239,7 +239,7 @@ def test_light_that_cannot_be_asked_ends_the_check(rig, plan, monkeypatch):
 
     facts = facts_of(rig, plan, monkeypatch, change)
     assert facts.handshakes[2].error == "laser: gone"
-    assert facts.errors["dark frames"] == "not tried: a light does not say whether it is off (laser: gone)"
+    assert facts.errors["dark frames"] == "not tried: a light does not report whether it is off (laser: gone)"
 
 
 def test_unsafe_laser_ends_the_check(rig, plan, monkeypatch):
@@ -473,7 +473,7 @@ def test_a_hazardous_laser_that_failed_in_a_layer_is_not_lit_by_the_next_one(
 
     def after_kill(laser: LaserSettings, layer: str, *_: object) -> NoReturn:
         begun.append(layer)
-        raise CaptureError("laser: the program that was to hold it on says: the guard process has ended")
+        raise CaptureError("laser: the program that should keep it on says: the guard process has ended")
 
     monkeypatch.setattr("rigs.capture._check_session.after_kill", after_kill)
     monkeypatch.setattr("rigs.capture._check_session.can_be_asked_anew", lambda laser: True)
@@ -483,4 +483,4 @@ def test_a_hazardous_laser_that_failed_in_a_layer_is_not_lit_by_the_next_one(
     guard, dead_man = recorder._without_rig()  # noqa: SLF001 - the bench has no guard that could be lost
     assert begun == tried
     assert "the guard process has ended" in str(guard.error)
-    assert ("not lit again before a person has looked why" in str(dead_man.error)) == (hazard == "3R")
+    assert ("not lit again until a person has found out why" in str(dead_man.error)) == (hazard == "3R")

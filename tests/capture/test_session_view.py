@@ -622,7 +622,7 @@ def test_a_session_outlives_its_terminal_and_its_page(files, captured_short):
         second = [*command(files)[:4], "--resume", f"{files}/out"]
         refused = subprocess.run(second, cwd=ROOT, capture_output=True, text=True, check=False)
         assert refused.returncode == 2
-        assert f"its session is shown already, at {Page(files).url}" in refused.stderr
+        assert f"the view of its session is open already, at {Page(files).url}" in refused.stderr
         terminal.close_window()
         told = Page(files).until(lambda t: t["question"])
         assert told["headline"] == "SAMPLE + CHECKER"

@@ -162,7 +162,7 @@ def test_an_earlier_increment_is_not_resumed_over_later_ones(tmp_path):
     for number in (1, 2, 1000):
         (folder / f"{number:03d}.json").write_text("{}")
     assert last_increment(folder).name == "1000.json"
-    with pytest.raises(RecordError, match="later increments stand beside it"):
+    with pytest.raises(RecordError, match="later increments are stored beside it"):
         mechanics_paths(tmp_path / "d.press.json", folder / "002.json")
     assert mechanics_paths(tmp_path / "d.press.json", folder / "1000.json")["increments"] == folder
 
