@@ -220,7 +220,7 @@ def narrow_sweep_text(angles_deg: Sequence[float] | Floats) -> str:
     return (
         f"{len(angles_deg)} angles of the light from {first:g} to {last:g} deg span less than {NARROWEST_SWEEP_DEG:g} "
         f"deg: in radians that would be {np.degrees(first):.0f} to {np.degrees(last):.0f} deg. Give the angles in "
-        "degrees, or --narrow-sweep if they are meant so"
+        f"degrees, or --narrow-sweep if they are meant in degrees"
     )
 
 

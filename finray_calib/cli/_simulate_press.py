@@ -551,7 +551,8 @@ def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> Non
     if force_n <= 0.0:
         raise SimulateError(
             f"at a push of {push_mm:.4g} mm the indenter touches no node of the coat, whose elements are {step_mm:g} "
-            f"mm wide: the force of {force_n:.3g} N is the mesh's, not the finger's; {remedy}. What was computed is "
+            f"mm wide: the force of {force_n:.3g} N comes from the mesh, not from the finger; {remedy}. What was "
+            f"computed is "
             "stored"
         )
     short = chord_shortfall_rel(mechanics.design, mechanics.preset, push_mm)

@@ -185,7 +185,7 @@ class PenaltyTouch:
     @property
     def note(self) -> str:
         """How the surfaces touch."""
-        how = "contact by penalty: frictionless; the indenter's distance is exact; ribs do not see each other"
+        how = "contact by penalty: frictionless; the indenter's distance is exact; contact between ribs is not computed"
         return f"{how}; {self._left_out}" if self._left_out else how
 
     def force_n(self, u: FloatArray) -> FloatArray:

@@ -284,8 +284,8 @@ class SlidingTouch(PenaltyTouch):
     def note(self) -> str:
         """How the surfaces touch."""
         ratio = self.sliding.friction_ratio
-        how = f"Coulomb friction {ratio:g} that remembers where the coat sticks" if ratio > 0.0 else "frictionless"
-        return f"contact by penalty: {how}; the indenter's distance is exact; ribs do not see each other"
+        how = f"Coulomb friction {ratio:g} that stores where the coat sticks" if ratio > 0.0 else "frictionless"
+        return f"contact by penalty: {how}; the indenter's distance is exact; contact between ribs is not computed"
 
     def energy_n_mm(self, u: FloatArray) -> float:
         """Return the energy that the contact gives back."""

@@ -130,7 +130,11 @@ def test_a_text_file_is_read_too(tmp_path):
     ("triangles", "scale", "message"),
     [
         (CUBE.triangles[1:], 1.0, "is open: 3 edges belong to one triangle only"),
-        (np.vstack([CUBE.triangles[1:], CUBE.triangles[:1, ::-1]]), 1.0, "3 edges are run twice in one direction"),
+        (
+            np.vstack([CUBE.triangles[1:], CUBE.triangles[:1, ::-1]]),
+            1.0,
+            "3 edges have two triangles of opposite orientation",
+        ),
         (CUBE.triangles, 1e-3, "it looks like a file in metres"),
         (CUBE.triangles, 1e3, "it looks like a file in micrometres"),
         (CUBE.triangles[:0], 1.0, "has no triangles"),
@@ -159,7 +163,7 @@ def test_a_file_beside_the_pad_is_refused(tmp_path):
     away = CUBE.vertices_mm + np.array([60.0, 0.0, 0.0])
     (tmp_path / "cube.stl").write_bytes(stl_bytes(CUBE.triangles, away, "cube"))
     design = FingerDesign(indenter=Indenter(shape="mesh", file="cube.stl"))
-    with pytest.raises(SimulateError, match="does not come to touch the pad"):
+    with pytest.raises(SimulateError, match="does not touch the pad when it moves"):
         rigid_indenter(design, tmp_path)
 
 
@@ -323,7 +327,7 @@ def test_a_file_that_runs_along_a_curved_pad_is_not_divided_without_end(tmp_path
 
 def test_a_file_that_runs_along_a_pad_of_too_much_curvature_is_refused():
     along = np.tile(np.eye(3), (250_001, 1, 1))
-    with pytest.raises(SimulateError, match=r"in 250001 places, so that its first touch is known to 0\.33 mm only"):
+    with pytest.raises(SimulateError, match=r"in 250001 places, so its first touch is known only to 0\.33 mm"):
         least_over_triangles(along, lambda points: np.zeros(len(points)), 1.0)
 
 

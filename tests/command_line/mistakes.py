@@ -153,7 +153,7 @@ CASES = (
     Case(
         "filter named twice in the rig",
         BAD_RIG,
-        r"rig\.toml: 'filter_wheel': name 450 stands in two filters; list each filter once, with its own name",
+        r"rig\.toml: 'filter_wheel': name 450 is used by two filters; list each filter once, with its own name",
         edited("rig.toml", 'name = "405"', 'name = "450"'),
     ),
     Case(
@@ -347,7 +347,10 @@ CASES = (
         r"knows no green=b\.json; write --paint before each COLOUR=FILE; ",
     ),
     Case(
-        "rig for a finger", "study finger-stiffness {lab}/rig.toml", r"rig\.toml: a finger without \[pad\], \[coating\]"
+        "rig for a finger",
+        "study finger-stiffness {lab}/rig.toml",
+        r"rig\.toml: describes a finger, but \[pad\], "
+        r"\[coating\]",
     ),
     Case(
         "folder without its description",

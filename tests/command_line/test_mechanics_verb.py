@@ -191,7 +191,7 @@ def test_an_stl_that_changed_is_not_gone_on_with(tmp_path: Path) -> None:
     (tmp_path / "cube.stl").write_bytes(stl_bytes(FACETS, body * [1.0, 1.5, 1.0], "body"))
     said = refused(f"{press} --resume {tmp_path}/first.increments --out {tmp_path}/second.json")
     assert re.search(
-        r"indenter\.file = 'cube\.stl', is not the one of the stored increment: .* put the file back", said
+        r"indenter\.file = 'cube\.stl', differs from the one of the stored increment: .* put the file back", said
     )
     assert not (tmp_path / "second.mechanics.json").exists()
 
@@ -257,7 +257,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
         ("", "--force 2 --contact barrier", r"--force presses from first touch by the penalty"),
         ("", "--force 2 --resume d.increments", r"--force presses from first touch by the penalty"),
         ("", "--force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
-        ("friction = 0.3", "--force 2", r"a press to a force is without friction and on exact"),
+        ("friction = 0.3", "--force 2", r"a press to a force works without friction and for indenters of simple shape"),
         ("edge_radius_mm = 1.0", "", r"indenter\.edge_radius_mm has no effect: it is of a cuboid"),
         ("", "--budget 60 --sensitivities", r"--budget is of one press by the elements here"),
         ("", "--budget soon", r"--budget: 'soon' must be a processor time in s above 0 and at most"),
@@ -341,7 +341,7 @@ def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
     path = small_ball(tmp_path, 2.0, 0.1)
     outcome = finray(f"simulate press {path} --force 0.05 --out {tmp_path}/b.press.json")
     assert outcome.status == 2
-    assert "from which the force begins, the indenter touches no node of the coat" in outcome.err
+    assert "where the press to a force begins, the indenter touches no node of the coat" in outcome.err
     assert (tmp_path / "b.mechanics.png").exists()
 
 

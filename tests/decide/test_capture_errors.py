@@ -128,7 +128,7 @@ def test_a_capture_outside_the_sweep_validates_nothing(angle_deg, kept):
         assert found == NO_CAPTURES
         assert notes == (
             f"far is left out: its light was at {angle_deg:g} deg, outside the sweep (0 to 120 deg), so it does "
-            "is not validated by it",
+            "not validate the decision",
         )
 
 

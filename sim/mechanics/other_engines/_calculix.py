@@ -26,7 +26,7 @@ from sim.mechanics.other_engines._deck import deck_materials, finger_deck
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
-_CONTACT: Final = "faceted rigid indenter; contact surface to surface by penalty; ribs do not see each other"
+_CONTACT: Final = "faceted rigid indenter; contact surface to surface by penalty; contact between ribs is not computed"
 _SAME_TIME = 1e-4  # the .frd file holds six digits of it
 _PRESSURE = 3  # of the contact's COPEN, CSLIP1, CSLIP2, CPRESS
 
@@ -104,7 +104,7 @@ def press_mesh_calculix(
         if not len(_reached(Path(name))):
             raise SimulateError(
                 f"CalculiX found no equilibrium in the first increment: {unreached or 'it gave no reason'}. Ask for "
-                "more increments, a smaller push, or press with the engine in process"
+                f"more increments or a smaller push, or leave out --engine calculix"
             )
         return _pressed(depth_mm, mesh, Path(name), unreached)
 
@@ -136,7 +136,7 @@ def _pressed(depth_mm: float, mesh: FingerMesh, folder: Path, unreached: str) ->
     convergence = read_convergence(folder / f"{JOB}.sta")
     count = min(len(moved), len(pressed), len(force), len(convergence.times), *map(len, energies))
     if not count:
-        raise SimulateError("CalculiX has not written a complete increment; press with the engine in process")
+        raise SimulateError("CalculiX has not written a complete increment; leave out --engine calculix")
     nodes = len(mesh.nodes_mm)
     displacement = np.stack([_at_nodes(f.nodes, f.values, nodes) for f in moved[:count]])
     # at the Gauss points, as the engine in process has them
@@ -186,7 +186,7 @@ def find_calculix() -> str:
     if path is None:
         raise MissingExtraError(
             f"CalculiX (the program {PROGRAM}) is not installed or not on the PATH; on Debian and Ubuntu: apt-get "
-            "install calculix-ccx. Without it, press with the engine in process"
+            "install calculix-ccx. Without it, leave out --engine calculix"
         )
     return path
 

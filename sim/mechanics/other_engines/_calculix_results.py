@@ -74,7 +74,7 @@ def read_frd(path: Path, names: tuple[str, ...] = ("DISP", "CONTACT")) -> list[N
             found.append(_field(path, name, before[-1], text[field.end() : end + 1]))
     if not found:
         raise ImportFormatError(
-            f"{path}: no field {' or '.join(names)} in it; it must be an ASCII .frd file of CalculiX, written by "
+            f"{path}: holds no field {' or '.join(names)}; it must be an ASCII .frd file of CalculiX, written by "
             "*NODE FILE (binary ones, of OUTPUT=2D or *CONTROLS, are not read)"
         )
     return found
@@ -132,11 +132,11 @@ def read_totals(path: Path) -> Mapping[tuple[str, str], FloatArray]:
                 raise ImportFormatError(f"{path}: line {number + 1}: the total is no number: {error}") from None
     if not found:
         raise ImportFormatError(
-            f"{path}: no totals of sets in it; *NODE PRINT and *EL PRINT with TOTALS=ONLY write them"
+            f"{path}: holds no totals of sets; write them by *NODE PRINT and *EL PRINT with TOTALS=ONLY"
         )
     uneven = next((key for key, rows in found.items() if len({len(row) for row in rows}) > 1), None)
     if uneven is not None:
-        raise ImportFormatError(f"{path}: the totals of {' of '.join(uneven)} have not the same number of values each")
+        raise ImportFormatError(f"{path}: the totals of {' of '.join(uneven)} differ in their number of values")
     return {key: np.array(rows) for key, rows in found.items()}
 
 
