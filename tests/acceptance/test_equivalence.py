@@ -78,7 +78,7 @@ def test_what_is_mostly_prior_is_not_decided():
 def test_one_coat_is_judged_by_its_draws_and_says_so():
     found = tins_are_equivalent([example()], [example()], {"reflectance_at_laser": 1.0, "mode_nm": 1e-6})
     assert [one.verdict for one in found] == ["PASS", "UNDECIDED"]
-    assert all("not at all" in one.basis for one in found)
+    assert all("not counted at all" in one.basis for one in found)
     sd = np.sqrt(2) * example().parameters["reflectance_at_laser"].sd
     assert found[0].high90 == pytest.approx(stats.norm.ppf(0.95) * sd, rel=0.01)
 

@@ -388,7 +388,7 @@ def test_hazardous_laser_without_a_layer_outside_the_computer_is_not_lit_to_test
 def test_holder_that_cannot_hold_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rigs.capture.light_off_time.make_off", lambda laser: None)
     laser = nobody("/dev/no-such-port")
-    with pytest.raises(CaptureError, match=r"that was to hold it on says: laser at /dev/no-such-port"):
+    with pytest.raises(CaptureError, match=r"that should keep it on says: laser at /dev/no-such-port"):
         after_kill(laser, "guard", ConnectionWatch(laser), 1)
     monkeypatch.setattr("rigs.capture.light_off_time.START_WITHIN_S", 0.0)
     with pytest.raises(TimedOutError, match="said nothing for 0 s"):

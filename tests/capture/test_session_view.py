@@ -637,7 +637,7 @@ def test_ctrl_c_ends_it_dark_and_capture_resumes_it(files, captured_short):
     with in_terminal(files) as terminal:
         asks(terminal, "Put the paint sample")
         terminal.press("\x1a")
-        asks(terminal, "Ctrl-Z stops no session")
+        asks(terminal, "Ctrl-Z is ignored")
         terminal.press("?")
         asks(terminal, "Its address, for a browser")
         terminal.press(" ")

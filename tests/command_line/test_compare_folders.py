@@ -325,7 +325,7 @@ class _Struck(Child):
 @pytest.mark.parametrize(
     ("strike", "status", "told"),
     [
-        (Child.kill, 3, "a process at work on bgr, one, two was killed (SIGKILL) from"),
+        (Child.kill, 3, "a process at work on bgr, one, two was killed (SIGKILL): by"),
         (lambda _: True, 130, "interrupted; files already written are complete"),
     ],
 )

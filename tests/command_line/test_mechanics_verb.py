@@ -280,7 +280,7 @@ def test_what_has_no_effect_is_refused(tmp_path: Path, tables: str, options: str
 @pytest.mark.parametrize(
     ("radius_mm", "depth_mm", "message"),
     [
-        (2.0, 0.1, "touches no node of the coat, whose elements are 2 mm wide: the force of 0 N is the mesh's"),
+        (2.0, 0.1, "touches no node of the coat, whose elements are 2 mm wide: the force of 0 N comes from the mesh"),
         # barrier: 0.428 N, 15 % more
         (2.0, 0.5, "the force is some 15% too low; press with --contact barrier"),
     ],

@@ -91,7 +91,7 @@ def test_two_presses_have_no_interval_and_what_noise_leaves_ends_at_one():
     # noise that was taken out leaves one press no error
     above = skill_over_presses([pair("a", 0.95), pair("b", 1.02), pair("c", 0.97)])
     assert above.low95 < above.estimate < above.high95 == 1.0
-    assert "leaves some no error" in above.method
+    assert "leaves some presses without error" in above.method
     over = skill_over_presses([pair("a", 1.01), pair("b", 1.02), pair("c", 1.03)])
     assert over.estimate == over.high95 == pytest.approx(1.02)
 
