@@ -204,7 +204,10 @@ def _day_text(value: object) -> object:
     if isinstance(value, date) and not isinstance(value, datetime):
         return value.isoformat()
     if isinstance(value, str):
-        date.fromisoformat(value)
+        try:
+            date.fromisoformat(value)
+        except ValueError:
+            raise ValueError("must be a day such as 2026-03-02, without quotes") from None
     return value
 
 

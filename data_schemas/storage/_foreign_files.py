@@ -116,7 +116,9 @@ def open_regular(path: Path, what: str = "a regular file", error: type[FinrayErr
     except FileNotFoundError:
         raise error(f"{path}: no such file; give the path of {what}") from None
     except NotADirectoryError:
-        raise error(f"{path}: no such file, for a part of the path is no folder; give the path of {what}") from None
+        raise error(
+            f"{path}: no such file, because a part of the path is a file and not a folder; give the path of {what}"
+        ) from None
     except (OSError, ValueError) as fault:
         kind = _kind_at(path)
         if kind is not None:

@@ -246,6 +246,16 @@ def _margin(text: str) -> "tuple[Compared, float]":
     return known, margin
 
 
+def _require_different(paths: list[Path]) -> None:
+    """Refuse a calibration that is given twice, also by another name: it would agree with itself."""
+    from data_schemas import FinrayError, digest_of_input
+
+    first: dict[str, Path] = {}
+    for path in paths:
+        if (other := first.setdefault(digest_of_input(path), path)) is not path:
+            raise FinrayError(f"{other} and {path}: are one calibration; give each coat once, by its own session")
+
+
 def run_equivalence(arguments: argparse.Namespace) -> int:
     """Compare, print and return the exit status."""
     from data_schemas import FinrayError, PaintCalibration, decimals_for, fixed
@@ -256,6 +266,7 @@ def run_equivalence(arguments: argparse.Namespace) -> int:
     if len(margins) < len(arguments.margin):
         raise FinrayError("--margin: a quantity is given twice; give each once")
     tins = [[read_record(path, PaintCalibration) for path in paths] for paths in (arguments.first, arguments.second)]
+    _require_different([*arguments.first, *arguments.second])
     found = tins_are_equivalent(tins[0], tins[1], margins)
     for one in found:
         places = decimals_for(0.5 * (one.high90 - one.low90))
@@ -314,7 +325,7 @@ def run_history(arguments: argparse.Namespace) -> int:
     from finray_calib.acceptance import session_history
     from finray_calib.reports import history_page
 
-    page = None if arguments.report is None else require_new(arguments.report)
+    page = None if arguments.report is None else require_new(arguments.report, ".html")
     facts = _facts(arguments.folder)
     with naming(FinrayError, arguments.folder):
         found = session_history(facts, arguments.reference, arguments.false_alarms, arguments.cleared)

@@ -110,7 +110,7 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
     from finray_calib.compare import CheckOptions, compare_checked
     from finray_calib.reports import comparison_lines, comparison_page
 
-    out = require_new(arguments.out or Path("photometric-error.json"))
+    out = require_new(arguments.out or Path("photometric-error.json"), ".json")
     page = new_page_beside(out)
     press = read_record(simulated, SimulatedPress)
     capture = read_record(arguments.capture, TactileCapture)
@@ -175,11 +175,7 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
     from finray_calib.force import compare_force
     from finray_calib.reports import force_figure_png, force_lines
 
-    out = require_new(arguments.out or Path(DEFAULT_OUT))
-    if out.suffix != ".json":
-        raise CompareError(
-            f"{out}: must be a record: choose an --out that ends in .json; the figure is written beside it"
-        )
+    out = require_new(arguments.out or Path(DEFAULT_OUT), ".json")
     picture = require_new(out.with_suffix(".png"))
     press = read_record(records[0], PressMechanics)
     other = None if arguments.other_mesh is None else read_record(arguments.other_mesh, PressMechanics)

@@ -19,7 +19,14 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from data_schemas import CompareError, DiedError, FinrayError, RecordError
 from data_schemas.storage import Child, files_in, has_file, read_json, stopping_together
 from finray_calib.cli._output import Progress, give, look_at, progress_bar, say, warn, wrote
-from finray_calib.cli._run import command_line, distinct_file_names, input_digests, require_new, require_place
+from finray_calib.cli._run import (
+    command_line,
+    distinct_file_names,
+    input_digests,
+    naming,
+    require_new,
+    require_place,
+)
 
 if TYPE_CHECKING:
     from data_schemas import (
@@ -150,12 +157,15 @@ def _jobs(arguments: argparse.Namespace) -> tuple[list[_Job], list[str]]:
 
 def _of_table(path: Path) -> list[_Job]:
     """Return the pairs of a table."""
+    from data_schemas import CompareError
     from finray_calib.compare import pairs_of_rows
 
     above = path.parent
+    with naming(CompareError, path):
+        rows = pairs_of_rows(_rows(path))
     return [
         _Job(r.simulator, r.name, above / r.simulated, above / r.captured, Path(), r.press, r.session, r.sensor)
-        for r in pairs_of_rows(_rows(path))
+        for r in rows
     ]
 
 

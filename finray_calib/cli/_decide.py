@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> None:
     from finray_calib.decide import decide
     from finray_calib.reports import decision_page, verdict_words
 
-    out = require_new(arguments.out or Path("light-angle-decision.json"))
+    out = require_new(arguments.out or Path("light-angle-decision.json"), ".json")
     page = new_page_beside(out)
     paths = [*arguments.sweeps, *arguments.reports]
     sweeps = [read_record(path, LightAngleSweep) for path in arguments.sweeps]

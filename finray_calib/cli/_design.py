@@ -287,7 +287,7 @@ def run_init(arguments: argparse.Namespace) -> None:
         known = ", ".join([*PRESETS, *SENSORS])
         raise SimulateError(f"there is no preset design '{name}'; there are {known}")
     text = sensor_toml(preset_sensor(name)) if name in SENSORS else design_toml(preset_design(name))
-    out = require_new(arguments.out or Path(f"{name}.toml"))
+    out = require_new(arguments.out or Path(f"{name}.toml"), ".toml")
     write_bytes(out, text.encode())
     wrote(out, "the design, to be edited")
     give(name=name)
@@ -404,7 +404,7 @@ def run_paints(arguments: argparse.Namespace) -> None:
 
     design, files, folder = given_design(arguments.design)
     paints = _calibrations(arguments.paint)
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.paint-choice.json"))
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.paint-choice.json"), ".json")
     camera = design.camera
     with naming(SimulateError, arguments.design):
         finger = BareFinger(

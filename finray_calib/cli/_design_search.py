@@ -316,7 +316,7 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     from sim.experiments import FingerError, ToleranceSettings, study_tolerances, tolerance_inputs
 
     design, files, folder = given_design(arguments.design)
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"))
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"), ".json")
     page = new_page_beside(out)
     paint_paths = both_paint_files(arguments)
     paints = _paint_draws(paint_paths, arguments.paints_as_given)

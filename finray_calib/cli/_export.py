@@ -450,6 +450,9 @@ def run_export(arguments: argparse.Namespace) -> None:
         )
     paint = read_record(file, PaintCalibration)
     out = require_new(arguments.out or Path(file_name(paint.paint_name) + SUFFIXES[arguments.format]))
+    ending = Path(f"paint{SUFFIXES[arguments.format]}").suffix
+    if out.suffix.lower() != ending:
+        raise RecordError(f"{out}: a file of --format {arguments.format} must end in {ending}; choose another --out")
     options = ExportOptions(
         lights=tuple(read_light(path) for path in arguments.led or ()) or (assumed_led(),),
         response=(

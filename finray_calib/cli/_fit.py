@@ -93,9 +93,9 @@ def run(arguments: argparse.Namespace) -> None:
     sessions = [read_record(path, BandSignals) for path in arguments.bands]
     bands, scatter = _together(sessions, arguments.bands)
     others = [read_record(path, BandSignals) for path in arguments.other_light]
-    out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"))
+    out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"), ".json")
     if arguments.report is not None:
-        require_new(arguments.report)
+        require_new(arguments.report, ".html")
     files = [*arguments.bands, *arguments.other_light]
     with progress_bar("fit"), naming(FitError, *files):
         paint = fit_paint(
@@ -296,7 +296,7 @@ def run_map(arguments: argparse.Namespace) -> None:
     place: Path = arguments.bands[0]
     pixels = read_record(place, PixelSignals)
     paint = read_record(arguments.paint, PaintCalibration)
-    out = require_new(arguments.out or Path(f"{file_name(pixels.paint_name)}.map.json"))
+    out = require_new(arguments.out or Path(f"{file_name(pixels.paint_name)}.map.json"), ".json")
     picture = require_new(out.with_suffix(".svg"))
     with progress_bar("fit every pixel"), naming(FitError, place, arguments.paint):
         fitted = map_paint(pixels, paint)

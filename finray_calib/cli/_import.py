@@ -83,7 +83,7 @@ def run_import(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import ProductSet, digest_as_read, write_record
 
     folder: Path = arguments.folder
-    out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"))
+    out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"), ".json")
     press_out = out.with_name(f"{out.name.removesuffix('.json').removesuffix('.capture')}.press.json")
     if arguments.predict_from is not None:
         if arguments.predict_from.resolve() == folder.resolve():
@@ -174,10 +174,10 @@ def import_bands(folder: Path, out: Path | None) -> None:
     from finray_calib.exchange import import_band_folder
 
     if out is not None:
-        require_new(out)
+        require_new(out, ".json")
     with naming(RadiometryError, folder):
         bands, digests = import_band_folder(folder)
-    out = require_new(out or Path(f"{file_name(bands.paint_name)}.bands.json"))
+    out = require_new(out or Path(f"{file_name(bands.paint_name)}.bands.json"), ".json")
     inputs = {(folder / name).as_posix(): digest for name, digest in digests.items()}
     write_record(bands, out, provenance(command_line(), inputs))
     usable = int(bands.usable().sum())
@@ -305,7 +305,7 @@ def run_render(arguments: argparse.Namespace) -> None:
     captures, read = _captures(arguments.capture, name)
     presses = read_renders(folder, captures)
     one = name in presses and not (folder / name).is_dir()
-    out = require_new(arguments.out or Path(f"{name}.press.json" if one else f"{name}.presses"))
+    out = require_new(arguments.out or Path(f"{name}.press.json" if one else f"{name}.presses"), ".json" if one else "")
     files = sorted(p for p in folder.rglob("*") if digest_as_read(p) is not None)
     origin = provenance(command_line(), input_digests([*files, *read]))
     with ProductSet(out) as products:
@@ -367,7 +367,7 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
     from sim.mechanics.other_engines import pressed_by_abaqus, read_fil
 
     design = read_design(arguments.design)
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.surfaces.json"))
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.surfaces.json"), ".json")
     stem = out.name.removesuffix(".json").removesuffix(".surfaces")
     forces_out = require_new(out.with_name(f"{stem}.mechanics.json"))
     fields = read_fil(arguments.results)

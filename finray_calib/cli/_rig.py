@@ -69,7 +69,7 @@ def run_init(arguments: argparse.Namespace) -> None:
     """Write a rig file."""
     from rigs import paper_rig, simulated_rig, to_fill_in, write_rig
 
-    out = require_new(arguments.out or Path("rig.toml"))
+    out = require_new(arguments.out or Path("rig.toml"), ".toml")
     if (paint := PRACTICE_PAINTS.get(arguments.preset)) is not None:
         wrote(write_rig(simulated_rig(paint), out), "rig file")
         say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; the true spectrum")

@@ -84,7 +84,7 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     from finray_calib.exchange import calibration_yaml, read_board_picture
     from finray_calib.sensing import Declared, find_board, pixel_scale, require_plausible
 
-    out = require_new(arguments.out or Path("pixel-scale.json"))
+    out = require_new(arguments.out or Path("pixel-scale.json"), ".json")
     lens_file = require_new(out.with_suffix(".lens.yaml"))
     board, pad, others = board_pictures(arguments)
     require_plausible(board)
@@ -293,7 +293,7 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import read_record, write_record
     from finray_calib.sensing import normal_map_record, require_ball_press
 
-    out = require_new(arguments.out or Path("normal-map.json"))
+    out = require_new(arguments.out or Path("normal-map.json"), ".json")
     files = _files(arguments.captures)
     captures = _circled([read_record(path, TactileCapture) for path in files], files, arguments.circles)
     captures = _scaled(captures, arguments.scale)
@@ -404,7 +404,7 @@ def run_sense(arguments: argparse.Namespace) -> None:
 
     place: Path = arguments.capture
     name = place.name.removesuffix(".json").removesuffix(".capture")
-    out = require_new(arguments.out or Path(f"{file_name(name)}.sensed.json"))
+    out = require_new(arguments.out or Path(f"{file_name(name)}.sensed.json"), ".json")
     picture, mesh = require_new(out.with_suffix(".png")), require_new(out.with_suffix(".stl"))
     normal_map, capture = read_record(arguments.map, NormalMapRecord), read_record(place, TactileCapture)
     with naming(CompareError, arguments.map, place):

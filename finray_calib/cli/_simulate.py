@@ -23,6 +23,7 @@ from finray_calib.cli._run import (
     input_digests,
     naming,
     paint_files,
+    require_ending,
     require_new,
     working_engine,
 )
@@ -258,7 +259,7 @@ def run_render(arguments: argparse.Namespace) -> None:
         _render_sensor(arguments)
         return
     out = arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json")
-    out, with_images = require_new(out), arguments.images or arguments.denoise
+    out, with_images = require_new(out, ".json"), arguments.images or arguments.denoise
     folder, capture = _image_paths(out) if with_images else (out, out)
     if arguments.denoise:
         require_denoiser()
@@ -306,7 +307,7 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     given = [name for name, is_given in of_fingers.items() if is_given]
     if given:
         raise SimulateError(f"{arguments.design}: is a classic sensor; {', '.join(given)} belongs to a painted finger")
-    out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json"))
+    out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json"), ".json")
     folder = _image_paths(out)[0] if arguments.images else None
     press = render_sensor(
         arguments.design, seed=arguments.seed, samples=arguments.samples, engine=working_engine(arguments.engine)
@@ -345,14 +346,14 @@ def run_sweep(arguments: argparse.Namespace) -> None:
         raise SimulateError(f"--angles: {narrow_sweep_text(arguments.angles)}")
     out = arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.sweep.json")
     if arguments.positions is None:
-        _sweep(arguments, require_new(out), None, "simulate")
+        _sweep(arguments, require_new(out, ".json"), None, "simulate")
         return
     if arguments.surfaces is not None:
         raise SimulateError(
             "--positions are places of a press by a formula, and --surfaces are of one place: sweep each with its own "
             "--surfaces and --out, and give all of them to 'finray decide'"
         )
-    _sweep_places(arguments, out)
+    _sweep_places(arguments, require_ending(out, ".json"))
 
 
 def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, title: str) -> None:
@@ -535,7 +536,7 @@ def run_recolour(arguments: argparse.Namespace) -> None:
     files = paint_files(arguments, without="the press's own paints")
     if not files and arguments.camera is None and arguments.white_balance is None:
         raise SimulateError("no change is asked for: give --paint for both walls, --camera or --white-balance")
-    out = require_new(arguments.out or arguments.press.with_name(f"{arguments.press.stem}-recoloured.json"))
+    out = require_new(arguments.out or arguments.press.with_name(f"{arguments.press.stem}-recoloured.json"), ".json")
     press = read_record(arguments.press, SimulatedPress)
     paints = {colour: paint_optics(read_record(path, PaintCalibration)) for colour, path in files.items()}
     response = None if arguments.camera is None else read_camera_response(arguments.camera)

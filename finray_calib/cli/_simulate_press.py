@@ -19,6 +19,7 @@ from finray_calib.cli._run import (
     increment_count,
     input_digests,
     naming,
+    require_ending,
     require_new,
 )
 
@@ -76,7 +77,7 @@ def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False
     So must be the folder of the increments, but for a press that goes on from an increment in it, or that the same
     command has begun.
     """
-    stem = _stem(out)
+    stem = _stem(require_ending(out, ".json"))
     endings = {
         "mechanics": ".mechanics.json",
         "surfaces": ".surfaces.json",

@@ -276,8 +276,9 @@ def pairs_of_rows(rows: Sequence[Mapping[str, str | None]]) -> list[PairRow]:
         told = {column: (cell or "").strip() for column, cell in row.items()}
         simulated, captured = told.get("simulated", ""), told.get("captured", "")
         if not simulated or not captured:
+            words = ", ".join(f"{column} = {cell}" for column, cell in told.items()) or "no cell"
             raise CompareError(
-                f"row {number}: needs a file in each of the columns simulated, captured; got {dict(row)}"
+                f"row {number}: needs a file in each of the columns simulated and captured; the row has {words}"
             )
         name = told.get("name") or pair_name(captured.replace("\\", "/").rsplit("/", 1)[-1])
         simulator, press = told.get("simulator", ""), told.get("press", "")

@@ -179,7 +179,7 @@ class _Folder:
         self.files = dict(_press_files(self.folder, self.recipe))
         if not self.files:
             raise ImportFormatError(
-                f"{self.folder}: no file in it is as the recipe '{self.recipe.name}' says "
+                f"{self.folder}: no file in it matches presses.files of the recipe '{self.recipe.name}' "
                 f"({self.recipe.presses.files}); give the folder above, or correct presses.files"
             )
         for name in self.circles:

@@ -133,7 +133,9 @@ class Tracer:
             raise RecordError(f"{path}: no such file; give the path of {A_RECORD}")
         traced = self._traced_file(str(path), path, None, None)
         if traced.kind == "file" and not traced.faults:
-            raise RecordError(f"{path}: is not a stored record (a JSON object with 'kind' and 'record')")
+            raise RecordError(
+                f"{path}: is not a stored record (a JSON object with 'kind' and 'record'); give the path of {A_RECORD}"
+            )
         return traced
 
     def _traced_file(self, name: str, path: Path, wanted: str | None, consumer: Provenance | None) -> Traced:

@@ -27,7 +27,7 @@ from data_schemas import (
 from rigs import OpenRig, Operator, TerminalOperator, open_rig, rig_locked
 from rigs.capture._check_frames import CheckFrames
 from rigs.capture._exposure import WHEEL_DEADLINE_S
-from rigs.capture._plan import planned_filters, require_region_inside
+from rigs.capture._plan import planned_filters, require_named, require_region_inside
 from rigs.capture.light_off_time import (
     CameraWatch,
     ConnectionWatch,
@@ -58,8 +58,9 @@ def check_filters(plan: CheckPlan, rig: RigFile) -> list[BandPassFilter]:
     Raises
     ------
     CaptureError
-        The rig lacks a filter, or the region is empty or leaves the frame.
+        The check has no name, the rig lacks a filter, or the region is empty or leaves the frame.
     """
+    require_named("plan.check_name", plan.check_name)
     require_region_inside(plan.region, rig.camera)
     return planned_filters(plan.filters, rig)
 

@@ -142,7 +142,7 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
         ("{0}/simulated {0}/captured/one.capture.json", "some are folders, others are not; give two records or"),
         ("{0}/none.json {0}/none.json {0}/none.json", "none.json: is a third record, and two are compared; give one"),
         ("{0}/simulated --pairs {0}/pairs.csv", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
-        ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated, captured"),
+        ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated and captured"),
         ("--pairs {0}/none.csv", "none.csv: no such file; give the path of a CSV file"),
         ("--pairs {0}/bytes.csv", "bytes.csv: cannot be read as UTF-8"),
         ("{0}/simulated {0}/captured --normal-map {0}/none.json", "none.json: no such file"),

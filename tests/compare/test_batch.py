@@ -45,7 +45,7 @@ def test_files_are_paired_by_a_table():
     ]
     with pytest.raises(CompareError, match="row 2: the name 'x' occurs twice; add a column name"):
         pairs_of_rows([rows[0], rows[0]])
-    with pytest.raises(CompareError, match="row 1: needs a file in each of the columns simulated, captured"):
+    with pytest.raises(CompareError, match="row 1: needs a file in each of the columns simulated and captured"):
         pairs_of_rows([{"simulation": "a", "captured": "b"}])
     with pytest.raises(CompareError, match="no pair is listed; give one row per press"):
         pairs_of_rows([])
