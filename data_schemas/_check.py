@@ -133,7 +133,7 @@ class LightOff(Model):
 
 
 class CheckFacts(Model):
-    """What the devices showed; nothing in it is judged but the filters, which need the frames."""
+    """What the devices did, without judgement; only the filters are judged here, because that needs the frames."""
 
     handshakes: tuple[Handshake, ...] = ()
     moves: tuple[WheelMove, ...] = ()

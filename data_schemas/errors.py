@@ -125,7 +125,7 @@ class MissingExtraError(FinrayError):
 
 
 class DiedError(FinrayError):
-    """A process of its own died, or did not end in time; what it had stored before is whole."""
+    """A child process died, or did not end in time; what it had stored before is complete."""
 
 
 @contextmanager

@@ -77,7 +77,7 @@ SCALAR_EFFORT = RenderEffort(samples_per_pixel=40, twin_samples_per_pixel=80, pr
 
 @dataclass(frozen=True, slots=True)
 class DemoSettings:
-    """What a demo runs on.
+    """Materials, renderer and seed of a demo.
 
     Attributes
     ----------
@@ -325,7 +325,7 @@ class Demo:
 
 
 def true_paint_optics(colour: str, truth: "BenchTruth") -> "PaintOptics":
-    """Return the optics of the paint that really lies on the bench (measurement noise below zero is cut)."""
+    """Return the optics of the true paint on the bench (measurement noise below zero is cut)."""
     import numpy as np
 
     from sim.optics import PaintOptics

@@ -245,7 +245,7 @@ def design_filters(
 
 
 def next_filters(paint: PaintCalibration, catalogue: Sequence[CatalogueFilter]) -> tuple[NextFilter, ...]:
-    """Rank the filters of a catalogue by what each would take from the variance of a fitted curve, best first.
+    """Rank the filters of a catalogue by how much variance of a fitted curve each would remove, best first.
 
     Parameters
     ----------

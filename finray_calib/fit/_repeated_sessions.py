@@ -143,7 +143,7 @@ def _notes(scatter: SessionScatter) -> tuple[str, ...]:
 
 
 def departing_warnings(scatter: SessionScatter) -> tuple[str, ...]:
-    """Return a warning for each session that the others do not allow."""
+    """Return a warning for each session that differs from the others by more than they scatter."""
     return tuple(
         f"session {number} departs from the other sessions more than they scatter (p < {DEPARTS_P:g}): look at its "
         "frames, or leave it out and say so"

@@ -62,7 +62,7 @@ Evaluation = Literal["A", "B", "prior"]
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """What one source makes of the uncertainty of one quantity.
+    """What one source contributes to the uncertainty of one quantity.
 
     Attributes
     ----------

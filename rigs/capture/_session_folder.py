@@ -59,7 +59,7 @@ Progress = Callable[[int, int, str], None]
 
 
 class SessionWatch:
-    """Sees what a session does while it runs; this one looks away, and a view overrides what it shows.
+    """Observer of a running session; this one does nothing, and a view overrides the methods that it shows.
 
     A session calls it from the thread that runs it, journal lines from that of the frame writer too; it must not raise,
     but for the devices that it returns.
@@ -93,7 +93,7 @@ def watched_to_the_end(watch: SessionWatch) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class SessionRequest:
-    """What is asked of a capture beside rig and plan: where it goes, who is at the rig, what its record says of it.
+    """What a capture needs besides rig and plan: its folder, the operator, and what its record states about it.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class SessionRequest:
 
 
 def is_unborn(out: Path) -> bool:
-    """Return whether a folder is empty, but for what a capture left that was killed before its first line."""
+    """Return whether a folder is empty, or holds only what a capture left that was killed before its first line."""
     clear_leftovers(out)
     return out.is_dir() and all(path.name == f".{JOURNAL_NAME}.part" for path in out.iterdir())
 
@@ -223,7 +223,7 @@ def seal_session(out: Path, journal: Journal) -> None:
 
 
 def lacks_manifest(out: Path) -> bool:
-    """Whether a session was interrupted when it was finished but for its checksums."""
+    """Whether a session was interrupted when only its checksums were missing."""
     return (out / SESSION_NAME).is_file() and not (out / MANIFEST_NAME).exists()
 
 
@@ -460,7 +460,7 @@ def _is(stored: Any, record: Record) -> bool:
 
 
 def complete_session(folder: Path) -> None:
-    """Write the checksums of a session that was interrupted when it was finished but for them.
+    """Write the checksums of a session that was interrupted when only they were missing.
 
     Raises
     ------

@@ -235,7 +235,9 @@ class PenaltyPress(PenaltyTouch):
         self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float, left_out: str = ""
     ) -> None:
         if indenter.body is None:
-            raise SimulateError("a mesh of the user has no exact distances: use --contact barrier, or auto")
+            raise SimulateError(
+                "the penalty cannot compute distances to an indenter from an STL: use --contact barrier, or auto"
+            )
         contact = PenaltyContact(
             mesh.nodes_mm,
             mesh.surfaces["coat"],

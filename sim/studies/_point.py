@@ -217,7 +217,7 @@ _OPTICAL_PARTS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class StudyPaints:
-    """The paints of a study: their optics, and by colour where they come from (part of what a point is known by)."""
+    """The paints of a study: their optics, and by colour their origin, which is part of a point's identity."""
 
     optics: Mapping[str, PaintOptics]
     sources: Mapping[str, str]
@@ -225,7 +225,7 @@ class StudyPaints:
 
 @dataclass(frozen=True, slots=True)
 class StudyTask:
-    """What every point of a study needs beside itself.
+    """What every point of a study needs besides its own design.
 
     Attributes
     ----------

@@ -421,6 +421,22 @@ CASES = (
         ),
     ),
     Case(
+        "uncertainty in per cent",
+        "design show {tmp}/finger.toml",
+        r"'uncertainty_rel': 'pad\.thickness_mm' = 10: is a standard uncertainty over the value, so at most 1 .* 0\.05",
+        design('[uncertainty_rel]\n"pad.thickness_mm" = 10.0'),
+    ),
+    Case(
+        "study into another folder",
+        "study run {tmp}/plan.toml --out {lab}",
+        r"lab\S*: holds something else than a design study; choose another --out",
+        file(
+            "plan.toml",
+            'name = "one"\ndesign = "flat-70x35"\n[[vary]]\nfield = "pad.thickness_mm"\nvalues = [5.0, 6.0]\n'
+            '[measure]\npress = "finite elements"\nimages = false\n',
+        ),
+    ),
+    Case(
         "number of filters",
         "design filters {lab}/rig.toml --number 0 --paints 0",
         r"design: 0 filters are asked for; give 2 to 72 \(--number\): 1 that stay, and the others from the 71",

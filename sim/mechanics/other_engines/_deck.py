@@ -635,7 +635,7 @@ def _heading(design: FingerDesign, dialect: Dialect, preset: Preset, push: Push,
         yield "not run: no Abaqus was at hand; elements as in the paper (C3D8R, CSS8, R3D4)"
         yield "one C3D8R through a rib or fin is too soft in bending: take the medium or fine mesh"
     else:
-        yield "solver: that of the program, SPOOLES where it has no other"
+        yield "solver: the default of the program, SPOOLES if it has no other"
     for where in sorted(set(design.origin.values())):
         fields = ", ".join(field for field, origin in design.origin.items() if origin == where)
         yield from textwrap.wrap(f"{where}: {fields}", 116)
