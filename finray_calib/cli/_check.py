@@ -378,7 +378,7 @@ def _say_history(found: "History", sessions: int) -> None:
     if found.watched:
         say(f"  limits: {_limit(found.watched[0].chart.rules)}")
     for row in found.ledger:
-        lost = "" if row.lost is None else f", which took {100 * row.lost:.2g} % of the emission"
+        lost = "" if row.lost is None else f", which cost {100 * row.lost:.2g} % of the emission"
         say(f"  light on '{row.paint_name}': {row.dose_j:.3g} J in {row.sessions} sessions{lost}")
     share, each = 100 * found.false_alarm_share, 100 * found.false_alarm_share_each
     say(f"  false alarms: {share:g} % of good sessions in all, {each:.2g} % a chart")

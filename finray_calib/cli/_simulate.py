@@ -494,8 +494,8 @@ RECOLOUR_DESCRIPTION = """\
 Recompute the images of a press that 'finray simulate render' has made, for paints of another yield, absorption at the
 LED or emission shape, for another camera, or with another white balance. Nothing is rendered: the press stores the
 light of each chain of fluorescence separately. The command refuses what needs a new render: after a change of a paint's
-reflectance by more than 0.01 in a band, of a band's place by more than 10 nm, or when paint excites paint three times
-as much."""
+reflectance by more than 0.01 in a band, of a band's place by more than 10 nm, or when the light that one paint excites
+in another grows three times."""
 
 
 def add_recolour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -167,7 +167,7 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
     if not found.significant:
         return press, [f"{NO_DRIFT}, by the images with {state}: {found}"]
     if not registered:
-        return press, [f"the camera has drifted, by the images with {state}: {found}; --register moves the render"]
+        return press, [f"the camera has drifted, as the images with {state} show: {found}; --register moves the render"]
     return move_press(press, found.to_render), [f"the render was moved, by the images with {state}: {found}"]
 
 

@@ -161,7 +161,7 @@ def _changed(ordered: Sequence[StudyMetric]) -> tuple[Light, str]:
     factor = normal.inv_cdf(1.0 - 0.025 / len(ordered)) / normal.inv_cdf(0.975)
     gap = highest.value - lowest.value
     if gap > factor * (lowest.high95 - lowest.value + highest.value - highest.low95):
-        return "good", "the points differ by more than their intervals, all of them together"
+        return "good", "the points differ by more than their intervals, which hold jointly for all points"
     return "care", "no difference between the points is shown"
 
 

@@ -34,7 +34,7 @@ RETRY_FOR_S: Final = 5.0
 RETRY_PAUSE_S: Final = 0.2
 
 
-NOBODY_ASKED: Final = "on although nobody had asked for it"
+NOBODY_ASKED: Final = "on although nothing had switched it on"
 
 
 class LightLostError(LostError):
@@ -157,7 +157,7 @@ class HeldLight:
         """Switch off and ask; return what is wrong."""
         self.switch.switch(False, attempt_s)
         if self.switch.state(attempt_s):
-            return f"{self._name}: still reports on after the off command"
+            return f"{self._name}: still reports that it is on after the command to switch off"
         return None
 
 

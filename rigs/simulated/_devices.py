@@ -43,7 +43,7 @@ WHEEL_STEP_S = 0.4
 
 @dataclass(frozen=True, slots=True)
 class RigCondition:
-    """By what a rig differs from its file; all zero is a rig as its file says.
+    """The differences between a rig and its file; all zero means no difference.
 
     Attributes
     ----------

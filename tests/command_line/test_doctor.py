@@ -126,7 +126,7 @@ def test_a_full_disk_is_told(small_disk, monkeypatch):
     found = finding("disk")
     assert found.state == "bad"
     assert "small cannot be written to: no space left on device" in found.found
-    assert found.mend.startswith("work in another folder, or: df -h ")
+    assert found.mend.startswith("work in another folder, or see how full this disk is: df -h ")
 
 
 def test_a_disk_with_too_little_space_is_told(monkeypatch):

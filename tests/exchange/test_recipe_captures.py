@@ -281,7 +281,12 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
     ("change", "of_contact", "message"),
     [
         (('file = "rest.png"', 'file = "other.png"'), None, "the image without contact, other.png, is missing"),
-        (('"{press}.png"', '"{press}.tiff"'), None, r"no file in it is as the recipe 'mine' says \(\{press\}.tiff\)"),
+        (
+            ('"{press}.png"', '"{press}.tiff"'),
+            None,
+            r"no file in it matches presses.files of the recipe 'mine' "
+            r"\(\{press\}.tiff\)",
+        ),
         (('"{press}.png"', '"../{press}.png"'), None, "must be a path within the folder"),
         (('"{press}.png"', '"a.png"'), None, r"must have \{press\} once"),
         (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing beside file"),
