@@ -1,4 +1,4 @@
-"""The ground: what crosses a file or the command line, with its units, versions, provenance and errors.
+"""The base package: what is stored in files or typed on the command line, with units, versions, provenance and errors.
 
 There is one module per stage word (capture, radiometry, fit, simulate, compare, decide), further ones for what people
 write (rig, design, check) and for what all records share (model, units, arrays, curves, provenance, errors).

@@ -125,7 +125,7 @@ class MissingExtraError(FinrayError):
 
 
 class DiedError(FinrayError):
-    """A process of its own died, or did not end in time; what it had stored before is whole."""
+    """A child process died, or did not end in time; what it had stored before is complete."""
 
 
 @contextmanager
@@ -134,7 +134,7 @@ def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
     try:
         yield
     except kind as error:
-        if not paths:
+        if not paths or any(str(error).startswith(str(path)) for path in paths):
             raise
         raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None
 

@@ -504,8 +504,8 @@ def _laser(rig: RigFile, folder: Path) -> Lines:
 
 def _lamp(rig: RigFile, folder: Path) -> Lines:
     if rig.lamp.driver == "manual":
-        yield "switched by hand; nobody is asked here, so that its state is unknown"
-        yield Warned("see that the lamp is off: nothing shows whether the camera's frame below was dark")
+        yield "switched by hand; this command asks nobody, so its state is unknown"
+        yield Warned("check that the lamp is off: finray cannot know whether the camera's frame below was dark")
         return
     with lone_lamp(rig, folder, TerminalOperator()) as light:
         yield from _light(light)
@@ -531,7 +531,7 @@ def _wheel(rig: RigFile, folder: Path) -> Lines:
         names = {band.slot: band.name for band in rig.filter_wheel.filters}
         position = wheel.position()
         if position is None:
-            yield "position unknown: it moves, is out of the beam, or nobody has confirmed one"
+            yield "position unknown: the wheel moves, is out of the beam, or nobody has confirmed a position"
         else:
             yield f"at slot {position}, {f'filter {names[position]}' if position in names else 'which has no filter'}"
         yield "slots: " + ", ".join(f"{slot} {names.get(slot, '(none)')}" for slot in wheel.slots)

@@ -53,16 +53,16 @@ DRAWS: Final = 4000
 """Their scatter adds the number of bands over the number of draws to a share: half a per cent."""
 _SAME_SD: Final = 0.25
 """A refit may leave the record's median by so many of its standard deviations."""
-SHARED_BY_ALL: Final = "what all values share: laser level, texture of the region, bleaching"
+SHARED_BY_ALL: Final = "errors common to all values: laser level, texture of the region, bleaching"
 MODEL_DISCREPANCY: Final = "departure of the paint from the shapes that were learned"
-PRIOR: Final = "prior of the spectrum: what the filters do not see"
+PRIOR: Final = "prior of the spectrum: what the filters do not measure"
 PRIOR_OF_ABSORPTION: Final = "prior of the absorption, and other lights"
 Evaluation = Literal["A", "B", "prior"]
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """What one source makes of the uncertainty of one quantity.
+    """What one source contributes to the uncertainty of one quantity.
 
     Attributes
     ----------
@@ -128,8 +128,8 @@ def uncertainty_budget(bands: BandSignals, paint: PaintCalibration, seed: int = 
     """
     if paint.spectrum_from != MEASURED_SPECTRA_TITLE:
         raise FitError(
-            f"'{paint.paint_name}': rests on {paint.spectrum_from or paint.family_title}, and a budget needs the prior "
-            "learned from measured spectra; fit it without --family and --no-discrepancy"
+            f"'{paint.paint_name}': its spectrum comes from {paint.spectrum_from or paint.family_title}, and a "
+            f"budget needs the prior learned from measured spectra; fit it without --family and --no-discrepancy"
         )
     with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small
         return _budget(bands, band_data(bands), paint, np.random.default_rng(seed))
@@ -172,9 +172,9 @@ def _require_same(quantities: Mapping[str, Floats], paint: PaintCalibration) -> 
         stored, again = paint.parameters[name], quantities[name]
         if abs(float(np.median(again)) - stored.estimate) > _SAME_SD * stored.sd:
             raise FitError(
-                f"'{paint.paint_name}': these band signals do not give this calibration again ({name} "
-                f"{float(np.median(again)):.6g}, the record has {stored.estimate:.6g}), so they hold no budget of it; "
-                "give the band signals that it was fitted to"
+                f"'{paint.paint_name}': these band signals do not reproduce this calibration ({name} "
+                f"{float(np.median(again)):.6g}, the record has {stored.estimate:.6g}), so no budget can be made "
+                f"from them; give the band signals that it was fitted to"
             )
 
 

@@ -499,8 +499,8 @@ def spread_sentence(fitted: PaintMap, quantity: MappedQuantity) -> str:
 def spots_note(fitted: PaintMap) -> str:
     """Say what a block shows that single pixels do not, and what else than paint it may be."""
     return (
-        f"Medians of {fitted.block_px} x {fitted.block_px} px show less than the noise of one pixel hides; "
-        "the white tile's own texture counts as the paint's: a session with the tile shifted separates them."
+        f"Medians of {fitted.block_px} x {fitted.block_px} px show differences that the noise of single pixels "
+        f"hides. The white tile's own texture counts as the paint's: a session with the tile shifted separates them."
     )
 
 

@@ -18,7 +18,7 @@ from rigs import OpenRig, open_rig, rig_locked
 from rigs.capture._exposure import exposure_ladder, meter_exposure, under_light
 from rigs.capture._frame_store import FrameStore, Shot, numbered
 from rigs.capture._journal import Journal, fault_notes, faults_noted
-from rigs.capture._plan import Step, require_region_inside
+from rigs.capture._plan import Step, require_named, require_region_inside
 from rigs.capture._resume import (
     Interrupted,
     require_same_camera,
@@ -46,8 +46,9 @@ def camera_step(plan: CameraPlan, rig: RigFile) -> Step:
     Raises
     ------
     CaptureError
-        The rig has no such filter, or the region is empty or leaves the frame.
+        The camera has no name, the rig no such filter, or the region is empty or leaves the frame.
     """
+    require_named("plan.camera_name", plan.camera_name)
     require_region_inside(plan.region, rig.camera)
     slots = {f.name: f.slot for f in rig.filter_wheel.filters}
     if plan.filter_name is not None and plan.filter_name not in slots:

@@ -149,7 +149,7 @@ class Journal:
         """Refuse a folder that has a journal."""
         if self._path.exists():
             raise CaptureError(
-                f"{self._path}: exists already, so that another capture writes into this folder; choose another --out"
+                f"{self._path}: exists already: another capture writes into this folder; choose another --out"
             )
 
 

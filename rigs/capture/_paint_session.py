@@ -474,8 +474,8 @@ def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
     if not mono:
         return ()
     return (
-        f"camera: its frames are {', '.join(mono)}, and radiometry takes them for Bayer RGGB: red, green and blue will "
-        "be one and the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
+        f"camera: its frames are {', '.join(mono)}, and radiometry reads them as Bayer RGGB: red, green and blue "
+        f"will have the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
         "Bayer pixel format",
     )
 

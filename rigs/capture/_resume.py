@@ -133,7 +133,8 @@ def read_interrupted(folder: Path) -> Interrupted:
     rig_camera = start["rig"].get("camera", {}) if isinstance(start["rig"], dict) else {}
     if rig_camera.get("driver") == "folder":
         raise CaptureError(
-            f"{folder}: replays a folder of images, which would begin again at its first; capture the session again"
+            f"{folder}: replays a folder of images, and a replay would begin again with the first image; capture the "
+            f"session again"
         )
     try:
         interrupted = _replayed(folder, start, lines)
@@ -214,7 +215,8 @@ def _as_today(what: Literal["plan", "rig"], start: dict[str, Any], kind: type[P]
         raise CaptureError(f"{error}; resume with the version that began the session, or capture it again") from None
     except ValidationError as error:
         raise CaptureError(
-            f"{JOURNAL_NAME}: the {what} in its first line is none of this version of finray ({explain(error, kind)}); "
+            f"{JOURNAL_NAME}: the {what} in its first line does not fit this version of finray "
+            f"({explain(error, kind)}); "
             "resume with the version that began the session, or capture it again"
         ) from None
 
@@ -228,7 +230,9 @@ def take_over(folder: Path, interrupted: Interrupted) -> None:
         The session went on since it was read.
     """
     if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
-        raise CaptureError(f"{folder}: another capture went on with this session meanwhile; look at what it did")
+        raise CaptureError(
+            f"{folder}: another capture has continued this session in the meantime; look at what it stored"
+        )
     clear_session(folder)
     _set_aside(folder, {frame.file for frame in interrupted.frames.values()})
 
@@ -261,7 +265,7 @@ def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
         return ()
     return (
         f"interrupted after {len(interrupted.frames)} frames and resumed: lamp, laser and temperature may have changed "
-        "between, and the laser dose leaves out what shone between the last stored frame and the interruption",
+        "between, and the laser dose leaves out the light between the last stored frame and the interruption",
     )
 
 

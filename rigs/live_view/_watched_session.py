@@ -249,8 +249,7 @@ class WatchedSession(SessionWatch):
                 self.end()
             case _:
                 raise CaptureError(
-                    f"live view: {str(command)[:80]}: a session is asked for lamp (false), for question and answer, or "
-                    "for end (true)"
+                    f"live view: {str(command)[:80]}: a session takes lamp (false), question and answer, or end (true)"
                 )
 
     def darken(self) -> None:
@@ -282,7 +281,7 @@ class WatchedSession(SessionWatch):
     def _take_answer(self, question: int, word: str) -> None:
         with self._changed:
             if question != self._numbers.question or word not in self._numbers.answers:
-                raise CaptureError("live view: this question is not asked now; read what the view shows")
+                raise CaptureError("live view: this question is no longer open; read what the view shows now")
             self._answer = word
             self._changed.notify_all()
 
@@ -345,7 +344,7 @@ class WatchedSession(SessionWatch):
         The devices are closed after this: a driver must not be closed while one of its calls runs.
         """
         if self._calls is not None and not self._calls.finish():
-            self._publish(told="a device has not ended its call in time; plug it in anew before you resume")
+            self._publish(told="a device has not answered in time; plug it in again before you resume")
 
     def noted(self, event: str, what: Mapping[str, Any]) -> None:
         """Count what the journal says."""

@@ -248,7 +248,7 @@ def test_camera_without_colours_is_noted(rig: RigFile, small: PaintPlan, tmp_pat
     with open_rig(rig, Path()) as opened:
         session = capture(replace(opened, camera=ChangedCamera(opened.camera, mono)), rig, small, tmp_path)
     (note,) = [note for note in session.notes if note not in opened.notes]
-    assert "its frames are Mono16, and radiometry takes them for Bayer RGGB" in note
+    assert "its frames are Mono16, and radiometry reads them as Bayer RGGB" in note
 
 
 def test_saturated_pixels_are_exposed_again_shorter_and_flagged(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:
@@ -435,7 +435,7 @@ def test_a_hazardous_laser_that_was_lost_stays_dark_until_a_person_allows_it(
     monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
     hazardous = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
 
-    message = "laser: was lost, is off, and is not lit again unless a person.*close the box, then take .* --resume"
+    message = "laser: was lost, is off, and is not lit again unless a person.*close the box, then continue .* --resume"
     with open_rig(hazardous, Path()) as opened:
         operator, laser = Asked(opened.operator, False), FailingLight(opened.laser, (8,))
         with pytest.raises(LightLostError, match=message):

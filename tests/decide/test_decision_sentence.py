@@ -99,7 +99,7 @@ def test_what_is_assumed_of_the_error_is_what_the_prior_says():
 def test_without_captures_nothing_is_decided_and_the_next_one_is_named():
     found = decision_sentence(decision(), NONE, 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found == (
-        "This is the simulation's answer; no capture has checked it, and it is not decided before one does. It is "
+        "This is the simulation's answer; no capture has checked it, and it stays undecided until one does. It is "
         "assumed that "
         "the finger's curve may be moved by some 5 deg and be off by 10 % (95 %: 4 % to 30 %) at each angle. No other "
         "angle is better by more than 2 % with a probability of 0.96, and none by more than 1.6 % with one of 0.95; "

@@ -84,14 +84,14 @@ def camera_page(camera: CameraCharacterisation) -> str:
 
 _UNCERTAINTY: Final = (
     f"Behind the sign \u00b1 stands the expanded uncertainty U = {COVERAGE_FACTOR:g} u (coverage factor k = "
-    f"{COVERAGE_FACTOR:g}, some 95 %). Where a quantity cannot be told from zero, its upper limit with 95 % confidence "
-    "stands instead."
+    f"{COVERAGE_FACTOR:g}, some 95 %). Where a quantity cannot be distinguished from zero, its upper limit with 95 % "
+    f"confidence is given instead."
 )
 _TRANSFER_WORDS: Final = (
     "Temporal variance of a pixel against its mean above the dark mean, for every channel, with the line whose slope "
     "is the system gain.",
-    "Photon transfer. Filled marks: exposures behind the line, up to 70 % of saturation. What to see: they lie on it, "
-    "and the variance falls where the channel saturates.",
+    "Photon transfer. Filled marks: exposures behind the line, up to 70 % of saturation. What to see: these marks "
+    "lie on the line, and the variance falls where the channel saturates.",
 )
 _SNR_WORDS: Final = (
     "Signal-to-noise ratio of one pixel against its charge, for every channel, beside the linear camera model and an "
@@ -284,14 +284,14 @@ def _limits(camera: CameraCharacterisation) -> tuple[str, ...]:
         "Quantum efficiency, responsivity, and threshold and saturation in photons are not known: they need a light "
         "source of known irradiance.",
         "The light is the rig's own lamp on the white tile. It is not as even as the standard asks for, so the "
-        "non-uniformity without high-pass holds lamp, lens and tile too. The high-pass removes them, and with them "
-        "what whole rows and columns share.",
+        "non-uniformity without high-pass includes lamp, lens and tile. The high-pass removes these, and also "
+        "whatever whole rows and columns share.",
         "Rows, columns and pixels are not separated in DSNU and PRNU, and there are no spectrograms and no counts of "
         "defect pixels.",
         f"One exposure of the lamp repeats within {percent(camera.light_repeatability_rel)} (one standard deviation, "
         "with drift). A linearity error below that cannot be seen.",
-        "The exposure times are the camera's own: an offset of its shutter is in the linearity line, an error in "
-        "proportion is not seen.",
+        "The exposure times are those that the camera reports: an offset of its shutter shows in the linearity line, "
+        "a proportional error is not seen.",
         "The temperature of the sensor was not recorded. Dark current doubles every 6 to 10 degrees, and the numbers "
         "hold for these settings of the camera.",
         "Saturation lies between two exposures: its interval reaches from one to the other.",

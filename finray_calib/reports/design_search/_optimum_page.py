@@ -91,7 +91,7 @@ def optimum_page(optimum: DesignOptimum, command: str, digests: Mapping[str, str
             parts=(
                 *found_part(_found(optimum)),
                 Part("The recommended finger", _finger(optimum)),
-                Part("What was gained, and how much of it was luck", _gains(optimum)),
+                Part("What was gained, and how much of it was chance", _gains(optimum)),
                 Part("The front", _front(optimum)),
                 Part("What each parameter does", _effects(optimum)),
                 trust_part(_limits(optimum), optimum.notes),
@@ -240,8 +240,8 @@ def _gains(optimum: DesignOptimum) -> Content:
         for gain in optimum.gains
     ]
     return Content(
-        "Positive is better. All designs of the search share their random numbers; what a design gains by them alone "
-        "is lost with other seeds and contact places (shrinkage). The confirmed gain is the one to quote.",
+        "Positive is better. All designs of the search share their random numbers; a gain that is due to them alone "
+        "disappears with other seeds and contact places (shrinkage). The confirmed gain is the one to quote.",
         tables=(
             one_group(
                 "Gains of the recommended finger (95 % intervals)",
@@ -262,8 +262,8 @@ def _front(optimum: DesignOptimum) -> Content:
     """Show the designs of the front in a table."""
     lead = (
         "Designs for which, with at least even odds, no other within the limits is as good in every objective and "
-        f"better by {percent(optimum.tolerance_rel)} in one. The last column says in what they really differ from the "
-        "recommended one (97.5 % on one side); everything else is within the noise."
+        f"better by {percent(optimum.tolerance_rel)} in one. The last column names the objectives in which they "
+        f"differ from the recommended one (97.5 %, one-sided); everything else is within the noise."
     )
     return Content(lead, tables=(_designs_table(optimum, front_rows(optimum), "The front"),), has_wide_tables=True)
 
@@ -390,7 +390,7 @@ def _effects(optimum: DesignOptimum) -> Content:
                                 f"{objective.name}: {told} Dashed: the recommended finger."))  # fmt: skip
     lead = (
         "Mean over all other parameters within their limits, by the emulator, with its 95 % band. A parameter whose "
-        "curve is flat may still count together with another one."
+        "curve is flat may still matter in combination with another one."
     )
     return Content(lead, tuple((picture,) for picture in pictures))
 
@@ -411,13 +411,13 @@ def _limits(optimum: DesignOptimum) -> tuple[str, ...]:
     """Say what the numbers do not know."""
     return (
         "All numbers are simulated. How far the simulation is from a real finger is shared by all designs and not in "
-        "the intervals; a gain holds on the bench only as far as the simulation ranks designs rightly.",
+        "the intervals; a gain holds on the bench only as far as the simulation ranks designs correctly.",
         "The bound on what could still be gained rests on the emulator: smooth numbers within the limits. A narrow "
         "optimum between all computed designs would not be seen.",
-        "A panel is a sheet without thickness: that it passes through nothing does not say that its housing and wires "
-        "have room. The camera's exposure is set anew for each design.",
-        "One objective's 1 % was weighed like another's when the finger was chosen; the front shows what else can be "
-        "had.",
+        "A panel is modelled as a sheet without thickness: its housing and wires may need more room than the model "
+        "shows. The camera's exposure is set anew for each design.",
+        "When the finger was chosen, 1 % of one objective counted as much as 1 % of another; the front shows the "
+        "alternatives.",
     )[: 4 if len(optimum.objectives) > 1 else 3]
 
 
@@ -429,6 +429,7 @@ def _methods(optimum: DesignOptimum) -> tuple[str, ...]:
         f"{screen} designs of a scrambled Sobol' sequence were computed, then {search} one by one where the knowledge "
         "gradient of Gaussian processes (Frazier et al., 2009; Rasmussen and Williams, 2006) was largest. Each "
         "objective's logarithm had a process of its own with one length for each parameter and a fitted noise; "
-        "intervals hold what is open in these. The recommended design has the best expected value, which is not the "
+        "intervals include the uncertainty of these. The recommended design has the best expected value, which is "
+        "not the "
         f"best value seen. Objectives are: {meanings}.",
     )
