@@ -366,6 +366,9 @@ class WatchedSession(SessionWatch):
                     self._publish(lights_lost=now.lights_lost + 1, told=str(what["text"]))
                 case "repair":
                     self._publish(repairs=now.repairs + 1)
+                case "set aside":
+                    self._stored.clear()
+                    self._publish(stored=now.stored - int(what["frames"]), filters=self._filters())
                 case "filter proof":
                     self._publish(told=f"filters {what['verdict']}: {what['text']}")
 
