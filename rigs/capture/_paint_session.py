@@ -337,7 +337,7 @@ class PaintRecorder:
                 raise SignalChangedError(
                     f"camera: {step.label} gives {rate:.3g} DN/s in {name}, at metering it gave {before:.3g} DN/s "
                     f"(a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light changed or something "
-                    "moved; put it right and resume the session, which then meters all steps again"
+                    "moved; put it right, then go on or resume: all steps are metered again"
                 )
 
     def _rate(self, counts: NDArray[np.uint16], exposure_s: float) -> Rates:
