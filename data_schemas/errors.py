@@ -88,6 +88,10 @@ class WrongPositionError(CaptureError):
     """A filter wheel stands somewhere else than it should."""
 
 
+class SignalChangedError(CaptureError):
+    """A frame shows another signal than was metered before: one of the two was taken at a faulty rig."""
+
+
 class BadFrameError(CaptureError):
     """A frame is torn, stale, or not what was asked for; another attempt may succeed."""
 

@@ -265,6 +265,9 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
     if interrupted.kind not in ("paint", "camera"):
         raise CaptureError(f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; capture it again")
     say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
+    if interrupted.doubt:
+        say("  all steps are metered again, as a frame did not show what was metered; frames that the repaired rig")
+        say("  does not repeat are set aside and taken again")
     if interrupted.kind == "camera":
         _resume_camera(folder, interrupted, attend)
     else:

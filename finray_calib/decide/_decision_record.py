@@ -422,7 +422,9 @@ def headline(
             f"{only or 'For this finger, '}the best angle found, {decision.best_deg:.0f} deg, is the end of the sweep: "
             "simulate a wider sweep before the light is mounted."
         )
-    angle = f"{only}{'mount' if only else 'Mount'} the light at {mounting_angle(decision)} deg"
+    is_decided = decision.verdict in {"decided", "tie"}
+    now = "" if is_decided else f"{'for' if only else 'For'} now, "
+    angle = f"{only}{now}{'mount' if only or now else 'Mount'} the light at {mounting_angle(decision)} deg"
     simulated = "" if decision.validated else "as simulated, "
     if only:
         return f"{angle}: {simulated}the touch is at most {percent(tolerance_rel)} less bright than at the best angle."
@@ -573,9 +575,9 @@ def _odds(decision: AngleDecision, tolerance_rel: float) -> str:
     """Say what may be lost against another angle, and with what probability."""
     risk = decision.risk
     return (
-        f"No other angle is better by more than {percent(tolerance_rel)} with a probability of "
-        f"{risk.p_within_tolerance:.2f}, and none by more than {percent(risk.regret_95_rel)} with one of "
-        f"{CONFIDENCE:.2f}; the best angle lies within {NEARBY_DEG:.0f} deg with one of {risk.p_within_5deg:.2f}."
+        f"With a probability of {risk.p_within_tolerance:.2f} no other angle is better by more than "
+        f"{percent(tolerance_rel)}, with {CONFIDENCE:.2f} none by more than {percent(risk.regret_95_rel)}, and with "
+        f"{risk.p_within_5deg:.2f} the best angle lies within {NEARBY_DEG:.0f} deg."
     )
 
 

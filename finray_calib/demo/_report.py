@@ -255,7 +255,8 @@ def _decide(results: DemoResults) -> Content:
         angle_figure(decision, sweep, results.true_sweeps),
         f"The objective over the light angle is best near {decision.angle_deg:.0f} deg. {decision.sentence}",
         "Objective over the angle of the blue light: 0 deg along the pad, 90 deg straight into it. What to see: where "
-        "the curve is flat the angle matters little; hatched angles are as good as the chosen one.",
+        "the curve is flat the angle matters little"
+        + ("; hatched angles are as good as the chosen one." if decision.statement.equivalent_deg else "."),
     )
     touched = (
         f" The finger was touched at {len(decision.contacts)} places: at one by finite elements, at the others by a "

@@ -210,15 +210,17 @@ def budget_sources(bands: BandSignals, data: BandData, fitted: ScoredSpectra) ->
     white = data.tile_uncertainty_rel
     shared = max(most - white**2, 0.0) ** 0.5
     return (
-        UncertaintySource("noise of the frames", f"{noise:.1%} of a value (median)", "A", _root(usual - tile - common)),
-        UncertaintySource(SHARED_BY_ALL, f"{shared:.1%}", "A", _root(common)),
-        UncertaintySource("white reference", f"{white:.1%}", "B", _root(tile)),
-        UncertaintySource("calibration of each filter", f"{data.band_calibration_rel:.1%}", "B", calibration),
+        UncertaintySource("noise of the frames", f"{100 * noise:.1f} % of a value (median)", "A",
+                          _root(usual - tile - common)),
+        UncertaintySource(SHARED_BY_ALL, f"{100 * shared:.1f} %", "A", _root(common)),
+        UncertaintySource("white reference", f"{100 * white:.1f} %", "B", _root(tile)),
+        UncertaintySource("calibration of each filter", f"{100 * data.band_calibration_rel:.1f} %", "B", calibration),
         UncertaintySource("centres of the filters", f"at most {largest('center_uncertainty_nm'):g} nm", "B", centre),
         UncertaintySource("widths of the filters", f"at most {largest('fwhm_uncertainty_nm'):g} nm", "B", width),
         UncertaintySource("leak of the filters", f"at most {largest('blocking_uncertainty_od'):g} OD", "B", leak),
-        UncertaintySource("camera response", f"{CHANNEL_RESPONSE_REL:.1%} of each channel", "B", _diagonal(response)),
-        UncertaintySource("stray light", f"{STRAY_LIGHT_REL:.1%} of the brightest filter", "B",
+        UncertaintySource("camera response", f"{100 * CHANNEL_RESPONSE_REL:.1f} % of each channel", "B",
+                          _diagonal(response)),
+        UncertaintySource("stray light", f"{100 * STRAY_LIGHT_REL:.1f} % of the brightest filter", "B",
                           _diagonal(np.diag(beside) - response)),
         UncertaintySource("colour temperature of the lamp", f"{optics.lamp_temperature_uncertainty_k:g} K", "B", lit),
     )  # fmt: skip

@@ -358,7 +358,7 @@ def _limits(paint: PaintCalibration) -> str:
 @styled()
 def _spectrum(paint: PaintCalibration) -> ReadableFigure:
     """Draw the spectrum for the page."""
-    figure = new_figure(6.6, 2.3)
+    figure = new_figure(5.6, 2.2)
     axes = figure.subplots()
     _draw_spectrum(axes, paint)
     return readable(figure, axes, emission_readings(paint))

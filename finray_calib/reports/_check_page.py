@@ -132,7 +132,7 @@ _MARKS: Final[dict[CheckVerdict, tuple[str, str]]] = {
 def checks_figure(results: Sequence[CheckResult]) -> str:
     """Draw the verdict of every check, section by section."""
     rows = [title for section, title in SECTIONS.items() if any(result.section == section for result in results)]
-    figure = new_figure(6.0, 0.3 * len(rows) + 0.9)
+    figure = new_figure(4.8, 0.3 * len(rows) + 0.9)
     axes = figure.subplots()
     for verdict, (marker, colour) in _MARKS.items():
         seen: Counter[str] = Counter()

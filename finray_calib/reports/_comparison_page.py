@@ -140,14 +140,14 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
     floor = row_of(headline(report), "floor")
     repeated = ("not known", "no repeat of the no-contact image was captured")
     if floor is not None:
-        noise = "with its noise, which is not in the simulation's score"
+        noise = "with its noise, which is not in the simulation's skill"
         if not words.is_noise_taken_out(report):
-            noise = "with its noise, which is in the simulation's score too"
+            noise = "with its noise, which is in the simulation's skill too"
         repeated = (words.repeat_text(floor.skill.estimate), noise)
     known = "the camera's noise is not known" if floor is None else "the camera's noise is known"
     numbers = (
         skill_number(report),
-        KeyNumber("A repeated capture", *repeated, light_of(floor is not None), known),
+        KeyNumber("Skill of a repeated capture", *repeated, light_of(floor is not None), known),
     )
     if report.objective_error is None:
         return (*numbers, KeyNumber("Doing nothing", "0", "the untouched image in its place"))

@@ -137,7 +137,7 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
         repeated = repeat_text(floor.skill.estimate)
         bound = f"a repeated capture in its place scores {repeated}; the noise of encoded values stays in both scores"
     if floor is not None and is_noise_taken_out(report):
-        bound = f"a repeated capture in its place, whose noise is not, scores {repeated}"
+        bound = f"a repeated capture in its place, with its noise, scores {repeated}"
         taken_out = " (the camera's noise is taken out)"
     return (
         f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0, a perfect simulation "

@@ -116,7 +116,7 @@ def decision_numbers(decision: LightAngleDecision) -> tuple[KeyNumber, ...]:
         reasons[loss],
     )
     if side is not None:
-        return (decided, KeyNumber("Mount it between", side, f"costs at most {tolerance} more, as expected"), most)
+        return (decided, KeyNumber("Mount it between", side, f"is expected to cost at most {tolerance} more"), most)
     if claim.p_within_tolerance is None:
         return (decided, most)
     odds = light_of(claim.p_within_tolerance >= _SURE, is_bad=claim.p_within_tolerance < _EVEN)
@@ -208,7 +208,7 @@ def places_part(decision: LightAngleDecision) -> Part:
     rows = (
         (
             touch_text(contact, decision.contacts),
-            f"{contact.weight_share:.1%}",
+            percent(contact.weight_share),
             f"{contact.best_deg:.0f} deg",
             lost(decision, contact.loss_rel),
             lost(decision, contact.loss_95_rel),
@@ -525,7 +525,7 @@ def capture_sentence(decision: LightAngleDecision) -> str:
     part = "One capture is part" if count == 1 else f"{count} captures are part"
     return (
         f"{part} of this decision. By the renders alone it would be {decision.angle_simulation_only_deg:.0f} deg, with "
-        f"a loss below {percent(alone.regret_95)} with 95 % probability (equivalent: {equivalent_text(alone)}); with "
+        f"a loss {_up_to(alone.regret_95)} with 95 % probability (equivalent: {equivalent_text(alone)}); with "
         f"captures it is {decision.angle_deg:.0f} deg and {percent(both.regret_95)} ({equivalent_text(both)})."
     )
 
@@ -539,8 +539,13 @@ def decision_validation(decision: LightAngleDecision) -> str:
     return (
         f"{start}. How far the finger differs from the simulation is assumed: "
         f"{percent(decision.discrepancy_rel)}{_range_text(decision)} at each angle. If the simulation were exact, the "
-        f"loss would stay below {percent(alone.regret_95)} with 95 % probability."
+        f"loss would stay {_up_to(alone.regret_95)} with 95 % probability."
     )
+
+
+def _up_to(loss_rel: float) -> str:
+    """Return a limit of a loss; what rounds to nothing says "below" of itself."""
+    return f"below {percent(loss_rel).removeprefix('below ')}"
 
 
 def _range_text(decision: LightAngleDecision) -> str:

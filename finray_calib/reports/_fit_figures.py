@@ -113,11 +113,11 @@ def budget_figure(rows: Sequence[BudgetRow], least_share: float, height_in: floa
     height_in
         Of the figure.
     """
-    figure = new_figure(6.6, height_in)
+    figure = new_figure(5.0, height_in)
     axes = figure.subplots()
     _draw_budget(axes, rows, least_share)
     bars, sources = axes.get_legend_handles_labels()
-    names = [textwrap.fill(source, 42) for source in sources]
+    names = [textwrap.fill(source, 32) for source in sources]
     figure.legend(bars, names, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return svg_text(figure)
 

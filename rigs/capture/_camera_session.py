@@ -89,7 +89,10 @@ def capture_camera_session(
     curve_files(rig, request.rig_folder)
     if interrupted is None:
         require_empty(request.out)
-    present = rig_as_it_is(rig, interrupted)
+    present = rig
+    if interrupted is not None:
+        present, sources = rig_as_it_is(rig, request.rig_folder, interrupted.sources)
+        request = replace(request, sources=sources)
     with (
         rig_locked(rig),
         open_rig(present, request.rig_folder, request.operator) as opened,
@@ -131,7 +134,7 @@ def capture_camera_with(
         for note in notes:
             journal.append("note", text=note)
         session = CameraSession(plan=plan, rig=rig, frames=store.frames, devices=opened.identities(), notes=notes)
-        noted = dict(request.sources) if interrupted is None else interrupted.sources
+        noted = dict(request.sources) or ({} if interrupted is None else interrupted.sources)
         write_session(session, out, {**noted, **inputs}, request.command, journal)
     write_manifest(out)
     return session

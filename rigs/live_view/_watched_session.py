@@ -315,7 +315,10 @@ class WatchedSession(SessionWatch):
     def mend(self, what: str) -> bool:
         """Have something mended; return whether it is done."""
         text = f"{what}. The lights are off. Mend it and close the box, or end here."
-        return self.ask_person("MEND THE RIG", text, ("done", "end")) == "done"
+        is_mended = self.ask_person("MEND THE RIG", text, ("done", "end")) == "done"
+        if is_mended:
+            self._publish(headline="METERING", text="all steps are metered again", phase="metering", done=0)
+        return is_mended
 
     def progress(self, done: int, total: int, what: str) -> None:
         """Learn how far the session is; a message that counts nothing is only told."""
@@ -365,6 +368,9 @@ class WatchedSession(SessionWatch):
                     self._publish(lights_lost=now.lights_lost + 1, told=str(what["text"]))
                 case "repair":
                     self._publish(repairs=now.repairs + 1)
+                case "set aside":
+                    self._stored.clear()
+                    self._publish(stored=now.stored - int(what["frames"]), filters=self._filters())
                 case "filter proof":
                     self._publish(told=f"filters {what['verdict']}: {what['text']}")
 

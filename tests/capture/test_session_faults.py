@@ -167,7 +167,7 @@ def test_frame_unlike_its_metering_is_not_stored_and_is_taken_again(
 
     with open_rig(rig, Path()) as opened:
         failing = replace(opened, camera=ChangedCamera(opened.camera, dimmed))
-        with pytest.raises(CaptureError, match=r"DN/s in .* at metering it gave .* put it right and resume"):
+        with pytest.raises(CaptureError, match=r"DN/s in .* at metering it gave .* put it right, then go on or resume"):
             capture(failing, rig, small, tmp_path)
         assert dark(opened)
     before = set(read_interrupted(tmp_path).frames)
@@ -175,6 +175,8 @@ def test_frame_unlike_its_metering_is_not_stored_and_is_taken_again(
         session = capture(opened, rig, small, tmp_path, read_interrupted(tmp_path))
     assert before < {frame.sequence for frame in session.frames}
     assert not list(tmp_path.glob("set-aside/*"))  # the dimmed frame never reached the disk
+    (proven,) = [line for line in read_journal(tmp_path) if line["event"] == "as before"]
+    assert proven["frames"] == len(before)
 
 
 @pytest.mark.parametrize("ending", [RefusedError("camera: unplugged"), KeyboardInterrupt()])

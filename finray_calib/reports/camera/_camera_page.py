@@ -110,13 +110,13 @@ def _verdict(camera: CameraCharacterisation) -> tuple[str, Light, str]:
     """Return whether the linear camera model holds, its light, and a sentence."""
     bent = [c.channel for c in camera.channels if c.chi_square_p < SMALLEST_CHI_SQUARE_P]
     if bent:
-        return "MODEL DOES NOT HOLD", "bad", (
+        return "The camera model does not hold", "bad", (
             f"The noise of {_listed(bent)} does not grow with the signal as that of photons does; see what was found."
         )  # fmt: skip
     grows = "The noise of every channel grows with the signal as that of photons does"
     if _findings(camera) or camera.warnings:
-        return "MODEL HOLDS, WITH REMARKS", "care", f"{grows}; read what was found."
-    return "MODEL HOLDS", "good", f"{grows}, and the signal with the exposure."
+        return "The camera model holds, with remarks", "care", f"{grows}; read what was found."
+    return "The camera model holds", "good", f"{grows}, and the signal with the exposure."
 
 
 def _findings(camera: CameraCharacterisation) -> tuple[str, ...]:
@@ -329,7 +329,7 @@ def _mark(channel: str) -> tuple[str, str]:
 @styled()
 def photon_transfer_svg(camera: CameraCharacterisation) -> str:
     """Draw temporal variance against mean above dark, with the line of every channel."""
-    figure = new_figure(6.0, 3.6)
+    figure = new_figure(5.0, 3.5)
     axes = figure.subplots()
     for c in camera.channels:
         marker, colour = _mark(c.channel)

@@ -72,12 +72,14 @@ def optimum_page(optimum: DesignOptimum, command: str, digests: Mapping[str, str
             title=optimum.name,
             lead=f"{len(optimum.designs)} designs within limits of {', '.join(p.field for p in optimum.parameters)}, "
             f"for {' and '.join(o.name for o in optimum.objectives)}.",
-            verdict="; ".join(_verdict(gain) for gain in (first, *lost)),
+            verdict=_sentence_case("; ".join(_verdict(gain) for gain in (first, *lost))),
             light="care" if lost and light == "good" else light,
             sentence=optimum.sentence,
             picture=_front_picture(optimum),
             key_numbers=(
-                KeyNumber(f"{first.objective}, to the start", _best_known(first), _how(first), light, reason),
+                KeyNumber(
+                    f"Gain in {first.objective} against the start", _best_known(first), _how(first), light, reason
+                ),
                 _screen_number(optimum),
                 KeyNumber(
                     "Still to gain",
@@ -145,6 +147,11 @@ def _judged(gain: DesignGain) -> tuple[Light, str]:
     return ("bad", "really worse than the start") if high < 0.0 else ("care", "no difference is shown")
 
 
+def _sentence_case(text: str) -> str:
+    """Return a text with its first letter large."""
+    return text[:1].upper() + text[1:]
+
+
 def _verdict(gain: DesignGain) -> str:
     """Say in few words what the search found."""
     value, low, high = _interval(gain)
@@ -159,7 +166,8 @@ def _screen_number(optimum: DesignOptimum) -> KeyNumber:
     count = sum(row.role == "screen" for row in optimum.designs)
     light, reason = _judged(gain)
     return KeyNumber(
-        f"{gain.objective}, to a screen's best", _best_known(gain), f"{_how(gain)}; best of {count} Sobol' points",
+        f"Gain in {gain.objective} against the best of the screen", _best_known(gain),
+        f"{_how(gain)}; a screen of {count} Sobol' points",
         "care" if light == "bad" else light, reason,
     )  # fmt: skip
 
@@ -313,7 +321,7 @@ def _front_picture(optimum: DesignOptimum) -> Picture:
     """Draw the designs in their first two objectives, or one objective in the order of the search."""
     names = [o.name for o in optimum.objectives]
     with styled():
-        figure = new_figure(7.2, 4.4)
+        figure = new_figure(5.2, 4.2)
         axes = figure.add_subplot()
         x_name = names[0] if len(names) > 1 else None
         y = optimum.objectives[1] if len(names) > 1 else optimum.objectives[0]
@@ -326,7 +334,7 @@ def _front_picture(optimum: DesignOptimum) -> Picture:
                   zorder=1)  # fmt: skip
         axes.set_xlabel("design, in order" if x_name is None else _axis(optimum.objectives[0]))
         axes.set_ylabel(_axis(y))
-        legend_above(figure, axes, 5)
+        legend_above(figure, axes, 3)
         text = svg_text(figure)
     more = f" Of {len(names)} objectives the first two are drawn." if len(names) > 2 else ""
     return drawing(
