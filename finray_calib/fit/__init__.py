@@ -20,7 +20,15 @@ if TYPE_CHECKING:
     from finray_calib.fit._band_data import BandData, band_data
     from finray_calib.fit._colour_checker import colour_checker_reflectance, patch_colours
     from finray_calib.fit._detection import detect_emission
-    from finray_calib.fit._emission import EmissionPosterior, FitSettings, Summary, check_bands, fit_emission, summarise
+    from finray_calib.fit._emission import (
+        EmissionPosterior,
+        FitSettings,
+        Summary,
+        check_bands,
+        estimate,
+        fit_emission,
+        summarise,
+    )
     from finray_calib.fit._family_choice import (
         DEFAULT_FAMILY,
         FitOptions,
@@ -56,7 +64,6 @@ if TYPE_CHECKING:
         PAPER_FAMILY,
         calibrate_paint,
         curve_bands,
-        estimate,
         paper_parameters,
         reflectance,
     )

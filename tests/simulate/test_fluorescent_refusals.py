@@ -61,14 +61,10 @@ def test_band_matrices_are_checked(llvm):
 def test_each_integrator_needs_its_variant(llvm, llvm_choice, spectral_choice):
     from sim.optics._fluorescent_paint import fluorescent_bands, fluorescent_spectrum
 
-    with pytest.raises(
-        SimulateError, match=f"full spectra need a spectral variant .*, but {llvm_choice.variant}"
-    ):
+    with pytest.raises(SimulateError, match=f"full spectra need a spectral variant .*, but {llvm_choice.variant}"):
         fluorescent_spectrum(llvm.load_dict(llvm.cornell_box()), {}, W, NONE)
     spectral = variants.open_renderer(spectral_choice)
-    with pytest.raises(
-        SimulateError, match=f"three bands need a rgb variant .*, but {spectral_choice.variant}"
-    ):
+    with pytest.raises(SimulateError, match=f"three bands need a rgb variant .*, but {spectral_choice.variant}"):
         fluorescent_bands(spectral.load_dict(spectral.cornell_box()), {})
     scalar = variants.open_renderer(variants.choose_variant("scalar", spectral=True))
     assert scalar.variant() == "scalar_spectral"
