@@ -1,4 +1,4 @@
-"""The ground: what crosses a file or the command line, with its units, versions, provenance and errors.
+"""The base package: what is stored in files or typed on the command line, with units, versions, provenance and errors.
 
 There is one module per stage word (capture, radiometry, fit, simulate, compare, decide), further ones for what people
 write (rig, design, check) and for what all records share (model, units, arrays, curves, provenance, errors).
@@ -304,6 +304,7 @@ if TYPE_CHECKING:
         RecordError,
         RefusedError,
         SaturatedError,
+        SignalChangedError,
         SimulateError,
         TimedOutError,
         UnsafeError,
@@ -533,6 +534,7 @@ __all__ = [
     "SensingRow",
     "SensorCoat",
     "SessionScatter",
+    "SignalChangedError",
     "SignalDn",
     "SimulateError",
     "SimulatedBench",

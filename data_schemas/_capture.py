@@ -259,7 +259,9 @@ class TactileCapture(Record):
     def _images_agree(self) -> "TactileCapture":
         check_dimensions(self)
         if self.contact_outline is not None and (self.contact_circle is not None or len(self.contact_outline) < 3):
-            raise ValueError("contact_outline: needs 3 corners or more, and stands in the place of contact_circle")
+            raise ValueError(
+                "contact_outline: needs 3 corners or more, and replaces contact_circle; leave out the circle"
+            )
         samples = {"RGB": 3, "Bayer RGGB": 1}[self.layout]
         if self.contact.shape[2] != samples:
             raise ValueError(f"layout {self.layout} needs {samples} sample(s) per pixel, got {self.contact.shape[2]}")

@@ -22,7 +22,7 @@ PositiveS = Annotated[float, Field(gt=0.0, le=60.0, json_schema_extra={"unit": "
 class CheckLimits(Model):
     """Largest allowed values; a check passes when its value is inside with 95 % confidence."""
 
-    handshake_s: PositiveS = Field(default=2.0, description="one answer of a device to who it is and how it stands")
+    handshake_s: PositiveS = Field(default=2.0, description="one answer of a device about its identity and state")
     move_s: PositiveS = Field(default=5.0, description="longest of the moves of the wheel")
     revisit_rel: RelativeUncertainty = Field(
         default=0.01, description="RMS change of the white signal when the wheel goes away and comes back"
@@ -133,7 +133,7 @@ class LightOff(Model):
 
 
 class CheckFacts(Model):
-    """What the devices showed; nothing in it is judged but the filters, which need the frames."""
+    """What the devices did, without judgement; only the filters are judged here, because that needs the frames."""
 
     handshakes: tuple[Handshake, ...] = ()
     moves: tuple[WheelMove, ...] = ()
@@ -143,7 +143,7 @@ class CheckFacts(Model):
     revisits: tuple[Revisit, ...] = ()
     levels: tuple[ExposureLevel, ...] = ()
     light_off: tuple[LightOff, ...] = ()
-    errors: dict[Section, str] = Field(default={}, description="what broke a section off, by section")
+    errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 
 
 class CheckResult(Model):

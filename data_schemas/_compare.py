@@ -444,8 +444,12 @@ class ForceInput(Model):
     input: str
     evaluation: Literal["A", "B"]
     source: str
-    u_rel: NotNegative | None = Field(description="standard uncertainty of the input; None for what is no input")
-    ln_force_per_ln_input: float | None = Field(description="d ln F / d ln x; None for what is no input")
+    u_rel: NotNegative | None = Field(
+        description="standard uncertainty of the input; None for a contribution that is not an input"
+    )
+    ln_force_per_ln_input: float | None = Field(
+        description="d ln F / d ln x; None for a contribution that is not an input"
+    )
     force_u_rel: NotNegative = Field(description="standard uncertainty over the simulated force")
 
 

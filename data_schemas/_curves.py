@@ -216,7 +216,7 @@ def _filter_curve_note(band: BandPassFilter, curve: SpectralCurve) -> str:
 def coverage_notes(
     filters: Iterable[BandPassFilter], filter_curves: Mapping[str, SpectralCurve], curves: Iterable[SpectralCurve]
 ) -> tuple[str, ...]:
-    """Check that every curve covers every filter's pass band, measured or nominal, and say what is held.
+    """Check that every curve covers every filter's pass band, measured or nominal; name end values that are held.
 
     Parameters
     ----------

@@ -53,7 +53,9 @@ class AngleProposal(Model):
     """The angle at which one more observation is expected to help most (knowledge gradient)."""
 
     angle_deg: AngleDeg
-    gain_rel: float = Field(description="expected rise of the best expected objective, relative to it")
+    gain_rel: float = Field(
+        description="expected increase of the best expected objective by this observation, relative to that objective"
+    )
     noise_rel: float = Field(description="assumed standard uncertainty of the observation, relative")
     position_mm: float | None = Field(default=None, description="where to touch the pad; None: where the sweep does")
 
@@ -63,7 +65,7 @@ class OtherObjective(Model):
 
     name: str
     best_deg: AngleDeg = Field(description="where this objective has its optimum")
-    loss_rel: float = Field(description="at the decided angle, against that optimum: mean")
+    loss_rel: float = Field(description="mean loss at the decided angle, relative to that optimum")
     loss_90_rel: tuple[float, float] = Field(description="its 5 % and 95 % quantiles")
     disagrees: bool | None = Field(description="with 95 % probability beyond the tolerance; None: not to be told")
     cost_rel: float | None = Field(

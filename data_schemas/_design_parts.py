@@ -183,7 +183,8 @@ class Indenter(Model):
                 raise ValueError(f'{name} is {state}; it belongs to shape = "{shape}" and only to that')
         if 0.0 < self.depth_mm < _LEAST_DEPTH_MM:
             raise ValueError(
-                f"depth_mm = {self.depth_mm:g} mm is less than a press that any mesh resolves ({_LEAST_DEPTH_MM:g} mm);"
+                f"depth_mm = {self.depth_mm:g} mm is less than the {_LEAST_DEPTH_MM:g} mm that the finest mesh "
+                f"resolves;"
                 f" it looks like a number in metres: write {1e3 * self.depth_mm:g}"
             )
         if self.size_mm is not None and 2.0 * self.edge_radius_mm > min(self.size_mm):

@@ -4,6 +4,7 @@ With the estimate, one number with its uncertainty, and plain-language explanati
 """
 
 import difflib
+import re
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, get_args
 
@@ -180,8 +181,10 @@ PLAIN = {
     "string_type": "must be text in quotes",
     "bool_type": "must be true or false",
     "too_short": "must have more entries, at least {min_length}",
+    "string_too_short": "must not be empty",
 }
 """Kind of fault -> what it is in words that need no programming language."""
+PURE_NUMBER = re.compile(r"1( \(.*\))?")
 OUT_OF_BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 
 
@@ -218,12 +221,14 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
     if fault["type"] in PLAIN:
         message = PLAIN[fault["type"]].format_map(fault.get("ctx", {}))
     unit = _unit_at(model, location)
+    if unit is not None and PURE_NUMBER.fullmatch(unit):
+        unit = None
     given = fault.get("input")
     shown = (
         f", got {given!r}" if isinstance(given, str | int | float | bool) and not message.endswith(repr(given)) else ""
     )
     place = f"'{field}'{f' (in {unit})' if unit else ''}: " if field else ""
-    hint = f"; is it in {unit}?" if unit and unit != "1" and fault["type"] in OUT_OF_BOUNDS else ""
+    hint = f"; is it in {unit}?" if unit and fault["type"] in OUT_OF_BOUNDS else ""
     return f"{place}{message[:1].lower()}{message[1:]}{shown}{hint}"
 
 

@@ -271,9 +271,9 @@ class PlainSensor(Record):
         idle = super().idle_fields()
         idle["indenter.path"] = "a classic sensor's indenter is pressed along the pad's normal, by depth_mm"
         if self.surface is not None:
-            idle["indenter"] = "[surface] states the shape of the pressed coat; leave one of them out"
+            idle["indenter"] = "[surface] and [indenter] both state the pressed shape; leave one of them out"
         if self.walls == "clear":
-            idle["wall_reflectance"] = 'walls = "clear" have none; leave it out'
+            idle["wall_reflectance"] = 'walls = "clear" have no reflectance; leave it out'
         return idle
 
     def pressed_pad(self) -> FingerDesign:

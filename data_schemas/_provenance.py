@@ -133,7 +133,7 @@ def digest_of_input(path: Path) -> str:
     """
     digest = digest_as_read(path)
     if digest is None:
-        raise LookupError(f"{path}: named as an input and never read")
+        raise LookupError(f"{path}: is named as an input but was never read")
     return digest
 
 

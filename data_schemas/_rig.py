@@ -85,8 +85,8 @@ def _driver_name(name: str) -> str:
     if not re.fullmatch(DRIVER_NAME, name):
         raise ValueError(
             "is the name of a driver, such as 'thorlabs': at most 40 lower-case letters, digits and hyphens; a rig "
-            "file cannot name a module, for it must not choose what code runs: install the package that brings the "
-            "driver"
+            "file cannot name a module, because it must not decide which code runs: install the package that brings "
+            "the driver"
         )
     return name
 
@@ -185,7 +185,9 @@ class FilterWheelSettings(Model):
         for what, values in columns.items():
             twice = sorted({v for v in values if values.count(v) > 1})
             if twice:
-                raise ValueError(f"{what} {twice[0]} stands in two filters; list each filter once, with its own {what}")
+                raise ValueError(
+                    f"{what} {twice[0]} is used by two filters; list each filter once, with its own {what}"
+                )
         if not self.filters:
             raise ValueError("lists no filter; give at least one [[filter_wheel.filters]] table")
         return self
@@ -202,7 +204,10 @@ def _day_text(value: object) -> object:
     if isinstance(value, date) and not isinstance(value, datetime):
         return value.isoformat()
     if isinstance(value, str):
-        date.fromisoformat(value)
+        try:
+            date.fromisoformat(value)
+        except ValueError:
+            raise ValueError("must be a day such as 2026-03-02, without quotes") from None
     return value
 
 
@@ -242,7 +247,8 @@ class LaserSettings(Model):
         _require_address(self.driver, self.address)
         if self.driver == "manual":
             raise ValueError(
-                "driver: a laser cannot be switched by hand, for nothing would switch it off when the capture stops; "
+                "driver: a laser cannot be switched by hand, because nothing would switch it off when the capture "
+                "stops; "
                 "name the driver of a controller, such as 'arduino'"
             )
         missing = {"wavelength_nm", "power_mw", "laser_class"} - self.model_fields_set
@@ -489,7 +495,7 @@ class RigFile(Record):
         laser, lamp = ((light.driver, light.address) for light in (self.laser, self.lamp))
         if laser == lamp and self.laser.address:
             raise ValueError(
-                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot be both; correct the "
+                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot serve both; correct the "
                 "address of one of them"
             )
         wheel = self.filter_wheel

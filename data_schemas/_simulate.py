@@ -215,12 +215,12 @@ def look_like_radians(angles_deg: Sequence[float] | Floats) -> bool:
 
 
 def narrow_sweep_text(angles_deg: Sequence[float] | Floats) -> str:
-    """Say why a narrow sweep is refused, and how to have it all the same."""
+    """Say why a narrow sweep is refused, and how to allow it."""
     first, last = float(np.min(angles_deg)), float(np.max(angles_deg))
     return (
         f"{len(angles_deg)} angles of the light from {first:g} to {last:g} deg span less than {NARROWEST_SWEEP_DEG:g} "
         f"deg: in radians that would be {np.degrees(first):.0f} to {np.degrees(last):.0f} deg. Give the angles in "
-        "degrees, or --narrow-sweep if they are meant so"
+        f"degrees, or --narrow-sweep if they are meant in degrees"
     )
 
 
@@ -288,7 +288,7 @@ class VariedPress(Model):
 
 
 class PressSensitivities(Model):
-    """How the force of a press answers to numbers of the design, changed one at a time."""
+    """How the force of a press depends on numbers of the design, changed one at a time."""
 
     preset: Preset
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(

@@ -351,7 +351,7 @@ class StudyVariation(Model):
             raise ValueError(f"vary {self.field}: low and high are both needed, low below high")
         twice = [value for value in self.values if self.values.count(value) > 1]
         if twice:
-            raise ValueError(f"vary {self.field}: {twice[0]!r} stands in its values twice; name each once")
+            raise ValueError(f"vary {self.field}: {twice[0]!r} is listed twice in its values; list each once")
         return self
 
 
@@ -420,7 +420,7 @@ class StudyMetric(Model):
 
     name: str
     value: float
-    low95: float | None = Field(default=None, description="None: nothing here tells how sure the number is")
+    low95: float | None = Field(default=None, description="None: the study gives no uncertainty for this number")
     high95: float | None = None
     unit: str
     meaning: str

@@ -88,6 +88,10 @@ class WrongPositionError(CaptureError):
     """A filter wheel stands somewhere else than it should."""
 
 
+class SignalChangedError(CaptureError):
+    """A frame shows another signal than was metered before: one of the two was taken at a faulty rig."""
+
+
 class BadFrameError(CaptureError):
     """A frame is torn, stale, or not what was asked for; another attempt may succeed."""
 
@@ -125,7 +129,7 @@ class MissingExtraError(FinrayError):
 
 
 class DiedError(FinrayError):
-    """A process of its own died, or did not end in time; what it had stored before is whole."""
+    """A child process died, or did not end in time; what it had stored before is complete."""
 
 
 @contextmanager
@@ -134,7 +138,7 @@ def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
     try:
         yield
     except kind as error:
-        if not paths:
+        if not paths or any(str(error).startswith(str(path)) for path in paths):
             raise
         raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None
 

@@ -23,7 +23,7 @@ BESIDE = {
     "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",
 }
 """Pages of the folder that are not of a face -> what they hold."""
-HEAD = "Made by `make reference` from the code; what stands here is what others may use."
+HEAD = "Generated from the code by `make reference`. It lists what other packages may import."
 
 
 class Defined(NamedTuple):

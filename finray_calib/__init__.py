@@ -86,7 +86,8 @@ def require_own_packages(root: Path, names: tuple[str, ...] = NEIGHBOURS) -> Non
             )
         if Path(spec.origin).resolve().parent.parent != root.resolve():
             raise ImportError(
-                f"finray_calib needs its own package '{name}', but Python finds another one at {spec.origin}; rename "
+                f"finray_calib needs its own package '{name}', but Python finds another package of this name at "
+                f"{spec.origin}; rename "
                 "that one, start Python from another folder, or give finray-calib an environment of its own"
             )
 

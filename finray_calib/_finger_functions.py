@@ -415,7 +415,7 @@ def recolour_press(
     if (red is None) != (green is None):
         raise SimulateError("give both red and green, an unchanged one again; or neither, for the press's own paints")
     if red is None and camera is None and white_balance is None:
-        raise SimulateError("nothing is to change: give red and green, camera or white_balance")
+        raise SimulateError("no change is asked for: give red and green, camera or white_balance")
     rendered, files = given(press, SimulatedPress)
     paints = {c: given(p, PaintCalibration) for c, p in (("red", red), ("green", green)) if p is not None}
     response = None if camera is None else read_camera_response(Path(camera))

@@ -115,7 +115,7 @@ def read_record(path: PathLike) -> Record:
 
     file = Path(path) / SESSION_NAME if Path(path).is_dir() else Path(path)
     if file.suffix == ".toml":
-        raise RecordError(f"{file}: is a file that a person writes; read a finger's design with finger_design")
+        raise RecordError(f"{file}: is a TOML file, not a stored record; read a finger's design with finger_design")
     envelope = read_json(file, A_RECORD)
     kind = envelope.get("kind") if isinstance(envelope, dict) else None
     kinds = {record_type.__name__: record_type for record_type in STORED}
@@ -274,7 +274,7 @@ def reduce_pixels(
     """
     pixels = _reduced(Path(session), camera, accept_repeat, whole_frame)[1]
     if pixels is None:
-        raise RadiometryError(f"{session}: gave no signals of pixels; report this")
+        raise RadiometryError(f"{session}: gave no signals of pixels, which is a fault of finray; report it")
     return pixels
 
 

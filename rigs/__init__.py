@@ -1,4 +1,4 @@
-"""Know devices and the capture of sessions; of this project, import data_schemas only.
+"""Devices and the capture of sessions; of this project it imports data_schemas only.
 
 ``with open_rig(rig, folder) as opened:`` turns a rig file into a camera, a filter wheel, a laser, a lamp, an operator
 and a clock that keep the protocols of this room, whether they are real, behind a server or simulated. Every exchange

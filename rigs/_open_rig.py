@@ -36,6 +36,7 @@ from data_schemas import (
     FinrayError,
     LampSettings,
     LaserSettings,
+    PracticeFault,
     RefusedError,
     RigFile,
     SpectralCurve,
@@ -225,6 +226,8 @@ class OpenRig:
     notes
         What the user should know about the curves (end values that are held, range of measured transmissions), drivers
         of other packages with their versions, and what does not switch the laser off.
+    practise
+        Gives the simulated rig a fault to practise on, or takes it away (None); does nothing to a real one.
     """
 
     camera: Camera
@@ -237,6 +240,7 @@ class OpenRig:
     lamp_spectrum: SpectralCurve
     filter_curves: Mapping[str, SpectralCurve] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    practise: Callable[[PracticeFault | None], None] = lambda fault: None
 
     def identities(self) -> tuple[DeviceIdentity, ...]:
         """Return what the devices say they are."""
@@ -317,12 +321,15 @@ def _open_simulated(
     seed = rig.simulated.seed if rig.simulated is not None else 0
     slots = tuple(sorted(optic.slot for optic in rig.filter_wheel.filters))
     clock = SimulatedClock()
-    practised = None if rig.simulated is None else rig.simulated.fault
-    fault = None
-    if rig.simulated is not None and practised is not None:
-        fault = BenchFault(practised, rig.filter_wheel.filters, rig.lamp.temperature_k, rig.camera.gain_e_per_dn)
+    state = BenchState(clock=clock, slot=slots[0], laser_power_mw=rig.laser.power_mw)
+
+    def practise(fault: PracticeFault | None) -> None:
+        filters, camera = rig.filter_wheel.filters, rig.camera
+        state.fault = fault and BenchFault(fault, filters, rig.lamp.temperature_k, camera.gain_e_per_dn)
+
+    if rig.simulated is not None and rig.simulated.fault is not None:
+        practise(rig.simulated.fault)
         notes = (*notes, f"the simulated rig has a fault to practise on: {rig.simulated.practice_fault}")
-    state = BenchState(clock=clock, slot=slots[0], laser_power_mw=rig.laser.power_mw, fault=fault)
     return OpenRig(
         camera=SimulatedCamera(
             Bench(rig, folder, response, filter_curves),
@@ -339,6 +346,7 @@ def _open_simulated(
         lamp_spectrum=lamp,
         filter_curves=filter_curves,
         notes=notes,
+        practise=practise,
     )
 
 
@@ -504,8 +512,8 @@ def _laser(rig: RigFile, folder: Path) -> Lines:
 
 def _lamp(rig: RigFile, folder: Path) -> Lines:
     if rig.lamp.driver == "manual":
-        yield "switched by hand; nobody is asked here, so that its state is unknown"
-        yield Warned("see that the lamp is off: nothing shows whether the camera's frame below was dark")
+        yield "switched by hand; this command asks nobody, so its state is unknown"
+        yield Warned("check that the lamp is off: finray cannot know whether the camera's frame below was dark")
         return
     with lone_lamp(rig, folder, TerminalOperator()) as light:
         yield from _light(light)
@@ -531,7 +539,7 @@ def _wheel(rig: RigFile, folder: Path) -> Lines:
         names = {band.slot: band.name for band in rig.filter_wheel.filters}
         position = wheel.position()
         if position is None:
-            yield "position unknown: it moves, is out of the beam, or nobody has confirmed one"
+            yield "position unknown: the wheel moves, is out of the beam, or nobody has confirmed a position"
         else:
             yield f"at slot {position}, {f'filter {names[position]}' if position in names else 'which has no filter'}"
         yield "slots: " + ", ".join(f"{slot} {names.get(slot, '(none)')}" for slot in wheel.slots)

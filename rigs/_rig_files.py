@@ -139,8 +139,8 @@ _TO_FILL_IN: Final[dict[Role, str]] = {
     "lamp": "lamp: driver = manual, the operator switches it; name a driver and an address if a controller does",
 }
 _ALWAYS: Final = (
-    "laser: compare wavelength_nm, power_mw and laser_class with its label; it is not switched on before they stand "
-    "in the file",
+    "laser: compare wavelength_nm, power_mw and laser_class with its label; it is not switched on until the file "
+    "states them",
     "filter_wheel.filters: correct the slots, and the centres and uncertainties where there is a certificate",
     "camera: width, height, bit_depth and the three noise figures are those of the paper's camera",
 )
@@ -212,7 +212,7 @@ _FILTER: Final = {
     "fwhm_nm": "full width at half maximum, nm",
     "fwhm_uncertainty_nm": "its standard uncertainty, nm",
     "shape_order": "1 Gaussian to 2 flat top",
-    "peak_transmission": "0 to 1; only metering cares",
+    "peak_transmission": "0 to 1; used for metering only",
     "blocking_od": "optical density outside the pass band",
     "blocking_uncertainty_od": "its standard uncertainty",
 }
@@ -268,7 +268,7 @@ def rig_toml(rig: RigFile) -> str:
     filters = [_filter_toml(first, _FILTER), *(_filter_toml(band, {}) for band in others)]
     return f"""# A calibration rig. Every value has its unit in its name: _nm, _s, _mw, _dn (counts), _e (electrons).
 name = {_quoted(rig.name)}
-schema_version = {rig.schema_version}  # of rig files; a later finray reads them by it
+schema_version = {rig.schema_version}  # of rig files, so that later versions of finray can read this one
 
 [camera]
 {_fields(rig.camera.model_dump(), _CAMERA | {"driver": _driver_names("camera")})}
@@ -279,7 +279,7 @@ schema_version = {rig.schema_version}  # of rig files; a later finray reads them
 # hard-coated filter. curve = "FILE.csv" (wavelength_nm,transmission, 0 to 1) names a measured transmission: it takes
 # the place of width, shape and peak, and center_nm must lie within 5 nm of its centre.
 {"".join(filters)}[laser]
-# Class and power are named so that nobody switches it on unknowingly.
+# Class and power are stated so that nobody switches it on unknowingly.
 {_fields(rig.laser.model_dump(exclude={"outside_layer"}), _LASER | {"driver": of_lasers})}\
 {_outside_layer_toml(rig.laser.outside_layer)}
 [lamp]

@@ -292,6 +292,11 @@ def read_design(path: Path) -> FingerDesign:
     def complete(tables: dict[str, Any]) -> dict[str, Any]:
         written = {name: value for name, value in tables.items() if name != "kind"}
         preset = written.pop("preset", None)
+        if tables.get("kind") == "sensor":
+            raise RecordError(
+                f"{path}: is the design of a classic sensor, where that of a finger is needed; 'finray design init "
+                "flat-70x35' writes one"
+            )
         if preset is None:
             _require_tables(path, written, FingerDesign)
             return written
@@ -330,9 +335,9 @@ def _require_tables(path: Path, written: Mapping[str, Any], model: type[BaseMode
     missing = [name for name in wanted if not isinstance(_at(written, name), dict)]
     if missing:
         raise RecordError(
-            f"{path}: a finger without {', '.join(f'[{name}]' for name in missing)}; write what is missing (finray "
-            'design init writes a complete finger), or take it from a ready-made one: preset = "flat-70x35" above the '
-            "first table ('finray design list' lists them)"
+            f"{path}: is no complete finger, because it lacks {', '.join(f'[{name}]' for name in missing)}; write what "
+            "is missing (finray design init writes a complete finger), or take it from a ready-made one: "
+            "preset = \"flat-70x35\" above the first table ('finray design list' lists them)"
         )
 
 

@@ -1,10 +1,10 @@
-"""The only reader and writer of records, and the door for every other file.
+"""The only reader and writer of records, and the only way in for every other file.
 
-What is stored is atomic (whole or absent, never overwritten), sealed (SHA-256 of the envelope), versioned (files of
-earlier versions are migrated as they are read) and committed together: a `ProductSet` of several files counts with
-its last name. What others wrote comes in by `read_bytes` and `open_regular`: limits are checked before anything is
-parsed, the bytes are hashed as they are read, and parsers that may crash run in a child process with limits of time
-and memory.
+Files are stored atomically (complete or absent, never overwritten), with a seal (SHA-256 of the envelope) and a version
+(files of earlier versions are migrated as they are read). Several files are committed together: a `ProductSet` is valid
+once its last file has its name. Files of other programs are read by `read_bytes` and `open_regular`: limits are checked
+before anything is parsed, the bytes are hashed as they are read, and parsers that may crash run in a child process with
+limits of time and memory.
 """
 
 from typing import TYPE_CHECKING

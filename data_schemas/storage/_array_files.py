@@ -140,7 +140,7 @@ def read_npy(path: Path, what: str = "an npy file", error: type[FinrayError] = R
         if dtype.kind not in "fiub":
             raise ValueError(f"holds {dtype}, not real numbers")
         if len(content) - file.tell() != math.prod(shape) * dtype.itemsize:
-            raise ValueError(f"holds not as many bytes as {dtype} of shape {shape} has")
+            raise ValueError(f"holds another number of bytes than {dtype} of shape {shape} needs")
         return _shaped(content[file.tell() :], shape, fortran, dtype)
     except Exception as fault:  # of a damaged header numpy raises nearly anything
         raise error(
@@ -156,7 +156,7 @@ def _declared(archive: zipfile.ZipFile, name: str, wanted: DeclaredArray) -> NDA
     except KeyError:
         raise ValueError(f"array {name!r} is missing in it") from None
     if entry.compress_type != zipfile.ZIP_STORED:
-        raise ValueError(f"array {name!r} is compressed; arrays of records never are")
+        raise ValueError(f"array {name!r} is compressed, and arrays of records must not be")
     return _member(archive, entry, entry.compress_size, wanted)
 
 
@@ -180,7 +180,7 @@ def _member(
         if size > room_bytes:
             raise ValueError(f"array {name!r} has {size / MB:.4g} MB, more than the {room_bytes / MB:.4g} MB allowed")
         if entry.file_size != file.tell() + size:
-            raise ValueError(f"array {name!r} holds not as many bytes as {dtype} of shape {shape} has")
+            raise ValueError(f"array {name!r} holds another number of bytes than {dtype} of shape {shape} needs")
         return _shaped(file.read(size), shape, fortran, dtype)
 
 
@@ -195,19 +195,19 @@ def _header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     elif version == (2, 0):
         header = np.lib.format.read_array_header_2_0(file, max_header_size=_LONGEST_HEADER)
     else:
-        raise ValueError(f"npy format {version[0]}.{version[1]} is not read; 1.0 and 2.0 are")
+        raise ValueError(f"npy format {version[0]}.{version[1]} cannot be read; save it in format 1.0 or 2.0")
     shape, fortran, dtype = header
     if dtype.hasobject:
         raise _PickledError("holds pickled objects, which are never loaded")
     if len(shape) > MOST_DIMENSIONS or any(length < 0 for length in shape):
-        raise ValueError(f"shape {shape} is none; at most {MOST_DIMENSIONS} dimensions are allowed")
+        raise ValueError(f"{shape} is not a valid shape; at most {MOST_DIMENSIONS} dimensions are allowed")
     return tuple(int(length) for length in shape), bool(fortran), dtype
 
 
 def _shaped(content: bytes, shape: tuple[int, ...], fortran: bool, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return the numbers of an array, read-only."""
     if len(content) != math.prod(shape) * dtype.itemsize:
-        raise ValueError(f"breaks off: {len(content)} bytes for {dtype} of shape {shape}")
+        raise ValueError(f"is cut off: it holds {len(content)} bytes for {dtype} of shape {shape}")
     flat = np.frombuffer(content or bytearray(), dtype if dtype.kind != "b" else np.uint8)
     if dtype.kind == "b":
         if flat.max(initial=0) > 1:
@@ -273,7 +273,7 @@ def parse_in_child(
             )
         except DiedError as death:
             raise error(
-                f"{where}: cannot be read as {what}: its parser {death}; the file is damaged, or made to do harm"
+                f"{where}: cannot be read as {what}: its parser {death}; the file is damaged, or malicious"
             ) from None
         declared = {key: DeclaredArray(tuple(shape), dtype) for key, (shape, dtype) in answer["arrays"].items()}
         if not declared:

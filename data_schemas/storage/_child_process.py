@@ -51,7 +51,7 @@ _IN_PLAIN_WORDS: Final = {
     signal.SIGBUS: "it touched memory that is not there: a fault of a compiled library, or a full disk or /dev/shm",
     signal.SIGILL: "a compiled library uses instructions that this processor does not have",
     signal.SIGFPE: "a compiled library divided by zero",
-    signal.SIGABRT: "a compiled library gave up",
+    signal.SIGABRT: "a compiled library aborted",
     signal.SIGTERM: "somebody or the system asked it to end",
     signal.SIGINT: "somebody interrupted it",
     signal.SIGXCPU: "it used more processor time than it is allowed",
@@ -367,7 +367,7 @@ def _error_of(answer: dict[str, Json]) -> Exception:
         allowed = "" if limit is None else f" (it may take {limit / 2**30:.2g} GiB more than its start)"
         return DiedError(f"ran out of memory{allowed}; it had taken {answer['peak_bytes'] / 2**30:.2f} GiB")
     if kind == "fault":
-        return DiedError(f"failed by a fault of finray's own ({answer['text']})")
+        return DiedError(f"failed by a fault of finray itself ({answer['text']})")
     error: FinrayError = getattr(errors, kind)(answer["text"])
     return error
 
@@ -385,7 +385,7 @@ def _cause(status: int, killed_for_memory: bool) -> str:
         return f"was ended by {number.name}" + (f" ({plain})" if plain else "")
     if killed_for_memory:
         return "was killed (SIGKILL) by the system for lack of memory"
-    return "was killed (SIGKILL) from outside: by somebody, or by the system for lack of memory"
+    return "was killed (SIGKILL): by a person, or by the system for lack of memory"
 
 
 def _kills_for_want_of_memory() -> int:

@@ -84,7 +84,7 @@ def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, Spec
         told = ", ".join(f"{name} {peak:g} %" for name, peak in zip(CHANNELS, peaks, strict=True))
         raise CurveError(
             f"{path}: the channels peak at {told}; one is more than {LARGEST_CHANNEL_RATIO:g} times the others or less "
-            "than that part of them, which no colour camera is: give all three in per cent of one full scale"
+            "than that part of them, which no colour camera has: give all three in per cent of one full scale"
         )
     red, green, blue = (_curve(path, name, table[:, 0], table[:, i + 1] / 100) for i, name in enumerate(CHANNELS))
     return red, green, blue
@@ -188,7 +188,8 @@ def _require_reflectance(path: Path, emission_nm: Floats, values: Floats) -> Non
     at_nm = float(emission_nm[np.unravel_index(int(values.argmax()), values.shape)[0]])
     raise CurveError(
         f"{path}: the reflectance is {largest:.4g} at {at_nm:g} nm; {LARGEST_REFLECTANCE:g} is the most "
-        f"allowed: divide by 100 if the matrix is in per cent, or add the line '{ALLOW_REFLECTANCE}' if it is meant"
+        f"allowed: divide by 100 if the matrix is in per cent, or add the line '{ALLOW_REFLECTANCE}' if this is "
+        f"intended"
     )
 
 
@@ -201,7 +202,7 @@ def _require_energy(path: Path, excitation_nm: Floats, emitted: Floats, emission
     worst = int(out.argmax())
     if out[worst] > LARGEST_ENERGY_OUT:
         raise CurveError(
-            f"{path}: of light at {excitation_nm[worst]:g} nm it sends out {out[worst]:.3g} times what falls in "
+            f"{path}: of light at {excitation_nm[worst]:g} nm it sends out {out[worst]:.3g} times what it receives "
             f"({emitted.sum(axis=0)[worst]:.3g} by fluorescence); at most {LARGEST_ENERGY_OUT:g} is allowed, 1 and a "
             "fifth for noise: entries are fractions per emission band; divide by 100 if they are in per cent"
         )

@@ -116,7 +116,9 @@ def open_regular(path: Path, what: str = "a regular file", error: type[FinrayErr
     except FileNotFoundError:
         raise error(f"{path}: no such file; give the path of {what}") from None
     except NotADirectoryError:
-        raise error(f"{path}: no such file, for a part of the path is no folder; give the path of {what}") from None
+        raise error(
+            f"{path}: no such file, because a part of the path is a file and not a folder; give the path of {what}"
+        ) from None
     except (OSError, ValueError) as fault:
         kind = _kind_at(path)
         if kind is not None:
@@ -170,7 +172,7 @@ def read_bytes(
     except OSError as fault:
         raise error(f"{path}: cannot be read ({fault.strerror}); check the file and its medium") from None
     except MemoryError:
-        raise error(f"{path}: has {size / MB:.4g} MB, more than the memory that is free; end other programs") from None
+        raise error(f"{path}: has {size / MB:.4g} MB, more than the free memory; end other programs") from None
     if max(size, len(content)) > largest_bytes:
         raise error(_too_long(path, what, largest_bytes))
     _AS_READ.remember(path, hashlib.sha256(content).hexdigest())
@@ -611,7 +613,7 @@ def _texts(value: Any) -> Iterator[str]:
 def _refuse_half_characters(parsed: Any) -> None:
     """Refuse one half of a surrogate pair, which no file and no screen can show."""
     if any(_SURROGATE.search(text) for text in _texts(parsed)):
-        raise ValueError("a text holds half of a character (a lone \\ud800 to \\udfff)")
+        raise ValueError("a text holds an incomplete character (a lone \\ud800 to \\udfff)")
 
 
 def _refuse_odd_numbers(value: Any) -> None:

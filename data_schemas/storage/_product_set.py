@@ -404,8 +404,8 @@ class ProductSet:
             except FileExistsError:
                 raise RecordError(
                     f"{path}: another process is writing it now; wait until it ends. If there is none, delete "
-                    f"{set_file}, which an ended process left: without file locks, finray cannot distinguish it from "
-                    f"work in progress"
+                    f"{set_file}, which a process left that has ended: without file locks, finray cannot distinguish "
+                    f"it from work in progress"
                 ) from None
             if is_ours(handle):
                 break
@@ -597,7 +597,10 @@ def read_manifest(folder: Path) -> dict[str, str]:
         match = _LINE.fullmatch(line)
         name = "" if match is None else match[2]
         if match is None or PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts or name in listed:
-            raise RecordError(f"{path}, line {number}: must hold a SHA-256, two spaces and a file of the folder, once")
+            raise RecordError(
+                f"{path}, line {number}: must hold a SHA-256, two spaces and the path of a file in the "
+                f"folder, each file once"
+            )
         listed[name] = match[1]
     return listed
 

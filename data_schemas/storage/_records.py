@@ -178,7 +178,7 @@ def _check_seal(path: Path, envelope: dict[str, Any], record_type: type[Record])
     if seal != content_sha256(envelope):
         what = "carries no seal" if seal is None else "does not agree with its seal"
         raise ChecksumError(
-            f"{path}: {what} (content_sha256), so that it was changed after it was written; restore the file, or run "
+            f"{path}: {what} (content_sha256): it was changed after it was written; restore the file, or run "
             f"{record_type.written_by} again"
         )
 
@@ -190,7 +190,7 @@ def _older_hint(envelope: dict[str, Any], version: int) -> str:
     origin = envelope["record"].get("provenance")
     commit = origin.get("git_commit") if isinstance(origin, dict) else None
     return (
-        f". Several schemas were stored as version {version} before versions rose with them; this file was written by "
+        f". Earlier programs stored several schemas as version {version}; this file was written by "
         f"{f'commit {commit}' if commit else 'an unknown commit'}: read it with that one, or make the record again"
     )
 
@@ -246,7 +246,7 @@ def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any
     if isinstance(value, dict):
         if _is_reference(value):
             if value["array"] not in arrays:
-                raise RecordError(f"{path}: array {value['array']!r} is in no array_file of the record")
+                raise RecordError(f"{path}: names the array {value['array']!r}, but the record has no array_file")
             return arrays[value["array"]]
         return {key: _with_arrays(path, v, arrays) for key, v in value.items()}
     if isinstance(value, list):

@@ -100,7 +100,7 @@ class ZipArchive:
         except _DAMAGED as fault:
             raise ValueError(f"is damaged in its archive ({brief_fault(fault)})") from None
         if len(content) != entry.file_size:
-            raise ValueError(f"breaks off in its archive: {len(content)} of {entry.file_size} bytes")
+            raise ValueError(f"is cut off in its archive: {len(content)} of {entry.file_size} bytes")
         return content
 
 
@@ -150,7 +150,7 @@ def _accepted(entries: list[zipfile.ZipInfo]) -> Iterator[tuple[str, zipfile.Zip
     seen: set[str] = set()
     for entry in entries:
         name = entry.filename.rstrip("/")
-        why = _refused(entry, name) or ("stands in it twice" if name in seen else None)
+        why = _refused(entry, name) or ("is in it twice" if name in seen else None)
         if why is not None:
             raise ValueError(f"{entry.orig_filename[:80]!r} {why}; make the archive anew from plain files")
         seen.add(name)
@@ -170,7 +170,7 @@ def _refused(entry: zipfile.ZipInfo, name: str) -> str | None:
     reasons = (
         (entry.filename != entry.orig_filename.replace(os.sep, "/") or "\\" in entry.orig_filename,
          "is a name with a null byte or a backslash"),
-        (not name or name.startswith("/") or (len(name) > 1 and name[1] == ":"), "is no path within the archive"),
+        (not name or name.startswith("/") or (len(name) > 1 and name[1] == ":"), "is not a path within the archive"),
         (any(part in ("", ".", "..") for part in parts), "leads out of its folder, or has an empty part"),
         (not name.isprintable() or len(name.encode(errors="surrogatepass")) > LONGEST_MEMBER_NAME,
          f"has control characters, or more than {LONGEST_MEMBER_NAME} bytes"),
@@ -179,7 +179,7 @@ def _refused(entry: zipfile.ZipInfo, name: str) -> str | None:
         (bool(entry.flag_bits & _ENCRYPTED), "is encrypted"),
         (entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED), "is neither stored nor deflated"),
         (entry.compress_type == zipfile.ZIP_STORED and entry.file_size != entry.compress_size,
-         "is stored, and has two sizes"),
+         "is stored uncompressed, but states two sizes"),
         (entry.file_size > MOST_GROWTH * entry.compress_size + FREE_BYTES,
          f"grows from {entry.compress_size} to {entry.file_size} bytes, over {MOST_GROWTH} times"),
     )  # fmt: skip
@@ -191,7 +191,7 @@ def _require_apart(entries: list[zipfile.ZipInfo]) -> None:
     end = 0
     for entry in sorted(entries, key=lambda e: e.header_offset):
         if entry.header_offset < end:
-            raise ValueError(f"{entry.filename[:80]!r} lies over another file; make the archive anew from plain files")
+            raise ValueError(f"{entry.filename[:80]!r} overlaps another file; make the archive anew from plain files")
         end = entry.header_offset + _LOCAL_HEADER_BYTES + entry.compress_size
 
 

@@ -68,7 +68,7 @@ def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ..
     for section, title in SECTIONS.items():
         results += judged[section]
         if section in facts.errors:
-            what = "what broke this part of the check off"
+            what = "the error that ended this part of the check"
             results.append(unmeasured(section, title, what, "ERROR", facts.errors[section]))
     return AcceptanceReport(
         plan=plan,
@@ -104,7 +104,7 @@ def _handshake(hand: Handshake, plan: CheckPlan) -> CheckResult:
     said = hand.identity
     words = [f"{key} {text}" for key in ("vendor", "model", "serial", "firmware") if (text := getattr(said, key))]
     if hand.driver in UNASKED:
-        return unmeasured("handshake", name, what, "UNDECIDED", "a person switches it, nothing can be asked")
+        return unmeasured("handshake", name, what, "UNDECIDED", "it is switched by hand, so no device can be asked")
     if (said.role, said.driver) != (hand.role, hand.driver):
         return unmeasured(
             "handshake", name, what, "FAIL", f"a {said.role} behind driver '{said.driver}' answers", hand.driver
@@ -304,7 +304,7 @@ def _read_noise(dark: DarkFrames, plan: CheckPlan, camera: CameraSettings) -> Ch
     low, high = (camera.read_noise_e * (1.0 + sign * plan.limits.read_noise_rel) for sign in (-1.0, 1.0))
     limit = f"{low:.4g} to {high:.4g} e"
     if dark.at_zero_fraction > MOST_AT_ZERO:
-        reason = f"{100 * dark.at_zero_fraction:.2g} % of the counts are 0, which cuts the noise off: raise black level"
+        reason = f"{100 * dark.at_zero_fraction:.2g} % of the counts are 0, so noise is cut off: raise the black level"
         return unmeasured("dark frames", name, what, "UNDECIDED", reason, limit)
     if dark.noise_dn < LEAST_NOISE_DN:
         reason = f"{dark.noise_dn:.2g} DN: rounding to whole counts hides it; raise the camera's gain"

@@ -120,7 +120,7 @@ def conformance_probability(estimate: float, sd: float, tolerance: ToleranceInte
     """
     check_sd(sd)
     if np.isinf(sd):
-        raise FinrayError("standard uncertainty inf: nothing is known, so no probability follows; measure again")
+        raise FinrayError("standard uncertainty inf: nothing is known, so there is no probability; measure again")
     low, high = tolerance.edges
     if sd == 0.0:
         return float(low <= estimate <= high)

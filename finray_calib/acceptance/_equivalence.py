@@ -44,8 +44,8 @@ QUANTILES: Final = 400
 """Of a normal distribution, in the place of draws."""
 SPECTRUM_TITLE: Final = "Spectrum, relative to the peak of the first tin"
 ONE_COAT: Final = (
-    "posterior draws of one coat: what the rig does to both alike is counted twice, the differences between coats of a "
-    "tin not at all; measure two coats or more of each"
+    "posterior draws of one coat: errors that the rig makes on both alike are counted twice, and the differences "
+    "between coats of a tin are not counted at all; measure two coats or more of each"
 )
 
 
@@ -118,7 +118,7 @@ def _check(
         if _in_text(other.optics) != _in_text(one.optics):
             raise FinrayError(
                 f"'{other.paint_name}' and '{one.paint_name}' were measured on rigs that their records describe "
-                "differently; what a rig does to its results cancels only where both tins were measured on the same one"
+                "differently; errors of a rig cancel only where both tins were measured on the same rig"
             )
         if not np.array_equal(other.wavelength_nm, one.wavelength_nm):
             raise FinrayError(f"'{other.paint_name}': has other wavelengths; fit all coats with one version")
@@ -187,7 +187,7 @@ def _welch(first: Floats, second: Floats) -> _Difference:
     total = squares[0] + squares[1]
     parts = squares[0] ** 2 / (len(first) - 1) + squares[1] ** 2 / (len(second) - 1)
     freedom = np.divide(total**2, parts, out=np.ones_like(total), where=parts > 0)
-    basis = f"scatter between {len(first)} and {len(second)} coats; what the rig does to all of them alike cancels"
+    basis = f"scatter between {len(first)} and {len(second)} coats; errors that the rig makes on all of them cancel"
     return _Difference(second.mean(axis=0) - first.mean(axis=0), np.sqrt(total), freedom, basis)
 
 

@@ -192,7 +192,7 @@ def balanced_values(measurements: Sequence[tuple[str, str, str, float]]) -> Floa
         for session in sessions
     }
     if not sizes:
-        raise FinrayError("gauge study: there is no capture in it")
+        raise FinrayError("gauge study: the file lists no capture; give one row for each")
     usual = next(iter(sizes.values()))
     for (sample, session), size in sizes.items():
         if size != usual or len(set(usual)) > 1:
@@ -215,7 +215,7 @@ def _check(values: Floats) -> None:
     if not np.isfinite(values).all():
         raise FinrayError("gauge study: a value is no finite number; give every capture its value")
     if not (values.var(axis=(2, 3)) > 0).any():
-        raise FinrayError("gauge study: mounts and repeats do not scatter at all; give values with all their digits")
+        raise FinrayError("gauge study: mounts and repeats do not differ at all; give values with all their digits")
 
 
 def mls_interval(combination: Floats, squares: Floats, freedom: Floats) -> tuple[float, float]:

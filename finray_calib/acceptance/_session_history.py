@@ -226,7 +226,7 @@ def watch(values: Sequence[float], rules: ChartRules, cleared: int = 0) -> Chart
     mean, sd = float(series[:count].mean()), float(series[:count].std(ddof=1))
     if not sd > 0.0:
         raise FinrayError(
-            "the sessions of the reference are all alike, so that it is not known how much they may differ"
+            "the sessions of the reference do not differ at all, so there is no measure of how much sessions may differ"
         )
     weighted, alarms, z = np.full(series.size, mean), [], 0.0
     for place in range(max(count, cleared), series.size):
@@ -530,7 +530,7 @@ def _series(
         elif np.ptp([{**s.rig, **s.sample}[quantity] for s in sessions[:reference]]) > 0:
             series.append((of, quantity, sessions))
         else:
-            alike.append(f"{of}: {quantity} is exactly alike in all sessions of the reference, so it has no chart")
+            alike.append(f"{of}: {quantity} is exactly the same in all sessions of the reference, so it has no chart")
     waiting = (f"{of}: {n} of {reference} sessions of its reference" for of, n in counts.items())
     return series, (*waiting, *alike)
 

@@ -28,10 +28,10 @@ judge it. Your command is run once, with these words replaced by folders:
   {judge}    a folder for each judged press: no_contact.png and press.json, without the contact
   {renders}  where it writes a folder of the same name for each judged press, as 'finray import render' reads it
 
-Beside it stand a table that the same presses taught, and doing nothing, which scores 0. Presses whose image taught
-are never judged. OUT gets the page of the comparison (scores/summary.html), row.json and row.csv: skill with its
+It is scored beside a table that the same presses taught, and beside doing nothing, which scores 0. Presses whose image
+taught are never judged. OUT gets the page of the comparison (scores/summary.html), row.json and row.csv: skill with its
 interval, digests of all captures, what the command was and how long it took. A run that was interrupted or failed
-starts anew when the same OUT is given again."""
+starts from the beginning when the same OUT is given again."""
 TABLE, BLANK = "table of the teaching presses", "doing nothing"
 MOST_TEACHING = 6
 CAPTURE = ".capture.json"
@@ -49,7 +49,7 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     tactile.add_argument(
         "captures", type=Path, metavar="CAPTURES", help="folder of NAME.capture.json, or a zip archive of it"
     )
-    tactile.add_argument("--simulator", metavar="NAME", help="name of yours in the row; with --command")
+    tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the row; with --command")
     tactile.add_argument(
         "--command", dest="simulator_command", metavar="WORDS",
         help="what runs your simulator, one string; without it the row is that of the table",
@@ -158,7 +158,10 @@ def _split(captures: "Mapping[str, TactileCapture]", count: int) -> tuple[list[s
     seen = {contact_sha256(captures[name]) for name in taught}
     judged = [name for name in names if contact_sha256(captures[name]) not in seen]
     if not judged:
-        raise CompareError("no press is left to judge: all are images that teach")
+        raise CompareError(
+            "no press is left to judge: every contact image is one of those that teach; give a set "
+            "with more presses, or a smaller --teach"
+        )
     return taught, judged
 
 
@@ -188,7 +191,9 @@ def _presses(
     seconds = _run_simulator(arguments, protocol, renders)
     unasked = sorted({inner.name for inner in renders.iterdir() if inner.is_dir()} - set(judged))
     if unasked:
-        raise CompareError(f"{renders}: {unasked[0]} is no judged press; render those of {protocol / 'judge'}")
+        raise CompareError(
+            f"{renders}: {unasked[0]} is not one of the judged presses; render those of {protocol / 'judge'}"
+        )
     rendered = read_renders(renders, {name: captures[name] for name in judged})
     missing = sorted(set(judged) - rendered.keys())
     if missing:

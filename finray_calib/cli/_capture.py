@@ -126,7 +126,7 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
             f"{len(presses)} presses, {plan.repeats} times each; {len(shots)} frames, "
             f"{1e-6 * session_bytes(rig, plan, len(presses), len(shots)):.0f} MB at most"
         )
-        say(f"{len({shot.group for shot in shots})} things to do by hand")
+        say(f"{len({shot.group for shot in shots})} steps to be done by hand")
         say(f"{sum(shot.exposure_s for shot in shots):.0f} s of exposure; the camera was not opened")
         return
     out = require_new_session(arguments.out or Path(f"{file_name(plan.name)}-session"))
@@ -193,7 +193,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         say(f"{expected.targets} times another target, {expected.moves} moves of the wheel")
         say(f"about {expected.typical_s / 60:.0f} min; {expected.longest_s / 60:.0f} min if every exposure is longest")
         for instruction in dict.fromkeys(nobody.instructions):
-            say(f"not asked of anybody now: {instruction}")
+            say(f"would be asked during the capture: {instruction}")
         say("the rig is ready; nothing was moved, lit or stored")
         go_on_with("finray capture", arguments.plan, "--rig", arguments.rig)
         return
@@ -265,6 +265,9 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
     if interrupted.kind not in ("paint", "camera"):
         raise CaptureError(f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; capture it again")
     say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
+    if interrupted.doubt:
+        say("  all steps are metered again, as a frame did not show what was metered; frames that the repaired rig")
+        say("  does not repeat are set aside and taken again")
     if interrupted.kind == "camera":
         _resume_camera(folder, interrupted, attend)
     else:

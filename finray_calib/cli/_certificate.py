@@ -39,7 +39,7 @@ and conditions. Where no certificate of a reference is recorded, the page says t
   low = 590.0
   high = 605.0
 
---budget BANDS adds which source makes how much of each uncertainty; the shares of a quantity add up to 100 %.
+--budget BANDS adds how much each source contributes to each uncertainty; the shares of a quantity add up to 100 %.
 Exit status: 0, 1 where a quantity fails its limits, 2 after a mistake."""
 NOT_CONFORMING = 1
 
@@ -121,14 +121,15 @@ def _found(path: Path) -> "tuple[CaptureSession | None, str]":
     faults = findings(tree)
     if changed := [fault for fault in faults if fault.state != "missing"]:
         raise FinrayError(
-            f"{changed[0].path}: {changed[0].text}; a certificate rests on files that are as they were written: see "
+            f"{changed[0].path}: {changed[0].text}; a certificate needs files that are unchanged since they were "
+            f"written: see "
             f"'finray trace {path}'"
         )
     for fault in faults:
         warn(f"note: {fault.path}: {fault.text}")
     hashed = sum(1 for part in tree.all() if part.path is not None and not part.is_repeated)
     told = (
-        f"The calibration and the {hashed - 1} files behind it were hashed again and are as they were written."
+        f"The calibration and the {hashed - 1} files behind it were hashed again and are unchanged."
         if not faults
         else f"Of the files behind the calibration, {len(faults)} were not found and not verified."
     )

@@ -99,9 +99,9 @@ def _telling(rig: "RigFile") -> Iterator[Progress]:
     yield lambda done, total, what: guide(f"  {done + 1}/{total} {what}")
 
 
-GAUGE_HELP = "gauge R&R: how much of what is seen is the measurement"
+GAUGE_HELP = "gauge R&R: how much of the scatter comes from the measurement"
 GAUGE_DESCRIPTION = """\
-Analyse a gauge study: several samples, each measured in the same sessions, with repeats and, if you like, mounted anew
+Analyse a gauge study: several samples, each measured in the same sessions, with repeats and, optionally, mounted anew
 within a session. Take five samples or more that differ as yours do, and six sessions or more: with three, the interval
 of the measurement's standard deviation spans a factor of five.
 
@@ -111,8 +111,8 @@ STUDY is a CSV file with one row for each capture, as many for each sample in ea
   A,1,1,A-1-1a.paint.json
   A,1,1,A-1-1b.paint.json
 
-with the calibration of the capture (its place is relative to the CSV file; --quantity names the quantity), or with a
-column "value" in the place of "paint". Leave out the column "mount" where the samples were not mounted anew.
+where "paint" is the calibration of the capture (a path relative to the CSV file; --quantity names the quantity), or
+with a column "value" in the place of "paint". Leave out the column "mount" where the samples were not mounted anew.
 PASS: the measurement's share of the total standard deviation is below 10 % with 95 % confidence; FAIL: above 30 %.
 Exit status: 0, 1 after FAIL, 2 after a mistake."""
 QUANTITIES = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser")
@@ -208,7 +208,7 @@ against margins that you state: two one-sided tests with 5 % risk.
 
 PASS: equivalent in this quantity. FAIL: different. UNDECIDED: neither is shown; measure more coats. Margins are in the
 unit of the quantity: mode_nm, fwhm_nm, peak_per_nm, energy_yield, reflectance_at_laser; that of spectrum is a share of
-the peak. With one coat of a tin nothing is known of the differences between coats, and the command says so.
+the peak. With one coat of a tin the differences between coats are unknown, and the command says so.
 Exit status: 0, 1 where the tins differ in a quantity, 2 after a mistake."""
 COMPARED: "tuple[Compared, ...]" = (
     "mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "spectrum",
@@ -246,6 +246,16 @@ def _margin(text: str) -> "tuple[Compared, float]":
     return known, margin
 
 
+def _require_different(paths: list[Path]) -> None:
+    """Refuse a calibration that is given twice, also by another name: it would agree with itself."""
+    from data_schemas import FinrayError, digest_of_input
+
+    first: dict[str, Path] = {}
+    for path in paths:
+        if (other := first.setdefault(digest_of_input(path), path)) is not path:
+            raise FinrayError(f"{other} and {path}: are one calibration; give each coat once, by its own session")
+
+
 def run_equivalence(arguments: argparse.Namespace) -> int:
     """Compare, print and return the exit status."""
     from data_schemas import FinrayError, PaintCalibration, decimals_for, fixed
@@ -256,6 +266,7 @@ def run_equivalence(arguments: argparse.Namespace) -> int:
     if len(margins) < len(arguments.margin):
         raise FinrayError("--margin: a quantity is given twice; give each once")
     tins = [[read_record(path, PaintCalibration) for path in paths] for paths in (arguments.first, arguments.second)]
+    _require_different([*arguments.first, *arguments.second])
     found = tins_are_equivalent(tins[0], tins[1], margins)
     for one in found:
         places = decimals_for(0.5 * (one.high90 - one.low90))
@@ -278,7 +289,7 @@ together) for a reference of that length.
 When you have looked into an alarm, give --cleared SESSION: charts begin anew after it, with the same reference. After a
 change of the rig (a new lamp), move the older sessions to another folder: the rig then needs a new reference.
 
-The ledger sums the laser light that fell on each sample, and what it took of the emission where that was measured.
+The ledger sums the laser light that fell on each sample, and how much of the emission it cost, where that was measured.
 Exit status: 0 in control or undecided (too few sessions), 1 out of control, 2 after a mistake."""
 OUT_OF_CONTROL = 1
 DEPTHS = ("session.json", "*/session.json", "*/*/session.json")
@@ -292,9 +303,17 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of session folders")
     parser.add_argument("--reference", type=int, default=10, metavar="N", help="first sessions: what is normal (10)")
     parser.add_argument(
-        "--false-alarms", type=float, default=0.01, metavar="SHARE", help="of good sessions that give an alarm (0.01)"
+        "--false-alarms",
+        type=float,
+        default=0.01,
+        metavar="SHARE",
+        help="share of good sessions that give an alarm (0.01)",
     )
-    parser.add_argument("--cleared", metavar="SESSION", help="alarms up to this session were looked into")
+    parser.add_argument(
+        "--cleared",
+        metavar="SESSION",
+        help="the alarms up to this session were investigated: charts begin anew after it",
+    )
     parser.add_argument("--report", type=Path, metavar="PAGE", help="write the charts as a page (HTML); must be new")
     parser.set_defaults(run=run_history)
 
@@ -306,7 +325,7 @@ def run_history(arguments: argparse.Namespace) -> int:
     from finray_calib.acceptance import session_history
     from finray_calib.reports import history_page
 
-    page = None if arguments.report is None else require_new(arguments.report)
+    page = None if arguments.report is None else require_new(arguments.report, ".html")
     facts = _facts(arguments.folder)
     with naming(FinrayError, arguments.folder):
         found = session_history(facts, arguments.reference, arguments.false_alarms, arguments.cleared)
@@ -355,11 +374,11 @@ def _say_history(found: "History", sessions: int) -> None:
             newest = f"{last:+7.1f} sd" if len(one.sessions) > (chart.rules.reference or 0) else ""
             say(f"    {one.quantity:46s}{chart.mean:10.5g} {chart.sd:9.2g}{newest}")
             if chart.outlier is not None:
-                say(f"      note: {one.sessions[chart.outlier]} stands out of the reference; was it good?")
+                say(f"      note: {one.sessions[chart.outlier]} stands out from the reference; was it a good session?")
     if found.watched:
         say(f"  limits: {_limit(found.watched[0].chart.rules)}")
     for row in found.ledger:
-        lost = "" if row.lost is None else f", which took {100 * row.lost:.2g} % of the emission"
+        lost = "" if row.lost is None else f", which cost {100 * row.lost:.2g} % of the emission"
         say(f"  light on '{row.paint_name}': {row.dose_j:.3g} J in {row.sessions} sessions{lost}")
     share, each = 100 * found.false_alarm_share, 100 * found.false_alarm_share_each
     say(f"  false alarms: {share:g} % of good sessions in all, {each:.2g} % a chart")

@@ -27,8 +27,8 @@ each, and a page over all presses with an interval over presses, from three pres
 presses, one of each simulator, are ranked: 'finray compare MINE TABLE CAPTURES'.
 
 Another light angle, indenter, depth or position than the capture states is refused, and so are images that do not
-belong together (channel order, exposure, encoding, bit depth, black level). A camera that
-does not stand where the render has it is reported; --register moves the render accordingly.
+belong together (channel order, exposure, encoding, bit depth, black level). A camera that is not where the render has
+it is reported; --register moves the render accordingly.
 
 With --force, the force of a press by finite elements is compared with a measured one instead."""
 
@@ -79,7 +79,9 @@ def run(arguments: argparse.Namespace) -> None:
     if (arguments.pairs is None) == (not records):
         raise CompareError("give SIMULATED and CAPTURE, or --pairs CSV: one of the two")
     if len(records) == 1:
-        raise CompareError(f"{records[0]}: with what? Give CAPTURE too, a record or a folder as SIMULATED is")
+        raise CompareError(
+            f"{records[0]}: nothing to compare it with is given; add CAPTURE, a record or a folder as SIMULATED is"
+        )
     inside = [folder_at(path, CompareError) for path in records]
     folders = [folder is not None for folder in inside]
     if any(folders) and not all(folders):
@@ -88,7 +90,10 @@ def run(arguments: argparse.Namespace) -> None:
             "folders"
         )
     if len(records) > 2 and not any(folders):
-        raise CompareError(f"{records[2]}: one too many; give one record of a press and one of a capture, or folders")
+        raise CompareError(
+            f"{records[2]}: is a third record, and two are compared; give one record of a press and "
+            f"one of a capture, or folders"
+        )
     if records:
         records = [folder or path for folder, path in zip(inside, records, strict=True)]
         arguments.simulated, arguments.capture = records[:-1], records[-1]
@@ -105,7 +110,7 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
     from finray_calib.compare import CheckOptions, compare_checked
     from finray_calib.reports import comparison_lines, comparison_page
 
-    out = require_new(arguments.out or Path("photometric-error.json"))
+    out = require_new(arguments.out or Path("photometric-error.json"), ".json")
     page = new_page_beside(out)
     press = read_record(simulated, SimulatedPress)
     capture = read_record(arguments.capture, TactileCapture)
@@ -145,8 +150,8 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--other-mesh", type=Path, metavar="FILE",
-        help="with --force: the same press on another mesh; where they differ by more than the mesh of the 70 x 35 "
-        "finger is known to be off by, that is its uncertainty",
+        help="with --force: the same press on another mesh; the difference of the two is the uncertainty of the mesh "
+             "where it is larger than the error known for the mesh of the 70 x 35 finger",
     )  # fmt: skip
 
 
@@ -170,11 +175,7 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
     from finray_calib.force import compare_force
     from finray_calib.reports import force_figure_png, force_lines
 
-    out = require_new(arguments.out or Path(DEFAULT_OUT))
-    if out.suffix != ".json":
-        raise CompareError(
-            f"{out}: must be a record: choose an --out that ends in .json; the figure is written beside it"
-        )
+    out = require_new(arguments.out or Path(DEFAULT_OUT), ".json")
     picture = require_new(out.with_suffix(".png"))
     press = read_record(records[0], PressMechanics)
     other = None if arguments.other_mesh is None else read_record(arguments.other_mesh, PressMechanics)

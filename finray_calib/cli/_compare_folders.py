@@ -19,7 +19,14 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from data_schemas import CompareError, DiedError, FinrayError, RecordError
 from data_schemas.storage import Child, files_in, has_file, read_json, stopping_together
 from finray_calib.cli._output import Progress, give, look_at, progress_bar, say, warn, wrote
-from finray_calib.cli._run import command_line, distinct_file_names, input_digests, require_new, require_place
+from finray_calib.cli._run import (
+    command_line,
+    distinct_file_names,
+    input_digests,
+    naming,
+    require_new,
+    require_place,
+)
 
 if TYPE_CHECKING:
     from data_schemas import (
@@ -84,7 +91,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     succeeded = [pair for pair in compared if pair.skill is not None]
     simulators, unshared = rank_simulators(compared)
     if unshared:
-        notes.append(f"not in the ranking, as not every simulator has them: {', '.join(unshared)}")
+        notes.append(f"left out of the ranking, because not every simulator has them: {', '.join(unshared)}")
     batch = ComparisonBatch(
         pairs=tuple(compared),
         headline_region=DILATED if succeeded else None,
@@ -150,12 +157,15 @@ def _jobs(arguments: argparse.Namespace) -> tuple[list[_Job], list[str]]:
 
 def _of_table(path: Path) -> list[_Job]:
     """Return the pairs of a table."""
+    from data_schemas import CompareError
     from finray_calib.compare import pairs_of_rows
 
     above = path.parent
+    with naming(CompareError, path):
+        rows = pairs_of_rows(_rows(path))
     return [
         _Job(r.simulator, r.name, above / r.simulated, above / r.captured, Path(), r.press, r.session, r.sensor)
-        for r in pairs_of_rows(_rows(path))
+        for r in rows
     ]
 
 
@@ -488,8 +498,8 @@ def _stored_report(path: Path, origin: "Provenance") -> "PhotometricErrorReport"
     time = {"created_utc": origin.created_utc}
     if report.provenance is None or report.provenance.model_copy(update=time) != origin:
         raise RecordError(
-            f"{path}: is there already, of another command, version or other files; choose another --out or move it "
-            "away"
+            f"{path}: exists already, from another command, another version or other files; choose another --out or "
+            f"move it away"
         )
     return report
 

@@ -52,7 +52,9 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         help="record written by 'finray compare', once for each capture; best at several light angles",
     )  # fmt: skip
     parser.add_argument(
-        "--narrow-sweep", action="store_true", help="the sweep's angles span less than 4 deg and are not radians"
+        "--narrow-sweep",
+        action="store_true",
+        help="the sweep's angles span less than 4 deg and are meant in degrees, not in radians",
     )
     add_out(parser, "light-angle-decision.json")
     add_seed(parser)
@@ -77,7 +79,7 @@ def run(arguments: argparse.Namespace) -> None:
     from finray_calib.decide import decide
     from finray_calib.reports import decision_page, verdict_words
 
-    out = require_new(arguments.out or Path("light-angle-decision.json"))
+    out = require_new(arguments.out or Path("light-angle-decision.json"), ".json")
     page = new_page_beside(out)
     paths = [*arguments.sweeps, *arguments.reports]
     sweeps = [read_record(path, LightAngleSweep) for path in arguments.sweeps]

@@ -89,8 +89,8 @@ def _where_to_go_on(path: Path, settings: Mapping[str, Any]) -> Path:
 DOCTOR_HELP = "list what this machine lacks, each with the command that repairs it"
 DOCTOR_DESCRIPTION = """\
 Look at Python, processor, renderer, contact library, solver, compiler, memory, disk, caches and serial ports, each by
-using it in a process of its own, in at most 15 s. Every line is good; or a note: the demo runs without it, slower or
-with less; or bad: the demo does not run; with the command that mends it. Nothing is changed.
+using it in a process of its own, in at most 15 s. Every line is marked good, note (the demo runs without it, slower or
+with less) or bad (the demo does not run), and gives the command that mends it. Nothing is changed.
 
 The exit status is 0 when this machine can run the demo, else 1."""
 NAME_WIDTH, WIDTH = 14, 80
@@ -118,7 +118,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
         say("\nThis machine can run the demo.")
         go_on_with("finray demo")
         return 0
-    say("\nThis machine cannot run the demo before what is marked 'bad' is mended.")
+    say("\nThis machine cannot run the demo until what is marked 'bad' is mended.")
     return 1
 
 

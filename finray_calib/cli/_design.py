@@ -53,14 +53,14 @@ mould; curved fins are strips of 1 mm, 0.3 um from their curve."""
 PAINTS_HELP = "rank calibrated paints for a finger by the error of the sensed normal"
 PAINTS_DESCRIPTION = """\
 Rank every pair of paints, one on each wall, by the expected error of the normal that the finger would sense, before
-anything is moulded. The error is that of a map from colour to normal at places of the pad that have not taught it, with
-the noise of the camera ('held-out normal error' of 'finray simulate sweep --objectives all'), at the light angle of the
-design. The uncertainty of the emission comes from the posterior draws of each calibration; all pairs share paths, noise
-and draws, and the last column says which differences to the best pair are real, all pairs together at 95 %.
+anything is moulded. The error is that of a map from colour to normal at places of the pad that it was not taught at,
+with the noise of the camera ('held-out normal error' of 'finray simulate sweep --objectives all'), at the light angle
+of the design. The uncertainty of the emission comes from the posterior draws of each calibration; all pairs share
+paths, noise and draws, and the last column says which differences to the best pair are real, all pairs together at 95
+%.
 
-Light is traced once for all pairs; another pair costs a second. What the intervals do not know: the camera's response
-where it is assumed, the reflectance of the paints, and how far the simulation is from a real finger, which all pairs
-share."""
+Light is traced once for all pairs; another pair costs a second. The intervals leave out the camera's response where it
+is assumed, the reflectance of the paints, and how far the simulation is from a real finger, which all pairs share."""
 PAINTS_EPILOG = """\
 example:
   finray design paints flat-70x35 --paint a.paint.json --paint b.paint.json --paint c.paint.json"""
@@ -70,7 +70,8 @@ from a catalogue, with the rig's own laser, lamp and camera, and fit simulated p
 filters. The filter at the laser stays; --keep CENTRE keeps another one of the rig, such as one below the laser, which
 shows what the paint absorbs under the lamp.
 
-Of a paint (JSON, written by 'finray fit'): rank the filters by what each would take from the variance of its spectrum.
+Of a paint (JSON, written by 'finray fit'): rank the filters by how much of the variance of its spectrum each would
+remove.
 
 A catalogue is a CSV file with the columns centre_nm, width_nm and peak_transmission (0 to 1); without one, plain
 filters of 10, 25 and 40 nm every 10 nm from 450 to 720 nm are offered."""
@@ -199,11 +200,13 @@ def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter,
     from finray_calib.fit import next_filters
 
     if arguments.number is not None or arguments.keep:
-        raise FitError("--number, --keep: are for a rig (TOML); a paint (JSON) is asked for its one next filter")
+        raise FitError(
+            "--number, --keep: are for a rig (TOML); for a paint (JSON) the one next filter is ranked; leave them out"
+        )
     paint = read_record(arguments.source, PaintCalibration)
     ranked = next_filters(paint, catalogue)
     give(paint_name=paint.paint_name, next_filters=ranked)
-    say(f"the next filter of '{paint.paint_name}', by the share of the spectrum's variance that it would take away:")
+    say(f"the next filter of '{paint.paint_name}', by the share of the spectrum's variance that it would remove:")
     for one in ranked[:_SHOWN_NEXT]:
         say(f"  {one.filter.centre_nm:5g} nm, {one.filter.width_nm:g} nm wide  {one.reduction_rel:5.0%}")
 
@@ -285,7 +288,7 @@ def run_init(arguments: argparse.Namespace) -> None:
         known = ", ".join([*PRESETS, *SENSORS])
         raise SimulateError(f"there is no preset design '{name}'; there are {known}")
     text = sensor_toml(preset_sensor(name)) if name in SENSORS else design_toml(preset_design(name))
-    out = require_new(arguments.out or Path(f"{name}.toml"))
+    out = require_new(arguments.out or Path(f"{name}.toml"), ".toml")
     write_bytes(out, text.encode())
     wrote(out, "the design, to be edited")
     give(name=name)
@@ -402,7 +405,7 @@ def run_paints(arguments: argparse.Namespace) -> None:
 
     design, files, folder = given_design(arguments.design)
     paints = _calibrations(arguments.paint)
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.paint-choice.json"))
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.paint-choice.json"), ".json")
     camera = design.camera
     with naming(SimulateError, arguments.design):
         finger = BareFinger(

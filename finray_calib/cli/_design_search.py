@@ -34,26 +34,26 @@ if TYPE_CHECKING:
     )
     from sim.experiments import FingerEvaluator, LightMeasure, PaintDraws
 
-OPTIMISE_HELP = "search the numbers of a finger for what it is to be good in, within limits"
+OPTIMISE_HELP = "search the numbers of a finger, within limits, for the best design by your objectives"
 
 OPTIMISE_DESCRIPTION = """\
-Change the numbers of a finger within limits, and find the design that is best in what is asked for:
+Change the numbers of a finger within limits, and find the design that is best by the objectives that you name:
 
   normal-error       expected error of the sensed normal, over the pad
-  evenness           of the light on the coat without contact
-  brightness         of the coat without contact
-  softness           the finger gives way under the pad
-  bending-stiffness  against a force at the tip
-  twist-stiffness    against a turn of the tip
+  evenness           evenness of the light on the coat without contact
+  brightness         brightness of the coat without contact
+  softness           how far the finger gives way under the pad
+  bending-stiffness  stiffness against a force at the tip
+  twist-stiffness    stiffness against a turn of the tip
 
 A third of the evaluations screens the limits (Sobol' points); an emulator proposes the others one by one. The design of
 the best expected value is recommended, and compared with the start and with the best of the screen by other seeds and
-contact places, which the search has not seen. With several objectives (--and) the page shows the front: what can be had
-for what, and which differences are real. 1 % of one objective then counts as 1 % of another.
+contact places, which the search has not seen. With several objectives (--and) the page shows the front: the best
+compromises, and which differences between them are real. 1 % of one objective then counts as 1 % of another.
 
 Each evaluation is stored as soon as it is finished: the same command continues where it was interrupted. Writes into
-the folder: evaluations/, the recommended finger (TOML), optimum.json and optimum.html. Where panels' powers are varied,
-their sum stays that of the start."""
+the folder: evaluations/, the recommended finger (TOML), optimum.json and optimum.html. Where the powers of the panels
+are varied, their sum stays constant."""
 
 OPTIMISE_EPILOG = """\
 examples:
@@ -68,13 +68,13 @@ TOLERANCES_HELP = "how far light, camera, mirror, pad and paints may vary before
 
 TOLERANCES_DESCRIPTION = """\
 Find how far a finger may vary before the expected error of its sensed normals has grown by a tenth (--allowed): each
-number alone, by evaluating it, and all together, by an emulator of the error; and which numbers make most of the
-variance (Sobol' indices). The error is that which 'finray decide' decides on. Limits are evaluated once more with other
-paths, paint draws and noise.
+number alone, by evaluating it, and all together, by an emulator of the error; and which numbers contribute most to the
+variance (Sobol' indices). It is the same error that 'finray decide' decides on. Limits are evaluated once more with
+other paths, paint draws and noise.
 
 What varies: what a person mounts, casts or mixes (angle and place of the light, pose of the camera, bow of the mirror,
 thickness of the pad, yield of the paints), the emission of the paints by their calibrations, and every number of the
-design with an uncertainty_rel that light depends on. Half-ranges that nobody has given are assumed; the page says so.
+design with an uncertainty_rel that light depends on. Half-ranges that you do not give are assumed; the page says so.
 --vary FIELD=HALF_RANGE gives one in the field's own unit, --vary FIELD=0 leaves a number out. A place has its axis
 last.
 
@@ -94,7 +94,7 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "optimise", help=OPTIMISE_HELP, description=OPTIMISE_DESCRIPTION, epilog=OPTIMISE_EPILOG
     )
     search.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
-    search.add_argument("--for", dest="first", required=True, metavar="OBJECTIVE", help="what it is to be good in")
+    search.add_argument("--for", dest="first", required=True, metavar="OBJECTIVE", help="the first objective")
     search.add_argument(
         "--and", dest="further", action="append", default=[], metavar="OBJECTIVE", help="a further one (repeatable)"
     )
@@ -318,7 +318,7 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     from sim.experiments import FingerError, ToleranceSettings, study_tolerances, tolerance_inputs
 
     design, files, folder = given_design(arguments.design)
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"))
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"), ".json")
     page = new_page_beside(out)
     paint_paths = both_paint_files(arguments)
     paints = _paint_draws(paint_paths, arguments.paints_as_given)

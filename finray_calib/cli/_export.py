@@ -244,7 +244,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
     folder: Path = arguments.paint[1]
     out = require_new(arguments.out or Path(f"{folder.resolve().name.removesuffix('.zip')}.zip"))
     if out.suffix.lower() != ".zip":
-        raise RecordError(f"{out}: is to be a zip archive; choose an --out that ends in .zip")
+        raise RecordError(f"{out}: must be a zip archive; choose an --out that ends in .zip")
     container = capture_container(folder)
     write_zip(out, container.contents())
     simulated = f" and {container.presses} simulated presses" if container.presses else ""
@@ -361,12 +361,12 @@ input deck of a finite-element program.
 
 Formats that hold no uncertainty say so in their header.
 
-Decks (mm, N, MPa) hold mesh, materials, contact and push, and say in their header what is assumed. What CalculiX makes
-of one, 'finray simulate press DESIGN --engine calculix' reads back.
+Decks (mm, N, MPa) hold mesh, materials, contact and push, and say in their header what is assumed. 'finray simulate
+press DESIGN --engine calculix' runs CalculiX on such a deck and reads its results.
 
 Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, are rendered, and the folder written
-from which Taxim's programs render. It holds slope and place only: the command reports how well it explains
-unseen presses.
+from which Taxim's programs render. The folder describes colour by slope and place only: the command reports how well it
+explains unseen presses.
 
 A capture request tells a lab which captures of a finger to take: a page, and plans for 'finray capture'.
 
@@ -450,6 +450,9 @@ def run_export(arguments: argparse.Namespace) -> None:
         )
     paint = read_record(file, PaintCalibration)
     out = require_new(arguments.out or Path(file_name(paint.paint_name) + SUFFIXES[arguments.format]))
+    ending = Path(f"paint{SUFFIXES[arguments.format]}").suffix
+    if out.suffix.lower() != ending:
+        raise RecordError(f"{out}: a file of --format {arguments.format} must end in {ending}; choose another --out")
     options = ExportOptions(
         lights=tuple(read_light(path) for path in arguments.led or ()) or (assumed_led(),),
         response=(

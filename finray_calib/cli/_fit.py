@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"
 DESCRIPTION = """\
-Fit the emission spectrum of a paint to band signals. The spectrum rests on a prior learned from measured spectra,
-which averages over shapes. Beside it stand four families of curves, each with a Gaussian process for what a real paint
-does beyond its family, and the paper's skew-Cauchy alone; --family reports one of them instead. A sample without
-emission beyond reflected laser, leak and stray light gets a limit of its yield in place of a spectrum. Writes posterior
-draws, the spectrum with its 95 % bands (pointwise and of the whole curve), how much of each number is prior, how well
-each filter is explained, and how far the draws can be trusted."""
+Fit the emission spectrum of a paint to band signals. The spectrum rests on a prior learned from measured spectra, which
+averages over shapes. Four families of curves are fitted as well, each with a Gaussian process for how a real paint
+departs from its family, and so is the paper's skew-Cauchy alone; --family reports one of them instead. For a sample
+without emission beyond reflected laser, leak and stray light, the record holds an upper limit of its yield in place of
+a spectrum. Writes posterior draws, the spectrum with its 95 % bands (pointwise and of the whole curve), how much of
+each number comes from the prior, how well each filter is explained, and whether the draws can be trusted."""
 FAMILY_NAMES = ("auto", "log_normal_wavenumber", "zheng2014", "skew_t", "gaussian_mixture")
 
 
@@ -51,7 +51,9 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
         help=f"report this family of curves: {', '.join(FAMILY_NAMES[1:])} (default: the prior learned from measured "
         "spectra)",
     )
-    parser.add_argument("--no-discrepancy", action="store_true", help="take the paint to be exactly of the family")
+    parser.add_argument(
+        "--no-discrepancy", action="store_true", help="assume that the paint follows its family exactly"
+    )
     parser.add_argument("--check", action="store_true", help="sample again with emcee, as an independent check")
     parser.add_argument(
         "--other-light",
@@ -70,7 +72,7 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     )
     parser.add_argument("--report", type=Path, metavar="PAGE", help="also write a page (HTML) that explains the fit")
     parser.add_argument(
-        "--map", action="store_true", help="fit every pixel; BANDS are the pixel signals of the session"
+        "--map", action="store_true", help="fit every pixel; BANDS is then the record of pixel signals of the session"
     )
     parser.add_argument("--paint", type=Path, metavar="PAINT", help="with --map: the fit of the region")
     add_out(parser, "PAINT.paint.json, with --map PAINT.map.json")
@@ -91,9 +93,9 @@ def run(arguments: argparse.Namespace) -> None:
     sessions = [read_record(path, BandSignals) for path in arguments.bands]
     bands, scatter = _together(sessions, arguments.bands)
     others = [read_record(path, BandSignals) for path in arguments.other_light]
-    out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"))
+    out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.paint.json"), ".json")
     if arguments.report is not None:
-        require_new(arguments.report)
+        require_new(arguments.report, ".html")
     files = [*arguments.bands, *arguments.other_light]
     with progress_bar("fit"), naming(FitError, *files):
         paint = fit_paint(
@@ -232,7 +234,7 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
         value, digits = paint.parameters[name], 1 if unit else 3
         low, high = f"{value.low95:.{digits}f}", f"{value.high95:.{digits}f}"
         share = paint.prior_shares.get(name)
-        belief = ", MOSTLY PRIOR: hardly measured" if share is not None and share.mostly_prior else ""
+        belief = ", MOSTLY PRIOR: the bands hardly measure it" if share is not None and share.mostly_prior else ""
         say(f"  {label:26s} {value.estimate:.{digits}f} [{low}, {high}]{unit} (95 %{belief})")
     if paint.colour_match is not None:
         say(f"  {paint.colour_match.statement}")
@@ -294,7 +296,7 @@ def run_map(arguments: argparse.Namespace) -> None:
     place: Path = arguments.bands[0]
     pixels = read_record(place, PixelSignals)
     paint = read_record(arguments.paint, PaintCalibration)
-    out = require_new(arguments.out or Path(f"{file_name(pixels.paint_name)}.map.json"))
+    out = require_new(arguments.out or Path(f"{file_name(pixels.paint_name)}.map.json"), ".json")
     picture = require_new(out.with_suffix(".svg"))
     with progress_bar("fit every pixel"), naming(FitError, place, arguments.paint):
         fitted = map_paint(pixels, paint)

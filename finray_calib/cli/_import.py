@@ -83,13 +83,13 @@ def run_import(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import ProductSet, digest_as_read, write_record
 
     folder: Path = arguments.folder
-    out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"))
+    out = require_new(arguments.out or Path(f"{folder.resolve().name}.capture.json"), ".json")
     press_out = out.with_name(f"{out.name.removesuffix('.json').removesuffix('.capture')}.press.json")
     if arguments.predict_from is not None:
         if arguments.predict_from.resolve() == folder.resolve():
             raise ImportFormatError(
-                f"--predict-from {arguments.predict_from}: a sensor's own table predicts what it was made from; give "
-                "the folder of another sensor"
+                f"--predict-from {arguments.predict_from}: a sensor's own table was made from its own presses, so it "
+                f"cannot be tested on them; give the folder of another sensor"
             )
         require_new(press_out)
     capture, press = _READERS[arguments.format](arguments)
@@ -174,10 +174,10 @@ def import_bands(folder: Path, out: Path | None) -> None:
     from finray_calib.exchange import import_band_folder
 
     if out is not None:
-        require_new(out)
+        require_new(out, ".json")
     with naming(RadiometryError, folder):
         bands, digests = import_band_folder(folder)
-    out = require_new(out or Path(f"{file_name(bands.paint_name)}.bands.json"))
+    out = require_new(out or Path(f"{file_name(bands.paint_name)}.bands.json"), ".json")
     inputs = {(folder / name).as_posix(): digest for name, digest in digests.items()}
     write_record(bands, out, provenance(command_line(), inputs))
     usable = int(bands.usable().sum())
@@ -194,9 +194,9 @@ Import the ball presses of a Taxim calibration folder (dataPack.npz, params.json
 values of unknown encoding, with the labelled contact circle. Pickled parts (shadowTable.npz) are never
 loaded; what is left out is listed."""
 BALL_PRESSES = """\
-Import a folder of ball presses as tactile captures. It holds background.png (no contact) and either the
-catalog.csv of gs_sdk (a folder per press with gelsight.png and label.npz) or plain images with circles.csv
-(image,column_px,row_px,radius_px). Presses without a labelled circle are left out, and told."""
+Import a folder of ball presses as tactile captures. It holds background.png (no contact) and either the catalog.csv of
+gs_sdk (a folder per press with gelsight.png and label.npz) or plain images with circles.csv
+(image,column_px,row_px,radius_px). Presses without a labelled circle are left out, and named."""
 
 
 def add_ball_press_formats(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -305,7 +305,7 @@ def run_render(arguments: argparse.Namespace) -> None:
     captures, read = _captures(arguments.capture, name)
     presses = read_renders(folder, captures)
     one = name in presses and not (folder / name).is_dir()
-    out = require_new(arguments.out or Path(f"{name}.press.json" if one else f"{name}.presses"))
+    out = require_new(arguments.out or Path(f"{name}.press.json" if one else f"{name}.presses"), ".json" if one else "")
     files = sorted(p for p in folder.rglob("*") if digest_as_read(p) is not None)
     origin = provenance(command_line(), input_digests([*files, *read]))
     with ProductSet(out) as products:
@@ -367,7 +367,7 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
     from sim.mechanics.other_engines import pressed_by_abaqus, read_fil
 
     design = read_design(arguments.design)
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.surfaces.json"))
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.surfaces.json"), ".json")
     stem = out.name.removesuffix(".json").removesuffix(".surfaces")
     forces_out = require_new(out.with_name(f"{stem}.mechanics.json"))
     fields = read_fil(arguments.results)
@@ -390,11 +390,11 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
 
 
 DESCRIPTION = """\
-Import a folder of presses of another lab as tactile captures. A recipe, a short TOML file, says which files
-are the presses, where the image without contact is, which columns hold the contact, the scale and the ball:
-one that comes with finray, by its name (--list shows them), or a file of your own. Videos give contact, no
-contact and its repeat; contact circles that nobody drew are searched for. OUT gets a capture of each press,
-a picture of all contacts to check (contacts.png), and circles.csv: correct it and give it with --circles.
+Import a folder of presses of another lab as tactile captures. A recipe, a short TOML file, says which files are the
+presses, where the image without contact is, which columns hold the contact, the scale and the ball: one that comes with
+finray, by its name (--list shows them), or a file of your own. Videos give contact, no contact and its repeat; contact
+circles that are not drawn are searched for. OUT gets a capture of each press, a picture of all contacts to check
+(contacts.png), and circles.csv: correct it and give it with --circles.
 
 With --predict-from N, presses spread over the set teach a table, and each of the others gets beside its
 capture what the table predicts of it: 'finray compare OUT OUT' then scores these as a yardstick for
@@ -413,8 +413,8 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
     parser.add_argument("--list", action="store_true", help="list the recipes that come with finray, and stop")
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",
-        help="contact circles in the place of what the recipe says: image (name of the press), column_px, row_px, "
-        "radius_px",
+        help="contact circles that replace those of the recipe (CSV): image (name of the press), column_px, row_px, "
+             "radius_px",
     )  # fmt: skip
     parser.add_argument("--ball-diameter-mm", type=float, metavar="D", help="in the place of the recipe's")
     parser.add_argument("--mm-per-px", type=float, metavar="S", help="in the place of the recipe's; not px per mm")
@@ -531,7 +531,7 @@ def _predicted(
         if contact_sha256(capture) not in table.taught_by_sha256:
             yield name, predict_press(table, capture), taught
         elif capture.name not in table.taught_by:
-            warn(f"{name}: is the same image as a press that taught the table, and is not predicted")
+            warn(f"{name}: has the same image as a press that taught the table, and is not predicted")
 
 
 def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int) -> None:
@@ -551,7 +551,7 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
     for why, names in left_out.items():
         say(f"  left out: {', '.join(names)}: {why}")
     if predicted:
-        say(f"  {predicted} presses are predicted by a table that others taught")
+        say(f"  {predicted} presses are predicted by a table that other presses taught")
         go_on_with("finray compare", out, out)
     if first.contact_told_by == "search":
         correct = (

@@ -42,7 +42,7 @@ def add_radiometry(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]")
     parser.add_argument(
         "--accept-repeat",
         action="store_true",
-        help="take a filter and its own repeat that disagree for one fading sample",
+        help="where a filter and its repeat disagree, take the difference for fading of the sample",
     )
     parser.add_argument("--whole-frame", action="store_true", help="with --pixels: every pixel of the frame")
     parser.add_argument("--report", type=Path, metavar="PAGE", help="of a camera session: also write its page (HTML)")
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> None:
     from rigs.capture import session_kind
 
     if arguments.whole_frame and not arguments.pixels:
-        raise RadiometryError("--whole-frame: says how far the map of --pixels reaches; give --pixels too")
+        raise RadiometryError("--whole-frame: extends the map of --pixels to the whole frame; give --pixels too")
     if session_kind(arguments.session) == "paint":
         if arguments.report is not None:
             raise RadiometryError(f"{arguments.session}: is a paint session; --report is for camera sessions")
@@ -95,7 +95,7 @@ def reduce_paint(
     session = read_session(folder)
     if camera is not None:
         session = with_camera(session, read_record(camera, CameraCharacterisation))
-    out = require_new(out or Path(f"{file_name(session.plan.paint_name)}.bands.json"))
+    out = require_new(out or Path(f"{file_name(session.plan.paint_name)}.bands.json"), ".json")
     stem = out.name.removesuffix(".json").removesuffix(".bands")
     map_out = require_new(out.with_name(f"{stem}.pixels.json")) if pixels else None
     inputs = [folder / SESSION_NAME, *([] if camera is None else [camera])]
@@ -147,8 +147,8 @@ def characterise(folder: Path, out: Path | None, page: Path | None = None) -> No
     from rigs.capture import SESSION_NAME, read_camera_session, read_frame_of
 
     session = read_camera_session(folder)
-    out = require_new(out or Path(f"{file_name(session.plan.camera_name)}.camera.json"))
-    page = None if page is None else require_new(page)
+    out = require_new(out or Path(f"{file_name(session.plan.camera_name)}.camera.json"), ".json")
+    page = None if page is None else require_new(page, ".html")
     if page is not None and page.absolute() == out.absolute():
         raise RadiometryError(f"{page}: --out and --report are one file; give the page a name that ends in .html")
     with progress_bar("radiometry"), naming(RadiometryError, folder):

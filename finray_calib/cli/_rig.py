@@ -69,7 +69,7 @@ def run_init(arguments: argparse.Namespace) -> None:
     """Write a rig file."""
     from rigs import paper_rig, simulated_rig, to_fill_in, write_rig
 
-    out = require_new(arguments.out or Path("rig.toml"))
+    out = require_new(arguments.out or Path("rig.toml"), ".toml")
     if (paint := PRACTICE_PAINTS.get(arguments.preset)) is not None:
         wrote(write_rig(simulated_rig(paint), out), "rig file")
         say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; the true spectrum")
@@ -196,7 +196,7 @@ LIVE_DESCRIPTION = """\
 Open a rig and show what its camera sees in the browser of this computer: focus of a region that you draw, exposure and
 saturation, histogram, and a key that switches the lamp off. Lamp and filter wheel follow the page. The laser stays off.
 The address that is printed holds a token and is answered on 127.0.0.1 only: give it to nobody. Ctrl-C ends it, with the
-lights off. While it runs, the rig is taken: no session can be captured on it.
+lights off. While it runs, no session can be captured on this rig.
 
 With --terminal the same is shown in this terminal, of 80 x 24 or more; ? shows its keys.
 
@@ -275,7 +275,9 @@ def _live_in_terminal(rig: "RigFile", folder: Path) -> None:
 
     require_terminal()
     if not is_for_a_terminal():
-        raise CaptureError("live --terminal: shows a picture, so that --json and --quiet cannot be; leave them out")
+        raise CaptureError(
+            "live --terminal: draws a picture in the terminal, so it takes neither --json nor --quiet; leave them out"
+        )
     operator = TerminalViewOperator()
     with ended_by_signals(), rig_locked(rig), open_rig(rig, folder, operator) as opened:
         live = LiveRig(opened, rig)
@@ -293,7 +295,10 @@ def _run_session(arguments: argparse.Namespace) -> None:
     if arguments.terminal:
         require_terminal()
         if not is_for_a_terminal():
-            raise CaptureError("live --terminal: shows a picture, so that --json and --quiet cannot be; leave them out")
+            raise CaptureError(
+                "live --terminal: draws a picture in the terminal, so it takes neither --json nor "
+                "--quiet; leave them out"
+            )
 
     @contextmanager
     def attend(
@@ -372,4 +377,6 @@ def _require_unseen(file: Path, out: Path) -> None:
             pass
     except (FinrayError, OSError, ValueError, OverflowError):
         return
-    raise CaptureError(f"{out}: its session is shown already, at {url}; open that address, or end that session first")
+    raise CaptureError(
+        f"{out}: the view of its session is open already, at {url}; open that address, or end that session first"
+    )

@@ -118,7 +118,7 @@ def add_paints_as_given(parser: argparse._ActionsContainer) -> None:
     """Add the option that accepts paints which :func:`sim.experiments.require_paints_in_order` takes to be swapped."""
     parser.add_argument(
         "--paints-as-given", action="store_true",
-        help="the paint of the red wall emits at shorter wavelengths than that of the green one, and is meant so",
+        help="the paint of the red wall emits at shorter wavelengths than that of the green one, and this is intended",
     )  # fmt: skip
 
 
@@ -177,14 +177,32 @@ def distinct_file_names(names: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def require_new(path: Path) -> Path:
-    """Return `path` if nothing is there yet, found before any work is done; what dead writers left there is removed."""
+ENDINGS = {
+    ".json": "must be a record: choose an --out that ends in .json",
+    ".toml": "must be a TOML file: choose an --out that ends in .toml",
+    ".html": "must be a page: choose a --report that ends in .html",
+}
+"""Ending of a name -> what is wrong with a name that has another one, and what to do."""
+
+
+def require_new(path: Path, ending: str = "") -> Path:
+    """Return `path` if nothing is there yet and its name ends so, found before any work is done.
+
+    What dead writers left there is removed.
+    """
     from data_schemas.storage import clear_leftovers
 
     clear_leftovers(path.parent)
     if path.exists():
         raise RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
-    return require_place(path)
+    return require_place(require_ending(path, ending) if ending else path)
+
+
+def require_ending(path: Path, ending: str) -> Path:
+    """Return `path` if its name ends as that of its kind of file: .json, .toml or .html."""
+    if path.suffix.lower() != ending:
+        raise RecordError(f"{path}: {ENDINGS[ending]}")
+    return path
 
 
 def require_new_session(path: Path) -> Path:
@@ -196,10 +214,6 @@ def require_new_session(path: Path) -> Path:
 
 def new_page_beside(record: Path) -> Path:
     """Return the name of the page beside a record, FILE.html for FILE.json, if nothing is there yet."""
-    if record.suffix == ".html":
-        raise RecordError(
-            f"{record}: must be a record: choose an --out that ends in .json; the page is written beside it"
-        )
     return require_new(record.with_suffix(".html"))
 
 

@@ -84,7 +84,7 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     from finray_calib.exchange import calibration_yaml, read_board_picture
     from finray_calib.sensing import Declared, find_board, pixel_scale, require_plausible
 
-    out = require_new(arguments.out or Path("pixel-scale.json"))
+    out = require_new(arguments.out or Path("pixel-scale.json"), ".json")
     lens_file = require_new(out.with_suffix(".lens.yaml"))
     board, pad, others = board_pictures(arguments)
     require_plausible(board)
@@ -93,7 +93,9 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     pictures = {str(path): read_board_picture(path, arguments.monochrome) for path in files}
     sizes = {picture.shape for picture in pictures.values()}
     if len(sizes) > 1:
-        raise CompareError(f"the pictures have several sizes (rows x columns): {sorted(sizes)}; one camera has one")
+        raise CompareError(
+            f"the pictures differ in size (rows x columns): {sorted(sizes)}; give pictures of one camera at one size"
+        )
     views = [find_board(pictures[str(pad)], board, str(pad))]
     for path in others:
         try:
@@ -144,7 +146,10 @@ def board_pictures(arguments: argparse.Namespace) -> "tuple[CharucoBoard, Path, 
     files: list[Path] = arguments.lens
     if len(files) == 1 and files[0].is_dir():
         if any(value is not None for value in (arguments.pad, arguments.plan, arguments.squares)):
-            raise CompareError(f"{files[0]}: a session holds its pictures and its board; leave the other options out")
+            raise CompareError(
+                f"{files[0]}: is a session, which holds its own pictures and board; leave the other "
+                f"files and options out"
+            )
         return _session_pictures(files[0])
     if arguments.pad is None:
         raise CompareError("--pad: missing; give the picture of the board where the coat of the pad is")
@@ -188,7 +193,7 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
             chosen.append(folder / frame.file)
         elif place == 1:
             raise CompareError(
-                f"{folder}: holds no picture of the board's first place, on the pad (was the session interrupted?): "
+                f"{folder}: holds no picture of the board on the pad (was the session interrupted?): "
                 "capture it again, or give the pictures by name, and with --pad that of the board on the pad"
             )
     return board, chosen[0], chosen[1:]
@@ -212,8 +217,8 @@ def _board(arguments: argparse.Namespace) -> "CharucoBoard":
     missing = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is None]
     if missing:
         raise CompareError(
-            f"{', '.join(missing)}: missing, without the size of the printed squares no length is known; give them "
-            "(mm), or --plan with a [board] table"
+            f"{', '.join(missing)}: missing; without the size of the printed squares no length can be measured: give "
+            f"them (mm), or --plan with a [board] table"
         )
     along, separator, across = given["squares"].partition("x")
     if not separator or not along.isdigit() or not across.isdigit():
@@ -239,8 +244,8 @@ def tolerances(arguments: argparse.Namespace, square_mm: float) -> tuple[float, 
     behind_mm, behind_u_mm = float(arguments.coat_behind_mm), float(arguments.coat_behind_u_mm)
     if u_mm is None:
         raise CompareError(
-            "--square-u-mm: missing; measure all squares of a row with a calliper: its standard uncertainty (for "
-            "'within 0.05 mm' 0.05 / sqrt(3)) over the number of squares is that of one"
+            "--square-u-mm: missing; measure all squares of a row at once with a calliper, and divide its standard "
+            "uncertainty (for 'within 0.05 mm' it is 0.05 / sqrt(3)) by the number of squares"
         )
     if not 0.0 <= u_mm <= 0.1 * square_mm:
         raise CompareError(
@@ -288,7 +293,7 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import read_record, write_record
     from finray_calib.sensing import normal_map_record, require_ball_press
 
-    out = require_new(arguments.out or Path("normal-map.json"))
+    out = require_new(arguments.out or Path("normal-map.json"), ".json")
     files = _files(arguments.captures)
     captures = _circled([read_record(path, TactileCapture) for path in files], files, arguments.circles)
     captures = _scaled(captures, arguments.scale)
@@ -371,9 +376,9 @@ def _files(places: list[Path]) -> list[Path]:
 
 RUN_HELP = "sense a press: depth, normals and contact, with uncertainty, a picture and a mesh"
 RUN_DESCRIPTION = """\
-Sense depth, normals and contact of a capture by a map that 'finray sense teach' wrote. Writes the record, and
-beside it a picture (FILE.png) and the surface of the gel as a mesh (FILE.stl, mm). The uncertainty is that of
-presses that did not teach the map. The command warns when a press did, because its result then proves nothing."""
+Sense depth, normals and contact of a capture by a map that 'finray sense teach' wrote. Writes the record, and beside it
+a picture (FILE.png) and the surface of the gel as a mesh (FILE.stl, mm). The uncertainty is that of presses that did
+not teach the map. The command warns when this press did, because its result then proves nothing."""
 
 
 def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -383,7 +388,7 @@ def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="tactile capture of another press")
     parser.add_argument(
         "--contact-depth-mm", type=float, metavar="MM",
-        help="from which depth on a pixel counts as touched (default: a tenth of the largest, at least 3 u)",
+        help="least depth at which a pixel counts as touched (default: a tenth of the largest depth, at least 3 u)",
     )  # fmt: skip
     add_out(parser, "CAPTURE.sensed.json")
     parser.set_defaults(run=run_sense)
@@ -399,7 +404,7 @@ def run_sense(arguments: argparse.Namespace) -> None:
 
     place: Path = arguments.capture
     name = place.name.removesuffix(".json").removesuffix(".capture")
-    out = require_new(arguments.out or Path(f"{file_name(name)}.sensed.json"))
+    out = require_new(arguments.out or Path(f"{file_name(name)}.sensed.json"), ".json")
     picture, mesh = require_new(out.with_suffix(".png")), require_new(out.with_suffix(".stl"))
     normal_map, capture = read_record(arguments.map, NormalMapRecord), read_record(place, TactileCapture)
     with naming(CompareError, arguments.map, place):
@@ -427,4 +432,4 @@ def _tell_sensed(sensed: "SensedPress") -> None:
     for note in sensed.notes:
         say(f"  note: {note}")
     if sensed.is_of_teaching:
-        warn(f"{sensed.name} taught the map '{sensed.normal_map}': what is sensed of it proves nothing")
+        warn(f"{sensed.name} taught the map '{sensed.normal_map}': its result proves nothing about other presses")

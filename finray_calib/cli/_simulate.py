@@ -24,6 +24,7 @@ from finray_calib.cli._run import (
     input_digests,
     naming,
     paint_files,
+    require_ending,
     require_new,
     working_engine,
 )
@@ -49,7 +50,7 @@ NOTHING_KEPT = "Nothing is stored before its end: the same command begins again"
 RENDER_HELP = "render a painted finger or a classic sensor without and with contact, as its camera sees it"
 RENDER_DESCRIPTION = """\
 Render the contact and no-contact image of a finger with calibrated paints. Of a DESIGN the indenter is pressed in by a
-formula; of SURFACES, which 'finray simulate press' wrote, the finger is as deformed as they say.
+formula; of SURFACES, which 'finray simulate press' wrote, the finger has the deformed shape that they hold.
 
 Levels: b (default) the walls re-emit the blue light that reaches them; a the paper's emitter, textured by the
 distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only); c the
@@ -97,7 +98,7 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )  # fmt: skip
     parser.add_argument(
         "--denoise", action="store_true",
-        help="--images with denoised pictures too, for the eye only; needs pip install 'finray-calib[denoise]'",
+        help="--images, and denoised pictures to look at, not to measure in; needs pip install 'finray-calib[denoise]'",
     )  # fmt: skip
     parser.add_argument(
         "--pose-response", action="store_true",
@@ -124,11 +125,13 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--positions", type=_positions, metavar="FIRST:LAST:STEP or MM,MM,...",
         help="sweep with the indenter at each of these places along the pad (mm from the base), e.g. 8:64:4, so that "
-        "the light is decided on for the finger; places that are swept already are not swept again",
+        "the light is decided on for the finger; places that were swept before are not swept again",
     )  # fmt: skip
     _add_scene(parser)
     parser.add_argument(
-        "--narrow-sweep", action="store_true", help="the angles span less than 4 deg and are not radians"
+        "--narrow-sweep",
+        action="store_true",
+        help="the angles span less than 4 deg and are meant in degrees, not in radians",
     )
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
@@ -257,7 +260,7 @@ def run_render(arguments: argparse.Namespace) -> None:
         _render_sensor(arguments)
         return
     out = arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json")
-    out, with_images = require_new(out), arguments.images or arguments.denoise
+    out, with_images = require_new(out, ".json"), arguments.images or arguments.denoise
     folder, capture = _image_paths(out) if with_images else (out, out)
     if arguments.denoise:
         require_denoiser()
@@ -305,7 +308,7 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     given = [name for name, is_given in of_fingers.items() if is_given]
     if given:
         raise SimulateError(f"{arguments.design}: is a classic sensor; {', '.join(given)} belongs to a painted finger")
-    out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json"))
+    out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json"), ".json")
     folder = _image_paths(out)[0] if arguments.images else None
     press = render_sensor(
         arguments.design, seed=arguments.seed, samples=arguments.samples, engine=working_engine(arguments.engine)
@@ -344,14 +347,14 @@ def run_sweep(arguments: argparse.Namespace) -> None:
         raise SimulateError(f"--angles: {narrow_sweep_text(arguments.angles)}")
     out = arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.sweep.json")
     if arguments.positions is None:
-        _sweep(arguments, require_new(out), None, "simulate")
+        _sweep(arguments, require_new(out, ".json"), None, "simulate")
         return
     if arguments.surfaces is not None:
         raise SimulateError(
             "--positions are places of a press by a formula, and --surfaces are of one place: sweep each with its own "
             "--surfaces and --out, and give all of them to 'finray decide'"
         )
-    _sweep_places(arguments, out)
+    _sweep_places(arguments, require_ending(out, ".json"))
 
 
 def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, title: str) -> None:
@@ -398,7 +401,7 @@ def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
     for number, (place, path) in enumerate(todo.items(), start=1):
         _sweep(arguments, path, place, f"simulate, place {number} of {len(todo)}")
     for path in kept:
-        say(f"{path}: is there already, from the same inputs")
+        say(f"{path}: exists already, made from the same inputs")
     go_on_with("finray decide", *outs.values())
 
 
@@ -490,16 +493,17 @@ def _views(press: "SimulatedPress", samples: int, denoise: bool) -> "dict[str, N
 RECOLOUR_HELP = "show a rendered press with other paints, camera or white balance"
 RECOLOUR_DESCRIPTION = """\
 Recompute the images of a press that 'finray simulate render' has made, for paints of another yield, absorption at the
-LED or emission shape, for another camera, or with another white balance. Nothing is rendered: the light of each chain
-of fluorescence was kept apart. Refused where a new render is needed: after a change of a paint's reflectance by more
-than 0.01 in a band, of a band's place by more than 10 nm, or when paint excites paint three times as much."""
+LED or emission shape, for another camera, or with another white balance. Nothing is rendered: the press stores the
+light of each chain of fluorescence separately. The command refuses what needs a new render: after a change of a paint's
+reflectance by more than 0.01 in a band, of a band's place by more than 10 nm, or when the light that one paint excites
+in another grows three times."""
 
 
 def add_recolour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
     parser = verbs.add_parser("recolour", help=RECOLOUR_HELP, description=RECOLOUR_DESCRIPTION)
     parser.add_argument("press", type=Path, metavar="PRESS", help="rendered press (JSON)")
-    add_paint(parser, "paint calibrations of both walls (an unchanged one again)")
+    add_paint(parser, "paint calibrations of both walls (give an unchanged one again)")
     parser.add_argument("--camera", type=Path, metavar="FILE", help="camera response (CSV)")
     parser.add_argument(
         "--white-balance", type=_white_balance, metavar="R:G:B",
@@ -532,8 +536,8 @@ def run_recolour(arguments: argparse.Namespace) -> None:
 
     files = paint_files(arguments, without="the press's own paints")
     if not files and arguments.camera is None and arguments.white_balance is None:
-        raise SimulateError("nothing is to change: give --paint for both walls, --camera or --white-balance")
-    out = require_new(arguments.out or arguments.press.with_name(f"{arguments.press.stem}-recoloured.json"))
+        raise SimulateError("no change is asked for: give --paint for both walls, --camera or --white-balance")
+    out = require_new(arguments.out or arguments.press.with_name(f"{arguments.press.stem}-recoloured.json"), ".json")
     press = read_record(arguments.press, SimulatedPress)
     paints = {colour: paint_optics(read_record(path, PaintCalibration)) for colour, path in files.items()}
     response = None if arguments.camera is None else read_camera_response(arguments.camera)

@@ -19,6 +19,7 @@ from finray_calib.cli._run import (
     increment_count,
     input_digests,
     naming,
+    require_ending,
     require_new,
 )
 
@@ -76,7 +77,7 @@ def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False
     So must be the folder of the increments, but for a press that goes on from an increment in it, or that the same
     command has begun.
     """
-    stem = _stem(out)
+    stem = _stem(require_ending(out, ".json"))
     endings = {
         "mechanics": ".mechanics.json",
         "surfaces": ".surfaces.json",
@@ -92,7 +93,7 @@ def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False
     if resume is None or resume.parent.absolute() != increments.absolute():
         require_new(increments)
     elif any(_number(stored) > _number(resume) for stored in increments.glob("*.json")):
-        raise RecordError(f"{resume}: later increments stand beside it; give another --out to leave them as they are")
+        raise RecordError(f"{resume}: later increments are stored beside it; give another --out so that they are kept")
     return {**files, "increments": increments}
 
 
@@ -333,7 +334,7 @@ def _store(
     _tell(mechanics, files)
     if pressed.crossing:
         remedy = "press with --contact barrier, or less" if pressed.motion is None else "give a path that pushes less"
-        warn(f"warning: {pressed.crossing}; what it gives there is no finger's: {remedy}")
+        warn(f"warning: {pressed.crossing}; its results from there on are not physical: {remedy}")
     if mechanics.motion is None:
         tell_few_nodes(pressed, mechanics)
     if mechanics.unreached:
@@ -410,7 +411,7 @@ PRESS_HELP = "press the indenter into a finger by finite elements"
 PRESS_DESCRIPTION = """\
 Press the indenter of the design into the finger by finite elements, as finely as the design's [mesh] table says. Stored
 are force over push (NAME.mechanics.json), the deformed finger (NAME.surfaces.json, for 'finray simulate render'), its
-mesh (.vtu) and a picture, and each increment on the way, after which an interrupted press goes on."""
+mesh (.vtu) and a picture, and each increment on the way, from which an interrupted press continues."""
 
 
 def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -551,7 +552,8 @@ def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> Non
     if force_n <= 0.0:
         raise SimulateError(
             f"at a push of {push_mm:.4g} mm the indenter touches no node of the coat, whose elements are {step_mm:g} "
-            f"mm wide: the force of {force_n:.3g} N is the mesh's, not the finger's; {remedy}. What was computed is "
+            f"mm wide: the force of {force_n:.3g} N comes from the mesh, not from the finger; {remedy}. What was "
+            f"computed is "
             "stored"
         )
     short = chord_shortfall_rel(mechanics.design, mechanics.preset, push_mm)

@@ -197,6 +197,8 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     points = study_points(plan, path)
     paints, files = _paints(arguments) if plan.measure.images else (StudyPaints({}, {}), [])
     out = require_place(arguments.out or Path(file_name(plan.name)))
+    if out.exists() and any(out.iterdir()) and not any((out / name).is_dir() for name in ("points", "presses")):
+        raise SimulateError(f"{out}: holds something else than a design study; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
     clear_leftovers(out)
     origin = provenance(command_line(), input_digests([path, *files]), plan.seed)

@@ -86,7 +86,7 @@ def teach_table(captures: Sequence[TactileCapture]) -> PressTable:
         There is none, one does not tell where its contact is, or images differ in size.
     """
     if not captures:
-        raise CompareError("a table needs at least one press that teaches it")
+        raise CompareError("a table needs at least one press to learn from")
     distances = [_distance(capture) for capture in captures]
     shape = distances[0].shape
     width_px = float(np.mean([_half_width_px(d) for d in distances]))
@@ -120,8 +120,8 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
     """
     if contact_sha256(capture) in table.taught_by_sha256:
         raise CompareError(
-            f"{capture.name}: its contact image taught the table ({', '.join(table.taught_by)}), so that what it "
-            "predicts of it proves nothing"
+            f"{capture.name}: its contact image taught the table ({', '.join(table.taught_by)}), so its prediction "
+            f"for this press proves nothing"
         )
     distance = _distance(capture)
     if distance.shape != table.shape_px:
@@ -276,8 +276,9 @@ def pairs_of_rows(rows: Sequence[Mapping[str, str | None]]) -> list[PairRow]:
         told = {column: (cell or "").strip() for column, cell in row.items()}
         simulated, captured = told.get("simulated", ""), told.get("captured", "")
         if not simulated or not captured:
+            words = ", ".join(f"{column} = {cell}" for column, cell in told.items()) or "no cell"
             raise CompareError(
-                f"row {number}: needs a file in each of the columns simulated, captured; got {dict(row)}"
+                f"row {number}: needs a file in each of the columns simulated and captured; the row has {words}"
             )
         name = told.get("name") or pair_name(captured.replace("\\", "/").rsplit("/", 1)[-1])
         simulator, press = told.get("simulator", ""), told.get("press", "")
@@ -375,7 +376,7 @@ def _interval_of_left_over(units: _Units, left: float) -> tuple[float | None, fl
         method = "jackknife of log(1 - skill) with Student's t"
         return 1.0 - left * float(np.exp(half)), 1.0 - left * float(np.exp(-half)), method
     half = t * _jackknife_u(without)
-    method = "jackknife of the skill with Student's t, as the noise that was taken out leaves some no error"
+    method = "jackknife of the skill with Student's t, because noise removal leaves some presses without error"
     return 1.0 - left - half, min(1.0 - left + half, max(1.0, 1.0 - left)), method
 
 
@@ -528,8 +529,8 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
             )
         elif half > _NARROW:
             told.append(
-                f"presses as the worst ones are, to learn what makes them worse: the interval of {best.units} "
-                f"{_MANY[best.unit]} is {half:.2g} to either side, and numbers alone would hardly narrow it"
+                f"presses similar to the worst ones, to learn what makes them worse: the interval of {best.units} "
+                f"{_MANY[best.unit]} is {half:.2g} to either side, and more presses alone would hardly narrow it"
             )
     told += [f"{what}: {why}" for is_missing, what, why in _lacking(scored) if is_missing]
     return tuple(told)

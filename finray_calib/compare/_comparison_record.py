@@ -56,10 +56,10 @@ from finray_calib.compare._tone_curve import drift_record, encoded_layers, tone_
 from finray_calib.sensing import full_scale_dn, patch_scale, rgb_image, scale_finding, with_measured_scale
 
 #: How the finding begins that says that the camera stands where the render has it.
-NO_DRIFT = "no drift of the camera to speak of"
+NO_DRIFT = "no drift of the camera that matters"
 _ONE_PICTURE = (
     "a drift of the camera cannot be measured: the prediction begins from the capture's own image without contact, "
-    "so that both agree whatever the camera did"
+    "so both agree wherever the camera was"
 )
 _WHAT_TO_DO = (
     "Check that the render has the camera, the design and the light angle of the capture, or calibrate the camera with "
@@ -167,7 +167,7 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
     if not found.significant:
         return press, [f"{NO_DRIFT}, by the images with {state}: {found}"]
     if not registered:
-        return press, [f"the camera has drifted, by the images with {state}: {found}; --register moves the render"]
+        return press, [f"the camera has drifted, as the images with {state} show: {found}; --register moves the render"]
     return move_press(press, found.to_render), [f"the render was moved, by the images with {state}: {found}"]
 
 
@@ -263,8 +263,9 @@ def _report(
 
 
 OWN_NOISE: Final = (
-    "render: the capture holds the very noise of this render, so it was made from it; the noise is not taken out, for "
-    "the score would exceed 1, and a score of 1 shows that the comparison works, not that the simulation is right: "
+    "render: the capture has the same noise as this render, so it was made from it; the noise is not taken out, "
+    "because the score would exceed 1, and a score of 1 shows that the comparison works, not that the simulation is "
+    "right: "
     "compare with a capture, or with one made from a render of another seed"
 )
 ENCODED: Final = "encoded values, encoding unknown"
@@ -370,10 +371,10 @@ COVERS_INPUTS = (
 )
 _PARTS: Final = (
     "how much a number depends on which pixels of this press are evaluated (square tiles of the region, drawn with "
-    "replacement), and are no 95 % intervals"
+    "replacement), and they are not 95 % intervals"
 )
 _NOT_PRESSES: Final = (
-    "They say nothing of another press, which usually differs by several times as much; compare folders of three "
+    "They say nothing about another press, which usually differs by several times as much; compare folders of three "
     "presses or more for an interval over presses"
 )
 COVERS_PARTS = f"{_PARTS}; no input of this image has a known uncertainty. {_NOT_PRESSES}"

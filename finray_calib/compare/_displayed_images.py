@@ -195,7 +195,7 @@ def flip_mean(
         import flip_evaluator
     except ImportError:
         raise MissingExtraError(
-            "FLIP needs the package flip-evaluator: pip install 'finray-calib[flip]', or do without this row"
+            "FLIP needs the package flip-evaluator: pip install 'finray-calib[flip]', or leave this row out"
         ) from None
     near = _around(used, int(np.ceil(_FLIP_REACH_DEG * pixels_per_deg)))
     reference_srgb, test_srgb, used = reference_srgb[near], test_srgb[near], used[near]

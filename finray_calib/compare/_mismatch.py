@@ -214,14 +214,14 @@ def _gain_findings(nuisances: Nuisances, repeat: Floats | None, capture: Tactile
     listed = ", ".join(f"{g:.3f} +- {u:.3f}" for g, u in zip(np.exp(gain.log_gain), gain.u, strict=True))
     text = (
         f"far from the contact (beyond {FAR:g} half-widths) the contact image of {capture.name} is {factor:.3f} times "
-        f"as bright as its no-contact image in {_CHANNELS[channel]}, after what the render expects (red, green, blue: "
-        f"{listed}): "
+        f"as bright as its no-contact image in {_CHANNELS[channel]}, beyond what the render expects (red, green, "
+        f"blue: {listed}): "
     )
     stops = float(np.log2(factor))
     if abs(stops - round(stops)) < 0.05 and abs(round(stops)) >= 2:
         text += f"that is 2 to the power {round(stops)}, as between images of different bit depth; "
     if nuisances.is_corrected:
-        text += "it was taken out of both sides, each by its own; "
+        text += "each side was divided by its own gain; "
     elif not gain.is_refused:
         text += "it was not taken out, because it may be an error of the render; "
     elif (gain.uneven > size)[channel] and size[channel] <= np.log1p(REFUSED_GAIN_REL):
@@ -260,9 +260,9 @@ def _clipped_findings(press: SimulatedPress, capture: TactileCapture) -> list[Fi
             Finding(
                 "warn",
                 "levels",
-                f"{bright[where].any(axis=1).mean():.0%} of the {name} is clipped or nearly so, at {_NEARLY:.0%} of "
-                f"full scale or more, with or without contact ({shares}): what is clipped is left out of every score, "
-                "and what is nearly so is compressed; capture with a shorter exposure",
+                f"{bright[where].any(axis=1).mean():.0%} of the {name} lies at {_NEARLY:.0%} of full scale or more, "
+                f"with or without contact ({shares}): clipped pixels are left out of every score, and those near "
+                f"full scale are compressed; capture with a shorter exposure",
             )
         )
     return findings

@@ -274,8 +274,8 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
         )
     if press.encoding == "unknown" and capture.encoding == "linear":
         raise CompareError(
-            f"{press.name} holds encoded values, {capture.name} linear light: no curve leads from the one to the other "
-            "without a loss; give the simulation in linear light"
+            f"{press.name} holds encoded values, {capture.name} linear light: encoded values cannot be converted to "
+            f"linear light without loss; give the simulation in linear light"
         )
 
 

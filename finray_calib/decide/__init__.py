@@ -1,4 +1,4 @@
-"""Decide on a light angle from sweeps at the places that are touched: what each loses, the odds, what helps most.
+"""Decide on a light angle from sweeps at the touched places: the loss at each, the odds, and the most useful capture.
 
 The objective's curve f over the angle is a random curve through the renders of one place, the real one f exp(p - t):
 p is a draw of the paints and t the sim-to-real error learnt from captures (its prior without any). An angle's value is

@@ -121,7 +121,7 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
     if _PAPER_EMITTER in report.label:
         raise DecideError(
             f"the report on {report.captured} is of a render by level a ('{report.label}'), the sweep is of level b: "
-            "walls of level a emit alike at every angle of the light, so their error says nothing about the curve. "
+            "walls of level a emit the same at every angle of the light, so their error says nothing about the curve. "
             "Simulate the press with --level b (the default) and compare again, or leave the report out"
         )
     if report.forced_mismatch:
@@ -272,8 +272,8 @@ def _notes_on_scales(captures: Sequence[ValidatingCapture], groups: Sequence[tup
     """Return which captures the scales of absolute ratios leave out, or that there is no such scale."""
     if groups:
         return [
-            f"{capture.name} is left out: the other captures are compared by exposure and LED current, and it has none "
-            "or no other capture of its rig beside it"
+            f"{capture.name} is left out: the other captures are compared by exposure and LED current, and it states "
+            f"none, or it is the only capture of its rig"
             for capture in captures
             if _scale_key(capture.error) not in groups
         ]
@@ -390,8 +390,8 @@ def _sweep_of(sweeps: Sequence[LightAngleSweep], report: PhotometricErrorReport)
     if other:
         raise DecideError(
             f"the report on {report.captured} is on the finger '{report.finger.name}', the sweep "
-            f"'{sweeps[number].name}' on '{own.name}', and they differ in {', '.join(other)}: an error of one says "
-            "nothing about the light of the other. Simulate and compare the capture with the sweep's design, or leave "
+            f"'{sweeps[number].name}' on '{own.name}', and they differ in {', '.join(other)}: the error of one says "
+            f"nothing about the light of the other. Simulate and compare the capture with the sweep's design, or leave "
             "the report out"
         )
     if abs(pushed_mm - own.depth_mm) <= _SAME_DEPTH_MM:

@@ -357,7 +357,7 @@ def _notes(
     if on.aim == "normal":
         notes.append(
             "the error of the sensed normal is that of facets of the undeformed pad, by a map fitted at other "
-            "places; it is assumed that its inverse is as far from the finger's as a brightness would be"
+            "places; it is assumed that its inverse differs from the real finger's as much as a brightness would"
         )
     exposed = next((swept.constraints for swept in sweeps if swept.constraints is not None), None)
     if exposed is not None:
@@ -367,11 +367,13 @@ def _notes(
         notes.append("angles at which pixels clip or the panel does not fit were left out of the choice")
     notes.append(_note_on_error(captures))
     if captures.names and sweep.channels is None:
-        notes.append("the sweep was written by an older version without its channels: red, green and blue count alike")
+        notes.append(
+            "the sweep was written by an older version without its channels: red, green and blue count equally"
+        )
     if len(on.contacts) > 1:
         notes.append(
-            "between places the error is alike by a share that nobody measured: 10 to 90 % of its variance, all alike "
-            "likely; edges and reflections are those of one camera and shared"
+            "the errors at two places have a share of their variance in common that nobody has measured: 10 to 90 %, "
+            "all equally likely; edges and reflections are those of one camera and the same at all places"
         )
     return tuple(notes)
 
@@ -386,8 +388,8 @@ def _note_on_error(captures: CaptureErrors) -> str:
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "
-        "not seen; it is assumed that they see next to nothing of it with a probability of 1/2, else any share, and "
-        "they never decide"
+        "not seen; it is assumed that they see almost nothing of it with a probability of 1/2, else any share, and "
+        "they never settle the decision"
         if captures.scale_of is None
         else "by exposure and LED current, up to one unknown scale for each rig"
     )
@@ -420,7 +422,9 @@ def headline(
             f"{only or 'For this finger, '}the best angle found, {decision.best_deg:.0f} deg, is the end of the sweep: "
             "simulate a wider sweep before the light is mounted."
         )
-    angle = f"{only}{'mount' if only else 'Mount'} the light at {mounting_angle(decision)} deg"
+    is_decided = decision.verdict in {"decided", "tie"}
+    now = "" if is_decided else f"{'for' if only else 'For'} now, "
+    angle = f"{only}{now}{'mount' if only or now else 'Mount'} the light at {mounting_angle(decision)} deg"
     simulated = "" if decision.validated else "as simulated, "
     if only:
         return f"{angle}: {simulated}the touch is at most {percent(tolerance_rel)} less bright than at the best angle."
@@ -551,7 +555,7 @@ def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
     low_rel, amplitude_rel, high_rel = decision.discrepancy.amplitude_quantiles_rel
     if not captures_deg.size:
         return (
-            "This is the simulation's answer; no capture has checked it, and it is not decided before one does. It "
+            "This is the simulation's answer; no capture has checked it, and it stays undecided until one does. It "
             "is assumed that "
             f"the finger's curve may be moved by some {MOVED_SD_DEG:g} deg and be off by {percent(amplitude_rel)} "
             f"(95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle."
@@ -571,9 +575,9 @@ def _odds(decision: AngleDecision, tolerance_rel: float) -> str:
     """Say what may be lost against another angle, and with what probability."""
     risk = decision.risk
     return (
-        f"No other angle is better by more than {percent(tolerance_rel)} with a probability of "
-        f"{risk.p_within_tolerance:.2f}, and none by more than {percent(risk.regret_95_rel)} with one of "
-        f"{CONFIDENCE:.2f}; the best angle lies within {NEARBY_DEG:.0f} deg with one of {risk.p_within_5deg:.2f}."
+        f"With a probability of {risk.p_within_tolerance:.2f} no other angle is better by more than "
+        f"{percent(tolerance_rel)}, with {CONFIDENCE:.2f} none by more than {percent(risk.regret_95_rel)}, and with "
+        f"{risk.p_within_5deg:.2f} the best angle lies within {NEARBY_DEG:.0f} deg."
     )
 
 

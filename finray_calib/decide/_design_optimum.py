@@ -369,7 +369,7 @@ def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: fl
     whole = "" if len(searched.objectives) == 1 else " in all objectives together (ratios multiplied)"
     return (
         f"{build}. With 95 % probability no design within the limits is better by more "
-        f"than {regret_95:.1%}{whole}, as far as the emulator knows."
+        f"than {100 * regret_95:.1f} %{whole}, as far as the emulator knows."
     )
 
 
@@ -385,8 +385,8 @@ def _gain_words(gain: DesignGain) -> str:
         value, limits, how = gain.confirmed_rel, gain.confirmed_95_rel, "with other seeds and contact places"
     real = "" if limits[0] > 0.0 or limits[1] < 0.0 else ", no real difference"
     word = "better" if value >= 0.0 else "worse"
-    ends = sorted(abs(end) for end in limits) if real == "" else limits
-    return f"{gain.objective} {abs(value):.1%} {word} than the start ({ends[0]:.1%} to {ends[1]:.1%}, {how}{real})"
+    low, high = (100 * end for end in (sorted(abs(end) for end in limits) if real == "" else limits))
+    return f"{gain.objective} {100 * abs(value):.1f} % {word} than the start ({low:.1f} to {high:.1f} %, {how}{real})"
 
 
 @dataclass(frozen=True, slots=True)

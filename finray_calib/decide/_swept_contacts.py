@@ -89,8 +89,8 @@ def decided_on(
     normal = next((objective for objective in others if objective.place_values is not None), None)
     if aim == "normal" and (captured or weights is not None):
         raise DecideError(
-            f"the error of the normal was asked for, and {'reports on captures' if captured else 'weights'}: "
-            f"{'reports measure the brightness' if captured else 'weights are of touches, the error is of places'}. "
+            f"the error of the normal was asked for together with {'reports on captures' if captured else 'weights'}: "
+            f"{'reports measure the brightness' if captured else 'weights belong to touches, the error to places'}. "
             "Leave them out, or decide on the brightness (--aim brightness)"
         )
     if aim == "normal" and normal is None:
@@ -183,7 +183,8 @@ def _require_together(first: LightAngleSweep, sweep: LightAngleSweep) -> None:
     if parts:
         raise DecideError(
             f"the sweeps '{first.name}' and '{sweep.name}' are of two fingers, which differ in "
-            f"{', '.join(sorted(parts))}: no one light suits both. Only [indenter] may differ between the sweeps"
+            f"{', '.join(sorted(parts))}: one light angle cannot be decided for both. Only [indenter] may differ "
+            f"between the sweeps"
         )
     if first.paints != sweep.paints:
         raise DecideError(

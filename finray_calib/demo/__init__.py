@@ -1,7 +1,7 @@
-"""The whole way on a simulated rig: capture, radiometry, fit, simulate, compare, decide, and one report on all six.
+"""All six stages on a simulated rig (capture, radiometry, fit, simulate, compare, decide), and one report on them.
 
-Each stage goes from stored records to stored records in a process of its own; an interrupted demo goes on where it
-stopped. What a machine needs for it is looked at before, one check in one process.
+Each stage goes from stored records to stored records in a process of its own; an interrupted demo continues where it
+stopped. `check_machine` checks beforehand what the machine needs, each check in a process of its own.
 """
 
 from typing import TYPE_CHECKING

@@ -271,7 +271,10 @@ def check_disk() -> Found:
     said = f"{free.f_bavail * free.f_frsize / 1e9:.1f} GB free in {here}"
     for folder in (here, Path(tempfile.gettempdir())):
         if (why := _cannot_write(folder)) is not None:
-            return _bad(f"{folder} cannot be written to: {why}", f"work in another folder, or: df -h {_quoted(folder)}")
+            return _bad(
+                f"{folder} cannot be written to: {why}",
+                f"work in another folder, or see how full this disk is: df -h {_quoted(folder)}",
+            )
     if free.f_bavail * free.f_frsize < DISK_BYTES:
         return _bad(f"{said}; the demo takes {DISK_BYTES / 1e6:.0f} MB", "delete something, or work on another disk")
     return _good(said)

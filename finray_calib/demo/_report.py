@@ -255,7 +255,8 @@ def _decide(results: DemoResults) -> Content:
         angle_figure(decision, sweep, results.true_sweeps),
         f"The objective over the light angle is best near {decision.angle_deg:.0f} deg. {decision.sentence}",
         "Objective over the angle of the blue light: 0 deg along the pad, 90 deg straight into it. What to see: where "
-        "the curve is flat the angle matters little; hatched angles do as well as the chosen one.",
+        "the curve is flat the angle matters little"
+        + ("; hatched angles are as good as the chosen one." if decision.statement.equivalent_deg else "."),
     )
     touched = (
         f" The finger was touched at {len(decision.contacts)} places: at one by finite elements, at the others by a "
@@ -398,7 +399,7 @@ def _strip(results: DemoResults) -> tuple[Picture, ...]:
         raster(
             _renders(results)[1],
             f"Simulated image of the pressed pad. {simulation_sentence(results.report)}",
-            "Simulated, contact. What to see: inside the outline it should look like the capture, but for noise.",
+            "Simulated, contact. What to see: inside the outline it should look like the capture, except for noise.",
         ),
     )
 
@@ -423,8 +424,8 @@ def _drawings(results: DemoResults) -> tuple[Picture, ...]:
         drawing(
             score_figure(report),
             simulation_sentence(report),
-            "Skill by region, with 95 % intervals. What to see: the nearer the circle is to 1, the less is left to "
-            "gain; the diamond is a repeated capture, with its noise.",
+            "Skill by region, with 95 % intervals. What to see: the nearer the circle is to 1, the less can still be "
+            "improved; the diamond is a repeated capture, with its noise.",
         ),
     )
 
@@ -447,7 +448,8 @@ def _error_alternative(report: PhotometricErrorReport) -> str:
     typical, large = np.nanmedian(error), np.nanpercentile(error, 95)
     places = "pixels" if report.block_px == 1 else "blocks"
     return (
-        f"Map of the error: half of the {places} err by less than {percent(float(typical))}, one in twenty by more "
+        f"Map of the error: half of the {places} are wrong by less than {percent(float(typical))}, one in twenty by "
+        f"more "
         f"than {percent(float(large))}."
     )
 

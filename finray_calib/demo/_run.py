@@ -142,7 +142,7 @@ def held(out: Path, settings: Mapping[str, Any]) -> Iterator[None]:
 
 
 def can_go_on(out: Path, settings: Mapping[str, Any]) -> bool:
-    """Return whether the folder holds an interrupted demo with these settings which nobody is running."""
+    """Return whether the folder holds an interrupted demo with these settings that no other process is running."""
     if not (out / SETTINGS).is_file() or _why_not(out, identity(settings)) is not None:
         return False
     with open_regular(out / SETTINGS) as file:
@@ -161,11 +161,11 @@ def _why_not(out: Path, mine: Mapping[str, Any]) -> str | None:
     try:
         theirs = read_json(out / SETTINGS)
     except RecordError as error:
-        return f"does not say how its demo began ({error})"
+        return f"does not state the settings of its demo ({error})"
     if not isinstance(theirs, dict) or theirs.keys() != mine.keys():
         return f"{SETTINGS} was written by another version of finray"
     other = [text for name in mine for text in _differences(name, theirs[name], mine[name])]
-    return f"holds an unfinished demo with another {', another '.join(other)}, which would be mixed" if other else None
+    return f"holds an unfinished demo with another {', another '.join(other)}, and the two would mix" if other else None
 
 
 def _differences(name: str, theirs: Any, mine: Any) -> list[str]:

@@ -78,7 +78,7 @@ SCALAR_EFFORT = RenderEffort(samples_per_pixel=40, twin_samples_per_pixel=80, pr
 
 @dataclass(frozen=True, slots=True)
 class DemoSettings:
-    """What a demo runs on.
+    """Materials, renderer and seed of a demo.
 
     Attributes
     ----------
@@ -167,8 +167,8 @@ class Demo:
         paint = calibrate_paint(bands, self.settings.seed, FitOptions(check_by_emcee=True))
         if isinstance(paint, PaintWithoutEmission):
             raise FitError(
-                f"the {colour} sample of the demo ({paint.paint_name}) shows {paint.detection.statement}: there is "
-                "nothing to paint the finger with; give the matrix of a fluorescent material"
+                f"the {colour} sample of the demo ({paint.paint_name}) shows {paint.detection.statement}: it cannot "
+                f"light the finger; give the matrix of a fluorescent material"
             )
         return self._store(paint, f"{colour}/paint.json", [f"{colour}/bands.json"])
 
@@ -326,7 +326,7 @@ class Demo:
 
 
 def true_paint_optics(colour: str, truth: "BenchTruth") -> "PaintOptics":
-    """Return the optics of the paint that really lies on the bench (measurement noise below zero is cut)."""
+    """Return the optics of the true paint on the bench (measurement noise below zero is cut)."""
     import numpy as np
 
     from sim.optics import PaintOptics

@@ -364,7 +364,8 @@ BALL_DIAMETER_MM: Final = 4.0
 
 _SHADOWS = "shadowTable.npz"
 _NOT_NEEDED = {
-    "polycalib.npz": "the shading table: made from the presses, which a normal map is fitted to anew",
+    "polycalib.npz": "the shading table: it was made from the presses, and 'finray sense teach' fits a normal map to "
+    "them",
     "gelmap.npy": "the height of the undeformed gel: not part of a capture",
     "real_bg.npy": "a background: dataPack's f0 is taken",
     "bg.jpg": "a background: dataPack's f0 is taken",
@@ -406,8 +407,8 @@ def read_taxim(folder: Path, ball_diameter_mm: float | None = None, mm_per_px: f
     no_contact = _image(require_array(arrays, pickled, "f0", 3, path), "f0", path)
     if "imgs" not in arrays and "imgs" not in pickled:
         raise ImportFormatError(
-            f"{path}: holds the no-contact image only, no presses ('imgs'); that is enough for Taxim to render, and "
-            "nothing to compare with: ask for the folder that the table was made from"
+            f"{path}: holds the no-contact image only, no presses ('imgs'); that is enough for Taxim to render, but "
+            f"there is nothing to compare with: ask for the folder that the table was made from"
         )
     scale = require_length(
         _pixel_mm(folder) if mm_per_px is None else mm_per_px, "millimetres per pixel", "--mm-per-px", LARGEST_PIXEL_MM

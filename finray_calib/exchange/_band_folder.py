@@ -298,8 +298,8 @@ def _check_names(folder: Path, images: list[BandImage], timed: dict[str, float])
         other = seen.setdefault(image.path, image)
         if other is not image:
             raise ImportFormatError(
-                f"{image.path}: is both {_words(other)} and {_words(image)}; make the patterns of bands.toml tell them "
-                "apart (for example '{filter}nm.tif' instead of '{filter}*')"
+                f"{image.path}: is both {_words(other)} and {_words(image)}; change the patterns of bands.toml so "
+                f"that each image matches one only (for example '{filter}nm.tif' instead of '{filter}*')"
             )
     used = {path.relative_to(folder).as_posix() for path in seen}
     unused = sorted(set(timed) - used)

@@ -177,7 +177,7 @@ class Recipe(Model):
     scale: RecipeScale | None = None
     indenter: RecipeIndenter
     force: RecipeForce | None = None
-    lacks: tuple[MissingPart, ...] = Field(default=(), description="what else the set does not hold")
+    lacks: tuple[MissingPart, ...] = Field(default=(), description="what else is missing from the set")
 
 
 def recipe_names() -> tuple[str, ...]:
@@ -269,7 +269,7 @@ class LabelTable:
         ):
             rows = next((table[key] for key in keys if key in table), [])
             if len(rows) > 1:
-                raise LeftOutError("several lines of the table are of it, or of others of its name, and they differ")
+                raise LeftOutError("several lines of the table name it, and they differ")
             if rows:
                 return dict.fromkeys(self.columns, "") | rows[0]
         return None

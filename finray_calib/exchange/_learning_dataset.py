@@ -178,7 +178,7 @@ Rendered with baked walls (level b), {spp} paths per pixel and twice as many nea
 numbers without and with contact.
 {sources}
 **One press appears in {reuse} samples.** Keep its samples together: the column `split` of the index (and of `KEY.json`)
-does, with eight of ten presses to train, one to validate and one to test (here {split}).
+does, with eight out of ten presses to train, one to validate and one to test (here {split}).
 Samples of one press count once when an error is averaged: its interval comes from presses, not from samples.
 
 ## What it does not hold

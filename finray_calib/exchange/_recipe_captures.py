@@ -179,7 +179,7 @@ class _Folder:
         self.files = dict(_press_files(self.folder, self.recipe))
         if not self.files:
             raise ImportFormatError(
-                f"{self.folder}: no file in it is as the recipe '{self.recipe.name}' says "
+                f"{self.folder}: no file in it matches presses.files of the recipe '{self.recipe.name}' "
                 f"({self.recipe.presses.files}); give the folder above, or correct presses.files"
             )
         for name in self.circles:
@@ -332,7 +332,7 @@ class _Folder:
             if has_file(path):
                 found.append(self._picture(path))
             elif needed:
-                raise LeftOutError(f"there is no {pattern}, the image without contact")
+                raise LeftOutError(f"the image without contact, {pattern}, is missing")
         return found
 
     def _video(self, name: str) -> tuple[list[Counts], float | None]:
@@ -358,7 +358,9 @@ class _Folder:
             raise LeftOutError("nothing changes in its video")
         held = _longest_run(strength, float(strength.max()))
         if held < before:
-            raise LeftOutError(f"its video is held within the first {before} frames, which are to be without contact")
+            raise LeftOutError(
+                f"its video shows contact within the first {before} frames, which should be without contact"
+            )
         images = [_frame(frames[i], path) for i in (held, 0, before - 1)]
         return [self._arranged(image) for image in images], None if force is None else float(force[held])
 
@@ -423,7 +425,7 @@ class _Folder:
             return placed
         places = contact.outline_px.get(name) if contact.outline_px else self._hull(name)
         if places is None:
-            raise LeftOutError("the recipe has no outline of it")
+            raise LeftOutError("the recipe gives no outline for it")
         corners = tuple(PlaceInImage(column_px=float(c), row_px=float(r)) for c, r in places)
         return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "label"})
 
@@ -481,20 +483,20 @@ class _Folder:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if path.suffix.lower() == ".npz":
             if not has_file(path):
-                raise LeftOutError(f"there is no {file}, which holds its contact")
+                raise LeftOutError(f"the file {file}, which should hold its contact, is missing")
             self._made_of.add(path)
             return label_entry(path, value)
         if press is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': 'press' is missing beside file = \"{file}\"; name the column that says "
-                "which press a line is of"
+                f"recipe '{self.recipe.name}': 'press' is missing beside file = \"{file}\"; name the column that "
+                f"holds the press of each line"
             )
         table = self._tables.get((path, press)) or read_label_table(path, press)
         self._tables[path, press] = table
         self._made_of.add(path)
         row = table.row(name, self.files[name])
         if row is None:
-            raise LeftOutError(f"no line of {path.name} is of it")
+            raise LeftOutError(f"no line of {path.name} names it")
         if value not in row:
             raise ImportFormatError(
                 f"{path}: has no column '{value}'; it has {', '.join(row)}: correct the recipe '{self.recipe.name}'"
@@ -611,7 +613,7 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
     distance = contact_distance(capture)
     if distance is None:
-        raise LeftOutError("the place of its contact is not known, so that no pixels are known to be far from it")
+        raise LeftOutError("the place of its contact is not known, so finray cannot tell which pixels are far from it")
     rows, columns = distance.shape
     y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
     powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]

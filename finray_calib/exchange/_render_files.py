@@ -262,7 +262,7 @@ def _press(folder: Path, capture: TactileCapture | None) -> SimulatedPress:
         )
     if contact_file.suffix != rest_file.suffix:
         raise ImportFormatError(
-            f"{folder}: {contact_file.name} and {rest_file.name} are of two kinds; write both the same way"
+            f"{folder}: {contact_file.name} and {rest_file.name} are files of two kinds; write both in the same format"
         )
     encoding = said.encoding or {".exr": "linear", ".png": "encoded"}.get(contact_file.suffix)
     if encoding is None:

@@ -390,7 +390,7 @@ def _modes(draws: Floats, wavelength_nm: Floats, laser_nm: float) -> Floats:
     above = np.where(wavelength_nm > laser_nm, draws, 0.0)
     if not (above.max(axis=1, initial=0.0) > 0).all():
         raise FitError(
-            f"absorption: an emission draw holds no light above the laser at {laser_nm:g} nm; check the wavelengths"
+            f"absorption: an emission draw has no light above the laser at {laser_nm:g} nm; check the wavelengths"
         )
     return np.asarray(wavelength_nm[above.argmax(axis=1)])
 

@@ -219,8 +219,9 @@ def design_filters(
     offered = [f for f in catalogue if _usable(f, optics)]
     if not 1 <= wanted <= len(offered):
         raise FitError(
-            f"design: {wanted} filters are to be chosen from {len(offered)} of the catalogue that pass no laser light; "
-            f"the number must be from {len(kept) + 1} to {len(kept) + len(offered)}, with the {len(kept)} that stay"
+            f"design: {wanted + len(kept)} filters are asked for; give {len(kept) + 1} to {len(kept) + len(offered)} "
+            f"(--number): {len(kept)} that stay, and the others from the {len(offered)} of the catalogue that pass no "
+            "laser light"
         )
     rng = np.random.default_rng(seed)
     with threadpool_limits(limits=1, user_api="blas"):
@@ -244,7 +245,7 @@ def design_filters(
 
 
 def next_filters(paint: PaintCalibration, catalogue: Sequence[CatalogueFilter]) -> tuple[NextFilter, ...]:
-    """Rank the filters of a catalogue by what each would take from the variance of a fitted curve, best first.
+    """Rank the filters of a catalogue by how much variance of a fitted curve each would remove, best first.
 
     Parameters
     ----------

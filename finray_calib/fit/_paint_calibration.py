@@ -478,11 +478,16 @@ def fit_warnings(
         modes = ", ".join(f"{theta[0]:.0f}" for theta in posterior.maxima.theta)
         said.append(f"the bands leave an ambiguity: {len(maxima)} maxima of the posterior, modes at {modes} nm")
     if not posterior.sampling.trusted:
-        said.append("the sampling cannot be trusted: importance sampling, moved draws and emcee all fall short")
+        said.append(
+            "the sampling cannot be trusted: neither importance sampling nor moved draws nor emcee reached "
+            "the required quality"
+        )
     if check is not None and max(map(abs, check.mean_shift_sd.values())) > LARGEST_CHAIN_SHIFT_SD:
         said.append("emcee disagrees with the stored draws: do not quote the intervals")
     if check_asked and check is None:
-        said.append("the check by emcee was left out: emcee made the draws, a second run would not be independent")
+        said.append(
+            "the check by emcee was left out: emcee itself made the draws, and a second run would not be independent"
+        )
     below = float(np.median(posterior.share_below_laser))
     if below > LARGEST_SHARE_BELOW_LASER:
         said.append(f"{below:.0%} of the fitted curve lies below the laser line, where no paint can emit; it was cut")

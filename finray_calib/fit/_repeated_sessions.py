@@ -113,7 +113,7 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
         if unlike:
             raise FitError(
                 f"session {number} is of a rig with another {unlike[0]} than the first: only sessions of one rig can "
-                "be combined, because what a rig knows badly is common to all of them; capture with one rig file"
+                "be combined, because the errors of a rig are common to all of its sessions; capture with one rig file"
             )
 
 
@@ -143,7 +143,7 @@ def _notes(scatter: SessionScatter) -> tuple[str, ...]:
 
 
 def departing_warnings(scatter: SessionScatter) -> tuple[str, ...]:
-    """Return a warning for each session that the others do not allow."""
+    """Return a warning for each session that differs from the others by more than they scatter."""
     return tuple(
         f"session {number} departs from the other sessions more than they scatter (p < {DEPARTS_P:g}): look at its "
         "frames, or leave it out and say so"

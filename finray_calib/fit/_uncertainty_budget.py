@@ -53,16 +53,16 @@ DRAWS: Final = 4000
 """Their scatter adds the number of bands over the number of draws to a share: half a per cent."""
 _SAME_SD: Final = 0.25
 """A refit may leave the record's median by so many of its standard deviations."""
-SHARED_BY_ALL: Final = "what all values share: laser level, texture of the region, bleaching"
+SHARED_BY_ALL: Final = "errors common to all values: laser level, texture of the region, bleaching"
 MODEL_DISCREPANCY: Final = "departure of the paint from the shapes that were learned"
-PRIOR: Final = "prior of the spectrum: what the filters do not see"
+PRIOR: Final = "prior of the spectrum: what the filters do not measure"
 PRIOR_OF_ABSORPTION: Final = "prior of the absorption, and other lights"
 Evaluation = Literal["A", "B", "prior"]
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """What one source makes of the uncertainty of one quantity.
+    """What one source contributes to the uncertainty of one quantity.
 
     Attributes
     ----------
@@ -128,8 +128,8 @@ def uncertainty_budget(bands: BandSignals, paint: PaintCalibration, seed: int = 
     """
     if paint.spectrum_from != MEASURED_SPECTRA_TITLE:
         raise FitError(
-            f"'{paint.paint_name}': rests on {paint.spectrum_from or paint.family_title}, and a budget needs the prior "
-            "learned from measured spectra; fit it without --family and --no-discrepancy"
+            f"'{paint.paint_name}': its spectrum comes from {paint.spectrum_from or paint.family_title}, and a "
+            f"budget needs the prior learned from measured spectra; fit it without --family and --no-discrepancy"
         )
     with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small
         return _budget(bands, band_data(bands), paint, np.random.default_rng(seed))
@@ -172,9 +172,9 @@ def _require_same(quantities: Mapping[str, Floats], paint: PaintCalibration) -> 
         stored, again = paint.parameters[name], quantities[name]
         if abs(float(np.median(again)) - stored.estimate) > _SAME_SD * stored.sd:
             raise FitError(
-                f"'{paint.paint_name}': these band signals do not give this calibration again ({name} "
-                f"{float(np.median(again)):.6g}, the record has {stored.estimate:.6g}), so they hold no budget of it; "
-                "give the band signals that it was fitted to"
+                f"'{paint.paint_name}': these band signals do not reproduce this calibration ({name} "
+                f"{float(np.median(again)):.6g}, the record has {stored.estimate:.6g}), so no budget can be made "
+                f"from them; give the band signals that it was fitted to"
             )
 
 
@@ -210,15 +210,17 @@ def budget_sources(bands: BandSignals, data: BandData, fitted: ScoredSpectra) ->
     white = data.tile_uncertainty_rel
     shared = max(most - white**2, 0.0) ** 0.5
     return (
-        UncertaintySource("noise of the frames", f"{noise:.1%} of a value (median)", "A", _root(usual - tile - common)),
-        UncertaintySource(SHARED_BY_ALL, f"{shared:.1%}", "A", _root(common)),
-        UncertaintySource("white reference", f"{white:.1%}", "B", _root(tile)),
-        UncertaintySource("calibration of each filter", f"{data.band_calibration_rel:.1%}", "B", calibration),
+        UncertaintySource("noise of the frames", f"{100 * noise:.1f} % of a value (median)", "A",
+                          _root(usual - tile - common)),
+        UncertaintySource(SHARED_BY_ALL, f"{100 * shared:.1f} %", "A", _root(common)),
+        UncertaintySource("white reference", f"{100 * white:.1f} %", "B", _root(tile)),
+        UncertaintySource("calibration of each filter", f"{100 * data.band_calibration_rel:.1f} %", "B", calibration),
         UncertaintySource("centres of the filters", f"at most {largest('center_uncertainty_nm'):g} nm", "B", centre),
         UncertaintySource("widths of the filters", f"at most {largest('fwhm_uncertainty_nm'):g} nm", "B", width),
         UncertaintySource("leak of the filters", f"at most {largest('blocking_uncertainty_od'):g} OD", "B", leak),
-        UncertaintySource("camera response", f"{CHANNEL_RESPONSE_REL:.1%} of each channel", "B", _diagonal(response)),
-        UncertaintySource("stray light", f"{STRAY_LIGHT_REL:.1%} of the brightest filter", "B",
+        UncertaintySource("camera response", f"{100 * CHANNEL_RESPONSE_REL:.1f} % of each channel", "B",
+                          _diagonal(response)),
+        UncertaintySource("stray light", f"{100 * STRAY_LIGHT_REL:.1f} % of the brightest filter", "B",
                           _diagonal(np.diag(beside) - response)),
         UncertaintySource("colour temperature of the lamp", f"{optics.lamp_temperature_uncertainty_k:g} K", "B", lit),
     )  # fmt: skip

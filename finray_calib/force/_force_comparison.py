@@ -96,7 +96,7 @@ def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
         ln_force_per_ln_input=np.array(effects).reshape(len(known), len(depth_mm)),
         missing=(
             *(f"{v.field}: its press failed ({v.failure})" for v in varied if len(v.depth_mm) < 2),
-            *(f"{field}: stated by the design, which was not pressed with it changed" for field in sorted(stated)),
+            *(f"{field}: stated by the design, but no press was computed with it changed" for field in sorted(stated)),
             *(() if varied else ("materials and dimensions: 'finray simulate press --sensitivities'",)),
         ),
     )
@@ -174,7 +174,7 @@ Candidate = Literal["do nothing", "simulation"]
 DRAWS = 2000
 COVERAGE_FACTOR = 2.0
 _PERCENTILES = (2.5, 97.5)
-_FIT_MISSES = "first touch: a curve of another shape than the model's moves it by more than its interval says"
+_FIT_MISSES = "first touch: its interval assumes that the measured curve has the model's shape"
 _ALWAYS_MISSING = (
     "Poisson ratios, friction, pose and radius of the indenter, dimensions of the skeleton other than thicknesses",
     "rate, creep and softening of the rubbers (the simulation is elastic)",
@@ -354,7 +354,7 @@ def _rows(measured: MeasuredForce, error: Floats, deviations: _Deviations, noise
     force, none = measured.force_n, np.zeros_like(noise)
     size = error_size(force, none, noise).estimate
     if size == 0.0:
-        raise CompareError(f"{measured.name}: the measured force does not stand out from its uncertainty")
+        raise CompareError(f"{measured.name}: the measured force is not larger than its uncertainty")
     sizes: tuple[tuple[Candidate, Interval], ...] = (
         ("do nothing", error_size(-force, none, noise)),
         ("simulation", error_size(error, deviations.numerical + deviations.inputs, deviations.data)),
@@ -474,7 +474,10 @@ def check_reach(curve: ForceCurve, measured: MeasuredForce, offset_mm: float) ->
     """
     deepest = float(measured.displacement_mm.max()) - offset_mm
     if deepest <= 0.0:
-        raise CompareError(f"{measured.name}: no point lies beyond first touch at 0 mm; have first touch fitted")
+        raise CompareError(
+            f"{measured.name}: no point lies beyond first touch at 0 mm; leave out "
+            f"--known-first-touch, so that first touch is fitted"
+        )
     if deepest > curve.reach_mm:
         raise CompareError(_deeper(measured.name, deepest, curve))
 
@@ -518,8 +521,8 @@ def error_size(error: Floats, systematic: Floats, noise: Floats) -> Interval:
 
 
 UNKNOWN_UNCERTAINTY = (
-    "intervals and verdicts: the design's inputs have no sensitivities and the CSV states no uncertainty, so that "
-    "u_val holds the numerics at most. Simulate with 'press --sensitivities', and give the columns "
+    "intervals and verdicts: the design's inputs have no sensitivities and the CSV states no uncertainty, so u_val "
+    "includes the numerics at most. Simulate with 'press --sensitivities', and give the columns "
     "force_uncertainty_n and displacement_uncertainty_mm"
 )
 

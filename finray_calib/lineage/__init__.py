@@ -1,4 +1,4 @@
-"""Where a stored number comes from: its tree of inputs, whether all of it is as it was, and computing it again.
+"""Where a stored number comes from: its tree of inputs, whether each file is unchanged, and how to compute it again.
 
 Every file is hashed again and compared with the SHA-256 that the records hold; a record is replayed by running its
 command into a temporary folder and comparing the numbers.

@@ -133,7 +133,9 @@ class Tracer:
             raise RecordError(f"{path}: no such file; give the path of {A_RECORD}")
         traced = self._traced_file(str(path), path, None, None)
         if traced.kind == "file" and not traced.faults:
-            raise RecordError(f"{path}: is not a stored record (a JSON object with 'kind' and 'record')")
+            raise RecordError(
+                f"{path}: is not a stored record (a JSON object with 'kind' and 'record'); give the path of {A_RECORD}"
+            )
         return traced
 
     def _traced_file(self, name: str, path: Path, wanted: str | None, consumer: Provenance | None) -> Traced:
@@ -173,7 +175,7 @@ class Tracer:
         except FinrayError as error:
             if not faults:  # else they say it already
                 faults.append(_changed(path, error))
-        notes = [] if "content_sha256" in envelope else ["carries no seal: it is of a version before seals"]
+        notes = [] if "content_sha256" in envelope else ["carries no seal, because an early version wrote it"]
         frames = 0
         if kind in SESSION_KINDS and path.name == SESSION_NAME:
             check = verify_session(path.parent)
@@ -248,9 +250,9 @@ class Tracer:
         made = _created(path) if own.kind in KINDS else None
         used = None if consumer is None else _time(consumer.created_utc)
         if made is not None and used is not None and made >= used:
-            text = f"was made again at {made.isoformat()}, after what was made from it: make that again"
+            text = f"was made again at {made.isoformat()}, after records had been made from it: make those again"
             return (FileFault(path, "stale", text),)
-        return (FileFault(path, "changed", "is not the file that was read: its SHA-256 is another"),)
+        return (FileFault(path, "changed", "is not the file that was read: its SHA-256 differs"),)
 
     def _digest(self, file: Path) -> str | None:
         """Return the SHA-256 of a file as it is now; None where it cannot be read."""
@@ -416,7 +418,7 @@ def _unbound(folder: Path, bound: set[Path]) -> Iterator[str]:
     if loose:
         shown = ", ".join(str(path.relative_to(folder)) for path in loose[:5])
         more = f" and {len(loose) - 5} more" if len(loose) > 5 else ""
-        yield f"not checked, as no record and no checksums name them: {shown}{more}"
+        yield f"not checked, because no record and no list of checksums names them: {shown}{more}"
 
 
 REPLAYED: Final = ("radiometry", "fit", "simulate", "recolour", "compare", "decide", "import", "study", "demo")
@@ -558,7 +560,9 @@ def _same_product(folder: Path, path: Path, kind: str) -> Path:
 
     made = [file for file in sorted(folder.rglob("*.json")) if _kind_of(file) == kind]
     if not made:
-        raise RecordError(f"{path}: its command makes no {kind} now; it was another version that made it")
+        raise RecordError(
+            f"{path}: its command does not make a {kind} in this version of finray; another version made it"
+        )
     return max(made, key=likeness)
 
 

@@ -339,10 +339,11 @@ def refuse_other_repeat(trend: BleachingTrend, steps: SessionSteps) -> None:
     z = record.loss_per_j / record.sd_per_j
     faded = -float(np.expm1(-record.loss_per_j * record.dose_span_j))
     if z < -DISAGREEING_SD:
-        why = f"the repeat is {-z:.0f} standard deviations brighter ({-faded:.1%}), and no light brightens a paint"
+        why = f"the repeat is {-z:.0f} standard deviations brighter ({-faded:.1%}), and light never brightens a paint"
     elif apart_sd.max() > DISAGREEING_SD:
         why = (
-            f"its channels changed differently, by {apart_sd.max():.0f} standard deviations, and fading dims all alike"
+            f"its channels changed differently, by {apart_sd.max():.0f} standard deviations, and fading dims all "
+            f"channels by the same share"
         )
     elif z > DISAGREEING_SD and faded > LARGEST_FADING:
         why = f"the repeat is {z:.0f} standard deviations and {faded:.0%} dimmer; at most {LARGEST_FADING:.0%} fades"

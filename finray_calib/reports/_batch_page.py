@@ -295,20 +295,21 @@ def _limits(batch: ComparisonBatch) -> Iterator[str]:
         _, skill = ranked[0]
         yield (
             "Skill over presses is 1 - the sum of squared errors of all presses / the sum of their squared changes by "
-            "contact, so that a press counts by how much it changes the picture."
+            "contact, so a press counts more, the more it changes the picture."
         )
         yield f"Its interval: {_method(skill)}."
         if skill.unit == "press":
             yield (
-                "Presses are taken to be independent samples of the presses that you care about: the same place and "
-                "depth again is a repeat, which a column press in --pairs joins."
+                "Presses are assumed to be independent samples of the presses that matter to you. The same place and "
+                "depth again is a repeat; mark it by the column press in --pairs."
             )
     if batch.differences:
         yield (
-            "Differences are taken press by press, so that what makes a press hard for both cancels. Their intervals "
+            "Differences are taken press by press, so that difficulties of a press that both simulators share "
+            "cancel. Their intervals "
             f"hold together with 95 % (Bonferroni over {_count(len(batch.differences), 'difference')})."
         )
-    yield "The pages of single presses show intervals of one press; they say nothing of another one."
+    yield "The pages of single presses show intervals of one press; they say nothing about another press."
 
 
 def _sections(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Iterator[Part]:
@@ -322,9 +323,9 @@ def _sections(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Iterato
     if batch.to_capture_next:
         rows = [(str(k), wish) for k, wish in enumerate(batch.to_capture_next, start=1)]
         table = one_group("Most useful first", ("", "capture"), rows, is_words=True)
-        yield Part("What to capture next", Content("What would make these scores surer.", tables=(table,)))
+        yield Part("What to capture next", Content("What would make these scores more certain.", tables=(table,)))
     table = _all_table(batch, {(press.simulator, press.name): press.page for press in worst})
-    yield Part("All presses", Content("Skill of each press, as it is; its page where it is one of the worst.",
+    yield Part("All presses", Content("Skill of each press, with a link to its page where it is one of the worst.",
                                       tables=(table,), has_wide_tables=True))  # fmt: skip
 
 
@@ -452,12 +453,13 @@ def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part
         last = (fixed(value, 3) for value in rest)
         rows.append((name, *(of.get(n, NO_VALUE) for n in names), *last))
     columns = ("press", *names, "saturation", "noise", "remainder", "1 - skill")
-    lead = "No small change of the simulation explains what is left over."
+    lead = "No small change of the simulation explains the remaining difference."
     if names:
         lead = f"Over these presses most is lost by {names[0]}: {fixed(totals[names[0]] / len(told), 3)} of skill each."
     remark = "The parts of a row add up to 1 - skill. The page of a press shows sizes and pictures of its causes."
     return Part(
-        "Why the worst are off", Content(lead, remarks=(remark,), tables=(one_group("Skill lost", columns, rows),))
+        "Why the worst differ",
+        Content(lead, remarks=(remark,), tables=(one_group("Skill lost", columns, rows),)),
     )
 
 

@@ -254,7 +254,7 @@ def _instruments(paint: PaintCalibration, details: CertificateDetails, session: 
         "white reference", f"reflectance {white.reflectance:g}, u = {100 * white.uncertainty_rel:g} %", NOT_RECORDED,
         _held(details, "white reference"),
     ))  # fmt: skip
-    columns = ("instrument", "as the rig file describes it", "as the device says", "certificate")
+    columns = ("instrument", "as the rig file describes it", "as the device reports it", "certificate")
     return one_group("Instruments and their certificates", columns, rows, is_words=True)
 
 
@@ -293,8 +293,8 @@ def _sessions(paint: PaintCalibration) -> str:
 
     return (
         f" {len(scatter.session_levels_rel)} sessions were combined; between them the standard deviation is "
-        f"{told(scatter.level_rel)} of the level and {told(scatter.filter_rel)} of a single filter beside it (95 %), "
-        "and the uncertainties contain it."
+        f"{told(scatter.level_rel)} of the level and {told(scatter.filter_rel)} of a single filter in addition (95 "
+        f"%), and the uncertainties include it."
     )
 
 
@@ -326,7 +326,7 @@ def _uncertainty(has_budget: bool) -> str:
     )
     budget = (
         "The budget holds standard uncertainties (k = 1): sensitivity of the posterior mean times the standard "
-        "uncertainty of each source (GUM 5.1.2), and the rest is what was believed before the measurement."
+        "uncertainty of each source (GUM 5.1.2), and the rest comes from the prior."
     )
     return f"{told} {budget}" if has_budget else f"{told} A budget by source was not asked for."
 
@@ -358,7 +358,7 @@ def _limits(paint: PaintCalibration) -> str:
 @styled()
 def _spectrum(paint: PaintCalibration) -> ReadableFigure:
     """Draw the spectrum for the page."""
-    figure = new_figure(6.6, 2.3)
+    figure = new_figure(5.6, 2.2)
     axes = figure.subplots()
     _draw_spectrum(axes, paint)
     return readable(figure, axes, emission_readings(paint))
@@ -408,7 +408,7 @@ def certificate_page(certificate: Certificate, paint: PaintCalibration) -> str:
             "picture": drawing(
                 _spectrum(paint),
                 f"Emission spectrum of {paint.paint_name} with its 95 % bands",
-                "Emission of the paint; filters: what the camera saw it through.",
+                "Emission of the paint; shaded: the filters through which the camera saw it.",
             ),
             "key_numbers": certificate.key_numbers,
         },

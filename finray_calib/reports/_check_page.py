@@ -47,7 +47,7 @@ _SENTENCES: Final[dict[CheckVerdict, str]] = {
     "PASS": "Every check passed.",
     "UNDECIDED": "No check failed; some could not be decided.",
     "ERROR": "Some checks could not be carried out.",
-    "FAIL": "The rig does not keep its limits.",
+    "FAIL": "The rig does not keep within its limits.",
 }
 _LIGHTS: Final[dict[str, Light]] = {
     "PASS": "good", "IN CONTROL": "good", "UNDECIDED": "care", "ERROR": "bad", "FAIL": "bad", "OUT OF CONTROL": "bad",
@@ -118,7 +118,8 @@ def _checks_picture(report: AcceptanceReport) -> Picture:
     return drawing(
         checks_figure(report.results),
         f"Every check as a mark in the row of its section. {told or 'All passed'}.",
-        "One mark for each check, in the row of its section. What to see: everything but filled circles needs a look.",
+        "One mark for each check, in the row of its section. What to see: everything except filled circles needs a "
+        "look.",
     )
 
 
@@ -131,7 +132,7 @@ _MARKS: Final[dict[CheckVerdict, tuple[str, str]]] = {
 def checks_figure(results: Sequence[CheckResult]) -> str:
     """Draw the verdict of every check, section by section."""
     rows = [title for section, title in SECTIONS.items() if any(result.section == section for result in results)]
-    figure = new_figure(6.0, 0.3 * len(rows) + 0.9)
+    figure = new_figure(4.8, 0.3 * len(rows) + 0.9)
     axes = figure.subplots()
     for verdict, (marker, colour) in _MARKS.items():
         seen: Counter[str] = Counter()
@@ -190,7 +191,7 @@ def _devices(report: AcceptanceReport) -> ReportTable:
         words = () if said is None else (said.address, said.vendor, said.model, said.serial, said.firmware)
         rows.append((hand.role, hand.driver, *(word or "\N{EN DASH}" for word in words or ("",) * 5)))
     columns = ("device", "driver", "address", "vendor", "model", "serial", "firmware")
-    return one_group("What the devices say they are", columns, rows, is_words=True)
+    return one_group("What the devices report about themselves", columns, rows, is_words=True)
 
 
 _HISTORY_SENTENCES: Final = {
@@ -221,7 +222,7 @@ def history_page(history: History, folder: str, reference: int) -> str:
                   f"also those that were cleared; reference: the first {reference} sessions",
                   _LIGHTS[history.verdict], history.verdict.lower()),
         KeyNumber("Newest session", newest[:10], newest[11:19]),
-        KeyNumber("False alarms", percent(history.false_alarm_share), "of good sessions, all charts together"),
+        KeyNumber("False alarms", percent(history.false_alarm_share), "share of good sessions, all charts together"),
     )  # fmt: skip
     alarmed = sorted(history.watched, key=lambda one: not one.chart.alarms)
     return report_html(
@@ -260,8 +261,8 @@ def _findings(history: History) -> tuple[str, ...]:
 def _limits(history: History, reference: int) -> tuple[str, ...]:
     """Say what the charts rest on."""
     outliers = [
-        f"{one.sessions[one.chart.outlier]} stands out of the reference ({one.quantity}): if it was not good, the "
-        "limits are too wide."
+        f"{one.sessions[one.chart.outlier]} stands out from the reference ({one.quantity}): if it was not a good "
+        f"session, the limits are too wide."
         for one in history.watched
         if one.chart.outlier is not None
     ]
@@ -269,7 +270,7 @@ def _limits(history: History, reference: int) -> tuple[str, ...]:
         f"The limits keep {100 * history.false_alarm_share_each:.2g} % false alarms for each chart and session, for "
         f"mean and standard deviation of {reference} sessions. That holds for sessions that are independent and "
         "normally distributed.",
-        "What was wrong in the reference already is not seen: the first sessions say what is normal.",
+        "A fault that the reference already has is not seen, because the first sessions define what is normal.",
         "A chart says that something changed, not what: lamp, filter and white tile change the same signals.",
         "A change that a chart shows may be too small to matter: compare it with the uncertainty that you state.",
         *outliers,

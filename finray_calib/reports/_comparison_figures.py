@@ -51,7 +51,7 @@ def error_map_figure(
     view = (min(rows.stop, height) - rows.start) / (min(columns.stop, width) - columns.start)
     figure = new_figure(5.4, 5.4 * 0.8 * view + 0.1)
     axes = figure.subplots()
-    top = float(np.nanpercentile(error, SHOWN_PERCENTILE))
+    top = _top_inside(error, outline)
     extent = (0.0, float(width), float(height), 0.0)
     drawn = axes.imshow(error, cmap="cividis", vmin=0.0, vmax=top if top > 0 else 1.0, extent=extent)
     draw_outline(axes, outline, "--")
@@ -60,6 +60,15 @@ def error_map_figure(
     bar = figure.colorbar(drawn, ax=axes, shrink=0.9, extend="max")
     bar.set_label("error / untouched level (1)")
     return svg_text(figure)
+
+
+def _top_inside(error: NDArray[np.float64], outline: NDArray[np.bool_]) -> float:
+    """Return what 99 % of a map stays below inside an outline, on a grid of the same view: the end of its colours."""
+    rows = np.arange(error.shape[0]) * outline.shape[0] // error.shape[0]
+    columns = np.arange(error.shape[1]) * outline.shape[1] // error.shape[1]
+    inside = error[outline[np.ix_(rows, columns)]]
+    shown = inside if np.isfinite(inside).any() else error
+    return float(np.nanpercentile(shown, SHOWN_PERCENTILE))
 
 
 def draw_outline(axes: Axes, mask: NDArray[np.bool_], line: str) -> None:

@@ -140,14 +140,14 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
     floor = row_of(headline(report), "floor")
     repeated = ("not known", "no repeat of the no-contact image was captured")
     if floor is not None:
-        noise = "with its noise, which the simulation's score is free of"
+        noise = "with its noise, which is not in the simulation's skill"
         if not words.is_noise_taken_out(report):
-            noise = "with its noise, which is in the simulation's score too"
+            noise = "with its noise, which is in the simulation's skill too"
         repeated = (words.repeat_text(floor.skill.estimate), noise)
     known = "the camera's noise is not known" if floor is None else "the camera's noise is known"
     numbers = (
         skill_number(report),
-        KeyNumber("A repeated capture", *repeated, light_of(floor is not None), known),
+        KeyNumber("Skill of a repeated capture", *repeated, light_of(floor is not None), known),
     )
     if report.objective_error is None:
         return (*numbers, KeyNumber("Doing nothing", "0", "the untouched image in its place"))
@@ -166,7 +166,7 @@ def _skill_between(report: PhotometricErrorReport) -> str:
     """Return the ends of the skill's interval, and what they are of."""
     skill = report.headline_skill
     if skill.low95 == skill.high95:
-        return "without an interval: nothing that is known to be uncertain changes it"
+        return "without an interval: no input with a known uncertainty changes it"
     places = 2 if fixed(skill.low95, 2) != fixed(skill.high95, 2) else 3
     if fixed(skill.low95, places) == fixed(skill.high95, places):
         return "its interval is narrower than 0.001"
@@ -224,7 +224,7 @@ def _sensed(sensing: SensingError) -> Part:
     remarks = [
         f"The map '{sensing.normal_map}' was taught by {sensing.presses} presses; of presses that it had not seen it "
         f"explains {percent(score.estimate)} of the squared slopes ({percent(score.low95)} to {percent(score.high95)} "
-        "over random halves). A wrong map is wrong on both sides alike, and its errors partly cancel here."
+        "over random halves). A wrong map is wrong on both sides in the same way, and its errors partly cancel here."
     ]
     if outside > 0.0:
         remarks.append(f"{percent(outside)} of the pixels show a change of colour that no calibration press showed.")
@@ -232,7 +232,7 @@ def _sensed(sensing: SensingError) -> Part:
         # the step of the integration and the size of the calibration ball in pixels both carry the scale
         remarks.append(
             f"All depths rest on one scale, whose standard uncertainty of {percent(sensing.mm_per_px_u_rel)} is not in "
-            f"their intervals; it changes them by about {percent(2.0 * sensing.mm_per_px_u_rel)}, all alike."
+            f"their intervals; it changes all of them together by about {percent(2.0 * sensing.mm_per_px_u_rel)}."
         )
     angle = simulation.normal_angle_mean_deg
     return Part(
@@ -262,7 +262,7 @@ def _metrics(report: PhotometricErrorReport) -> Part:
     )
 
 
-_BRACKETS = {"95 %": "95 % interval", "over pixels": "spread over pixels of this press, no 95 % interval"}
+_BRACKETS = {"95 %": "95 % interval", "over pixels": "spread over pixels of this press, not a 95 % interval"}
 
 
 def _summary(report: PhotometricErrorReport, command: str, digests: Mapping[str, str]) -> Json:
@@ -325,7 +325,7 @@ def _touched(report: PhotometricErrorReport, shown: TouchPictures) -> PicturePai
     simulated = raster(
         shown.simulated,
         f"Simulated image of the pressed pad. {words.simulation_sentence(report)}",
-        "Simulated, contact. What to see: inside the outlines it should look like the capture, but for noise.",
+        "Simulated, contact. What to see: inside the outlines it should look like the capture, except for noise.",
     )
     return PicturePair(_captured_contact(shown), simulated, "Slide between the captured and the simulated touch")
 
@@ -373,7 +373,8 @@ def _scores(report: PhotometricErrorReport) -> Picture:
         score_figure(report),
         words.simulation_sentence(report),
         f"Skill by region; bars: {_BRACKETS[interval_name(report)]}. What to see: the nearer the circle is to 1, the "
-        "less is left to gain; the diamond is a repeated capture, with its noise; at 0 the simulation is worth as much "
+        f"less can be improved; the diamond is a repeated capture, with its noise; at 0 the simulation is worth as "
+        f"much "
         "as an image of the untouched pad.",
     )
 

@@ -104,8 +104,9 @@ def verdict_meaning(report: PhotometricErrorReport) -> str:
             f" The interval is wide: it may be as good as the capture can show, or explain only {percent(skill.low95)}."
         )
     meaning: dict[Verdict, str] = {
-        "As good as this capture can show": "No difference between render and capture is shown beyond that of two "
-        "captures of the same thing. This capture could not distinguish a better simulation from this one.",
+        "As good as this capture can show": "The difference between render and capture is no larger than that "
+        "between two captures of the same touch. This capture could not "
+        "distinguish a better simulation from this one.",
         "Better than no simulation": f"The simulation predicts what the touch changes, but not all of it: {left} of "
         f"the squared change is left over. The error map shows where.{wide}",
         "Not distinguishable from no simulation": "This capture gives no reason to prefer the simulation to an image "
@@ -136,7 +137,7 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
         repeated = repeat_text(floor.skill.estimate)
         bound = f"a repeated capture in its place scores {repeated}; the noise of encoded values stays in both scores"
     if floor is not None and is_noise_taken_out(report):
-        bound = f"a repeated capture in its place, whose noise is not, scores {repeated}"
+        bound = f"a repeated capture in its place, with its noise, scores {repeated}"
         taken_out = " (the camera's noise is taken out)"
     return (
         f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0, a perfect simulation "
@@ -226,19 +227,18 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
     if any(skill.low95 > 1 for skill in skills):
         told.append(
             "An interval of a skill that lies entirely above 1 means that model and noise disagree: the difference "
-            "that is left is smaller than the noise that was subtracted, so that this noise is too large, or the "
-            "capture was "
-            "used to make the render."
+            "that is left is smaller than the noise that was subtracted. Either this noise is too large, or the "
+            "capture was used to make the render."
         )
     if any(skill.high95 > 1 >= skill.low95 for skill in skills):
         told.append(
-            "What lies above 1 in the interval of a skill comes from noise: it is taken out, and what is left scatters "
+            "An interval of a skill can reach above 1 because of noise: noise is subtracted, and the result scatters "
             "about the true skill, which cannot exceed 1."
         )
     if report.tone_curve is not None:
         told.append(
-            "The render is light, the capture holds encoded values: they meet through a tone curve that was fitted to "
-            "the images without contact, and scores compare code values."
+            "The render holds light and the capture encoded values. A tone curve that was fitted to the images "
+            "without contact converts the render, and scores compare code values."
         )
     elif report.values != "linear light":
         told.append(
@@ -268,7 +268,7 @@ def tone_sentence(curve: FittedToneCurve) -> str:
     p = curve.exponent
     rests = f"The two images without contact agree in pattern by a correlation of {fixed(curve.correlation, 2)}"
     if curve.correlation < _LITTLE_CORRELATION:
-        rests += ", so that the exponent rests mostly on what 8-bit cameras usually do (0.45 +- 0.05, or linear)"
+        rests += ", so the exponent comes mostly from what is usual for 8-bit cameras (0.45 +- 0.05, or linear)"
     beyond = ""
     if curve.outside_share > _TOLD_SHARE:
         beyond = (
@@ -294,7 +294,7 @@ def white_balance_sentence(drift: WhiteBalanceDrift) -> str:
     gain, expected = drift.gains[worst], drift.expected_gains[worst]
     done = "It was not taken out."
     if drift.corrected:
-        done = "It was taken out of both sides, each by its own, so that an unchanged image with such a gain scores 0."
+        done = "Each side was divided by its own gain, so that an unchanged image with such a gain scores 0."
     return (
         f"Far from the contact the capture changes most in {CHANNELS[worst]}: by {signed_percent(gain - 1.0)}, where "
         f"the simulation changes by {signed_percent(expected - 1.0)} (standard uncertainty "
@@ -329,7 +329,7 @@ def error_alternative(report: PhotometricErrorReport, typical_rel: float, large_
     """Say in words what the error map shows."""
     skill = report.headline_skill
     return (
-        f"Map of the error of the simulation: half of the image errs by less than {percent(typical_rel)} of the "
+        f"Map of the error of the simulation: half of the image is wrong by less than {percent(typical_rel)} of the "
         f"untouched level, one in twenty by more than {percent(large_rel)}. Skill {fixed(skill.estimate, 2)}."
     )
 
@@ -551,7 +551,13 @@ def budget_table(report: PhotometricErrorReport) -> ReportTable:
     ]
     objective = hypot(*(line.objective_u_rel or 0.0 for line in lines))
     rows.append(
-        ("root sum of squares, as if independent", significant(total, 2), "100 %", percent(objective), NO_VALUE)
+        (
+            "root of the sum of squares",
+            significant(total, 2),
+            "100 %",
+            percent(objective),
+            NO_VALUE,
+        )
     )
     columns = ("input", "u of the skill (1)", "share", "u of the brightness", "known from")
     return one_group("What each input adds: standard uncertainty u with this input alone", columns, rows, True)
@@ -609,12 +615,12 @@ def causes_table(found: ErrorAttribution) -> ReportTable:
     rest = (
         ("saturation", "pixels that are nearly clipped in the simulation", found.saturation_skill),
         ("noise", "of the capture, as neighbours show it", found.noise_skill),
-        ("remainder", "explained by none of these", found.remainder_skill),
+        ("remainder", "not explained by any of these", found.remainder_skill),
         ("sum", "1 - skill", found.skill_lost),
     )
     rows += [(name, what, fixed(value, 3), NO_VALUE, NO_VALUE) for name, what, value in rest]
     columns = ("cause", "size, with standard uncertainty", "skill lost", "regained if repaired alone", "looks like")
-    return one_group("What the skill is lost by", columns, rows, is_words=True)
+    return one_group("What the lost skill is due to", columns, rows, is_words=True)
 
 
 def causes_remarks(found: ErrorAttribution) -> tuple[str, ...]:
@@ -622,11 +628,11 @@ def causes_remarks(found: ErrorAttribution) -> tuple[str, ...]:
     told = ["The parts add up; a part may be below 0 where causes work against each other."]
     if any(cause.like for cause in found.causes):
         told.append(
-            "One image alone does not separate causes that look alike: the size of their sum is known, the share of "
-            "each is not. Presses at other depths and places separate them."
+            "One image alone does not separate causes that look alike: their sum is known, the share of each is not. "
+            "Presses at other depths and places separate them."
         )
     if found.skill_lost > 0.0 and found.remainder_skill > 0.5 * found.skill_lost:
-        told.append("More than half is explained by none of the causes: look at the error map.")
+        told.append("More than half of the loss is not explained by any of these causes: look at the error map.")
     return tuple(told)
 
 

@@ -45,8 +45,8 @@ from finray_calib.reports._plain_text import Json, percent, plain, probability, 
 Floats = NDArray[np.float64]
 #: Whether it is decided, and what follows.
 VERDICTS: Final = {
-    "decided": ("decided", "only angles nearby do as well"),
-    "tie": ("decided", "angles beside it do as well"),
+    "decided": ("decided", "only nearby angles are as good"),
+    "tie": ("decided", "neighbouring angles are as good"),
     "undecided": ("not decided", "more renders are needed"),
     "needs captures": ("not decided", "captures are needed"),
 }
@@ -116,7 +116,7 @@ def decision_numbers(decision: LightAngleDecision) -> tuple[KeyNumber, ...]:
         reasons[loss],
     )
     if side is not None:
-        return (decided, KeyNumber("Mount it between", side, f"costs at most {tolerance} more, as expected"), most)
+        return (decided, KeyNumber("Mount it between", side, f"is expected to cost at most {tolerance} more"), most)
     if claim.p_within_tolerance is None:
         return (decided, most)
     odds = light_of(claim.p_within_tolerance >= _SURE, is_bad=claim.p_within_tolerance < _EVEN)
@@ -208,7 +208,7 @@ def places_part(decision: LightAngleDecision) -> Part:
     rows = (
         (
             touch_text(contact, decision.contacts),
-            f"{contact.weight_share:.1%}",
+            percent(contact.weight_share),
             f"{contact.best_deg:.0f} deg",
             lost(decision, contact.loss_rel),
             lost(decision, contact.loss_95_rel),
@@ -274,7 +274,7 @@ def mounting_picture(decision: LightAngleDecision, sweep: LightAngleSweep) -> Pi
 
 def _claims(decision: LightAngleDecision) -> Part:
     """Show the numbers with and without captures."""
-    lead = "What is claimed with all that is known, beside what the renders alone would claim."
+    lead = "What the decision claims with all available information, and what the renders alone would claim."
     tables = [decision_table(decision)]
     if decision.captures:
         tables.append(_captures_table(decision))
@@ -332,7 +332,7 @@ def _others(decision: LightAngleDecision, sweep: LightAngleSweep) -> Part:
     columns = ("objective", "would have chosen", cost, "its own loss here [90 %]", "needs another angle")
     table = one_group("Objectives side by side", columns, rows, is_words=True)
     meanings = tuple(f"{o.name}: {o.meaning.rstrip('.')} ({o.unit})." for o in sweep.other_objectives)
-    return Part("What others would have chosen", Content(sentence, ((picture,),), meanings, tables=(table,)))
+    return Part("What other objectives would have chosen", Content(sentence, ((picture,),), meanings, tables=(table,)))
 
 
 def _next(decision: LightAngleDecision) -> Part:
@@ -361,8 +361,8 @@ def _sweep_table(sweeps: Sequence[LightAngleSweep]) -> ReportTable:
         ("light panel", f"{light.width_mm:g} x {light.height_mm:g} mm, {light.peak_wavelength_nm:g} nm"),
         ("panel sits at", f"x, y, z = {', '.join(f'{p:g}' for p in light.position_mm)} mm"),
         ("mirror", f"reflects {percent(design.mirror.reflectance)}, radius {design.mirror.radius_mm:g} mm"),
-        ("sweeps, each beside a touch", str(len(sweeps))),
-        ("points looked at in each", str(len(sweep.probe_points_mm))),
+        ("sweeps, one for each touch", str(len(sweeps))),
+        ("points evaluated in each", str(len(sweep.probe_points_mm))),
     ]
     rows += [(f"{colour} paint", f"SHA-256 {digest}") for colour, digest in sorted(sweep.paints.items())]
     return one_group("Sweep of the light angle", ("item", "value"), rows, is_words=True)
@@ -425,7 +425,7 @@ def verdict_title(decision: LightAngleDecision) -> str:
     if decision.verdict == "decided":
         return f"Mount the light at {angle}"
     if decision.verdict == "tie":
-        return f"Several angles do equally well; take {angle} if nothing speaks against it"
+        return f"Several angles are equally good; take {angle} if nothing speaks against it"
     if decision.verdict == "undecided":
         return f"Not decided yet; {angle} is the best guess so far"
     if not decision.validated:
@@ -441,12 +441,12 @@ def decision_meaning(decision: LightAngleDecision) -> str:
     if decision.at_range_end:
         return (
             f"The best angle found, {angle}, is at the end of the sweep. The optimum may lie outside the sweep: widen "
-            "it. Until then no tolerance can be promised, and a loss is one against the angles of this sweep only."
+            "it. Until then no tolerance can be promised, and a loss is relative to the angles of this sweep only."
         )
     if decision.verdict == "decided":
         return (
             f"Mount the light at {angle}: the loss against the best angle stays within {tolerance} with 95 % "
-            f"probability, and only angles nearby do as well ({equivalent_text(decision.statement)})."
+            f"probability, and only nearby angles are as good ({equivalent_text(decision.statement)})."
         )
     if decision.verdict == "tie":
         return (
@@ -525,7 +525,7 @@ def capture_sentence(decision: LightAngleDecision) -> str:
     part = "One capture is part" if count == 1 else f"{count} captures are part"
     return (
         f"{part} of this decision. By the renders alone it would be {decision.angle_simulation_only_deg:.0f} deg, with "
-        f"a loss below {percent(alone.regret_95)} with 95 % probability (equivalent: {equivalent_text(alone)}); with "
+        f"a loss {_up_to(alone.regret_95)} with 95 % probability (equivalent: {equivalent_text(alone)}); with "
         f"captures it is {decision.angle_deg:.0f} deg and {percent(both.regret_95)} ({equivalent_text(both)})."
     )
 
@@ -534,13 +534,18 @@ def decision_validation(decision: LightAngleDecision) -> str:
     """Say of a decision without captures what it assumes, and what the renders alone would claim."""
     start = "The decision is not validated against a capture"
     if decision.discrepancy_rel is None:
-        return f"{start}: it holds only if the simulation is right."
+        return f"{start}: it holds only if the simulation is correct."
     alone = decision.statement_simulation_only
     return (
         f"{start}. How far the finger differs from the simulation is assumed: "
         f"{percent(decision.discrepancy_rel)}{_range_text(decision)} at each angle. If the simulation were exact, the "
-        f"loss would stay below {percent(alone.regret_95)} with 95 % probability."
+        f"loss would stay {_up_to(alone.regret_95)} with 95 % probability."
     )
+
+
+def _up_to(loss_rel: float) -> str:
+    """Return a limit of a loss; what rounds to nothing says "below" of itself."""
+    return f"below {percent(loss_rel).removeprefix('below ')}"
 
 
 def _range_text(decision: LightAngleDecision) -> str:

@@ -97,11 +97,11 @@ def design_study_page(
 _LIMITS = (
     "Intervals (95 %) of what images show come from independent renders of each point: they include the noise of the "
     "renders, and leave out assumed materials, dimensions and camera response, which all points share.",
-    "All points share their random numbers, so that the difference of two points is surer than each of them.",
+    "All points share their random numbers, so the difference of two points is more certain than each of them.",
     "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
-    "Their limits say what the mesh leaves open.",
-    "Vividness takes the camera's channels for those of sRGB, exposed and white-balanced on the coat itself; it orders "
-    "fingers of one camera and is no absolute colour.",
+    "Their limits show the uncertainty that comes from the mesh.",
+    "Vividness takes the camera's channels for those of sRGB, exposed and white-balanced on the coat itself; it "
+    "ranks fingers with one camera and is not an absolute measure of colour.",
 )
 
 
@@ -161,7 +161,7 @@ def _changed(ordered: Sequence[StudyMetric]) -> tuple[Light, str]:
     factor = normal.inv_cdf(1.0 - 0.025 / len(ordered)) / normal.inv_cdf(0.975)
     gap = highest.value - lowest.value
     if gap > factor * (lowest.high95 - lowest.value + highest.value - highest.low95):
-        return "good", "the points differ by more than their intervals, all of them together"
+        return "good", "the points differ by more than their intervals, which hold jointly for all points"
     return "care", "no difference between the points is shown"
 
 
@@ -206,7 +206,8 @@ def _pictures(points: Sequence[StudyPoint]) -> Content:
     for start in range(0, len(pictures), 3):
         rows.append(tuple(pictures[start : start + 3]))
     lead = (
-        "What the camera sees, each channel balanced for the screen alike in all pictures. Base of the finger at the "
+        "What the camera sees; each channel is balanced for the screen, in the same way in all pictures. Base of the "
+        "finger at the "
         "left, tip at the right."
     )
     return Content(lead, tuple(rows))

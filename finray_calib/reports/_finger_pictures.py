@@ -324,7 +324,7 @@ def untouched_finger_png(design: FingerDesign, why: str, folder: Path | None = N
     axes = figure.subplots()
     _draw_before(axes, shape_from_mesh(design, mesh.nodes_mm, mesh.hexahedra))
     _draw_indenter(axes, design, 0.0, folder)
-    axes.set_title("\n".join(textwrap.wrap(f"stopped where the indenter touches: {why}", 120)))
+    axes.set_title("\n".join(textwrap.wrap(f"stopped where the indenter first touches: {why}", 120)))
     axes.set(aspect="equal", xlabel="z along the finger, from the base of the pad (mm)", ylabel="y (mm)")
     axes.grid(visible=False)
     axes.autoscale_view()
@@ -402,7 +402,7 @@ def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:
     axes.set(xlabel="push of the indenter from first touch (mm)", ylabel="force along the pad's normal (N)")
     title = f"{force[-1]:.2f} N at {depth[-1]:.2f} mm"
     if not force[-1] > 0.0:
-        title += ":\nnot the finger's: it touches no node or has been passed through"
+        title += ":\nforce of the mesh, not of the finger: the indenter touches no node or has passed through"
     # a little room below a force that pulls, none below nought
     axes.set(xlim=(0.0, None), ylim=(min(0.0, 1.1 * force.min()), None), title=title)
 

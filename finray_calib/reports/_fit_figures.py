@@ -113,11 +113,11 @@ def budget_figure(rows: Sequence[BudgetRow], least_share: float, height_in: floa
     height_in
         Of the figure.
     """
-    figure = new_figure(6.6, height_in)
+    figure = new_figure(5.0, height_in)
     axes = figure.subplots()
     _draw_budget(axes, rows, least_share)
     bars, sources = axes.get_legend_handles_labels()
-    names = [textwrap.fill(source, 42) for source in sources]
+    names = [textwrap.fill(source, 32) for source in sources]
     figure.legend(bars, names, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return svg_text(figure)
 
@@ -499,8 +499,8 @@ def spread_sentence(fitted: PaintMap, quantity: MappedQuantity) -> str:
 def spots_note(fitted: PaintMap) -> str:
     """Say what a block shows that single pixels do not, and what else than paint it may be."""
     return (
-        f"Medians of {fitted.block_px} x {fitted.block_px} px show less than the noise of one pixel hides; "
-        "the white tile's own texture counts as the paint's: a session with the tile shifted separates them."
+        f"Medians of {fitted.block_px} x {fitted.block_px} px show differences that the noise of single pixels "
+        f"hides. The white tile's own texture counts as the paint's: a session with the tile shifted separates them."
     )
 
 

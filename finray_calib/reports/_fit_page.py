@@ -143,7 +143,7 @@ def _measured(paint: PaintCalibration, name: str) -> tuple[Light, str]:
         return "bad", "the draws of the posterior cannot be trusted"
     share = paint.prior_shares.get(name)
     if share is None:
-        return "", "how much of it is prior was not judged"
+        return "", "how much of it comes from the prior was not judged"
     left = f"{percent(share.share)} of the variance before the measurement is left"
     return light_of(not share.mostly_prior), f"{'mostly prior' if share.mostly_prior else 'measured'}: {left}"
 
@@ -206,7 +206,8 @@ def _emission_assumption(paint: FittedPaint) -> str:
     if paint.rests_on_measured_spectra:
         return (
             "Emission: prototypes of measured spectra (fluorophores, ink, textile, papers) with departures of three "
-            "sizes, all averaged. A paint unlike any of them is not foreseen, such as narrow lines between the filters."
+            "sizes, all averaged. The prior does not cover a paint unlike any of them, such as one with narrow lines "
+            "between the filters."
         )
     return (
         f"Emission: {fit.family_title} with a discrepancy of {percent(fit.discrepancy.amplitude_rel)}, from "
@@ -220,8 +221,9 @@ def _budget(paint: FittedPaint, rows: Sequence[BudgetRow]) -> Part:
     return Part(
         "Uncertainty by source",
         Content(
-            lead="What makes the uncertainty of each quantity: shares of its variance, which add up to 100 %. To make "
-            "one more certain, begin with its largest share. What the prior makes, only other filters can take away.",
+            lead="Where the uncertainty of each quantity comes from: shares of its variance, which add up to 100 %. "
+            "To make "
+            "one more certain, begin with its largest share. Only other filters can reduce the prior's share.",
             picture_rows=(
                 (
                     drawing(
@@ -352,7 +354,7 @@ def _absorption(paints: Paints) -> Content:
 def _absorption_picture(paint: FittedPaint) -> Picture:
     """Return the figure of the absorption."""
     seen = (
-        "the wide band is what measured paints do, not a measurement of this one; it is known at the dashed line only"
+        "the wide band shows measured paints in general, not this one; this paint is measured at the dashed line only"
     )
     if not paint.fit.reradiation.prior_driven:
         seen = "the band narrows at the measured lights (dashed)"
@@ -413,8 +415,9 @@ def _sampling(paints: Paints) -> Content:
     """Show how the posterior was sampled."""
     chains = [table for paint in paints if (table := chain_table(paint)) is not None]
     return Content(
-        lead="The posterior is drawn by importance sampling, which diagnoses itself; where it falls short its draws "
-        "are moved until they forget their start, at last emcee takes over. emcee checks any of them where asked.",
+        lead="The posterior is drawn by importance sampling, which diagnoses itself; where it is not good enough, "
+        "its draws are moved until they no longer depend on their start, and if that fails emcee takes over. "
+        "emcee can check any of them.",
         remarks=tuple(paint.titled(said.sampling_statement(paint.fit.diagnostics)) for paint in paints),
         tables=(*(sampling_table(paint) for paint in paints), *chains),
     )
@@ -461,7 +464,7 @@ def _key_numbers(paint: PaintWithoutEmission) -> tuple[KeyNumber, ...]:
     return (
         KeyNumber("Energy yield", limit, modes),
         KeyNumber("Signal beyond a blank", f"{beyond} sd", f"threshold {threshold} sd", "care", "below the threshold"),
-        KeyNumber("Reflects of the laser", percent(paint.reflectance_at_laser), "from the filter at its line"),
+        KeyNumber("Reflected share of the laser", percent(paint.reflectance_at_laser), "from the filter at its line"),
     )
 
 
@@ -469,8 +472,8 @@ def _findings(paint: PaintWithoutEmission) -> tuple[str, ...]:
     """Return what to do, and what the decision rests on."""
     found = paint.detection
     return (
-        "There is no spectrum, no mode and no width in this record: the signals do not hold any. It cannot be "
-        "simulated with, mapped or exported.",
+        "There is no spectrum, no mode and no width in this record, because the signals contain none. The record "
+        "cannot be simulated with, mapped or exported.",
         f"{percent(found.blanks_above)} of {found.blanks} simulated samples of the same rig and reflectance, which "
         "emit nothing, show at least as much.",
         "If this should be a fluorescent paint: look at whether the laser was on, the right sample in view and the "
@@ -483,9 +486,9 @@ def _limits(paint: PaintWithoutEmission) -> tuple[str, ...]:
     found = paint.detection
     return (
         f"Emission with its mode beyond {found.limit_high_nm:.0f} nm is not seen by these filters.",
-        "The limit rests on the filters' blocking as the rig file states it, and on an allowance for stray light of "
+        "The limit depends on the filters' blocking as the rig file states it, and on an allowance for stray light of "
         "0.03 % of the laser. Filters that leak more make blanks look like paints.",
-        f"Of samples without any emission {percent(found.false_alarm)} are called paints.",
+        f"Of all samples without any emission, {percent(found.false_alarm)} are wrongly called paints.",
     )
 
 
@@ -494,7 +497,7 @@ def _signals(paint: PaintWithoutEmission) -> Picture:
     return drawing(
         blank_figure(paint),
         "Measured band signals agree with those of a sample that reflects the laser and emits nothing.",
-        "Measured through each filter, and what is expected of a sample that reflects as much of the laser and emits "
-        "nothing. Boxes: two standard deviations of noise, leaks, tolerances and stray light. Open markers are "
+        "Measured through each filter, and what a sample would give that reflects the same share of the laser and "
+        "emits nothing. Boxes: two standard deviations of noise, leaks, tolerances and stray light. Open markers are "
         "not used.",
     )

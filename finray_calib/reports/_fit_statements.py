@@ -57,7 +57,7 @@ def paint_sentence(paint: FittedPaint) -> str:
     mode, width = fit.parameters["mode_nm"], fit.parameters["fwhm_nm"]
     caution = "" if is_trusted(fit.diagnostics) else " The sampling can NOT be trusted: do not use this fit."
     beside = ("", "") if truth is None else (_beside(truth, truth.mode_nm, mode), _beside(truth, truth.fwhm_nm, width))
-    rest = f"It gives back {estimate_text(fit.energy_yield, '%', 100.0)} of the light's energy as fluorescence."
+    rest = f"It re-emits {estimate_text(fit.energy_yield, '%', 100.0)} of the light's energy as fluorescence."
     if truth is not None:
         rest = f"Over the whole spectrum the fit is off by {percent(curve_agreement(fit, truth.emission).error_rel)}."
     subject = paint.subject[:1].upper() + paint.subject[1:]
@@ -94,8 +94,8 @@ def _model_verdict(paint: FittedPaint, agreement: CurveAgreement) -> str:
     if not all(band.explained for band in paint.fit.bands):
         return "the intervals are too narrow, as the bands that are not explained show"
     return (
-        "the intervals are too narrow here, and the bands alone do not reveal it: the filters leave gaps, and points "
-        "along a curve err together"
+        "the intervals are too narrow here, and the bands alone do not reveal it: the filters leave gaps, and the "
+        "errors of points along a curve are correlated"
     )
 
 
@@ -122,7 +122,7 @@ def family_statement(paint: FittedPaint) -> str:
         )
     beside = ""
     if paint.rests_on_measured_spectra:
-        beside = " The reported spectrum does not rest on it, only the parameters and the maps of pixels do."
+        beside = " The reported spectrum does not depend on it; only the parameters and the maps of pixels do."
     return f"{paint.titled(text)}.{remark}{beside} {_spread(paint)}"
 
 
@@ -162,7 +162,7 @@ def absorption_statement(paint: FittedPaint) -> str:
     absorption = paint.fit.reradiation
     shift = estimate_text(absorption.stokes_shift_nm, "nm")
     if absorption.prior_driven:
-        return paint.titled(f"Stokes shift {shift}: belief, not measurement. {_sentence(absorption.statement)}")
+        return paint.titled(f"Stokes shift {shift}: prior belief, not a measurement. {_sentence(absorption.statement)}")
     return paint.titled(f"Stokes shift {shift}. {_sentence(absorption.statement)}")
 
 

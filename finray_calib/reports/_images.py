@@ -277,8 +277,12 @@ class TouchChanges:
 
     @property
     def scale(self) -> float:
-        """Return the end of a common colour scale: what 99 % of the values of both maps stay below."""
-        both = np.abs(np.stack([self.captured, self.simulated]))
+        """Return the end of a common colour scale: what 99 % of the values of both maps in the regions stay below.
+
+        Beside the regions a dark picture changes by many times its level, and would leave nothing to see in them.
+        """
+        inside = np.any(self.regions, axis=0) if self.regions else np.full(self.captured.shape, True)
+        both = np.abs(np.stack([self.captured[inside], self.simulated[inside]]))
         top = float(np.nanpercentile(both, 99.0)) if np.isfinite(both).any() else 0.0
         return top if top > 0 else 1.0
 

@@ -56,11 +56,11 @@ def cited(text: str) -> tuple[str, ...]:
 
 
 def methods_part(paragraphs: Sequence[str], origin: Provenance | None = None) -> Part:
-    """Return the section of the methods, with its list of works; it waits in a fold."""
+    """Return the section of the methods, with its list of works, folded at first."""
     made = () if origin is None else (f"Computed with finray-calib {origin.package_version}{_made_with(origin)}.",)
     told = (*paragraphs, *made)
     works = Part("References", Content(points=cited(" ".join(told))))
-    lead = "Written from the records of this page. It may be copied into a paper as it stands."
+    lead = "Written from the records of this page. It may be copied into a paper."
     return Part("Methods, for a paper", Content(lead, remarks=told, parts=(works,)), is_detail=True)
 
 

@@ -140,7 +140,7 @@ class KeyNumber:
 
 
 def light_of(is_good: bool, is_bad: bool = False) -> Light:
-    """Return the light of what keeps its limit, misses it altogether, or neither."""
+    """Return the traffic light of a number: within its limit, clearly outside, or neither."""
     return "good" if is_good else "bad" if is_bad else "care"
 
 

@@ -216,7 +216,7 @@ def calibrate_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: 
     if len(views) < LEAST_VIEWS:
         raise CompareError(
             f"{len(views)} usable pictures of the board do not determine a lens: give {LEAST_VIEWS} or more (ten are "
-            "good), each with the board turned and tilted otherwise"
+            "good), each with the board turned and tilted in a different way"
         )
     found = adjust(views, size_px, model, *_start(views, size_px, model))
     rms = float(np.sqrt((found.view_rms_px**2).mean()))
@@ -225,7 +225,7 @@ def calibrate_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: 
         raise CompareError(
             f"the {model} model leaves {rms:.1f} px between the corners and where they should be ({views[worst].name}: "
             f"{found.view_rms_px[worst]:.1f} px), {LARGEST_RMS_PX:g} px are allowed: is the board flat, are squares "
-            "and dictionary those that were printed, was the focus left alone?"
+            "and dictionary those that were printed, was the focus the same in all pictures?"
         )
     if not found.focal_u_rel <= LARGEST_FOCAL_U_REL:
         raise CompareError(

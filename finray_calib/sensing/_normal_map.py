@@ -431,7 +431,10 @@ def held_out_normal_error_deg(
     """
     _check_table(signals, places_mm, slopes, folds, degree)
     if taught is not None and taught.shape != signals.shape:
-        raise CompareError(f"the calibrated finger has signals {taught.shape}, this one {signals.shape}: give the same")
+        raise CompareError(
+            f"the calibrated finger has signals {taught.shape}, this one {signals.shape}: give "
+            f"signals of the same shape"
+        )
     points, facets, frames, _ = signals.shape
     place = np.broadcast_to(places_mm[:, None, None], (points, facets, frames, 2))
     inputs = np.concatenate([signals, place], axis=-1)

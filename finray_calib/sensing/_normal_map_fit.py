@@ -462,7 +462,7 @@ def _check_together(captures: Sequence[TactileCapture]) -> None:
         if digest in name_of:
             raise CompareError(
                 f"{name_of[digest]} and {capture.name} are one and the same image: a press that is given twice would "
-                "judge what it has taught; give each once"
+                f"be judged by a map that it has taught; give each once"
             )
         name_of[digest] = capture.name
     for capture in captures[1:]:
@@ -618,31 +618,31 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
     notes = []
     if taught:
         notes.append(
-            f"this press taught the map '{record.name}': what is sensed says nothing of other presses, and the stated "
-            "uncertainty is too large for this one; teach with other presses"
+            f"this press taught the map '{record.name}': its result says nothing about other presses, and the stated "
+            f"uncertainty is too large for it; teach with other presses"
         )
     if taught is None:
         notes.append("whether this press taught the map is not known: the map is of an earlier version; teach it again")
     if record.held_out_level_mm is None and record.held_out_depth_rms_mm is not None:
         notes.append(
-            "how far the level of the depth is off around a contact is not known: only the scatter of the frame is in "
-            "its uncertainty; teach again, with contacts that leave 3.5 radii in view"
+            "the error of the depth's zero level around a contact is not known: its uncertainty holds only the "
+            "scatter at the border of the picture; teach again, with contacts that leave 3.5 radii in view"
         )
     if record.held_out_depth_rms_mm is None:
         notes.append("the uncertainty of the depth is not known: the map is of an earlier version; teach it again")
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
-            f"{shares.outside_share:.0%} of the contact's pixels change colour as in no teaching press; the map is "
-            "held at its last value there: teach with deeper presses, or at more places"
+            f"{shares.outside_share:.0%} of the contact's pixels change colour in a way that no teaching press did; "
+            f"there the map keeps its last value: teach with deeper presses, or at more places"
         )
     if shares.clipped_share > _CLIPPED_TOLD:
         notes.append(
             f"{shares.clipped_share:.0%} of the contact's pixels are clipped and take their slope from their "
-            "neighbours: expose shorter"
+            f"neighbours: use a shorter exposure"
         )
     notes.append(
-        "depth counts from the median over the frame of the picture, where the gel is taken to be untouched; a "
-        "movement of the gel as a whole is not seen"
+        "depth is measured from the median over the border of the picture, where the gel is assumed to be untouched; "
+        "a movement of the gel as a whole is not seen"
     )
     if capture.no_contact_from != "image":
         notes.append(

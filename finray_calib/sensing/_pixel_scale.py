@@ -349,7 +349,7 @@ def resampled_scatter_rel(
     usable = np.array([v for v in values if np.isfinite(v)])
     if len(usable) < RESAMPLINGS // 2:
         raise CompareError(
-            "the lens rests on too few pictures: without one or two of them it is not determined. Take more, with the "
+            "there are too few pictures: without one or two of them the lens is not determined. Take more, with the "
             "board tilted in several directions"
         )
     # quantiles: a draw of few alike pictures may lie far out

@@ -98,7 +98,7 @@ def pixel_scale(
     if len(lens_views) < LEAST_VIEWS:
         raise CompareError(
             f"{len(lens_views)} usable pictures of the board beside that on the pad: give {LEAST_VIEWS} or more (ten "
-            "are good), each with the board turned and tilted otherwise"
+            f"are good), each with the board turned and tilted in a different way"
         )
     views = [pad, *lens_views]
     found = _best_lens(views, size_px, model)
@@ -226,7 +226,7 @@ def _notes(
     if len({r.mirrored for r in residuals}) > 1:
         notes.append("some pictures show the board mirrored, others do not; a flat mirror changes no length")
     notes.append(
-        f"holds where the board lay, for the pad at rest; {found.model} model, {len(residuals) - 1} pictures for the "
+        f"valid where the board lay, for the pad at rest; {found.model} model, {len(residuals) - 1} pictures for the "
         "lens"
     )
     return tuple(notes)
@@ -276,8 +276,8 @@ def patch_scale(
     if not at_middle.u_rel.max() <= LARGEST_U_REL:
         raise CompareError(
             f"{capture.name}: at column {middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, the pixel "
-            f"scale is not known to {LARGEST_U_REL:.0%}: its camera does not see the plane of the pad there, or no "
-            "board came near. Is it of this camera? Then lay the board where the patch is"
+            f"scale is not known to {LARGEST_U_REL:.0%}: the camera does not see the plane of the pad there, or no "
+            f"picture shows the board near it. Is it of this camera? Then lay the board where the patch is"
         )
     along = _along_picture(plane_places_mm(plane, middle_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
     side_mm, u_rel = cell * at_middle.mm_per_px[0, :2], at_middle.u_rel[0, :2]

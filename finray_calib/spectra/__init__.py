@@ -1,4 +1,4 @@
-r"""Know curves and what a rig makes of them: emission families, band weights, the re-radiation matrix.
+r"""Spectral curves and how a rig measures them: emission families, band weights, the re-radiation matrix.
 
 A paint that reflects rho of the laser and emits f per nm has in band b of channel c the value
 

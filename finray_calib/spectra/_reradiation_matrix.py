@@ -15,7 +15,7 @@ ROUNDING = 1e-9
 SURE_SD = 2.0
 """A law of conservation counts as broken where it is broken by more than this many standard deviations."""
 _ENERGY = (
-    "at {count} of {total} excitation wavelengths the paint gives back more energy than it gets, by more than two "
+    "at {count} of {total} excitation wavelengths the paint gives back more energy than it receives, by more than two "
     "standard deviations (worst {worst_nm:g} nm: {emitted:.3f} emitted, {reflected:.3f} reflected, together "
     "{both:.3f} +- {sd:.3f}); check the calibration of emission and reflectance"
 )

@@ -244,7 +244,7 @@ def require_new(label: tuple[int, float], last: tuple[int, float] | None, camera
         Both are those of the last frame.
     """
     if label[1] > 0.0 and label == last:
-        raise BadFrameError(f"{camera}: delivered frame {label[0]} twice; does its stream hang?")
+        raise BadFrameError(f"{camera}: delivered frame {label[0]} twice; has its stream stopped?")
 
 
 def _whole_frame(features: Features, settings: CameraSettings, camera: str) -> None:
@@ -512,7 +512,7 @@ class GenicamCamera:
         delivered = self._grab(actual_s, end_s)
         settings = {**self._require_kept(actual_s), TRANSPORT: delivered.fault or "success"}
         if kept:
-            settings[FIRST_FRAME] = "kept: no time for two"
+            settings[FIRST_FRAME] = "kept: there was no time to take a second frame"
         timed = delivered.device_time_s > 0.0
         return RawFrame(
             counts=self._counts(delivered),
@@ -605,7 +605,7 @@ class GenicamCamera:
             self._give_up()
             raise LostError(f"{self._where}: the connection broke ({error}); check its cable and power") from error
         except FeatureError as error:
-            raise RefusedError(f"{self._where}: refuses what was asked ({error})") from error
+            raise RefusedError(f"{self._where}: refuses the request ({error}); correct the rig file") from error
 
     def _require_connection(self) -> _Connection:
         if self._connection is None:

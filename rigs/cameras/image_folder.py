@@ -163,7 +163,7 @@ def _listed_exposures(path: Path, where: str) -> dict[str, float]:
         listed: dict[str, float] = {}
         for line, cells in rows:
             if cells[at_file] in listed:
-                raise ValueError(f"{cells[at_file]} stands twice, again in line {line}")
+                raise ValueError(f"{cells[at_file]} is listed twice, the second time in line {line}")
             listed[cells[at_file]] = finite_number(cells[at_time])
     except (ValueError, IndexError) as error:
         raise RefusedError(

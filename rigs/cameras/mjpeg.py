@@ -155,8 +155,8 @@ class MjpegCamera:
                 return part
             if time.monotonic() > end_s:
                 raise TimedOutError(
-                    f"{self._name}: pictures come, but none in time that was exposed after it was asked for; the "
-                    "camera or its server hangs, or the network is slow"
+                    f"{self._name}: pictures arrive, but none of them was exposed after the request and came in "
+                    f"time; the camera or its server hangs, or the network is slow"
                 )
 
     def _require_online(self, part: Part) -> None:

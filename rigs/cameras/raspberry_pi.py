@@ -298,7 +298,7 @@ class RaspberryPiCamera:
                 request.release()
         raise RefusedError(
             f"{self._name}: {'; '.join(self._differing(metadata)) or 'all frames are older than the call'}, after "
-            f"{MOST_REQUESTS} frames; ask for settings that it can take, and end other programs that use it"
+            f"{MOST_REQUESTS} frames; choose settings that the camera can take, and end other programs that use it"
         )
 
     def _set(self, exposure_s: float, end_s: float) -> None:

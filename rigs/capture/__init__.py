@@ -1,8 +1,8 @@
-"""Capture sessions: from a plan and a rig to a folder of raw frames that proves itself.
+"""Capture sessions: from a plan and a rig to a folder of raw frames with checksums that anybody can verify.
 
 One engine for four kinds of session (paint, camera, tactile, check): steps in order, exposures metered and read back,
 the filters proven optically, every frame on disk with its SHA-256 and a line of a chained journal before the next step
-begins. A session that is interrupted goes on from its journal; one that is finished can be verified alone.
+begins. An interrupted session continues from its journal; a finished one can be verified without anything else.
 """
 
 from typing import TYPE_CHECKING

@@ -18,7 +18,7 @@ from rigs import OpenRig, open_rig, rig_locked
 from rigs.capture._exposure import exposure_ladder, meter_exposure, under_light
 from rigs.capture._frame_store import FrameStore, Shot, numbered
 from rigs.capture._journal import Journal, fault_notes, faults_noted
-from rigs.capture._plan import Step, require_region_inside
+from rigs.capture._plan import Step, require_named, require_region_inside
 from rigs.capture._resume import (
     Interrupted,
     require_same_camera,
@@ -46,8 +46,9 @@ def camera_step(plan: CameraPlan, rig: RigFile) -> Step:
     Raises
     ------
     CaptureError
-        The rig has no such filter, or the region is empty or leaves the frame.
+        The camera has no name, the rig no such filter, or the region is empty or leaves the frame.
     """
+    require_named("plan.camera_name", plan.camera_name)
     require_region_inside(plan.region, rig.camera)
     slots = {f.name: f.slot for f in rig.filter_wheel.filters}
     if plan.filter_name is not None and plan.filter_name not in slots:
@@ -88,7 +89,10 @@ def capture_camera_session(
     curve_files(rig, request.rig_folder)
     if interrupted is None:
         require_empty(request.out)
-    present = rig_as_it_is(rig, interrupted)
+    present = rig
+    if interrupted is not None:
+        present, sources = rig_as_it_is(rig, request.rig_folder, interrupted.sources)
+        request = replace(request, sources=sources)
     with (
         rig_locked(rig),
         open_rig(present, request.rig_folder, request.operator) as opened,
@@ -130,7 +134,7 @@ def capture_camera_with(
         for note in notes:
             journal.append("note", text=note)
         session = CameraSession(plan=plan, rig=rig, frames=store.frames, devices=opened.identities(), notes=notes)
-        noted = dict(request.sources) if interrupted is None else interrupted.sources
+        noted = dict(request.sources) or ({} if interrupted is None else interrupted.sources)
         write_session(session, out, {**noted, **inputs}, request.command, journal)
     write_manifest(out)
     return session

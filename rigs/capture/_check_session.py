@@ -35,7 +35,7 @@ from data_schemas import (
 from rigs import OpenRig, Operator, TerminalOperator, open_rig, rig_locked
 from rigs.capture._exposure import WHEEL_DEADLINE_S, CheckedCamera, exposure_ladder, meter_exposure, shine
 from rigs.capture._filter_proof import judge_filters, predicted_rates, signal_floor
-from rigs.capture._plan import Step, planned_filters, require_region_inside
+from rigs.capture._plan import Step, planned_filters, require_named, require_region_inside
 from rigs.capture.light_off_time import (
     CameraWatch,
     ConnectionWatch,
@@ -270,8 +270,9 @@ def check_filters(plan: CheckPlan, rig: RigFile) -> list[BandPassFilter]:
     Raises
     ------
     CaptureError
-        The rig lacks a filter, or the region is empty or leaves the frame.
+        The check has no name, the rig lacks a filter, or the region is empty or leaves the frame.
     """
+    require_named("plan.check_name", plan.check_name)
     require_region_inside(plan.region, rig.camera)
     return planned_filters(plan.filters, rig)
 
@@ -383,7 +384,7 @@ class _Recorder:
             if isinstance(error, UnsafeError):
                 self._ended = "a light is not confirmed off"
             elif isinstance(error, LightLostError) and section == "light off" and is_hazardous(self._rig.laser):
-                self._ended = "the laser went out, and is not lit again before a person has looked why"
+                self._ended = "the laser went out, and is not lit again until a person has found out why"
             return None
 
     def _lights_are_off(self, opened: OpenRig, section: Section) -> None:
@@ -394,7 +395,7 @@ class _Recorder:
             on = [name for name, light in (("laser", opened.laser), ("lamp", opened.lamp)) if light.state()]
         except CaptureError as error:
             self._errors.setdefault(section, str(error))
-            self._ended = f"a light does not say whether it is off ({error})"
+            self._ended = f"a light does not report whether it is off ({error})"
             return
         if on:
             self._errors[section] = f"{on[0]}: reads back on after this section; pull its plug before you open the box"
@@ -450,7 +451,7 @@ class _Recorder:
 
 def _not_lit(why: str) -> str:
     """Say that a laser that harms eyes is not lit after an error: it may be that somebody opened the box."""
-    return f"not tried: the laser is not lit again before a person has looked why: {why}"
+    return f"not tried: the laser is not lit again until a person has found out why: {why}"
 
 
 HANDSHAKES: Final = 3

@@ -136,7 +136,7 @@ def under_light(
                 raise LightLostError(
                     f"{light}: was lost, is off, and is not lit again unless a person at the terminal says that the "
                     f"box "
-                    f"is closed ({error}); look why, close the box, then take the capture up again with --resume"
+                    f"is closed ({error}); find out why, close the box, then continue the capture with --resume"
                 ) from error
 
 
@@ -261,7 +261,8 @@ def require_new(raw: RawFrame, last: RawFrame | None) -> None:
         same = np.array_equal(raw.counts, last.counts) and raw.counts.min() < raw.counts.max()
     if same:
         raise BadFrameError(
-            "camera: delivered the same frame twice; its stream hangs or a picture stands in for the camera"
+            "camera: delivered the same frame twice; its stream has stopped, or a still picture is served in place "
+            "of the camera"
         )
 
 
@@ -512,8 +513,8 @@ def meter_exposure(
         rung = min(max(guess, fits + 1), fails - 1)
         if ladder[rung] >= LONG_EXPOSURE_S:
             tell(
-                f"metering {what}: exposes for {ladder[rung]:.3g} s, for it is dim; the longest that the rig file "
-                f"allows is {ladder[-1]:.3g} s"
+                f"metering {what}: exposes for {ladder[rung]:.3g} s, because the signal is low; the rig file allows "
+                f"at most {ladder[-1]:.3g} s"
             )
         counts = take(ladder[rung])
         peak_dn = brightest_dn(counts)

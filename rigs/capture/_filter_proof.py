@@ -113,7 +113,7 @@ def judge_filters(
             text="the white tile is dark through every filter: the lamp is off, or this camera sees nothing",
         )
     if len(names) < 2:
-        return FilterProof(verdict="cannot tell", text="one filter alone has nothing to be compared with")
+        return FilterProof(verdict="cannot tell", text="there is only one filter, and nothing to compare it with")
     ln_measured, ln_predicted = _levels(measured), _levels(predicted)
     stuck = _only_filter(ln_measured, ln_predicted)
     if stuck is not None:
@@ -124,7 +124,7 @@ def judge_filters(
         return FilterProof(
             verdict="contradicted",
             text=f"the frames fit much better with filters {max(better)[1]} exchanged; look into the wheel and "
-            "correct the slots of the rig file, or put the filters right",
+            "correct the slots of the rig file, or put the filters into their slots",
         )
     unclear = [" and ".join(pair) for pair in unclear_pairs if frozenset(pair) not in apart]
     if unclear:
@@ -181,13 +181,13 @@ def _alike_at_every_slot(name: str, still_lit: bool) -> FilterProof:
     if still_lit:
         return FilterProof(
             verdict="cannot tell",
-            text="the picture is alike at every slot and hardly changes when the lamp goes off: this camera does not "
-            "see it, or other light does the work",
+            text="the picture is the same at every slot and hardly changes when the lamp goes off: the camera does "
+            "not see the lamp, or other light is much brighter",
         )
     return FilterProof(
         verdict="contradicted",
-        text=f"the frames show filter {name} at every slot: the wheel counts and does not turn; look at its motor, "
-        "belt and filters",
+        text=f"the frames show filter {name} at every slot: the wheel reports new slots but does not turn; look at "
+        f"its motor, belt and filters",
     )
 
 
@@ -377,7 +377,7 @@ class LaserLine:
             conviction: a camera that shows a picture of its own does not see the laser.
         """
         if not self._others:
-            return FilterProof(verdict="cannot tell", text="the laser's line has no other filter to come through")
+            return FilterProof(verdict="cannot tell", text="there is no other filter that the laser's line could pass")
         most = int(np.where(self._signals, self._rates / self._most, -np.inf).argmax())
         name, rate = self._others[most], float(self._rates[most])
         if self._signals[most] and rate > CLEAR_FACTOR * self._most[most] * self._white:
@@ -388,7 +388,7 @@ class LaserLine:
                 text=f"under the laser the sample behind filter {name} is {rate / self._white:.3g} times as bright as "
                 f"the laser's line on the white tile behind filter {self._excitation}, which no paint can be: "
                 f"{self._excitation} and {name} are exchanged, or the laser did not reach the tile; look into the "
-                "wheel and correct the slots of the rig file, or put filters and tile right",
+                "wheel and correct the slots of the rig file, or correct the places of filters and tile",
             )
         if not self._is_seen():
             return FilterProof(verdict="cannot tell", text="the camera does not see the laser's line")

@@ -18,7 +18,7 @@ from rigs import Clock, OpenRig, RawFrame
 from rigs.capture._exposure import CheckedCamera, CheckedFrame, saturated_fraction
 from rigs.capture._journal import DISK_WITHIN_S, Journal, disk_hangs
 from rigs.capture._plan import Step
-from rigs.capture._resume import Interrupted
+from rigs.capture._resume import Interrupted, set_aside
 from rigs.capture._session_folder import SessionWatch
 
 BYTES_PER_PIXEL = 2
@@ -88,6 +88,14 @@ class FrameStore:
     def frames(self) -> tuple[Frame, ...]:
         """The stored frames in the order of their numbers; complete after the ``with`` block."""
         return tuple(frame for _, frame in sorted(self._frames.items()))
+
+    def set_aside(self) -> int:
+        """Move all frames so far out of the way, so that they are taken again; return how many they were."""
+        self._wait(0)
+        count = len(self._frames)
+        self._frames.clear()
+        set_aside(self._out, set())
+        return count
 
     def missing(self, shots: Iterable[Shot]) -> list[Shot]:
         """Return the shots that are still to be taken, after checking that the disk can hold them.

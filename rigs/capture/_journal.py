@@ -149,7 +149,7 @@ class Journal:
         """Refuse a folder that has a journal."""
         if self._path.exists():
             raise CaptureError(
-                f"{self._path}: exists already, so that another capture writes into this folder; choose another --out"
+                f"{self._path}: exists already: another capture writes into this folder; choose another --out"
             )
 
 
@@ -170,10 +170,14 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
     said = [f"{len(faults)} exchanges were repeated ({', '.join(counted)})"] if faults else []
     said += [f"{retaken} frames were taken again"] if retaken else []
     said += [f"a light was lost {lost} times"] if lost else []
+    aside = sum(int(line["frames"]) for line in lines if line["event"] == "set aside")
+    repaired = f"{aside} frames from before a repair were set aside and taken again; {JOURNAL_NAME} tells why"
+    notes = (repaired,) if aside else ()
     if not said:
-        return ()
+        return notes
     spent_s = sum(float(line["spent_s"]) for line in faults)
     return (
+        *notes,
         f"faults that did not stop the session: {', '.join(said)}; {JOURNAL_NAME} tells each ({spent_s:.1f} s lost)",
     )
 

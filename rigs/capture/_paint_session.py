@@ -26,6 +26,7 @@ from data_schemas import (
     LightState,
     PaintPlan,
     RigFile,
+    SignalChangedError,
     Target,
     WrongPositionError,
 )
@@ -51,6 +52,9 @@ from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbere
 from rigs.capture._journal import Journal, fault_notes, faults_noted
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import (
+    AS_BEFORE_EVENT,
+    CHANGED_EVENT,
+    SET_ASIDE_EVENT,
     Interrupted,
     require_same_camera,
     require_same_inputs,
@@ -62,6 +66,7 @@ from rigs.capture._session_folder import (
     SessionRequest,
     curve_digests,
     curve_files,
+    read_frame_of,
     require_empty,
     watched_to_the_end,
     write_session,
@@ -78,6 +83,9 @@ MOST_REPAIRS = 5
 
 LARGEST_CHANGE = 1.25
 """Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
+SAME_SHARE = 0.05
+"""By which a light differs that was put right: less than the change that ends a session, more than a warm lamp's."""
+DARK_SHARE = 1e-3  # of full scale: by as much the black level of a rig file is off
 
 
 class PaintRecorder:
@@ -95,6 +103,7 @@ class PaintRecorder:
     ):
         self._opened, self._rig, self._plan = opened, rig, plan
         self._journal, self._progress, self._store, self._watch = journal, request.tell, store, request.watch
+        self._out = request.out
         self._ladder = exposure_ladder(rig.camera.shortest_exposure_s, rig.camera.longest_exposure_s)
         # an interrupted session may have left the sample tilted
         left_tilted = interrupted is not None and plan.second_tilt_deg is not None
@@ -104,14 +113,87 @@ class PaintRecorder:
         self._rates: dict[Step, Rates] = {}
         self._white: tuple[Step, ...] = ()
         self._before = {} if interrupted is None else interrupted.metered
+        self._in_doubt = interrupted is not None and interrupted.doubt != ""
         self.proof: FilterProof | None = None
 
     def record(self, steps: tuple[Step, ...], last_good: CaptureSession | None, mend: Mend) -> None:
-        """Meter all steps backwards, then store darks, frames (brightest emission again at the end) and darks."""
+        """Meter all steps, and store the frames; where somebody mends what changed meanwhile, do both again."""
+        if not self._in_doubt:
+            self._remember(steps)
+        for repair in range(MOST_REPAIRS + 1):
+            self._meter_and_prove(steps, last_good, mend)
+            if self._in_doubt:
+                self._settle(steps)
+            try:
+                self._store_frames(steps)
+            except SignalChangedError as error:
+                self._journal.append(CHANGED_EVENT, text=str(error))
+                if repair == MOST_REPAIRS or not mend(str(error)):
+                    raise
+                self._journal.append("repair", text=str(error))
+                self._before = {step.label: (self._exposures_s[step], self._rates[step]) for step in steps}
+                self._in_doubt = True
+                self._forget()
+            else:
+                return
+
+    def _remember(self, steps: tuple[Step, ...]) -> None:
+        """Take over what was metered before."""
         for step in steps:
             if step.label in self._before:
                 self._exposures_s[step], self._rates[step] = self._before[step.label]
-        self._meter_and_prove(steps, last_good, mend)
+
+    def _forget(self) -> None:
+        """Have everything metered again."""
+        for known in (self._exposures_s, self._rates, self._metered_s):
+            known.clear()
+
+    def _settle(self, steps: tuple[Step, ...]) -> None:
+        """Keep the stored frames where the mended rig is as it was metered before; else take all of them again.
+
+        A frame contradicted its metering, and either may have been taken under the fault. What the rig gives now
+        decides: frames stay only where metering before the repair and every lit frame agree with it.
+        """
+        unlike = self._unlike_before(steps)
+        if unlike is None:
+            self._remember(steps)
+            text = f"all steps and frames give what they give after the repair, within {SAME_SHARE:.0%}"
+            self._journal.append(AS_BEFORE_EVENT, frames=len(self._store.frames), text=text)
+        else:
+            self._set_aside(unlike)
+        self._in_doubt = False
+
+    def _set_aside(self, why: str) -> None:
+        """Note that the frames so far do not count, then move them out of the way; none is used again."""
+        self._journal.append(SET_ASIDE_EVENT, frames=len(self._store.frames), text=why)
+        count = self._store.set_aside()
+        self._tell(f"{count} frames from before the repair are set aside and taken again: {why}")
+
+    def _unlike_before(self, steps: tuple[Step, ...]) -> str | None:
+        """Return what was metered or stored before and is not what the rig gives now; None where all is."""
+        lit = [step for step in steps if step.light in ("lamp", "laser")]
+        for step in lit:
+            exposures_s, before = self._before[step.label]
+            if not self._are_same(self._rates[step], before, exposures_s[0]):
+                return f"{step.label} was metered differently before"
+        places = {(step.frame_type, step.filter_name, step.tilt_deg): step for step in lit}
+        for frame in self._store.frames:
+            kind = "fluorescence" if frame.frame_type == "fluorescence repeat" else frame.frame_type
+            place = places.get((kind, frame.filter_name, frame.tilt_deg))
+            if place is None:
+                continue
+            stored = self._rate(read_frame_of(self._out, frame), frame.exposure_s)
+            if not self._are_same(self._rates[place], stored, frame.exposure_s):
+                return f"{frame.file} does not show what {place.label} gives now"
+        return None
+
+    def _are_same(self, now: Rates, before: Rates, exposure_s: float) -> bool:
+        """Return whether two rates (DN/s) agree, but for light that repeats and a black level that is a little off."""
+        dark_dn_per_s = DARK_SHARE * self._store.full_scale_dn / exposure_s
+        return all(abs(a - b) <= SAME_SHARE * b + dark_dn_per_s for a, b in zip(now, before, strict=True))
+
+    def _store_frames(self, steps: tuple[Step, ...]) -> None:
+        """Store darks, frames (brightest emission again at the end) and darks."""
         longest_s = {step: self._exposures_s[step][0] for step in steps}
         steps = with_repeat(steps, self._plan.excitation_filter, longest_s)
         for step in steps:
@@ -138,12 +220,13 @@ class PaintRecorder:
             try:
                 self._prove(steps, last_good)
             except WrongPositionError as error:
-                # Frames that are there were taken behind the filters in doubt: a resumption sets them aside.
-                if repair == MOST_REPAIRS or self._store.frames or not mend(str(error)):
+                if repair == MOST_REPAIRS or not mend(str(error)):
                     raise
                 self._journal.append("repair", text=str(error))
-                for known in (self._exposures_s, self._rates, self._metered_s):
-                    known.clear()
+                if self._store.frames:
+                    self._set_aside("they were taken behind the filters that were put right")
+                self._in_doubt = False
+                self._forget()
             else:
                 return
 
@@ -251,10 +334,10 @@ class PaintRecorder:
         visible_dn_per_s = LEAST_SIGNAL_FRACTION * self._store.full_scale_dn / raw.exposure_s
         for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
             if before > visible_dn_per_s and not 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE:
-                raise CaptureError(
+                raise SignalChangedError(
                     f"camera: {step.label} gives {rate:.3g} DN/s in {name}, at metering it gave {before:.3g} DN/s "
                     f"(a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light changed or something "
-                    "moved; put it right and resume the session"
+                    "moved; put it right, then go on or resume: all steps are metered again"
                 )
 
     def _rate(self, counts: NDArray[np.uint16], exposure_s: float) -> Rates:
@@ -366,8 +449,8 @@ def capture_paint_session(
     last_good
         An earlier session on this rig whose white frames these must resemble.
     mend
-        Called with a text when the frames contradict the filters; True goes on with the proofs taken again. Nobody
-        mends anything when left out.
+        Called with a text when the frames contradict the filters or their metering; True goes on with metering and
+        proofs taken again. Nobody mends anything when left out.
 
     Raises
     ------
@@ -384,13 +467,26 @@ def capture_paint_session(
     curve_files(rig, request.rig_folder)
     if interrupted is None:
         require_empty(request.out)
-    present = rig_as_it_is(rig, interrupted)
+    begun_with = request.sources if interrupted is None else interrupted.sources
+    present, sources = rig_as_it_is(rig, request.rig_folder, begun_with)
+    request = replace(request, sources=sources)
     with (
         rig_locked(rig),
         open_rig(present, request.rig_folder, request.operator) as opened,
         watched_to_the_end(request.watch),
     ):
-        return capture_with(opened, rig, plan, steps, request, interrupted=interrupted, last_good=last_good, mend=mend)
+
+        def mended(text: str) -> bool:
+            if not mend(text):
+                return False
+            bench, read = rig_as_it_is(rig, request.rig_folder, sources)
+            sources.update(read)
+            opened.practise(None if bench.simulated is None else bench.simulated.fault)
+            return True
+
+        return capture_with(
+            opened, rig, plan, steps, request, interrupted=interrupted, last_good=last_good, mend=mended
+        )
 
 
 def capture_with(
@@ -435,7 +531,7 @@ def capture_with(
             white_rates_dn_per_s=recorder.white_rates(),
             notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted), *fault_notes(out)),
         )
-        noted = dict(request.sources) if interrupted is None else interrupted.sources
+        noted = dict(request.sources) or ({} if interrupted is None else interrupted.sources)
         write_session(session, out, {**noted, **inputs}, request.command, journal)
     write_manifest(out)
     return session
@@ -474,8 +570,8 @@ def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
     if not mono:
         return ()
     return (
-        f"camera: its frames are {', '.join(mono)}, and radiometry takes them for Bayer RGGB: red, green and blue will "
-        "be one and the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
+        f"camera: its frames are {', '.join(mono)}, and radiometry reads them as Bayer RGGB: red, green and blue "
+        f"will have the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
         "Bayer pixel format",
     )
 

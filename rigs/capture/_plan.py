@@ -58,9 +58,10 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
     Raises
     ------
     CaptureError
-        A filter is unknown, the excitation filter does not pass the laser line or is not in the plan, the
-        region is empty or leaves the frame.
+        The paint has no name, a filter is unknown, the excitation filter does not pass the laser line or is not in the
+        plan, the region is empty or leaves the frame.
     """
+    require_named("plan.paint_name", plan.paint_name)
     filters = planned_filters(plan.filters, rig)
     excitation = _excitation_filter(plan, rig, filters)
     require_region_inside(plan.region, rig.camera)
@@ -72,6 +73,12 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
         *(Step("fluorescence", "sample", "laser", f.name, f.slot) for f in filters),
         *_tilted_steps(plan, filters),
     )
+
+
+def require_named(field: str, name: str) -> None:
+    """Refuse an empty name of what is captured: files and records are named after it."""
+    if not name.strip():
+        raise CaptureError(f"{field}: is empty; write the name that files and records shall have")
 
 
 def with_repeat(steps: tuple[Step, ...], excitation_filter: str, exposures_s: Mapping[Step, float]) -> tuple[Step, ...]:

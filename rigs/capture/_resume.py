@@ -3,21 +3,27 @@
 Curve files and camera must be as they were when the session began.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 from pydantic import ValidationError
 
-from data_schemas import CaptureError, DeviceIdentity, Frame, Record, RecordError, RigFile, explain
+from data_schemas import CaptureError, DeviceIdentity, Frame, Record, RecordError, RigFile, digest_of_input, explain
 from data_schemas.storage import migrate, read_toml, read_toml_tables, sha256_of
 from rigs import Clock
 from rigs.capture._journal import JOURNAL_NAME, read_journal
 from rigs.capture._session_folder import SESSION_NAME, clear_session
 
 ORPHANS = "set-aside"
+CHANGED_EVENT: Final = "signal changed"
+"""Of the line of a journal that tells of a frame unlike its metering: either may be wrong."""
+AS_BEFORE_EVENT: Final = "as before"
+"""Of the line that says that all is metered again, and agrees with what was metered and stored before."""
+SET_ASIDE_EVENT: Final = "set aside"
+"""Of the line that says that the frames so far do not count, for the rig was another one when they were taken."""
 P = TypeVar("P", bound=Record)
 
 
@@ -59,6 +65,8 @@ class Interrupted:
         Number of lines of the journal.
     laser_was_lost
         Whether the laser went out by itself and was not lit since.
+    doubt
+        What a frame said against its metering, where nothing was metered again since; empty otherwise.
     """
 
     start: dict[str, Any]
@@ -70,6 +78,7 @@ class Interrupted:
     ended_utc: str = ""
     lines: int = 0
     laser_was_lost: bool = False
+    doubt: str = ""
 
     @property
     def kind(self) -> str:
@@ -133,7 +142,8 @@ def read_interrupted(folder: Path) -> Interrupted:
     rig_camera = start["rig"].get("camera", {}) if isinstance(start["rig"], dict) else {}
     if rig_camera.get("driver") == "folder":
         raise CaptureError(
-            f"{folder}: replays a folder of images, which would begin again at its first; capture the session again"
+            f"{folder}: replays a folder of images, and a replay would begin again with the first image; capture the "
+            f"session again"
         )
     try:
         interrupted = _replayed(folder, start, lines)
@@ -151,21 +161,14 @@ def _contradicts(line: dict[str, Any]) -> bool:
 
 
 def _replayed(folder: Path, start: dict[str, Any], lines: list[dict[str, Any]]) -> Interrupted:
-    """Return what the lines of a journal say.
-
-    Once the frames have contradicted the filters somebody looks into the wheel: what was metered and stored before is
-    of the wheel as it was, and is taken again.
-    """
-    contradicted = [number for number, line in enumerate(lines) if _contradicts(line)]
-    current = lines[contradicted[-1] + 1 :] if contradicted else lines
+    """Return what the lines of a journal say."""
+    steps, stored, doubt = _in_force(lines)
     doses_j = [float(line.get("sample_dose_j", line.get("laser_dose_j", 0.0))) for line in lines]
     return Interrupted(
         start=start,
-        frames=dict(_good_frames(folder, current)),
+        frames=dict(_good_frames(folder, stored)),
         metered={
-            line["label"]: ([float(t) for t in line["exposures_s"]], _rates(line["rates_dn_per_s"]))
-            for line in current
-            if line["event"] == "step" and "rates_dn_per_s" in line
+            line["label"]: ([float(t) for t in line["exposures_s"]], _rates(line["rates_dn_per_s"])) for line in steps
         },
         dose_j=max(doses_j),
         levels=next((line for line in lines if line["event"] == "levels"), None),
@@ -173,7 +176,38 @@ def _replayed(folder: Path, start: dict[str, Any], lines: list[dict[str, Any]]) 
         ended_utc=datetime.fromisoformat(lines[-1]["utc"]).astimezone(UTC).isoformat(),
         lines=len(lines),
         laser_was_lost=_laser_was_lost(lines),
+        doubt=doubt,
     )
+
+
+def _in_force(lines: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]], str]:
+    """Return the lines of metered steps and of frames that still count, and what was said against them since.
+
+    Once the frames have contradicted the filters somebody looks into the wheel: what was metered and stored before is
+    of the wheel as it was, and is taken again. Once a frame has contradicted its metering either may be wrong: what was
+    metered before and after the repair is compared, and only then is it known what counts.
+    """
+    steps: dict[str, dict[str, Any]] = {}
+    again: dict[str, dict[str, Any]] = {}
+    stored: list[dict[str, Any]] = []
+    doubt = ""
+    for line in lines:
+        event = line["event"]
+        if _contradicts(line):
+            steps, again, stored, doubt = {}, {}, [], ""
+        elif event == CHANGED_EVENT:
+            doubt, again = str(line["text"]), {}
+        elif event == "resume":
+            again = {}  # an interrupted repair is proven from its beginning
+        elif event == SET_ASIDE_EVENT:
+            steps, again, stored, doubt = again, {}, [], ""
+        elif event == AS_BEFORE_EVENT:
+            again, doubt = {}, ""
+        elif event == "step" and "rates_dn_per_s" in line:
+            (again if doubt else steps)[line["label"]] = line
+        elif event == "frame":
+            stored.append(line)
+    return list(steps.values()), stored, doubt
 
 
 def _laser_was_lost(lines: list[dict[str, Any]]) -> bool:
@@ -214,7 +248,8 @@ def _as_today(what: Literal["plan", "rig"], start: dict[str, Any], kind: type[P]
         raise CaptureError(f"{error}; resume with the version that began the session, or capture it again") from None
     except ValidationError as error:
         raise CaptureError(
-            f"{JOURNAL_NAME}: the {what} in its first line is none of this version of finray ({explain(error, kind)}); "
+            f"{JOURNAL_NAME}: the {what} in its first line does not fit this version of finray "
+            f"({explain(error, kind)}); "
             "resume with the version that began the session, or capture it again"
         ) from None
 
@@ -228,31 +263,47 @@ def take_over(folder: Path, interrupted: Interrupted) -> None:
         The session went on since it was read.
     """
     if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
-        raise CaptureError(f"{folder}: another capture went on with this session meanwhile; look at what it did")
+        raise CaptureError(
+            f"{folder}: another capture has continued this session in the meantime; look at what it stored"
+        )
     clear_session(folder)
-    _set_aside(folder, {frame.file for frame in interrupted.frames.values()})
+    set_aside(folder, {frame.file for frame in interrupted.frames.values()})
 
 
-def rig_as_it_is(rig: RigFile, interrupted: Interrupted | None) -> RigFile:
+def rig_as_it_is(rig: RigFile, rig_folder: Path, sources: Mapping[str, str]) -> tuple[RigFile, dict[str, str]]:
     """Return the rig to be opened: that of the session, without a practice fault that was taken out of its file since.
 
-    A fault stands for what is wrong at the rig, which a person mends between two parts of a session. All else in the
-    file is as it was when the session began, and so is the record of the session.
+    A fault stands for what is wrong at the rig, which a person mends between two parts of a session, or within it. All
+    else in the file is as it was when the session began, and so is the record of the session.
+
+    Parameters
+    ----------
+    rig
+        Of the session.
+    rig_folder
+        Where the rig file is.
+    sources
+        Path -> SHA-256 of the files that plan and rig were read from.
+
+    Returns
+    -------
+    present, sources
+        The rig, and the files with the SHA-256 of the rig file that was read now.
 
     Raises
     ------
     RecordError
         The rig file is there and cannot be read.
     """
-    if interrupted is None or rig.simulated is None or rig.simulated.practice_fault is None:
-        return rig
-    for name in interrupted.sources:
-        path = interrupted.rig_folder / Path(name).name
+    if rig.simulated is None or rig.simulated.practice_fault is None:
+        return rig, dict(sources)
+    for name in sources:
+        path = rig_folder / Path(name).name
         if path.suffix == ".toml" and path.is_file() and "simulated" in read_toml_tables(path):
             now = read_toml(path, RigFile).simulated
-            left = None if now is None else now.practice_fault
-            return rig.model_copy(update={"simulated": rig.simulated.model_copy(update={"practice_fault": left})})
-    return rig
+            bench = rig.simulated.model_copy(update={"practice_fault": None if now is None else now.practice_fault})
+            return rig.model_copy(update={"simulated": bench}), {**sources, name: digest_of_input(path)}
+    return rig, dict(sources)
 
 
 def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
@@ -261,15 +312,13 @@ def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
         return ()
     return (
         f"interrupted after {len(interrupted.frames)} frames and resumed: lamp, laser and temperature may have changed "
-        "between, and the laser dose leaves out what shone between the last stored frame and the interruption",
+        "between, and the laser dose leaves out the light between the last stored frame and the interruption",
     )
 
 
 def _good_frames(folder: Path, lines: list[dict[str, Any]]) -> Iterable[tuple[int, Frame]]:
     """Yield number and record of every frame whose file is there and unchanged."""
     for line in lines:
-        if line["event"] != "frame":
-            continue
         try:
             frame = Frame.model_validate({k: v for k, v in line.items() if k in Frame.model_fields})
         except ValidationError:
@@ -279,8 +328,8 @@ def _good_frames(folder: Path, lines: list[dict[str, Any]]) -> Iterable[tuple[in
             yield frame.sequence, frame
 
 
-def _set_aside(folder: Path, known: set[str]) -> None:
-    """Move frame files that nothing vouches for out of the way; nothing is deleted."""
+def set_aside(folder: Path, known: set[str]) -> None:
+    """Move frame files that are not `known` out of the way; nothing is deleted."""
     for path in sorted((folder / "frames").glob("*")):
         if path.relative_to(folder).as_posix() not in known:
             aside = folder / ORPHANS

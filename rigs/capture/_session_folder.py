@@ -58,7 +58,7 @@ Progress = Callable[[int, int, str], None]
 
 
 class SessionWatch:
-    """Sees what a session does while it runs; this one looks away, and a view overrides what it shows.
+    """Observer of a running session; this one does nothing, and a view overrides the methods that it shows.
 
     A session calls it from the thread that runs it, journal lines from that of the frame writer too; it must not raise,
     but for the devices that it returns.
@@ -92,7 +92,7 @@ def watched_to_the_end(watch: SessionWatch) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class SessionRequest:
-    """What is asked of a capture beside rig and plan: where it goes, who is at the rig, what its record says of it.
+    """What a capture needs besides rig and plan: its folder, the operator, and what its record states about it.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class SessionRequest:
 
 
 def is_unborn(out: Path) -> bool:
-    """Return whether a folder is empty, but for what a capture left that was killed before its first line."""
+    """Return whether a folder is empty, or holds only what a capture left that was killed before its first line."""
     clear_leftovers(out)
     return out.is_dir() and all(path.name == f".{JOURNAL_NAME}.part" for path in out.iterdir())
 
@@ -222,7 +222,7 @@ def seal_session(out: Path, journal: Journal) -> None:
 
 
 def lacks_manifest(out: Path) -> bool:
-    """Whether a session was interrupted when it was finished but for its checksums."""
+    """Whether a session was interrupted when only its checksums were missing."""
     return (out / SESSION_NAME).is_file() and not (out / MANIFEST_NAME).exists()
 
 
@@ -346,7 +346,7 @@ def verify_session(folder: Path) -> SessionCheck:
             faults.append(FileFault(path, "changed", str(error).removeprefix(f"{path}: ")))
         session, is_sealed = None, True
     if not is_sealed:
-        notes.append(f"{SESSION_NAME} is of a version before seals; its own values are checked by {MANIFEST_NAME} only")
+        notes.append(f"{SESSION_NAME} is of a version before seals; its values are checked by {MANIFEST_NAME} only")
     faults += _journal_faults(folder, session, is_sealed, digests.get(path), notes)
     of_manifest, unlisted = manifest_faults(folder, digests)
     told = {fault.path for fault in faults}
@@ -357,7 +357,7 @@ def verify_session(folder: Path) -> SessionCheck:
             text = f"does not list {file.relative_to(folder).as_posix()}: a line was removed"
             faults.append(FileFault(folder / MANIFEST_NAME, "changed", text))
         else:
-            notes.append(f"{file.relative_to(folder)}: came later, {MANIFEST_NAME} does not list it")
+            notes.append(f"{file.relative_to(folder)}: was added later; {MANIFEST_NAME} does not list it")
     if not has_file(folder / MANIFEST_NAME):
         notes.append(f"without {MANIFEST_NAME}, other files of the session are not checked")
     return SessionCheck(tuple(faults), tuple(notes), digests)
@@ -404,12 +404,17 @@ def _journal_faults(
     said: list[str] = []
     broken = next((line for line in lines if not line.holds), None)
     if broken is not None:
-        said.append(f"line {broken.number} or a line before it was changed or removed: its link does not hold")
+        said.append(
+            f"line {broken.number} or a line before it was changed or removed: its checksum does not follow "
+            f"from the line before"
+        )
     linked = [line for line in lines if line.link]
     if is_sealed and (not linked or not lines[0].link or not lines[-1].link):
-        said.append("holds lines without links, so that lines were added, changed or removed")
+        said.append("holds lines without a checksum of the line before: lines were added, changed or removed")
     elif not linked:
-        notes.append(f"{JOURNAL_NAME} is of a version before links; its lines are checked by {MANIFEST_NAME} only")
+        notes.append(
+            f"{JOURNAL_NAME} is of a version whose lines carry no checksums; they are checked by {MANIFEST_NAME} only"
+        )
     if is_sealed or linked:
         said += _ending_faults(lines, session_sha256)
     if session is not None:
@@ -426,7 +431,7 @@ def _ending_faults(lines: list[LinkedLine], session_sha256: str | None) -> Itera
     if noted is None:
         yield f"lacks the line that holds the checksum of {SESSION_NAME}"
     elif session_sha256 is not None and noted.get("sha256") != session_sha256:
-        yield f"holds another checksum of {SESSION_NAME} than it has: one of the two was changed"
+        yield f"holds a checksum of {SESSION_NAME} that differs from the file's: one of the two was changed"
 
 
 def _disagreements(lines: list[LinkedLine], session: Session) -> Iterator[str]:
@@ -434,7 +439,7 @@ def _disagreements(lines: list[LinkedLine], session: Session) -> Iterator[str]:
     start = next((line.entry for line in lines if line.entry["event"] == "start"), {})
     for name, record in (("plan", session.plan), ("rig", session.rig)):
         if name in start and not _is(start[name], record):
-            yield f"begins with another {name} than {SESSION_NAME} holds"
+            yield f"begins with a {name} that differs from the one in {SESSION_NAME}"
     noted = {line.entry.get("sequence"): line.entry for line in lines if line.entry["event"] == "frame"}
     for frame in session.frames:
         entry, wanted = noted.get(frame.sequence), frame.model_dump(mode="json")
@@ -442,7 +447,7 @@ def _disagreements(lines: list[LinkedLine], session: Session) -> Iterator[str]:
             yield f"lacks frame {frame.sequence}, {frame.file}"
         elif any(entry[key] != wanted[key] for key in entry.keys() & wanted.keys()):
             other = next(key for key in wanted if key in entry and entry[key] != wanted[key])
-            yield f"says another {other} of frame {frame.sequence} than {SESSION_NAME}"
+            yield f"and {SESSION_NAME} differ in {other} of frame {frame.sequence}"
 
 
 def _is(stored: Any, record: Record) -> bool:
@@ -454,7 +459,7 @@ def _is(stored: Any, record: Record) -> bool:
 
 
 def complete_session(folder: Path) -> None:
-    """Write the checksums of a session that was interrupted when it was finished but for them.
+    """Write the checksums of a session that was interrupted when only they were missing.
 
     Raises
     ------
@@ -466,8 +471,8 @@ def complete_session(folder: Path) -> None:
     faults = [fault for fault in found if not fault.text.startswith(unfinished)]
     if faults:
         raise CaptureError(
-            f"{faults[0].path}: {faults[0].text}; the checksums are not written, as they would hide it: restore the "
-            "file, or capture the session again"
+            f"{faults[0].path}: {faults[0].text}; the checksums are not written, because they would hide this: "
+            f"restore the file, or capture the session again"
         )
     if found:
         with Journal(folder, SystemClock(), resumed=True) as journal:

@@ -228,8 +228,8 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
         ) from None
     if rig.camera.driver == "folder":
         raise CaptureError(
-            f"{folder}: replays a folder of images, which would begin with its first image again; capture it again "
-            "into another folder"
+            f"{folder}: replays a folder of images, and a replay would begin again with the first image; capture it "
+            f"again into another folder"
         )
     good = {}
     for line in lines:
@@ -252,7 +252,9 @@ def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdent
         The session went on since it was read, or another camera answers now.
     """
     if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
-        raise CaptureError(f"{folder}: another capture went on with this session meanwhile; look at what it did")
+        raise CaptureError(
+            f"{folder}: another capture has continued this session in the meantime; look at what it stored"
+        )
     if interrupted.device not in (None, device):
         raise CaptureError(
             f"camera: {device.model} (serial '{device.serial}') answers now; the session began with "

@@ -309,8 +309,8 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
         else:
             raise CaptureError(
                 f"laser at {laser.address}: its three processes could not be stopped within {1e3 * _AT_ONCE_S:g} ms of "
-                f"each other in {_MOST_TRIES} tries, so that one may switch off in place of the dead-man; close other "
-                "programs and run the check again"
+                f"each other in {_MOST_TRIES} tries, so one of them may switch off before the dead-man does; close "
+                f"other programs and run the check again"
             )
         if latest is not None:
             earliest_s.append(earliest)
@@ -407,7 +407,7 @@ def _holding(laser: LaserSettings) -> Iterator[Holder]:
         try:
             said = _first_line(process)
             if not said.startswith("ON "):
-                raise CaptureError(f"laser: the program that was to hold it on says: {said or 'nothing, and ends'}")
+                raise CaptureError(f"laser: the program that should keep it on says: {said or 'nothing, and ends'}")
             guard_pid, watch_pid = map(int, said.split()[1:])
             yield Holder(process, guard_pid, watch_pid)
         finally:
@@ -417,7 +417,7 @@ def _holding(laser: LaserSettings) -> Iterator[Holder]:
 def _first_line(process: "subprocess.Popen[str]") -> str:
     """Return the first line that the program says."""
     if process.stdout is None or not select.select([process.stdout], [], [], START_WITHIN_S)[0]:
-        raise TimedOutError(f"laser: the program that was to hold it on said nothing for {START_WITHIN_S:g} s")
+        raise TimedOutError(f"laser: the program that should keep it on said nothing for {START_WITHIN_S:g} s")
     return process.stdout.readline().strip()
 
 

@@ -104,7 +104,7 @@ def _exposed(camera: Camera, exposure_s: float) -> RawFrame:
 
 def _require_exposure(settings: CameraSettings) -> None:
     if settings.driver in ENCODED:
-        pytest.skip(f"driver {settings.driver}: the exposure is the camera's own affair and cannot be set or read")
+        pytest.skip(f"driver {settings.driver}: the camera sets its exposure by itself; it can be neither set nor read")
 
 
 class TestCamera(CameraContract):

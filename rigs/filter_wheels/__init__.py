@@ -1,4 +1,4 @@
-"""Drive filter wheels: a move is over when the wheel itself says so, twice.
+"""Drive filter wheels: a move ends when the wheel itself has reported the slot twice.
 
 One file per make or protocol, named after it, with ``open_wheel(settings, operator)`` and, where devices can be looked
 for, ``found()``. What is offered here serves more than one driver: arrival at a slot, and slots that a wheel lacks.

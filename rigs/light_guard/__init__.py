@@ -1,4 +1,4 @@
-"""Keep a light from staying on: three processes watch each other while it is lit, and fewer than three mean dark.
+"""Keep a light from staying on: three processes watch each other while it is lit; if one is missing, it goes off.
 
 The owner is the program that captures; ``with light.lit():`` switches off however the block is left. The guard is a
 process that alone holds the light's connection. The watch is a third one with a line of its own to the light. Each

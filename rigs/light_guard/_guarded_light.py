@@ -277,14 +277,14 @@ class GuardClient:
         if status == EXIT_OFF:
             # Whoever told the guard to end wants no light: then nobody lights it anew.
             return (CaptureError if farewell.get("was_told") else LightLostError)(
-                f"{self.name}: the guard process has ended ({reason}); it had the light confirmed off before. Take "
-                "the capture up again with --resume"
+                f"{self.name}: the guard process has ended ({reason}); it had the light confirmed off before. "
+                f"Continue the capture with --resume"
             )
         if (why_not := self._rescue()) is not None:
             return UnsafeError(self.unconfirmed(f"the guard process has ended ({reason}), and then: {why_not}"))
         return LightLostError(
             f"{self.name}: the guard process has ended ({reason}); the light has been switched off without it and is "
-            "confirmed off. Take the capture up again with --resume"
+            "confirmed off. Continue the capture with --resume"
         )
 
     def _rescue(self) -> str | None:
@@ -306,7 +306,8 @@ class GuardClient:
     def unconfirmed(self, why: str) -> str:
         """Return what must be done about a light that is not confirmed off."""
         dead_man = (
-            " Its dead-man switches it off within 0.5 s of the last word it heard, but that cannot be read."
+            " Its dead-man switches it off within 0.5 s of the last message that it received, but that cannot be "
+            "read back."
             if self.has_dead_man
             else ""
         )
@@ -564,7 +565,8 @@ def refusal(laser: LaserSettings, has_dead_man: bool, today: datetime.date | Non
     if layer is None:
         return (
             f"a class {laser.laser_class} laser is not lit without a layer outside the computer that switches it "
-            "off: nothing does when the computer hangs or the processes of finray are killed together. Drive it by an "
+            f"off, because no program can when the computer hangs or all processes of finray are killed. Drive it by "
+            f"an "
             "Arduino with our firmware, which has a dead-man, or build an interlock or a relay that opens unless it is "
             "pulsed into its supply, test it, and declare it in the rig file as [laser.outside_layer] "
             "(docs/how-to/connect-a-laser.md)"

@@ -34,7 +34,7 @@ RETRY_FOR_S: Final = 5.0
 RETRY_PAUSE_S: Final = 0.2
 
 
-NOBODY_ASKED: Final = "on although nobody had asked for it"
+NOBODY_ASKED: Final = "on although nothing had switched it on"
 
 
 class LightLostError(LostError):
@@ -150,14 +150,14 @@ class HeldLight:
                 self.close()
                 if time.monotonic() > end_s:
                     return why_not
-            tell(why_not or "a late on may come")
+            tell(why_not or "a late command to switch on may still be executed")
             time.sleep(RETRY_PAUSE_S)
 
     def _off_once(self, attempt_s: float) -> str | None:
         """Switch off and ask; return what is wrong."""
         self.switch.switch(False, attempt_s)
         if self.switch.state(attempt_s):
-            return f"{self._name}: still reports on after the off command"
+            return f"{self._name}: still reports that it is on after the command to switch off"
         return None
 
 

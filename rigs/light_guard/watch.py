@@ -222,7 +222,7 @@ class Watch:
             except OSError:
                 packet, descriptors = b"", []
             if not packet:
-                return "its guard process has hung up"
+                return "its guard process has closed the connection"
             self._heard_s = time.monotonic()
             self._obey(packet, descriptors)
         return ""
@@ -271,7 +271,7 @@ class Watch:
             self._line.listen(REPEAT_S)
             if time.monotonic() - began_s >= self._line.repeat_for_s:
                 if why_not:
-                    shout(f"{self._name}: the watch could not send off ({why_not})")
+                    shout(f"{self._name}: the watch could not send the command to switch off ({why_not})")
                 self._let_go()
             self._listen()
 

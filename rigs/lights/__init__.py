@@ -1,4 +1,4 @@
-"""Drive lights: a bare switch whose state is asked afresh; :mod:`rigs.light_guard` makes a light of it.
+"""Drive lights: a switch whose state is asked each time; :mod:`rigs.light_guard` turns it into a guarded light.
 
 One file per make or protocol, named after it, with ``HAS_DEAD_MAN``, ``open_switch(address, role, operator)`` and,
 where devices can be looked for, ``found()``. What is offered here serves more than one driver: a light behind a server

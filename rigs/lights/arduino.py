@@ -128,7 +128,7 @@ class ArduinoSwitch:
         except CaptureError as error:
             raise UnsafeError(self._unconfirmed(str(error))) from error
         if answer != "OFF":
-            raise UnsafeError(self._unconfirmed(f"it answers {answer} to the off command"))
+            raise UnsafeError(self._unconfirmed(f"it answers {answer} to the command to switch off"))
 
     def state(self, deadline_s: float) -> bool:
         """Ask the controller afresh whether the light is on.
@@ -277,7 +277,8 @@ class ArduinoSwitch:
             if said.word == "TRIP":
                 if tell_trip:
                     raise WentOffError(
-                        f"{self._name}: the dead-man switched it off, the board had heard nothing for 0.4 s; close "
+                        f"{self._name}: the dead-man switched it off, because the board had received nothing for 0.4 "
+                        f"s; close "
                         f"other programs, check the cable, and repeat the command"
                     )
                 continue
@@ -290,8 +291,8 @@ class ArduinoSwitch:
 
     def _unconfirmed(self, why: str) -> str:
         return (
-            f"{self._name}: NOT CONFIRMED OFF: {why}. Its dead-man acts within 0.5 s of the last word that the board "
-            "hears, but that cannot be read: pull the plug of the light before anyone opens the box"
+            f"{self._name}: NOT CONFIRMED OFF: {why}. Its dead-man acts within 0.5 s of the last message that the "
+            f"board receives, but that cannot be read back: pull the plug of the light before anyone opens the box"
         )
 
 

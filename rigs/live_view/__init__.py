@@ -1,6 +1,6 @@
 """Look through a rig while it is set up or captures: in the browser of this computer, or in a terminal.
 
-In the live view one thread owns the devices and exposes without end; pages and the terminal ask for the newest frame.
+In the live view one thread owns the devices and exposes continuously; pages and the terminal ask for the newest frame.
 The lamp and the filter wheel follow them; the laser is never lit there, because nothing in it proves that it goes off.
 A session is the one of :mod:`rigs.capture`: views show its frames and numbers, answer its questions, and darken it.
 """

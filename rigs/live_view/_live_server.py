@@ -45,7 +45,7 @@ LEAST_REGION_PX: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class LiveNumbers:
-    """What stands beside a picture.
+    """The numbers that are shown beside a picture.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ def focus_measure(counts: Counts, camera: CameraSettings) -> float:
 
 
 class LiveRig:
-    """Exposes without end in a thread of its own, which owns all devices.
+    """Exposes continuously in a thread of its own, which owns all devices.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ MOST_TOLD_LINES: Final = 2
 KEYS: Final = " l LIGHT OFF   Enter done, go on   y n yes, no   q end   ? help"
 HELP: Final = (
     "l Space Esc    all lights off, and none is lit before you say so; the frame",
-    "               under way is thrown away and taken again",
+    "               under way is discarded and taken again",
     "Enter          what was asked for is done: go on",
     "y n            yes and no, where a question is asked",
     "g              goggles are on: light a laser of class 3R or above again",
@@ -134,7 +134,11 @@ def _signals_of_a_session(session: WatchedSession) -> Iterator[None]:
 
     def run_on(number: int, frame: FrameType | None) -> None:
         if number == signal.SIGTSTP:
-            session.progress(0, 1, "Ctrl-Z stops no session, for its lights would stay as they are; Ctrl-C ends it")
+            session.progress(
+                0,
+                1,
+                "Ctrl-Z is ignored, because the lights of a stopped session would stay as they are; Ctrl-C ends it",
+            )
 
     # Handlers, and not SIG_IGN, which programs that the rig starts would inherit.
     before = {number: signal.signal(number, run_on) for number in (signal.SIGHUP, signal.SIGTSTP)}

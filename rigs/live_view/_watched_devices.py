@@ -19,7 +19,7 @@ T = TypeVar("T")
 LightRole = Literal["lamp", "laser"]
 CALL_MARGIN_S: Final = 0.5
 """A driver says that its deadline is over a little after it is."""
-THROWN_AWAY: Final = "the light was switched off by hand in the view; the frame under way is thrown away"
+THROWN_AWAY: Final = "the light was switched off by hand in the view; the frame under way is discarded"
 
 
 class HandsOnBench:
@@ -77,8 +77,8 @@ class DarkenedCalls:
             raise LightLostError(THROWN_AWAY)
         if self._running is not None and not self._running.done():
             raise LostError(
-                "camera or filter wheel: a call that was left when the light went off has not ended within its "
-                "deadline; end the session, plug the device in anew, and resume"
+                "camera or filter wheel: a call that was still running when the light went off has not ended within "
+                "its deadline; end the session, plug the device in again, and resume"
             )
         context, answer = contextvars.copy_context(), Future[T]()
 

@@ -249,8 +249,7 @@ class WatchedSession(SessionWatch):
                 self.end()
             case _:
                 raise CaptureError(
-                    f"live view: {str(command)[:80]}: a session is asked for lamp (false), for question and answer, or "
-                    "for end (true)"
+                    f"live view: {str(command)[:80]}: a session takes lamp (false), question and answer, or end (true)"
                 )
 
     def darken(self) -> None:
@@ -282,7 +281,7 @@ class WatchedSession(SessionWatch):
     def _take_answer(self, question: int, word: str) -> None:
         with self._changed:
             if question != self._numbers.question or word not in self._numbers.answers:
-                raise CaptureError("live view: this question is not asked now; read what the view shows")
+                raise CaptureError("live view: this question is no longer open; read what the view shows now")
             self._answer = word
             self._changed.notify_all()
 
@@ -316,7 +315,10 @@ class WatchedSession(SessionWatch):
     def mend(self, what: str) -> bool:
         """Have something mended; return whether it is done."""
         text = f"{what}. The lights are off. Mend it and close the box, or end here."
-        return self.ask_person("MEND THE RIG", text, ("done", "end")) == "done"
+        is_mended = self.ask_person("MEND THE RIG", text, ("done", "end")) == "done"
+        if is_mended:
+            self._publish(headline="METERING", text="all steps are metered again", phase="metering", done=0)
+        return is_mended
 
     def progress(self, done: int, total: int, what: str) -> None:
         """Learn how far the session is; a message that counts nothing is only told."""
@@ -345,7 +347,7 @@ class WatchedSession(SessionWatch):
         The devices are closed after this: a driver must not be closed while one of its calls runs.
         """
         if self._calls is not None and not self._calls.finish():
-            self._publish(told="a device has not ended its call in time; plug it in anew before you resume")
+            self._publish(told="a device has not answered in time; plug it in again before you resume")
 
     def noted(self, event: str, what: Mapping[str, Any]) -> None:
         """Count what the journal says."""
@@ -366,6 +368,9 @@ class WatchedSession(SessionWatch):
                     self._publish(lights_lost=now.lights_lost + 1, told=str(what["text"]))
                 case "repair":
                     self._publish(repairs=now.repairs + 1)
+                case "set aside":
+                    self._stored.clear()
+                    self._publish(stored=now.stored - int(what["frames"]), filters=self._filters())
                 case "filter proof":
                     self._publish(told=f"filters {what['verdict']}: {what['text']}")
 

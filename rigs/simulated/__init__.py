@@ -1,4 +1,4 @@
-"""Stand in for a rig: paints, bench, sensor and devices; never with a fitter's forward model.
+"""A simulated rig: paints, bench, sensor and devices, computed without the forward model of the fit.
 
 The bench turns a painted sample under a light and behind a filter into photo-electrons per second, the sensor turns
 photo-electrons into counts (the only such model; the tactile renderer uses it too), the devices move and light the

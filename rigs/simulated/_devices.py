@@ -43,7 +43,7 @@ WHEEL_STEP_S = 0.4
 
 @dataclass(frozen=True, slots=True)
 class RigCondition:
-    """By what a rig differs from its file; all zero is a rig as its file says.
+    """The differences between a rig and its file; all zero means no difference.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ class BenchFault:
         """Count an exposure, and refuse it where the camera is unplugged by now."""
         self.exposures += 1
         if self.fault.name == "unplugged camera" and self.exposures > self.fault.value:
-            raise LostError("camera: does not answer and cannot be found; see to its cable and power")
+            raise LostError("camera: does not answer and cannot be found; check its cable and power")
 
     def require_heard(self) -> None:
         """Count a message to the wheel, and lose it where its turn has come: one of 20 for 5 %."""
@@ -332,7 +332,7 @@ class SimulatedCamera:
                 "allow more time"
             )
         if exposure_s <= 0.0:
-            raise RefusedError(f"camera: an exposure of {exposure_s:g} s cannot be; give more than 0 s")
+            raise RefusedError(f"camera: an exposure of {exposure_s:g} s is not possible; give more than 0 s")
         if self.state.fault is not None:
             self.state.fault.require_plugged()
         captured_utc = self.state.clock.utc()

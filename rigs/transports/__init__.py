@@ -1,7 +1,7 @@
 """Exchange frames of bytes with devices, each with a deadline: serial ports, HTTP, INDI, Alpaca, MJPEG.
 
-A wait ends when the answer is whole or at an instant of :func:`time.monotonic`, whichever comes first; a connection
-that is lost is told once, and the next call connects again. Nothing that arrives is without a limit of its length.
+A wait ends when the answer is complete or at an instant of :func:`time.monotonic`, whichever comes first. A lost
+connection is reported once, and the next call connects again. Every message has a largest length.
 """
 
 from typing import TYPE_CHECKING

@@ -228,7 +228,7 @@ class SerialLink:
                 return drained
             if time.monotonic() >= end_s:
                 raise TimedOutError(
-                    f"{self._name}: does not fall silent (it says {drained[:32]!r}); check that this port belongs to "
+                    f"{self._name}: does not stop sending (it says {drained[:32]!r}); check that this port belongs to "
                     "the device, and its speed"
                 )
 

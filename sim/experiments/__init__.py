@@ -1,4 +1,4 @@
-"""What is done with a painted finger: presses, captures, sweeps and studies, as records.
+"""Experiments with a painted finger: presses, captures, sweeps and studies, as records.
 
 `paint_finger` joins a design with calibrated paints and a renderer. `simulate_press` renders a press as a record
 (`simulate_images` its images too), `press_records` makes the records of one pressed by finite elements, `recoloured`

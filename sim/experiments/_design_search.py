@@ -51,12 +51,12 @@ Evaluate = Callable[[FingerDesign], EvaluatedDesign]
 _LIGHT: Final = {
     "normal-error": DesignObjective(
         name="normal-error", unit="deg", larger_is_better=False,
-        meaning="expected error of the sensed normal at places that have not taught it; what the camera does not see "
-        "counts as not tilted",
+        meaning="expected error of the sensed normal at places that the map was not taught at; what the camera does "
+                "not see counts as not tilted",
     ),
     "evenness": DesignObjective(
         name="evenness", unit="1", larger_is_better=True,
-        meaning="5 % over 95 % quantile over the pad of the luminance without contact",
+        meaning="5 % over 95 % quantile, over the pad, of the luminance without contact",
     ),
     "brightness": DesignObjective(
         name="brightness", unit="1", larger_is_better=True,
@@ -139,7 +139,7 @@ class _Field:
         if self.axis is not None and isinstance(value, tuple):
             value = value[self.axis]
         if isinstance(value, bool) or not isinstance(value, int | float):
-            hint = "; of a place name its coordinate, as in light.position_mm[y]" if isinstance(value, tuple) else ""
+            hint = "; for a place, name its coordinate, as in light.position_mm[y]" if isinstance(value, tuple) else ""
             hint = "; write it into the design file first" if value is None else hint
             raise SimulateError(f"--within: '{self.path}' of this finger is {value!r}, no number{hint}")
         return value

@@ -117,7 +117,7 @@ def study_finger_stiffness(
         if progress is not None:
             progress(done + 1, len(variants), f"{design.name} {field}".strip())
     return FingerStiffness(
-        label=f"finite elements, {len(rows)} fingers of {len(designs)} designs; ribs do not see each other",
+        label=f"finite elements, {len(rows)} fingers of {len(designs)} designs; contact between ribs is not computed",
         designs=tuple(designs),
         tip_force_n=TIP_FORCE_N,
         pad_force_n=PAD_FORCE_N,
@@ -202,7 +202,9 @@ def _orders(names: Sequence[str], rows: Sequence[StiffnessRow]) -> Iterator[Stif
             smallest_ratio=ratios[at],
             at=at,
             independent_ratio=min(stiffs.values()) / max(softs.values()),
-            note="" if len(ratios) == len(stiffs) == len(softs) else "changes that only one of them has are left out",
+            note=""
+            if len(ratios) == len(stiffs) == len(softs)
+            else "dimensions that only one of them has are left out",
         )
 
 

@@ -265,11 +265,15 @@ def doubts(radiance: Floats) -> tuple[str, ...]:
         mean, name = radiance[m, :, :, p, b].mean(axis=1), f"{mirror}, {probe}, {band}"
         best = brightest_deg(ANGLES_DEG, mean)
         if best in (ANGLES_DEG[0], ANGLES_DEG[-1]):
-            notes.append(f"{name}: highest at {best:g} deg, where the search ended, or beyond; its limits do not hold")
+            notes.append(
+                f"{name}: highest at {best:g} deg, the end of the search, or beyond it; its limits do not hold"
+            )
         misfit = (mean - _cosines(ANGLES_DEG) @ _smooth(ANGLES_DEG, mean)) * mean / mean.max()
         misfit_rel = float(np.sqrt(np.mean(misfit**2)) / mean.max())
         if misfit_rel > _LARGEST_MISFIT_REL:
-            notes.append(f"{name}: values lie {misfit_rel:.0%} off the smooth curve that its maximum is read off")
+            notes.append(
+                f"{name}: values lie {misfit_rel:.0%} away from the smooth curve from which the maximum is read"
+            )
     return tuple(notes)
 
 

@@ -119,7 +119,7 @@ def drawn_paints(
             reason = str(error)
             continue
         return look
-    raise SimulateError(f"no draw of the paints out of {_MOST_TRIES} keeps energy; the last one: {reason}")
+    raise SimulateError(f"no draw of the paints out of {_MOST_TRIES} conserves energy; the last one: {reason}")
 
 
 def _drawn_once(paints: Mapping[str, PaintDraws], emission_ratio: float, rng: np.random.Generator) -> PaintLook:

@@ -147,8 +147,8 @@ def _check_same_contact(record: PressIncrement, contact: ContactKind, indenter_s
         )
     if record.indenter_sha256 is not None and record.indenter_sha256 != indenter_sha256:
         raise SimulateError(
-            f"the STL of the indenter, indenter.file = {record.design.indenter.file!r}, is not the one of the stored "
-            "increment: its content has changed; put the file back as it was, or press from the start"
+            f"the STL of the indenter, indenter.file = {record.design.indenter.file!r}, differs from the one of the "
+            f"stored increment: its content has changed; put the file back as it was, or press from the start"
         )
 
 
@@ -216,7 +216,7 @@ def _mechanics(
         motion=None if pressed.motion is None else _motion(design, pressed, pressed.motion),
         notes=(
             pressed.contact,
-            *([f"{pressed.crossing}: what it gives there is no finger's"] if pressed.crossing else []),
+            *([f"{pressed.crossing}: the results from there on are not physical"] if pressed.crossing else []),
             *_chord_note(design, preset, pressed),
             f"gel: C10 = {gel.c10_mpa:g} MPa, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
             f"mesh: on the 70 x 35 finger this fineness gives {FORCE_EXCESS_REL[preset]:.0%} more force than an "
@@ -268,7 +268,7 @@ def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) ->
         return ()
     told = f"the force is some {short:.0%} below the barrier's"
     if not touched:
-        told = "it touches no node, or has passed between them, and the force is the mesh's, not the finger's"
+        told = "it touches no node, or has passed between them, and the force comes from the mesh, not the finger"
     return (f"between nodes the coat cuts into the indenter: {told}",)
 
 

@@ -208,5 +208,5 @@ def require_paints_in_order(modes_nm: Mapping[str, float], names: Mapping[str, s
         return
     raise SimulateError(
         f"red={names['red']} emits most at {modes_nm['red']:.0f} nm, below green={names['green']} at "
-        f"{modes_nm['green']:.0f} nm: the two look swapped. Exchange them, or give {remedy} if they are meant so"
+        f"{modes_nm['green']:.0f} nm: the two look swapped. Exchange them, or give {remedy} if this is intended"
     )

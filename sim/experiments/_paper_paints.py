@@ -368,7 +368,7 @@ def _stand_in_absorption(matrix: DonaldsonMatrix, emission: SpectralCurve) -> Sp
     if not (known.any() and np.interp(LASER_NM, columns, np.where(known, light, 0.0)) > 0):
         raise SimulateError(
             f"{matrix.source}: no emission {STRIP_NM[0]:g} to {STRIP_NM[1]:g} nm above the peak at {peak_nm:g} nm "
-            f"under the laser at {LASER_NM:g} nm, so that absorption cannot be read off; is it fluorescent?"
+            f"under the laser at {LASER_NM:g} nm, so the absorption cannot be read from the matrix; is it fluorescent?"
         )
     photons = light[known] / expected[known] / columns[known]
     return SpectralCurve(
@@ -408,8 +408,9 @@ def _patches(reflectance: SpectralCurve, printed: str) -> tuple[ColourPatch, Col
 
 CAVEAT = (
     "Stand-ins, not the paper's paints: no measured spectrum of those is public. The paper prints no fitted "
-    "parameters; what is fitted here is its equation. How far ours lets a paint leave its curve was learned from an "
-    "orange ink, a yellow textile and two papers: on those the coverage shown is no independent test; the study that "
+    "parameters; what is fitted here is its equation. How far our model lets a paint depart from its curve was "
+    "learned from an orange ink, a yellow textile and two papers: for these the coverage shown is not an independent "
+    "test; the study that "
     "leaves each of them out is in benchmarks/."
 )
 
@@ -520,7 +521,7 @@ def _stokes_shift(colour: PaintColour, paints: Sequence[PaintStandIn]) -> PaperS
         ),
         verdict="holds in part" if any(on_plateau) and not all(near) else _verdict(near),
         why=f"absorption is a plateau flat within {_percent(1 - PLATEAU_SHARE)}: its maximum, and with it the shift, "
-        f"is ill-defined. What acts is its red edge, only {edges} nm below the emission's peak. One laser at "
+        f"is ill-defined. What matters is its red edge, only {edges} nm below the emission's peak. One laser at "
         f"{LASER_NM:.0f} nm measures neither",
     )
 
@@ -623,8 +624,9 @@ def _emission_from_bands(paints: Sequence[PaintStandIn]) -> PaperStatement:
         measure=f"error of the curve, {GOOD} (share of the measured emission in its 95 % band)",
         ours=_each(paints, lambda p: f"the paper's curve {words(p.paper_fit)}, ours {words(p.our_fit)}"),
         verdict=_verdict([p.paper_fit.residual_rel <= GOOD_FIT_REL for p in paints]),
-        why="between and beyond the bands the equation decides, and real paint leaves it by more than the bands' "
-        "errors: a fit that takes it for exact is far too sure. Ours carries that departure as uncertainty",
+        why="between and beyond the bands the equation decides, and real paint departs from it by more than the "
+        "bands' errors: a fit that assumes it to be exact is far too certain. Ours includes that departure as "
+        "uncertainty",
     )
 
 

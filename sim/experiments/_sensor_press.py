@@ -155,7 +155,8 @@ def _require_gel(height_mm: Floats, what: str) -> None:
     lowest = float(height_mm.min())
     if lowest < _THINNEST_GEL_MM:
         raise SimulateError(
-            f"{what} comes to {lowest:.4g} mm above the inner face; at least {_THINNEST_GEL_MM:g} mm of gel must be "
+            f"{what} reaches down to {lowest:.4g} mm above the inner face; at least {_THINNEST_GEL_MM:g} mm of gel "
+            f"must be "
             "left (is it in mm? see unit_mm, and holds: depth or height)"
         )
 
@@ -176,7 +177,9 @@ def _mapped(
     found = read(np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1))
     known = np.isfinite(found)
     if not known.any():
-        raise SimulateError(f"{path}: the map lies beside the pad; see surface.position_mm and surface.across_mm")
+        raise SimulateError(
+            f"{path}: the map does not lie on the pad; correct surface.position_mm and surface.across_mm"
+        )
     height = np.where(known, found if surface.holds == "height" else undeformed - found, undeformed)
     _require_no_cliff(path, known, np.where(known, undeformed - height, 0.0))
     return np.asarray(height)
@@ -192,7 +195,7 @@ def _require_no_cliff(path: Path, known: NDArray[np.bool_], depth_mm: Floats) ->
     if cliff > _LARGEST_CLIFF_MM:
         raise SimulateError(
             f"{path}: the map ends on the pad with a step of {cliff:.3g} mm; at most {_LARGEST_CLIFF_MM:g} mm is "
-            "allowed: give a map that covers the pad, or one whose rim lies at rest"
+            "allowed: give a map that covers the pad, or one whose border is undeformed"
         )
 
 

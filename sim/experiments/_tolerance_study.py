@@ -41,7 +41,8 @@ Evaluate = Callable[[FingerDesign, Paints, int], float]
 ALLOWED_REL: Final = 0.1
 RUNS: Final = 128
 OBJECTIVE: Final = (
-    "expected error of the sensed normal at places of the pad that have not taught the map from colour to normal, mean "
+    "expected error of the sensed normal at places of the pad that the map from colour to normal was not taught at, "
+    "mean "
     "over the contact places, paint draws and the noise of the camera, at an exposure that is set again for each finger"
 )
 
@@ -117,8 +118,8 @@ def tolerance_inputs(
     for field, size in (vary or {}).items():
         if _nominal(design, paints, field) is None:
             raise SimulateError(
-                f"--vary {field}: is no number of this finger that light depends on. Give a dotted path of the design, "
-                f"the axis last for a place; usual are {', '.join(ranges)}"
+                f"--vary {field}: is not a number of this finger that its light depends on. Give a dotted path of "
+                f"the design, with the axis last for a place; usual are {', '.join(ranges)}"
             )
         if not (np.isfinite(size) and size >= 0.0):
             raise SimulateError(f"--vary {field}={size:g}: a half-range is 0 (left out) or more")
@@ -209,7 +210,7 @@ def varied_finger(
 def _scaled(paint: PaintDraws, factor: float) -> PaintDraws:
     """Return a batch of another yield."""
     if not factor > 0.0:
-        raise SimulateError(f"a yield of {factor:g} times the calibrated one is no paint")
+        raise SimulateError(f"a yield of {factor:g} times the calibrated one is not possible")
     optics = replace(paint.optics, emission_per_nm=factor * paint.optics.emission_per_nm)
     return replace(paint, optics=optics, emission_per_nm=factor * paint.emission_per_nm)
 
@@ -504,8 +505,9 @@ def _sentence(
         row, limit = min(sides, key=lambda pair: (pair[1] or 0.0) / pair[0].given)
         told += f"; alone, the narrowest is {row.field}, {limit:.3g} {row.unit}"
     most = max(rows, key=lambda row: row.total.estimate)
-    return told + (f"; {most.field} makes most of the variance ({most.total.estimate:.0%})." if most.is_distinguishable
-                   else "; no number's share of the variance can be told from 0.")  # fmt: skip
+    if not most.is_distinguishable:
+        return f"{told}; no number's share of the variance can be distinguished from 0."
+    return f"{told}; {most.field} has the largest share of the variance ({most.total.estimate:.0%})."
 
 
 def _check(inputs: Sequence[ToleranceInput], settings: ToleranceSettings) -> None:

@@ -1,4 +1,4 @@
-"""The finger pressed: parametric meshes, materials, contact and the solver.
+"""Pressing a finger: parametric meshes, materials, contact and the solver.
 
 A press is a sequence of equilibria. At each, the sum of the elastic energy of the hexahedra, of ties and of contact
 is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newton's method with an energy line search.

@@ -387,7 +387,8 @@ class BarrierPress(DrivenContact):
         own = self.contact.pairs_of_parts(u)
         parts = f"touch each other at {own} pairs" if own else "do not touch each other"
         return (
-            f"contact by a barrier: surfaces keep a gap below {reach:g} mm, from which the push counts (least gap: "
+            f"contact by a barrier: surfaces keep a gap below {reach:g} mm, from which the push is measured (least "
+            f"gap: "
             f"{self.contact.gap_mm(u):.3g} mm); friction {self.contact.barrier.friction_ratio:g} between indenter and "
             f"finger, none elsewhere; the ribs and other parts of the finger {parts}"
         )

@@ -88,4 +88,4 @@ def press_two_blocks() -> None:
     aside = down + np.array([[0.0, 0.0, 0.0]] * 4 + [[0.001, 0.0, 0.0]])
     curved = contact.hessian(aside, True)
     if not (share > 0.5 and contact.energy(aside) > 0.0 and contact.force_n(aside)[1] > 0.0 and curved.nnz > 0):
-        raise SimulateError("gave another contact than it must")
+        raise SimulateError("gave a wrong contact")

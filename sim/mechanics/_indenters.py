@@ -204,8 +204,9 @@ def _misses(design: FingerDesign) -> str:
     wanted = design.indenter
     return (
         f"the indenter ({wanted.shape}, across_mm = {wanted.across_mm:g} mm, position_mm = {wanted.position_mm:g} mm, "
-        f"rotation_deg = {list(wanted.rotation_deg)} deg) does not come to touch the pad on its way along the pad's "
-        "normal; a cylinder has no ends and may not stand upright, and a mesh must reach over the pad from its origin"
+        f"rotation_deg = {list(wanted.rotation_deg)} deg) does not touch the pad when it moves along the pad's "
+        f"normal; a cylinder is endless and must not stand upright, and a mesh must lie over the pad, counted from "
+        f"its origin"
     )
 
 
@@ -294,6 +295,6 @@ def _check_close(off_mm: float, places: int) -> None:
     """Check that the least height is known well enough."""
     if off_mm > _ENOUGH_MM:
         raise SimulateError(
-            f"the mesh of the indenter runs along the pad in {places} places, so that its first touch is known to "
-            f"{off_mm:.2g} mm only, not to {_ENOUGH_MM:g} mm; give an STL of fewer triangles"
+            f"the mesh of the indenter runs along the pad in {places} places, so its first touch is known only to "
+            f"{off_mm:.2g} mm, and {_ENOUGH_MM:g} mm is needed; give an STL of fewer triangles"
         )

@@ -176,7 +176,7 @@ class LoadedFinger:
         """
         whole = np.array(force_n, dtype=np.float64)
         if not np.isfinite(whole).all() or not whole.any():
-            raise SimulateError(f"force_n = {list(force_n)} N: a push needs a finite force that is not nought")
+            raise SimulateError(f"force_n = {list(force_n)} N: a push needs a finite force other than zero")
         nodes = self.nodes_at(place, float(whole[0]))
         force = DeadForce(nodes)
 
@@ -206,7 +206,9 @@ class LoadedFinger:
             When the angle is nought or beyond 90 deg, or no equilibrium is found.
         """
         if not 0.0 < abs(angle_deg) <= 90.0:
-            raise SimulateError(f"angle_deg = {angle_deg:g} deg: a twist needs an angle of up to 90 deg, not nought")
+            raise SimulateError(
+                f"angle_deg = {angle_deg:g} deg: a twist needs an angle of up to 90 deg other than zero"
+            )
         end = self.mesh.node_sets["tip_end"]
         middle = (self.mesh.nodes_mm[end].min(axis=0) + self.mesh.nodes_mm[end].max(axis=0)) / 2.0
         arm = (self.mesh.nodes_mm[end] - middle)[:, :2]
@@ -340,7 +342,8 @@ def check_force(design: FingerDesign, force_n: float) -> None:
         raise SimulateError(f"force_n = {force_n:g} N: a press needs a finite force above 0 N")
     if design.indenter.shape == "mesh" or design.indenter.friction > 0.0:
         raise SimulateError(
-            "a press to a force is without friction and on exact distances: give indenter.friction = 0 and a cylinder, "
+            "a press to a force works without friction and for indenters of simple shape: give indenter.friction = 0 "
+            "and a cylinder, "
             "ball or cuboid, or press to a depth"
         )
 
@@ -385,8 +388,8 @@ class _DrivenIndenter(PenaltyTouch):
             raise NoEquilibriumError(f"no equilibrium at a push of {_TOUCH_MM:g} mm: {why}")
         if not self.force_n(touched.state.u_mm)[1] > 0.0:
             raise NoEquilibriumError(
-                f"at a push of {_TOUCH_MM:g} mm, from which the force begins, the indenter touches no node of the "
-                f"coat, whose elements are {self._step_mm:g} mm wide: press with a finer [mesh] preset, or to a "
+                f"at a push of {_TOUCH_MM:g} mm, where the press to a force begins, the indenter touches no node of "
+                f"the coat, whose elements are {self._step_mm:g} mm wide: press with a finer [mesh] preset, or to a "
                 "depth with --contact barrier"
             )
         return touched.state

@@ -84,7 +84,7 @@ def check_unfolded(nodes_mm: NDArray[np.float64], hexahedra: NDArray[np.int64], 
     if jacobians[worst] <= 0.0:
         x, y, z = nodes_mm[hexahedra[worst]]
         raise SimulateError(
-            f"{int((jacobians.min(axis=1) <= 0.0).sum())} hexahedra of block {name} are folded, the worst at "
+            f"{int((jacobians.min(axis=1) <= 0.0).sum())} hexahedra of block {name} are inside out, the worst at "
             f"({x:.2f}, {y:.2f}, {z:.2f}) mm; nodes must be in C3D8 order, and the parts must not pass through each "
             "other"
         )

@@ -121,7 +121,7 @@ class _Search:
         gradient = np.zeros_like(state.u_mm)
         if not math.isfinite(energy):
             return self._result(
-                state, gradient, energy, "an element is inside out, or a term not defined, at the start"
+                state, gradient, energy, "at the start an element is inside out, or a term is not defined"
             )
         if not state.pressures_mpa:
             state = self.assembly.with_own_pressures(state)
@@ -165,7 +165,7 @@ class _Search:
             return f"no equilibrium after {self.solved} iterations"
         last = self.shares[-self.options.stalled_after :] if self.options.stalled_after else []
         if last and len(last) == self.options.stalled_after and sum(last) < 1.0:
-            return f"the last {len(last)} of {self.solved} steps were short, {sum(last):.2g} of a whole one together"
+            return f"the last {len(last)} of {self.solved} steps were short, together {sum(last):.2g} of one full step"
         return ""
 
     def _tell(self) -> None:

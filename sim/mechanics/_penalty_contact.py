@@ -189,7 +189,7 @@ class PenaltyTouch:
     @property
     def note(self) -> str:
         """How the surfaces touch."""
-        how = "contact by penalty: frictionless; the indenter's distance is exact; ribs do not see each other"
+        how = "contact by penalty: frictionless; the indenter's distance is exact; contact between ribs is not computed"
         return f"{how}; {self._left_out}" if self._left_out else how
 
     def force_n(self, u: FloatArray) -> FloatArray:
@@ -239,7 +239,9 @@ class PenaltyPress(PenaltyTouch):
         self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float, left_out: str = ""
     ) -> None:
         if indenter.body is None:
-            raise SimulateError("a mesh of the user has no exact distances: use --contact barrier, or auto")
+            raise SimulateError(
+                "the penalty cannot compute distances to an indenter from an STL: use --contact barrier, or auto"
+            )
         contact = PenaltyContact(
             mesh.nodes_mm,
             mesh.surfaces["coat"],
@@ -531,7 +533,7 @@ class SlidingTouch(PenaltyTouch):
         """How the surfaces touch."""
         ratio = self.sliding.friction_ratio
         how = f"Coulomb friction {ratio:g} that remembers where the coat sticks" if ratio > 0.0 else "frictionless"
-        return f"contact by penalty: {how}; the indenter's distance is exact; ribs do not see each other"
+        return f"contact by penalty: {how}; the indenter's distance is exact; contact between ribs is not computed"
 
     def energy_n_mm(self, u: FloatArray) -> float:
         """Return the energy that the contact gives back."""

@@ -360,7 +360,7 @@ def contact_forces_n(pressed: PressedFinger) -> tuple[FloatArray, FloatArray]:
     touching = pushes > 0.0
     whole = float(pushes.sum())
     if whole <= 0.0:
-        raise SimulateError("nothing touches: a contact without pressure holds no torque; press deeper")
+        raise SimulateError("nothing touches, and without pressure there is no torque to compute; press deeper")
     return pressed.touch_mm[touching], pushes[touching] * float(np.linalg.norm(pressed.force_n[-1])) / whole
 
 
@@ -637,7 +637,7 @@ def resumed(press: PressedFinger, mesh: FingerMesh, depth_mm: float) -> tuple[fl
     done = float(press.depth_mm[-1])
     if done >= (1.0 - _SAME_SHARE) * depth_mm:
         raise SimulateError(
-            f"the press to continue is at {done:g} mm already and indenter.depth_mm is {depth_mm:g} mm; "
-            "ask for more, or resume from an earlier increment"
+            f"the press to continue has already reached {done:g} mm and indenter.depth_mm is {depth_mm:g} mm; raise "
+            f"indenter.depth_mm, or resume from an earlier increment"
         )
     return done / depth_mm, State(press.displacement_mm[-1], press.modes_mm)

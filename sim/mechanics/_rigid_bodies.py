@@ -418,7 +418,7 @@ def read_body(path: Path) -> TriangleMesh:
     mesh = _welded(vertices, triangles)
     check_closed_body(mesh, str(path))
     if not len(mesh.triangles):
-        raise SimulateError(f"{path}: all its triangles are needles without area; an indenter must be a closed body")
+        raise SimulateError(f"{path}: all its triangles have no area; an indenter must be a closed body")
     corners = mesh.vertices_mm[mesh.triangles]
     volume = float(np.einsum("ki,ki->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
     if abs(volume) < _LEAST_VOLUME * float(np.ptp(mesh.vertices_mm, axis=0).max()) ** 3:
@@ -450,8 +450,8 @@ def check_closed_body(mesh: TriangleMesh, name: str) -> None:
     runs = np.bincount(place, np.where(directed[:, 0] < directed[:, 1], 1, -1))
     if runs.any():
         raise SimulateError(
-            f"{name}: {int((runs != 0).sum())} edges are run twice in one direction: some triangles are turned inside "
-            "out; let a modelling program orient them outward and export it again"
+            f"{name}: {int((runs != 0).sum())} edges have two triangles of opposite orientation: some triangles are "
+            f"inside out; let a modelling program orient them outward and export it again"
         )
     size = float(np.ptp(mesh.vertices_mm, axis=0).max())
     if not _LEAST_MM <= size <= _MOST_MM:

@@ -106,8 +106,8 @@ def skeleton_layout(design: FingerDesign) -> SkeletonLayout:
     half_width = rib_inner + skeleton.rib_width_mm if skeleton.width_mm is None else skeleton.width_mm / 2.0
     if pad.width_mm / 2.0 + skeleton.flange_mm > half_width or skeleton.flange_mm > -base_line[0]:
         raise SimulateError(
-            f"skeleton.flange_mm = {skeleton.flange_mm:g} mm reaches beyond the front fin, which leaves "
-            f"{min(half_width - pad.width_mm / 2.0, -base_line[0]):.3g} mm around the pad"
+            f"skeleton.flange_mm = {skeleton.flange_mm:g} mm reaches beyond the front fin, which has "
+            f"{min(half_width - pad.width_mm / 2.0, -base_line[0]):.3g} mm around the pad; make it smaller"
         )
     if half_width - skeleton.rib_width_mm < rib_inner - 1e-9:
         raise SimulateError(

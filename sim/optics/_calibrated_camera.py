@@ -216,7 +216,7 @@ def rays_of_pixels(calibration: CameraCalibration, pixels: Floats) -> Floats:
     Raises
     ------
     SimulateError
-        When the distortion cannot be inverted at one of the points: its polynomial turns round there.
+        When the distortion cannot be inverted at one of the points: its polynomial is not monotonic there.
     """
     points = np.ascontiguousarray(pixels.reshape(-1, 1, 2), dtype=np.float64)
     rays = (_fisheye_rays if calibration.model == "fisheye" else _pinhole_rays)(calibration, points)
@@ -273,7 +273,8 @@ def _require_invertible(calibration: CameraCalibration, points: Floats, bad: NDA
         column, row = points[int(np.argmax(bad)), 0]
         raise SimulateError(
             f"{calibration.source}: the {calibration.model} distortion cannot be inverted at {bad.mean():.1%} of the "
-            f"picture, for example at column {column:.0f}, row {row:.0f}: its polynomial turns round there. Calibrate "
+            f"picture, for example at column {column:.0f}, row {row:.0f}: its polynomial is not monotonic there. "
+            f"Calibrate "
             "with boards that reach the corners, or with fewer coefficients"
         )
 

@@ -257,8 +257,8 @@ def _excitation(paint: PaintOptics, bands: tuple[SpectralBand, SpectralBand, Spe
     means = np.array([band_mean(paint.wavelength_nm, photons, band, what) for band in bands])
     if means[-1] <= 0.0:
         raise SimulateError(
-            f"paint {paint.name} does not absorb the LED at {bands[-1].centroid_nm:.0f} nm, so its emission under the "
-            "LED cannot be its own; check absorption_rel"
+            f"paint {paint.name} does not absorb the LED at {bands[-1].centroid_nm:.0f} nm, so it cannot emit under "
+            f"the LED; check absorption_rel"
         )
     return np.asarray(means / means[-1])
 
@@ -315,8 +315,8 @@ def conversion_gains(before: Mapping[str, Floats], after: Mapping[str, Floats]) 
                 continue
             if old[k] == 0.0 and after[wall][k] > 0.0:
                 raise SimulateError(
-                    f"the {wall} paint converts light of the {band} band now and did not when the images were "
-                    "rendered: render again"
+                    f"the {wall} paint now converts light of the {band} band, and did not when the images were "
+                    f"rendered: render again"
                 )
             gains[band, wall] = float(after[wall][k] / old[k]) if old[k] else 0.0
     return gains
@@ -383,7 +383,8 @@ def require_small_reemission(chains: Sequence[str], gains: Mapping[tuple[str, st
         if product > LARGEST_REEMISSION_GAIN * first:
             growth = f"{product / first:.1f} times" if first > 0.0 else "beyond all bounds"
             raise SimulateError(
-                f"the light of chain {chain}, too weak to be rendered, would grow {growth} beside that of its band; "
+                f"the light of chain {chain}, which was too weak to be rendered, would grow {growth} relative to "
+                f"that of its band; "
                 f"up to {LARGEST_REEMISSION_GAIN:g} times can be made without a new render: render again"
             )
 

@@ -161,7 +161,7 @@ class PositionMap:
         gap = float(np.linalg.norm(cls(coefficients).positions_mm(middle_uv) - middle_mm, axis=-1).max())
         if gap > _LARGEST_GAP_MM:
             raise SimulateError(
-                f"the {name} is no smooth face: its mesh leaves the smooth map by {gap:.2g} mm "
+                f"the {name} is not a smooth face: its mesh departs from the smooth map by {gap:.2g} mm "
                 f"({_LARGEST_GAP_MM} mm allowed); check its texture coordinates, or refine the mesh"
             )
         return cls(coefficients, gap, turn)

@@ -210,8 +210,8 @@ def seen_points(
     chosen = np.unique(np.asarray(nearest)[np.asarray(distance_mm) < step_mm / 2.0])
     if 2 * len(chosen) < len(grid):
         raise SimulateError(
-            f"the camera sees {len(chosen)} of {len(grid)} points spread over the pad, too few to judge a light angle "
-            "by; check camera.field_of_view_deg, the mirror and whether light.position_mm stands in the way"
+            f"the camera sees {len(chosen)} of {len(grid)} points spread over the pad, too few to judge a light "
+            f"angle; check camera.field_of_view_deg, the mirror and whether light.position_mm stands in the way"
         )
     points, legs = maps.position_mm[on_coat][chosen], maps.last_leg[on_coat][chosen]
     # halfway back to the inner face of the undeformed pad: a start inside the gel

@@ -132,7 +132,7 @@ def _require_scalar(variant: str) -> None:
         )
     raise MissingExtraError(
         f"Mitsuba does not run here: {failure}; its wheels for x86-64 need a processor with AVX. Render on another "
-        "computer: capture, radiometry, fit, compare and decide go without"
+        "computer: capture, radiometry, fit, compare and decide do not need it"
     )
 
 

@@ -2,9 +2,9 @@
 
 A plan (TOML, `read_plan`; `SHIPPED_PLANS` come with the package) becomes points (`study_points`), each a whole design.
 `run_study` presses, renders and measures them in worker processes of Dask, computes once what points share, keeps what
-is finished, and goes on where it was interrupted. A point is stored as soon as it is computed; one that fails leaves
-its reason and stops no other. `run_dataset` draws, presses and renders the samples of a data set for learning in the
-same way, a shard at a time.
+is finished, and continues where it was interrupted. A point is stored as soon as it is computed; one that fails is
+stored with its reason, and the others are computed. `run_dataset` draws, presses and renders the samples of a data set
+for learning in the same way, a shard at a time.
 """
 
 from typing import TYPE_CHECKING

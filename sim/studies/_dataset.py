@@ -253,8 +253,8 @@ def stored_shard(task: DatasetTask, shard: PlannedShard) -> DatasetShard | None:
     record = read_record(file, DatasetShard)
     if record.key != shard_key(task, shard):
         raise SimulateError(
-            f"{file}: was computed from another design, other ranges, paints or seed, or holds fewer presses than it "
-            "shall; give another --out, or the options as they were (a set grows by whole shards)"
+            f"{file}: was computed from another design, other ranges, paints or seed, or holds fewer presses than "
+            f"planned; give another --out, or the same options as before (a set grows by whole shards)"
         )
     return record
 

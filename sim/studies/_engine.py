@@ -93,8 +93,8 @@ def run_study(
     MissingExtraError
         Dask is not installed.
     """
-    for kept in (POINTS, PRESSES):  # the last point of a run that was killed may be whole already
-        clear_leftovers(task.folder / kept)
+    for folder in (POINTS, PRESSES):  # the last point of a run that was killed may be whole already
+        clear_leftovers(task.folder / folder)
     todo = [point for point in points if stored_point(task, point) is None]
     presses = {file: point for point in todo if (file := press_file(task, point.design)) and not file.exists()}
     failed: dict[int, str] = {}

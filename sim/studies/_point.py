@@ -218,7 +218,7 @@ _OPTICAL_PARTS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class StudyPaints:
-    """The paints of a study: their optics, and by colour where they come from (part of what a point is known by)."""
+    """The paints of a study: their optics, and by colour their origin, which is part of a point's identity."""
 
     optics: Mapping[str, PaintOptics]
     sources: Mapping[str, str]
@@ -226,7 +226,7 @@ class StudyPaints:
 
 @dataclass(frozen=True, slots=True)
 class StudyTask:
-    """What every point of a study needs beside itself.
+    """What every point of a study needs besides its own design.
 
     Attributes
     ----------
@@ -341,7 +341,8 @@ def stored_point(task: StudyTask, point: PlannedPoint) -> StudyPoint | None:
     record = read_record(file, StudyPoint)
     if record.key != point_key(task, point):
         raise SimulateError(
-            f"{file}: was computed from another plan, design, paint or seed; give another --out, or the plan as it was"
+            f"{file}: was computed from another plan, design, paint or seed; give another --out, or the plan as it "
+            f"was before"
         )
     return record
 
@@ -401,9 +402,18 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     "seen_area_mm2": ("mm2", "area of the coat that the camera sees through the mirror, without contact"),
     "brightness_rel": ("radiance of the panel", "mean over the seen coat of the camera's channels, without contact"),
     "variation_rel": ("1", "standard deviation of brightness over the seen coat, over its mean: 0 is even light"),
-    "red_share": ("1", "share of the seen coat where light of the red paint leads, each relative to its own mean"),
-    "green_share": ("1", "share of the seen coat where light of the green paint leads, each relative to its own mean"),
-    "blue_share": ("1", "share of the seen coat where light of the LED leads, each relative to its own mean"),
+    "red_share": (
+        "1",
+        "share of the seen coat where the light of the red paint is strongest, each light relative to its own mean",
+    ),
+    "green_share": (
+        "1",
+        "share of the seen coat where the light of the green paint is strongest, each light relative to its own mean",
+    ),
+    "blue_share": (
+        "1",
+        "share of the seen coat where the light of the LED is strongest, each light relative to its own mean",
+    ),
     "vividness": (
         "CIELAB chroma",
         "mean chroma of the seen coat, exposed to middle grey and white-balanced so that the coat is grey on the mean",
@@ -411,7 +421,8 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     "touch_rel": ("1", "change of brightness by the touch, rms over contact and halo, over the brightness there"),
     "force_n": (
         "N",
-        "force of the indenter along the pad's normal at the end of the push, unvalidated; the limits are the mesh's",
+        "force of the indenter along the pad's normal at the end of the push, unvalidated; the limits come from the "
+        "mesh",
     ),
     "push_mm": ("mm", "push that was reached"),
 }
@@ -485,7 +496,8 @@ def _seen(design: FingerDesign, render: PressRender, matrix: Floats) -> _Seen:
     lit = cells[np.isfinite(cells[..., 0])]
     if not len(lit):
         raise SimulateError(
-            f"no {CELL_MM:g} mm of the coat is seen by four pixels: raise camera.width_px and camera.height_px "
+            f"the pixels are too coarse: no cell of {CELL_MM:g} mm of the coat is seen by four of them; raise "
+            f"camera.width_px and camera.height_px "
             f"({design.camera.width_px} x {design.camera.height_px}), or turn the camera to the coat"
         )
     bands, weights = len(BAND_NAMES), matrix.mean(axis=0)

@@ -313,8 +313,9 @@ def check_closed(surfaces: Mapping[str, Surface], body: str = "gel") -> float:
         per_face = np.bincount(np.tile(owner, 3)[bad], minlength=len(surfaces))
         where = ", ".join(f"{name} ({n})" for name, n in zip(surfaces, per_face, strict=True) if n)
         raise SimulateError(
-            f"the {body} is not closed: {int(bad.sum())} edges are open or run twice in one direction, at {where}; "
-            "two triangles must meet at every edge and run it in opposite directions. Close the mesh, or turn the face"
+            f"the {body} is not closed: {int(bad.sum())} edges are open or belong to triangles of opposite "
+            f"orientation, at {where}; two triangles of the same orientation must meet at every edge. Close the "
+            f"mesh, or turn the face"
         )
     a, b, c = (vertices[corners[:, k]] for k in range(3))
     volume = float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

@@ -78,7 +78,7 @@ def test_what_is_mostly_prior_is_not_decided():
 def test_one_coat_is_judged_by_its_draws_and_says_so():
     found = tins_are_equivalent([example()], [example()], {"reflectance_at_laser": 1.0, "mode_nm": 1e-6})
     assert [one.verdict for one in found] == ["PASS", "UNDECIDED"]
-    assert all("not at all" in one.basis for one in found)
+    assert all("not counted at all" in one.basis for one in found)
     sd = np.sqrt(2) * example().parameters["reflectance_at_laser"].sd
     assert found[0].high90 == pytest.approx(stats.norm.ppf(0.95) * sd, rel=0.01)
 
@@ -118,7 +118,7 @@ def test_what_cannot_be_compared(monkeypatch):
     with pytest.raises(FinrayError, match="draws of this fit cannot be trusted"):
         tins_are_equivalent(one, [bad], {"mode_nm": 1.0})
     warm = example().model_copy(update={"optics": example().optics.model_copy(update={"lamp_temperature_k": 3000.0})})
-    with pytest.raises(FinrayError, match="on the same one"):
+    with pytest.raises(FinrayError, match="on the same rig"):
         tins_are_equivalent(one, [warm], {"mode_nm": 1.0})
     longer = example().model_copy(update={"wavelength_nm": example().wavelength_nm + 1.0})
     with pytest.raises(FinrayError, match="has other wavelengths"):

@@ -120,7 +120,7 @@ def test_studies_that_are_too_small(shape):
 def test_values_that_are_none(aiag):
     with pytest.raises(FinrayError, match="no finite number"):
         gauge_study(np.where(aiag > 2, np.nan, aiag))
-    with pytest.raises(FinrayError, match="do not scatter at all"):
+    with pytest.raises(FinrayError, match="do not differ at all"):
         gauge_study(np.repeat(aiag[..., :1], 2, axis=3))
 
 

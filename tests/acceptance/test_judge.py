@@ -53,7 +53,7 @@ def test_a_flawless_rig_passes_every_check(rig):
          "a camera behind driver 'aravis' answers"),
         ({"handshakes": (handshake(identity={"role": "camera", "driver": "aravis"}),)}, "camera answers", "UNDECIDED",
          "does not identify itself"),
-        ({"handshakes": (handshake("lamp", "manual"),)}, "lamp answers", "UNDECIDED", "a person switches it"),
+        ({"handshakes": (handshake("lamp", "manual"),)}, "lamp answers", "UNDECIDED", "it is switched by hand"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=3, duration_s=1.0),)}, "wheel arrives", "FAIL",
          "sent from slot 1 to 2, reads 3"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=9.0),)}, "wheel moves in time", "FAIL",

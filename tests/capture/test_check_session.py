@@ -238,7 +238,7 @@ def test_light_that_cannot_be_asked_ends_the_check(rig, plan, monkeypatch):
 
     facts = facts_of(rig, plan, monkeypatch, change)
     assert facts.handshakes[2].error == "laser: gone"
-    assert facts.errors["dark frames"] == "not tried: a light does not say whether it is off (laser: gone)"
+    assert facts.errors["dark frames"] == "not tried: a light does not report whether it is off (laser: gone)"
 
 
 def test_unsafe_laser_ends_the_check(rig, plan, monkeypatch):
@@ -387,7 +387,7 @@ def test_hazardous_laser_without_a_layer_outside_the_computer_is_not_lit_to_test
 def test_holder_that_cannot_hold_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rigs.capture.light_off_time.make_off", lambda laser: None)
     laser = nobody("/dev/no-such-port")
-    with pytest.raises(CaptureError, match=r"that was to hold it on says: laser at /dev/no-such-port"):
+    with pytest.raises(CaptureError, match=r"that should keep it on says: laser at /dev/no-such-port"):
         after_kill(laser, "guard", ConnectionWatch(laser), 1)
     monkeypatch.setattr("rigs.capture.light_off_time.START_WITHIN_S", 0.0)
     with pytest.raises(TimedOutError, match="said nothing for 0 s"):
@@ -472,7 +472,7 @@ def test_a_hazardous_laser_that_failed_in_a_layer_is_not_lit_by_the_next_one(
 
     def after_kill(laser: LaserSettings, layer: str, *_: object) -> NoReturn:
         begun.append(layer)
-        raise CaptureError("laser: the program that was to hold it on says: the guard process has ended")
+        raise CaptureError("laser: the program that should keep it on says: the guard process has ended")
 
     monkeypatch.setattr("rigs.capture._check_session.after_kill", after_kill)
     monkeypatch.setattr("rigs.capture._check_session.can_be_asked_anew", lambda laser: True)
@@ -482,4 +482,4 @@ def test_a_hazardous_laser_that_failed_in_a_layer_is_not_lit_by_the_next_one(
     guard, dead_man = recorder._without_rig()  # noqa: SLF001 - the bench has no guard that could be lost
     assert begun == tried
     assert "the guard process has ended" in str(guard.error)
-    assert ("not lit again before a person has looked why" in str(dead_man.error)) == (hazard == "3R")
+    assert ("not lit again until a person has found out why" in str(dead_man.error)) == (hazard == "3R")

@@ -138,7 +138,7 @@ def test_wheel_that_counts_and_does_not_turn_is_convicted(
     with open_rig(rig, Path()) as opened:
         opened.wheel.go_to(NAMES.index(stuck) + 1, 20.0)
         broken = replace(opened, wheel=CountingWheel(opened.wheel))
-        with pytest.raises(WrongPositionError, match=f"show filter {stuck} at every slot: the wheel counts"):
+        with pytest.raises(WrongPositionError, match=f"show filter {stuck} at every slot: the wheel reports new slots"):
             capture_with(broken, rig, plan, paint_steps(plan, rig), SessionRequest(tmp_path, "finray capture"))
     assert not list(tmp_path.glob("frames/*"))
 

@@ -3,15 +3,31 @@
 import contextlib
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from data_schemas import EXCHANGED_FILTERS, PRACTICE_FAULTS, CaptureSession, PracticeFault, practice_fault
-from data_schemas.storage import read_record
+from data_schemas import (
+    EXCHANGED_FILTERS,
+    PRACTICE_FAULTS,
+    CaptureSession,
+    PracticeFault,
+    SignalChangedError,
+    practice_fault,
+)
+from data_schemas.storage import read_record, sha256_of
 from rigs import open_rig, paint_plan, simulated_rig, write_plan, write_rig
-from rigs.capture import read_journal, verify_session
+from rigs.capture import (
+    SessionRequest,
+    capture_paint_session,
+    read_frame_of,
+    read_interrupted,
+    read_journal,
+    read_session,
+    verify_session,
+)
 from rigs.live_view import LiveRig
 from rigs.simulated import BenchFault, RigCondition, with_fault
 from tests.architecture.test_conventions import ROOT
@@ -36,6 +52,8 @@ def with_fault_named(text: str | None):
 
 def lay_out_folder(folder: Path, fault: str | None) -> None:
     folder.mkdir(exist_ok=True)
+    for name in ("rig.toml", "plan.toml"):
+        (folder / name).unlink(missing_ok=True)
     region = paint_plan("red", SMALL.camera).region
     write_rig(with_fault_named(fault), folder / "rig.toml")
     write_plan(paint_plan("red", SMALL.camera), folder / "plan.toml")
@@ -117,7 +135,7 @@ def test_the_focus_of_the_live_view_falls_with_a_focus_shift_only(fault):
     assert (min(shares) < 0.5) == (fault is not None)
 
 
-@pytest.mark.parametrize("fault", ["exchanged filters", "unplugged camera", "drifting laser"])
+@pytest.mark.parametrize("fault", ["exchanged filters", "unplugged camera", "drifting laser", "slipping wheel"])
 def test_a_session_is_resumed_when_the_line_is_taken_away(tmp_path, fault):
     lay_out_folder(tmp_path / "mended", fault)
     said_in(tmp_path / "mended", "capture")
@@ -134,6 +152,73 @@ def test_a_session_is_resumed_when_the_line_is_taken_away(tmp_path, fault):
     session = read_record(Path("mended/session/session.json"), CaptureSession)
     assert session.rig.simulated.practice_fault == fault  # what happened is not forgotten
     assert session.filter_proof.verdict == "confirmed"
+    assert session.provenance.input_sha256["rig.toml"] == sha256_of(Path("mended/rig.toml"))  # as it is now
+
+
+def rates(folder: Path, session: CaptureSession) -> dict[tuple[str, str | None, float], float]:
+    """Return mean counts above the black level per second of every lit frame, by its type, filter and exposure."""
+    return {
+        (frame.frame_type, frame.filter_name, frame.exposure_requested_s): float(
+            (read_frame_of(folder, frame).mean() - SMALL.camera.black_level_dn) / frame.exposure_s
+        )
+        for frame in session.frames
+        if frame.light in ("lamp", "laser")
+    }
+
+
+@pytest.mark.parametrize("where", ["by resuming", "within the session"])
+@pytest.mark.parametrize("fault", ["slipping wheel", "drifting laser"])
+def test_a_session_that_was_metered_under_a_fault_is_metered_again_after_the_repair(good, tmp_path, fault, where):
+    """No frame of the finished session is off by what the fault takes, against a session without a fault."""
+    lay_out_folder(tmp_path, fault)
+
+    def mend(text: str) -> bool:
+        assert "at metering it gave" in text
+        lay_out_folder(tmp_path, None)
+        return where == "within the session"
+
+    rig, plan = with_fault_named(fault), paint_plan("red", SMALL.camera)
+    sources = {name: sha256_of(tmp_path / name) for name in ("plan.toml", "rig.toml")}
+    request = SessionRequest(tmp_path / "session", "finray capture", rig_folder=tmp_path, sources=sources)
+    if where == "by resuming":
+        with pytest.raises(SignalChangedError, match="put it right, then go on or resume"):
+            capture_paint_session(rig, plan, request, mend=mend)
+        left = read_interrupted(request.out)
+        assert left.doubt
+        session = capture_paint_session(rig, plan, replace(request, sources={}), interrupted=left)
+    else:
+        session = capture_paint_session(rig, plan, request, mend=mend)
+    lines = read_journal(request.out)
+    (aside,) = [line for line in lines if line["event"] == "set aside"]
+    assert aside["frames"] == len(list(request.out.glob("set-aside/*"))) > 0
+    assert {frame.captured_utc for frame in session.frames}.isdisjoint(
+        line["captured_utc"] for line in lines[: lines.index(aside)] if line["event"] == "frame"
+    )
+    assert any("set aside and taken again" in note for note in session.notes)
+    assert verify_session(request.out).faults == ()
+    clean_folder = Path(good["base"]) / "good" / "session"
+    clean = rates(clean_folder, read_session(clean_folder))
+    found = rates(request.out, session)
+    shared = clean.keys() & found.keys()
+    assert len(shared) > 30
+    assert all(found[key] == pytest.approx(clean[key], rel=0.1, abs=5.0 / key[2]) for key in shared)  # 5 DN of a frame
+
+
+def test_a_repair_that_is_interrupted_is_proven_again(tmp_path):
+    """A second fault stops the metering after the repair: what it metered until then counts for nothing."""
+    lay_out_folder(tmp_path, "slipping wheel")
+    os.chdir(tmp_path)
+    assert finray(COMMANDS["capture"]).status == 2
+    before = read_interrupted(Path("session"))
+    lay_out_folder(tmp_path, "unplugged camera, 20 frames")
+    assert "cannot be found" in finray("capture --resume session").err
+    after = read_interrupted(Path("session"))
+    assert (after.metered, after.frames, after.doubt) == (before.metered, before.frames, before.doubt)
+    lay_out_folder(tmp_path, None)
+    outcome = finray("capture --resume session")
+    assert outcome.status == 0, outcome.err
+    assert "all steps are metered again" in outcome.out
+    assert verify_session(Path("session")).faults == ()
 
 
 def test_the_fault_stands_in_the_notes_of_a_session(tmp_path):

@@ -186,9 +186,13 @@ def test_session_of_another_version_is_refused(rig: RigFile, small: PaintPlan, s
     journal = stopped / "journal.jsonl"
     journal.write_text(journal.read_text().replace('"bracket"', '"brackets"', 1).replace('"lamp"', '"lamps"', 1))
     interrupted = read_interrupted(stopped)
-    with pytest.raises(CaptureError, match=r"the plan in its first line is none of this version .*'brackets'.*resume"):
+    with pytest.raises(
+        CaptureError,
+        match=r"the plan in its first line does not fit this version "
+        r".*'brackets'.*resume",
+    ):
         interrupted.plan(PaintPlan)
-    with pytest.raises(CaptureError, match=r"the rig in its first line is none of this version .*'lamps'"):
+    with pytest.raises(CaptureError, match=r"the rig in its first line does not fit this version .*'lamps'"):
         interrupted.rig()
 
 
@@ -203,7 +207,7 @@ def test_reading_touches_nothing_and_a_session_that_went_on_is_left_alone(
     resumed(rig, small, stopped)
     (stopped / "session.json").unlink()
     whole = sorted(path.name for path in (stopped / "frames").iterdir())
-    with pytest.raises(CaptureError, match=r"another capture went on with this session meanwhile"):
+    with pytest.raises(CaptureError, match=r"another capture has continued this session in the meantime"):
         capture_paint_session(rig, small, SessionRequest(stopped, "finray capture"), interrupted=early)
     assert sorted(path.name for path in (stopped / "frames").iterdir()) == whole
 

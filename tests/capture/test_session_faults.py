@@ -167,7 +167,7 @@ def test_frame_unlike_its_metering_is_not_stored_and_is_taken_again(
 
     with open_rig(rig, Path()) as opened:
         failing = replace(opened, camera=ChangedCamera(opened.camera, dimmed))
-        with pytest.raises(CaptureError, match=r"DN/s in .* at metering it gave .* put it right and resume"):
+        with pytest.raises(CaptureError, match=r"DN/s in .* at metering it gave .* put it right, then go on or resume"):
             capture(failing, rig, small, tmp_path)
         assert dark(opened)
     before = set(read_interrupted(tmp_path).frames)
@@ -175,6 +175,8 @@ def test_frame_unlike_its_metering_is_not_stored_and_is_taken_again(
         session = capture(opened, rig, small, tmp_path, read_interrupted(tmp_path))
     assert before < {frame.sequence for frame in session.frames}
     assert not list(tmp_path.glob("set-aside/*"))  # the dimmed frame never reached the disk
+    (proven,) = [line for line in read_journal(tmp_path) if line["event"] == "as before"]
+    assert proven["frames"] == len(before)
 
 
 @pytest.mark.parametrize("ending", [RefusedError("camera: unplugged"), KeyboardInterrupt()])
@@ -248,7 +250,7 @@ def test_camera_without_colours_is_noted(rig: RigFile, small: PaintPlan, tmp_pat
     with open_rig(rig, Path()) as opened:
         session = capture(replace(opened, camera=ChangedCamera(opened.camera, mono)), rig, small, tmp_path)
     (note,) = [note for note in session.notes if note not in opened.notes]
-    assert "its frames are Mono16, and radiometry takes them for Bayer RGGB" in note
+    assert "its frames are Mono16, and radiometry reads them as Bayer RGGB" in note
 
 
 def test_saturated_pixels_are_exposed_again_shorter_and_flagged(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:
@@ -435,7 +437,7 @@ def test_a_hazardous_laser_that_was_lost_stays_dark_until_a_person_allows_it(
     monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
     hazardous = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
 
-    message = "laser: was lost, is off, and is not lit again unless a person.*close the box, then take .* --resume"
+    message = "laser: was lost, is off, and is not lit again unless a person.*close the box, then continue .* --resume"
     with open_rig(hazardous, Path()) as opened:
         operator, laser = Asked(opened.operator, False), FailingLight(opened.laser, (8,))
         with pytest.raises(LightLostError, match=message):

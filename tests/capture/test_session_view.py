@@ -622,7 +622,7 @@ def test_a_session_outlives_its_terminal_and_its_page(files, captured_short):
         second = [*command(files)[:4], "--resume", f"{files}/out"]
         refused = subprocess.run(second, cwd=ROOT, capture_output=True, text=True, check=False)
         assert refused.returncode == 2
-        assert f"its session is shown already, at {Page(files).url}" in refused.stderr
+        assert f"the view of its session is open already, at {Page(files).url}" in refused.stderr
         terminal.close_window()
         told = Page(files).until(lambda t: t["question"])
         assert told["headline"] == "SAMPLE + CHECKER"
@@ -637,7 +637,7 @@ def test_ctrl_c_ends_it_dark_and_capture_resumes_it(files, captured_short):
     with in_terminal(files) as terminal:
         asks(terminal, "Put the paint sample")
         terminal.press("\x1a")
-        asks(terminal, "Ctrl-Z stops no session")
+        asks(terminal, "Ctrl-Z is ignored")
         terminal.press("?")
         asks(terminal, "Its address, for a browser")
         terminal.press(" ")

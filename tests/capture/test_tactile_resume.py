@@ -110,7 +110,7 @@ def test_session_that_went_on_elsewhere_is_left_alone(sensor, tmp_path):
     (out / "frames" / "00005_new.tiff").write_bytes(b"being written")
     with (out / "journal.jsonl").open("a", encoding="utf-8") as journal:
         journal.write('{"event": "resume", "frames": 5}\n')
-    with pytest.raises(CaptureError, match="another capture went on with this session meanwhile"):
+    with pytest.raises(CaptureError, match="another capture has continued this session in the meantime"):
         capture_tactile_session(
             interrupted.rig,
             interrupted.plan,
@@ -127,7 +127,9 @@ def test_replay_is_not_resumed(sensor, tmp_path):
     journal = tmp_path / "out" / "journal.jsonl"
     text = journal.read_text(encoding="utf-8").replace('"driver": "picamera2"', '"driver": "folder"')
     journal.write_text(text, encoding="utf-8")
-    with pytest.raises(CaptureError, match="replays a folder of images, which would begin with its first image again"):
+    with pytest.raises(
+        CaptureError, match="replays a folder of images, and a replay would begin again with the first image"
+    ):
         read_interrupted_presses(tmp_path / "out")
 
 

@@ -189,7 +189,7 @@ def test_dry_run_lists_and_opens_nothing(sensor, tmp_path):
     plan_of(tmp_path)
     rig_of(tmp_path)
     outcome = finray(f"capture {tmp_path}/tactile.toml --rig {tmp_path}/rig.toml --dry-run")
-    assert "2 presses, 1 times each; 8 frames, 0 MB at most\n5 things to do by hand" in outcome.out
+    assert "2 presses, 1 times each; 8 frames, 0 MB at most\n5 steps to be done by hand" in outcome.out
     assert sensor.log == []
 
 

@@ -209,7 +209,7 @@ def test_a_start_inside_out_is_refused():
     state = assembly.at_rest()
     state.u_mm[:] = -2.0 * assembly.elasticity.mesh.nodes_mm * [1.0, 0.0, 0.0]
     reached = find_equilibrium(assembly, state, loading(0.0), linear_solver())
-    assert "inside out, or a term not defined, at the start" in reached.failure
+    assert "at the start an element is inside out, or a term is not defined" in reached.failure
 
 
 class Wall:

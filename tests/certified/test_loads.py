@@ -75,14 +75,14 @@ def test_a_twist_holds_its_balance(finger):
 
 
 def test_wrong_loads_are_refused(finger):
-    with pytest.raises(SimulateError, match="a push needs a finite force that is not nought"):
+    with pytest.raises(SimulateError, match="a push needs a finite force other than zero"):
         finger.push("tip", (0.0, 0.0, 0.0))
-    with pytest.raises(SimulateError, match="an angle of up to 90 deg, not nought"):
+    with pytest.raises(SimulateError, match="an angle of up to 90 deg other than zero"):
         finger.twist(0.0)
     with pytest.raises(SimulateError, match="a press needs a finite force above 0 N"):
         press_to_force(SMALL, -1.0)
     rough = SMALL.model_copy(update={"indenter": SMALL.indenter.model_copy(update={"friction": 0.3})})
-    with pytest.raises(SimulateError, match="a press to a force is without friction"):
+    with pytest.raises(SimulateError, match="a press to a force works without friction"):
         press_to_force(rough, 1.0)
 
 

@@ -109,4 +109,4 @@ def test_a_press_that_is_asked_for_by_the_penalty_tells_where_parts_meet():
     assert pressed.kind == "penalty"
     assert pressed.crossing.startswith("from a push of 0.6 mm on the finger passes through itself")
     mechanics, _ = press_records(SMALL, pressed)
-    assert any("passes through itself" in note and "is no finger's" in note for note in mechanics.notes)
+    assert any("passes through itself" in note and "are not physical" in note for note in mechanics.notes)

@@ -158,7 +158,7 @@ def test_a_stored_increment_must_fit(halfway):
         stored_press(record, to_depth(3.0), "barrier")
     of_older_version = record.model_copy(update={"contact": None})
     assert stored_press(of_older_version, to_depth(3.0), "penalty").kind == "unknown"
-    with pytest.raises(SimulateError, match=r"at 1 mm already and indenter\.depth_mm is 0\.7 mm"):
+    with pytest.raises(SimulateError, match=r"has already reached 1 mm and indenter\.depth_mm is 0\.7 mm"):
         press_finger(to_depth(0.7), PressSettings("coarse", 2), resume=halfway)
     with pytest.raises(SimulateError, match="resume with the same design, mesh and --contact"):
         press_finger(preset_design("original-60x22"), PressSettings("coarse", 2), resume=halfway)

@@ -153,7 +153,7 @@ CASES = (
     Case(
         "filter named twice in the rig",
         BAD_RIG,
-        r"rig\.toml: 'filter_wheel': name 450 stands in two filters; list each filter once, with its own name",
+        r"rig\.toml: 'filter_wheel': name 450 is used by two filters; list each filter once, with its own name",
         edited("rig.toml", 'name = "405"', 'name = "450"'),
     ),
     Case(
@@ -347,7 +347,111 @@ CASES = (
         r"knows no green=b\.json; write --paint before each COLOUR=FILE; ",
     ),
     Case(
-        "rig for a finger", "study finger-stiffness {lab}/rig.toml", r"rig\.toml: a finger without \[pad\], \[coating\]"
+        "rig for a finger",
+        "study finger-stiffness {lab}/rig.toml",
+        r"rig\.toml: is no complete finger, because it lacks \[pad\], \[coating\]",
+    ),
+    Case(
+        "classic sensor for a finger",
+        "simulate press {tmp}/sensor.toml",
+        r"sensor\.toml: is the design of a classic sensor, where that of a finger is needed; 'finray design init flat",
+        file("sensor.toml", 'kind = "sensor"\npreset = "digit"\n'),
+    ),
+    Case(
+        "paint without a name",
+        BAD_PLAN,
+        r"plan\.toml: plan\.paint_name: is empty; write the name that files and records shall have",
+        edited("plan.toml", 'paint_name = "red"', 'paint_name = " "'),
+    ),
+    Case(
+        "reflectance in per cent",
+        BAD_RIG,
+        r"'white_reference\.reflectance': input should be less than or equal to 1, got 98\.0$",
+        edited("rig.toml", "\nreflectance = 0.98", "\nreflectance = 98.0"),
+    ),
+    Case(
+        "record with the name of a table",
+        "fit {lab}/bands.json --out {tmp}/paint.csv",
+        r"paint\.csv: must be a record: choose an --out that ends in \.json",
+    ),
+    Case(
+        "record with the name of a text",
+        "radiometry {lab}/session --out {tmp}/bands.txt",
+        r"bands\.txt: must be a record: choose an --out that ends in \.json",
+    ),
+    Case(
+        "decision with the name of a document",
+        "decide {lab}/sweep.json --out {tmp}/angle.pdf",
+        r"angle\.pdf: must be a record: choose an --out that ends in \.json",
+    ),
+    Case(
+        "press with the name of a picture",
+        MECHANICS + " --out {tmp}/press.png",
+        r"press\.png: must be a record: choose an --out that ends in \.json",
+        design(""),
+    ),
+    Case(
+        "page with the name of a text",
+        "fit {lab}/bands.json --out {tmp}/paint.json --report {tmp}/paint.txt",
+        r"paint\.txt: must be a page: choose a --report that ends in \.html",
+    ),
+    Case(
+        "rig with the name of a record",
+        "rig init --preset simulated --out {tmp}/rig.json",
+        r"rig\.json: must be a TOML file: choose an --out that ends in \.toml",
+    ),
+    Case(
+        "format that its file name denies",
+        "export {paints}/red/paint.json --format csv --out {tmp}/red.xlsx",
+        r"red\.xlsx: a file of --format csv must end in \.csv; choose another --out",
+    ),
+    Case(
+        "one coat for two tins",
+        "check equivalence --first {paints}/red/paint.json --second {paints}/green/paint.json --margin mode_nm=4",
+        r"red/paint\.json and \S+green/paint\.json: are one calibration; give each coat once",
+    ),
+    Case(
+        "day in words",
+        "certificate {paints}/red/paint.json --out {tmp}/c.html --laboratory {tmp}/lab.toml",
+        r"lab\.toml: 'references \(entry 1\)\.calibrated_on': must be a day such as 2026-03-02, .* got 'yesterday'",
+        file(
+            "lab.toml",
+            'kind = "certificate"\nlaboratory = "one"\n[[references]]\nof = "lamp"\nnumber = "1"\nissued_by = "two"\n'
+            'calibrated_on = "yesterday"\n',
+        ),
+    ),
+    Case(
+        "uncertainty in per cent",
+        "design show {tmp}/finger.toml",
+        r"'uncertainty_rel': 'pad\.thickness_mm' = 10: is a standard uncertainty over the value, so at most 1 .* 0\.05",
+        design('[uncertainty_rel]\n"pad.thickness_mm" = 10.0'),
+    ),
+    Case(
+        "study into another folder",
+        "study run {tmp}/plan.toml --out {lab}",
+        r"lab\S*: holds something else than a design study; choose another --out",
+        file(
+            "plan.toml",
+            'name = "one"\ndesign = "flat-70x35"\n[[vary]]\nfield = "pad.thickness_mm"\nvalues = [5.0, 6.0]\n'
+            '[measure]\npress = "finite elements"\nimages = false\n',
+        ),
+    ),
+    Case(
+        "number of filters",
+        "design filters {lab}/rig.toml --number 0 --paints 0",
+        r"design: 0 filters are asked for; give 2 to 72 \(--number\): 1 that stay, and the others from the 71",
+    ),
+    Case(
+        "columns of pairs",
+        "compare --pairs {tmp}/pairs.csv --out {tmp}/c",
+        r"pairs\.csv: row 1: needs a file in each of the columns simulated and captured; the row has sim = a, cap = b",
+        file("pairs.csv", "sim,cap\na,b\n"),
+    ),
+    Case(
+        "semicolons in a study",
+        "check gauge-rr {tmp}/study.csv",
+        r"error: \S*study\.csv: semicolons or tabs stand between its columns",
+        file("study.csv", "sample;session;value\nA;1;2\n"),
     ),
     Case(
         "folder without its description",
@@ -522,7 +626,7 @@ CASES = (
     Case(
         "9DTact sensor that predicts itself",
         "import 9dtact {tmp}/s --predict-from {tmp}/./s",
-        r"a sensor's own table predicts what it was made from; give the folder of another sensor",
+        r"a sensor's own table was made from its own presses, .*; give the folder of another sensor",
         design(""),
     ),
     Case(

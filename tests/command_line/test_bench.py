@@ -135,7 +135,7 @@ def test_a_simulator_is_scored_on_all_judged_presses_or_none(captures: Path) -> 
     Path("simulator.py").write_text(script.replace("renders / press.name", 'renders / ("x" + press.name)'))
     outcome = finray(f"bench tactile set --teach 2 --simulator other --command {command()} --out again")
     assert outcome.status == 2
-    assert "x0002 is no judged press; render those of" in outcome.err
+    assert "x0002 is not one of the judged presses; render those of" in outcome.err
 
 
 def test_a_run_that_failed_starts_anew_in_the_same_folder_and_spares_what_is_not_its_own(captures: Path) -> None:
@@ -167,4 +167,4 @@ def test_presses_that_are_all_one_image_cannot_be_judged(captures: Path) -> None
         (Path("set") / f"000{k}.capture.json").write_bytes(first.read_bytes())
     outcome = finray("bench tactile set --teach 1 --out out")
     assert outcome.status == 2
-    assert "no press is left to judge: all are images that teach" in outcome.err
+    assert "no press is left to judge: every contact image is one of those that teach; give a set" in outcome.err

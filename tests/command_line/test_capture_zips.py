@@ -113,7 +113,7 @@ def test_what_belongs_to_no_capture_is_left_out_and_told(made: Path, tmp_path: P
         ("export captures {f}/FOTS --out {t}/a.zip", "FOTS: holds no NAME.capture.json; give a folder of captures"),
         (
             "export captures {f}/fots --out {t}/a.tar",
-            "a.tar: is to be a zip archive; choose an --out that ends in .zip",
+            "a.tar: must be a zip archive; choose an --out that ends in .zip",
         ),
         ("export captures {f}/fots {f}/fots", "captures need one folder"),
         ("export captures {f}/fots --format csv", "--format belongs to a paint; leave it out for captures"),

@@ -138,11 +138,11 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
     ("arguments", "message"),
     [
         ("", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
-        ("{0}/simulated", "with what? Give CAPTURE too"),
+        ("{0}/simulated", "nothing to compare it with is given; add CAPTURE"),
         ("{0}/simulated {0}/captured/one.capture.json", "some are folders, others are not; give two records or"),
-        ("{0}/none.json {0}/none.json {0}/none.json", "none.json: one too many; give one record of a press and one"),
+        ("{0}/none.json {0}/none.json {0}/none.json", "none.json: is a third record, and two are compared; give one"),
         ("{0}/simulated --pairs {0}/pairs.csv", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
-        ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated, captured"),
+        ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated and captured"),
         ("--pairs {0}/none.csv", "none.csv: no such file; give the path of a CSV file"),
         ("--pairs {0}/bytes.csv", "bytes.csv: cannot be read as UTF-8"),
         ("{0}/simulated {0}/captured --normal-map {0}/none.json", "none.json: no such file"),
@@ -325,7 +325,7 @@ class _Struck(Child):
 @pytest.mark.parametrize(
     ("strike", "status", "told"),
     [
-        (Child.kill, 3, "a process at work on bgr, one, two was killed (SIGKILL) from"),
+        (Child.kill, 3, "a process at work on bgr, one, two was killed (SIGKILL): by"),
         (lambda _: True, 130, "interrupted; files already written are complete"),
     ],
 )

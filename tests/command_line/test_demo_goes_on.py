@@ -60,7 +60,7 @@ def test_stages_run_in_order_in_their_processes(tmp_path):
         ({"number": signal.SIGILL}, r"^stage two was ended by SIGILL \(a compiled library uses instructions that this"),
         (
             {"number": signal.SIGKILL},
-            r"^stage two was killed \(SIGKILL\) from outside: .*; it had taken 0\.\d\d GiB of",
+            r"^stage two was killed \(SIGKILL\): .*; it had taken 0\.\d\d GiB of",
         ),
         ({"memory_bytes": 1 << 31}, r"^stage two ran out of memory; it had taken 0\.\d\d GiB"),
     ],
@@ -165,9 +165,9 @@ def without_input(out: Path) -> None:
         (without_arrays, r"two\.\w+\.npz: is missing; it holds the arrays of two\.json"),
         (
             other_input,
-            r"two\.json: was made from another one\.json than the one that is there; move it away to have it",
+            r"two\.json: was made from another one\.json than the one that exists; move it away to have it",
         ),
-        (without_input, r"two\.json: was made from another one\.json than the one that is there; move it away"),
+        (without_input, r"two\.json: was made from another one\.json than the one that exists; move it away"),
         (cut_off, r"two\.json: cannot be read as JSON"),
     ],
 )
@@ -187,7 +187,7 @@ def test_settings_are_not_mixed(tmp_path):
     begun(out)
     before = tree(out)
     with pytest.raises(
-        RecordError, match=r"holds an unfinished demo with another seed 1 \(now 2\), which would be mixed"
+        RecordError, match=r"holds an unfinished demo with another seed 1 \(now 2\), and the two would mix"
     ):
         small_demo.run(out, seed=2)
     assert not can_go_on(out, small_demo.settings(out, seed=2))
@@ -196,7 +196,7 @@ def test_settings_are_not_mixed(tmp_path):
         small_demo.run(out)
     stored = (out / "demo.json").read_text().replace('"version": "9.', '"version": "')
     (out / "demo.json").write_text(re.sub(r'"numpy": "[^"]+"', '"numpy": "0.9"', stored))
-    with pytest.raises(RecordError, match=r"with another numpy 0\.9 \(now \d[\d.]+\), which would be mixed"):
+    with pytest.raises(RecordError, match=r"with another numpy 0\.9 \(now \d[\d.]+\), and the two would mix"):
         small_demo.run(out)
     (out / "demo.json").write_text("{}")
     with pytest.raises(RecordError, match=r"demo\.json was written by another version of finray"):

@@ -126,7 +126,7 @@ def test_a_full_disk_is_told(small_disk, monkeypatch):
     found = finding("disk")
     assert found.state == "bad"
     assert "small cannot be written to: no space left on device" in found.found
-    assert found.mend.startswith("work in another folder, or: df -h ")
+    assert found.mend.startswith("work in another folder, or see how full this disk is: df -h ")
 
 
 def test_a_disk_with_too_little_space_is_told(monkeypatch):
@@ -192,7 +192,7 @@ def test_a_check_that_hangs_dies_or_raises_is_a_line():
     assert found["dies"].found.startswith("its trial was ended by SIGILL (a compiled library uses instructions")
     assert (found["raises"].state, found["raises"].found) == ("bad", "the library cannot be used")
     assert (
-        "its trial failed by a fault of finray's own (ZeroDivisionError: division by zero)" in found["stumbles"].found
+        "its trial failed by a fault of finray itself (ZeroDivisionError: division by zero)" in found["stumbles"].found
     )
     assert found["dies"].mend == "mend what dies"
     assert (found["is_good"].state, found["is_good"].mend) == ("good", "")

@@ -123,7 +123,7 @@ def test_several_places_are_swept_by_one_command_and_decided_by_another(
     before = first.read_bytes()
     said = succeed(f"{command} --positions 20:50:30")
     # what is swept already stays as it is: a run that was cut off goes on
-    assert f"{first}: is there already, from the same inputs" in said
+    assert f"{first}: exists already, made from the same inputs" in said
     assert first.read_bytes() == before
     assert [
         read_record(path, LightAngleSweep).design.indenter.position_mm for path in sorted(tmp_path.glob("*.json"))

@@ -162,7 +162,7 @@ def test_an_earlier_increment_is_not_resumed_over_later_ones(tmp_path):
     for number in (1, 2, 1000):
         (folder / f"{number:03d}.json").write_text("{}")
     assert last_increment(folder).name == "1000.json"
-    with pytest.raises(RecordError, match="later increments stand beside it"):
+    with pytest.raises(RecordError, match="later increments are stored beside it"):
         mechanics_paths(tmp_path / "d.press.json", folder / "002.json")
     assert mechanics_paths(tmp_path / "d.press.json", folder / "1000.json")["increments"] == folder
 
@@ -191,7 +191,7 @@ def test_an_stl_that_changed_is_not_gone_on_with(tmp_path: Path) -> None:
     (tmp_path / "cube.stl").write_bytes(stl_bytes(FACETS, body * [1.0, 1.5, 1.0], "body"))
     said = refused(f"{press} --resume {tmp_path}/first.increments --out {tmp_path}/second.json")
     assert re.search(
-        r"indenter\.file = 'cube\.stl', is not the one of the stored increment: .* put the file back", said
+        r"indenter\.file = 'cube\.stl', differs from the one of the stored increment: .* put the file back", said
     )
     assert not (tmp_path / "second.mechanics.json").exists()
 
@@ -257,7 +257,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
         ("", "--force 2 --contact barrier", r"--force presses from first touch by the penalty"),
         ("", "--force 2 --resume d.increments", r"--force presses from first touch by the penalty"),
         ("", "--force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
-        ("friction = 0.3", "--force 2", r"a press to a force is without friction and on exact"),
+        ("friction = 0.3", "--force 2", r"a press to a force works without friction and for indenters of simple shape"),
         ("edge_radius_mm = 1.0", "", r"indenter\.edge_radius_mm has no effect: it is of a cuboid"),
         ("", "--budget 60 --sensitivities", r"--budget is of one press by the elements here"),
         ("", "--budget soon", r"--budget: 'soon' must be a processor time in s above 0 and at most"),
@@ -280,7 +280,7 @@ def test_what_has_no_effect_is_refused(tmp_path: Path, tables: str, options: str
 @pytest.mark.parametrize(
     ("radius_mm", "depth_mm", "message"),
     [
-        (2.0, 0.1, "touches no node of the coat, whose elements are 2 mm wide: the force of 0 N is the mesh's"),
+        (2.0, 0.1, "touches no node of the coat, whose elements are 2 mm wide: the force of 0 N comes from the mesh"),
         # barrier: 0.428 N, 15 % more
         (2.0, 0.5, "the force is some 15% too low; press with --contact barrier"),
     ],
@@ -341,7 +341,7 @@ def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
     path = small_ball(tmp_path, 2.0, 0.1)
     outcome = finray(f"simulate press {path} --force 0.05 --out {tmp_path}/b.press.json")
     assert outcome.status == 2
-    assert "from which the force begins, the indenter touches no node of the coat" in outcome.err
+    assert "where the press to a force begins, the indenter touches no node of the coat" in outcome.err
     assert (tmp_path / "b.mechanics.png").exists()
 
 

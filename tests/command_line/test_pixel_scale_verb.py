@@ -193,7 +193,7 @@ def test_a_session_knows_its_pictures(pictures: Path, tmp_path: Path) -> None:
     assert record.middle.along_x_mm_per_px == pytest.approx(truth[0], rel=1e-3)
     both = finray(f"sense scale {folder} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert both.status == 2
-    assert "a session holds its pictures and its board" in both.err
+    assert "is a session, which holds its own pictures and board" in both.err
     (folder / "frames/00000_board_1.tiff").write_bytes(b"changed")
     changed = finray(f"sense scale {folder} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert changed.status == 2
@@ -218,7 +218,7 @@ def test_a_session_without_the_board_on_the_pad_is_refused(pictures: Path, tmp_p
     write_record(session.model_copy(update={"frames": frames}), folder / "session.json", provenance("pytest"))
     outcome = finray(f"sense scale {folder} --square-u-mm 0.003 --monochrome --out {tmp_path}/s.json")
     assert outcome.status == 2
-    assert "holds no picture of the board's first place, on the pad (was the session interrupted?)" in outcome.err
+    assert "holds no picture of the board on the pad (was the session interrupted?)" in outcome.err
 
 
 def test_the_picture_on_the_pad_may_be_among_the_others(pictures: Path, tmp_path: Path) -> None:

@@ -249,7 +249,7 @@ def test_show_puts_each_error_beside_its_device(tmp_path: Path) -> None:
     assert outcome.status == 2
     parts = dict(part.split("\n", 1) for part in outcome.out.split("\n\n")[1:])
     assert "ERROR: laser at" in parts[f"laser: arduino at {tmp_path}/no-laser"]
-    assert "switched by hand; nobody is asked here" in parts["lamp: manual"]
+    assert "switched by hand; this command asks nobody" in parts["lamp: manual"]
     assert "ERROR: filter wheel at" in parts[f"filter wheel: thorlabs at {tmp_path}/no-wheel"]
     assert "there is no producer" in parts["camera: gentl at nowhere.cti"]
     assert " 660 " in parts["filters and curves"]

@@ -45,7 +45,7 @@ def test_files_are_paired_by_a_table():
     ]
     with pytest.raises(CompareError, match="row 2: the name 'x' occurs twice; add a column name"):
         pairs_of_rows([rows[0], rows[0]])
-    with pytest.raises(CompareError, match="row 1: needs a file in each of the columns simulated, captured"):
+    with pytest.raises(CompareError, match="row 1: needs a file in each of the columns simulated and captured"):
         pairs_of_rows([{"simulation": "a", "captured": "b"}])
     with pytest.raises(CompareError, match="no pair is listed; give one row per press"):
         pairs_of_rows([])
@@ -91,7 +91,7 @@ def test_two_presses_have_no_interval_and_what_noise_leaves_ends_at_one():
     # noise that was taken out leaves one press no error
     above = skill_over_presses([pair("a", 0.95), pair("b", 1.02), pair("c", 0.97)])
     assert above.low95 < above.estimate < above.high95 == 1.0
-    assert "leaves some no error" in above.method
+    assert "leaves some presses without error" in above.method
     over = skill_over_presses([pair("a", 1.01), pair("b", 1.02), pair("c", 1.03)])
     assert over.estimate == over.high95 == pytest.approx(1.02)
 

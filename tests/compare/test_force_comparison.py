@@ -294,7 +294,7 @@ def test_another_mesh_must_be_of_the_same_finger(fields, message, rng):
 def test_a_force_in_its_noise_is_refused(rng):
     depth = np.linspace(0.1, 1.9, 8)
     measured = MeasuredForce("bench.csv", depth, force_at(depth), np.full(8, 5.0))
-    with pytest.raises(CompareError, match="does not stand out from its uncertainty"):
+    with pytest.raises(CompareError, match="is not larger than its uncertainty"):
         compare_force(power_law_press(), measured, rng, fit_first_touch=False)
 
 

@@ -223,7 +223,7 @@ def views_of(rng, pad_pose, noise_px=0.1, count=6):
 
 def test_a_board_seen_from_the_side_is_refused():
     views = views_of(np.random.default_rng(15), pose_of([1.35, 0.0, 0.0], (0.0, 0.0, 25.0)))
-    with pytest.raises(CompareError, match=r"seen at 7\d deg from its normal, up to 70 deg"):
+    with pytest.raises(CompareError, match=r"seen at 7\d deg from its normal, and at most 70 deg"):
         pixel_scale(views[0], views[1:], SIZE_PX, BOARD, Declared(0.0), 1, "pinhole")
 
 

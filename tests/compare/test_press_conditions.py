@@ -28,16 +28,18 @@ def pair(rendered=None, **captured):
             r"capture's indenter\.shape",
         ),
         ({"shape": "mesh"}, "strip presses a cylinder of radius 10 mm, capture of the strip a mesh:"),
-        ({"radius_mm": 9.0}, r"a cylinder of radius 9 mm; up to 2% apart are one size: .* indenter\.radius_mm"),
+        ({"radius_mm": 9.0}, r"a cylinder of radius 9 mm; the radii may differ by at most 2%: .* indenter\.radius_mm"),
         (
             {"depth_mm": 4.0},
-            r"strip is pressed 1\.5 mm deep, capture of the strip 4 mm; up to 0\.05 mm apart are one depth: simulate "
+            r"strip is pressed 1\.5 mm deep, capture of the strip 4 mm; the depth may differ by at most 0\.05 mm: "
+            r"simulate "
             r"with the capture's indenter\.depth_mm, or, .* state depth_uncertainty_mm in the capture",
         ),
-        ({"depth_mm": 1.8, "depth_uncertainty_mm": 0.09}, r"up to 0\.27 mm apart are one depth"),
+        ({"depth_mm": 1.8, "depth_uncertainty_mm": 0.09}, r"the depth may differ by at most 0\.27 mm"),
         (
             {"position_mm": 60.0},
-            r"strip is pressed 35 mm along the pad, capture of the strip 60 mm; up to 0\.5 mm apart are one position: "
+            r"strip is pressed 35 mm along the pad, capture of the strip 60 mm; the position may differ by at most "
+            r"0\.5 mm: "
             r".* indenter\.position_mm, or, .* state position_uncertainty_mm",
         ),
     ],

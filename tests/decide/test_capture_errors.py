@@ -127,8 +127,8 @@ def test_a_capture_outside_the_sweep_validates_nothing(angle_deg, kept):
     if not kept:
         assert found == NO_CAPTURES
         assert notes == (
-            f"far is left out: its light stood at {angle_deg:g} deg, outside the sweep (0 to 120 deg), so the decision "
-            "is not validated by it",
+            f"far is left out: its light was at {angle_deg:g} deg, outside the sweep (0 to 120 deg), so it does "
+            "not validate the decision",
         )
 
 
@@ -136,7 +136,7 @@ def test_what_the_checks_found_and_other_paints_are_told():
     red, green = "ab" * 32, "cd" * 32
     sweep = sweep_record().model_copy(update={"paints": {"red": red, "green": green}})
     error = objective_error(np.zeros(3), source=f"{red}; camera")
-    stands = "no drift of the camera to speak of, by the images with contact: 0.1 px"
+    stands = "no drift of the camera that matters, by the images with contact: 0.1 px"
     reports = [report("a", 30.0, error, 1.0, ("the camera has drifted: 4 px", stands)), report("b", 40.0, error)]
     _, notes = capture_errors(sweep, reports)
     assert notes == (
@@ -153,7 +153,7 @@ def test_an_error_of_the_papers_emitter_says_nothing_about_the_angle(emitter):
     )
     with pytest.raises(
         DecideError, match=r"the report on a is of a render by level a \('rendered, .*\), the sweep is of level b: .* "
-        r"emit alike at every angle .* --level b",
+        r"emit the same at every angle .* --level b",
     ):  # fmt: skip
         capture_errors(sweep_record(), [of_level_a])
 

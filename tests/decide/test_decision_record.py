@@ -31,7 +31,7 @@ def test_without_a_report_it_carries_the_prior_of_the_error_and_decides_nothing(
     assert decision.mean == pytest.approx(decision.mean_simulation_only, rel=1e-12)
     assert (decision.high95 - decision.low95 > decision.high95_simulation_only - decision.low95_simulation_only).all()
     assert any("until one does, the error is taken to be a curve that is moved" in note for note in decision.notes)
-    assert "it is not decided before one does" in decision.sentence
+    assert "it stays undecided until one does" in decision.sentence
     assert decision.sentence.startswith(decision.headline)
     assert decision.headline.startswith("For one place only (35 mm from the base), mount the light at 3")
     assert decision.angle_deg == pytest.approx(BEST_DEG, abs=2)
@@ -182,7 +182,7 @@ def test_captures_and_weights_are_of_the_brightness():
         DecideError, match=r"reports measure the brightness\. Leave them out, or decide on the brightness"
     ):
         decide(sweep, [capture(30.0, 0.1)], 1, aim="normal")
-    with pytest.raises(DecideError, match="weights are of touches, the error is of places"):
+    with pytest.raises(DecideError, match="weights belong to touches, the error to places"):
         decide(sweep, [], 1, weights=[2.0], aim="normal")
     with pytest.raises(
         DecideError, match="do not hold it at places along the pad: simulate them with --objectives all"
@@ -245,7 +245,7 @@ def test_a_report_corrects_the_place_it_is_of():
     assert decision.validated
     elsewhere = finger_identity(at_place(20.0, 35.0).design)
     with pytest.raises(
-        DecideError, match="differ in indenter: an error of one says nothing about the light of the other"
+        DecideError, match="differ in indenter: the error of one says nothing about the light of the other"
     ):
         decide(sweeps, [reports[0].model_copy(update={"finger": elsewhere})], 1)
 

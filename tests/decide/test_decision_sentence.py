@@ -57,11 +57,12 @@ def touches(*losses, across_mm=0.0, depth_mm=1.5):
 def test_the_first_sentence_says_what_to_do_and_for_which_touches():
     found = headline(decision(33.0), touches(0.02, 0.1, 0.06), 0.02)
     assert found == (
-        "Mount the light at 33 \u00b1 6 deg: as simulated, the touch is at most 10 % less bright than the best at any "
-        "of the 3 places from 8 to 16 mm, and 6 % on average."
+        "For now, mount the light at 33 \u00b1 6 deg: as simulated, the touch is at most 10 % less bright than the "
+        "best "
+        "at any of the 3 places from 8 to 16 mm, and 6 % on average."
     )
     found = headline(decision(33.0, validated=True), touches(0.02, 0.1, 0.06), 0.02)
-    assert found.startswith("Mount the light at 33 \u00b1 6 deg: the touch is at most 10 % less bright")
+    assert found.startswith("For now, mount the light at 33 \u00b1 6 deg: the touch is at most 10 % less bright")
     pair = [touches(0.0, 0.0)[0], touches(0.05, 0.05, depth_mm=3.0)[0]]
     assert "any of the 2 touches at 8 mm, and 2.5 % on average" in headline(decision(), pair, 0.02)
 
@@ -69,8 +70,8 @@ def test_the_first_sentence_says_what_to_do_and_for_which_touches():
 def test_one_sweep_is_for_one_place_only():
     found = headline(decision(44.0), touches(0.0, across_mm=3.0), 0.02)
     assert found == (
-        "For one place only (8 mm from the base and 3 mm beside its middle), mount the light at 44 \u00b1 6 deg: as "
-        "simulated, the touch is at most 2 % less bright than at the best angle."
+        "For one place only (8 mm from the base and 3 mm beside its middle), for now, mount the light at 44 \u00b1 6 "
+        "deg: as simulated, the touch is at most 2 % less bright than at the best angle."
     )
 
 
@@ -99,11 +100,12 @@ def test_what_is_assumed_of_the_error_is_what_the_prior_says():
 def test_without_captures_nothing_is_decided_and_the_next_one_is_named():
     found = decision_sentence(decision(), NONE, 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found == (
-        "This is the simulation's answer; no capture has checked it, and it is not decided before one does. It is "
+        "This is the simulation's answer; no capture has checked it, and it stays undecided until one does. It is "
         "assumed that "
-        "the finger's curve may be moved by some 5 deg and be off by 10 % (95 %: 4 % to 30 %) at each angle. No other "
-        "angle is better by more than 2 % with a probability of 0.96, and none by more than 1.6 % with one of 0.95; "
-        "the best angle lies within 5 deg with one of 0.50. Capture next with the light at 70 deg."
+        "the finger's curve may be moved by some 5 deg and be off by 10 % (95 %: 4 % to 30 %) at each angle. With a "
+        "probability of 0.96 no other angle is better by more than 2 %, with 0.95 none by more than 1.6 %, and with "
+        "0.50 "
+        "the best angle lies within 5 deg. Capture next with the light at 70 deg."
     )
 
 
@@ -141,8 +143,9 @@ def test_what_others_would_have_chosen_is_said_with_its_cost():
 def test_a_decision_on_the_normal_tells_the_error_and_its_places():
     found = headline(decision(-25.0), touches(0.02, 0.2), 0.02, "normal")
     assert found == (
-        "Mount the light at -25 \u00b1 6 deg: as simulated, the error of the sensed normal is at most 25 % above the "
-        "best at any of the 2 places from 8 to 12 mm, and 14 % on average."
+        "For now, mount the light at -25 \u00b1 6 deg: as simulated, the error of the sensed normal is at most 25 % "
+        "above "
+        "the best at any of the 2 places from 8 to 12 mm, and 14 % on average."
     )
     assert outside(touches(0.0, 0.0), Indenter(), "normal") == (
         "It holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the object that "

@@ -46,7 +46,7 @@ def test_every_quantity_has_an_expanded_uncertainty(camera):
     html = camera_page(camera)
     page = Page(html)
     assert page.open == []
-    assert "MODEL HOLDS" in page.prose
+    assert "The camera model holds" in page.prose
     assert html.index("Verdict") < html.index("<table")
     told = numbers(html)
     assert told["coverage_factor"] == 2.0
@@ -94,7 +94,7 @@ def test_what_was_not_measured_is_said(camera):
 def test_a_channel_that_does_not_saturate_says_so():
     dim = characterised(camera_session(np.random.default_rng(4), light=(1.0, 1.0, 0.4)))
     html = camera_page(dim)
-    assert "MODEL HOLDS, WITH REMARKS" in html
+    assert "The camera model holds, with remarks" in html
     assert numbers(html)["channels"]["blue"]["dynamic_range_db"] is None
     assert "not reached" in html
     assert "blue: no exposure saturates" in html
@@ -107,7 +107,7 @@ def test_a_bent_camera_is_named():
 
     html = camera_page(characterised(camera_session(np.random.default_rng(5), side_px=128, repeats=2).change(bend)))
     assert "departs from a line through exposure by" in html
-    assert "MODEL HOLDS</" not in html
+    assert "The camera model holds</" not in html
 
 
 def test_what_is_not_resolved_is_a_limit(camera):

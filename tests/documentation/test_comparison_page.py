@@ -50,7 +50,7 @@ def page(html: str) -> Page:
 
 
 def test_the_page_says_that_noise_was_taken_out_only_where_it_was(html):
-    free, within = "which the simulation\u2019s score is free of", "which is in the simulation\u2019s score too"
+    free, within = "which is not in the simulation\u2019s score", "which is in the simulation\u2019s score too"
     encoded = page_of(REPORT.model_copy(update={"values": "encoded values, encoding unknown"}))
     linear, encoded = (text.replace("&#39;", "\u2019").replace("'", "\u2019") for text in (html, encoded))
     assert free in linear
@@ -89,7 +89,7 @@ def test_the_verdict_stands_before_trust_images_and_tables(html, page):
             (0.92, 0.95, 0.999),
             True,
             "As good as this capture can show",
-            "beyond that of two captures of the same thing",
+            "no larger than that between two captures of the same touch",
         ),
         ((0.8, 0.9, 0.999), True, "Better than no simulation", "as good as the capture can show, or explain only 80 %"),
         ((0.8, 0.9, 0.999), False, "Better than no simulation", "10 % of the squared change is left over"),
@@ -161,7 +161,7 @@ def test_every_metric_stands_beside_doing_nothing_and_the_floor():
 def test_the_budget_adds_up_and_names_what_each_input_rests_on():
     rows = {row[0]: row[1:] for row in budget_table(REPORT).groups[0].rows}
     # (0.006, 0.011, 0.002, 0.005): sum of squares 1.86e-4
-    assert rows["root sum of squares, as if independent"][:3] == ("0.014", "100 %", "0.5 %")
+    assert rows["root of the sum of squares"][:3] == ("0.014", "100 %", "0.5 %")
     assert rows["pose of the indenter"][:2] == ("0.011", "65 %")
     assert rows["pose of the indenter"][3].startswith("B: depth and position")
     assert rows["part of the region that was looked at"][2] == "\N{EN DASH}"
@@ -223,7 +223,7 @@ def test_a_comparison_of_encoded_values_tells_what_is_missing():
         "ended before the uncertainty was steady to one significant digit",
     ):
         assert text in plain(page)
-    for absent in ("V&V 20", "Beside the indenter", "root sum of squares"):
+    for absent in ("V&V 20", "Beside the indenter", "root of the sum of squares"):
         assert absent not in page.prose
     assert words.objective_sentence(bare) is None
     assert words.validation_sentence(()) is None

@@ -68,8 +68,8 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
 @pytest.mark.parametrize(
     ("verdict", "title", "meaning"),
     [
-        ("decided", "Mount the light at 32 deg", "only angles nearby do as well"),
-        ("tie", "Several angles do equally well; take 32 deg if nothing speaks against it", "easiest to build"),
+        ("decided", "Mount the light at 32 deg", "only nearby angles are as good"),
+        ("tie", "Several angles are equally good; take 32 deg if nothing speaks against it", "easiest to build"),
         ("undecided", "Not decided yet; 32 deg is the best guess so far", "More angles or more repeats would help"),
         (
             "needs captures",
@@ -308,7 +308,7 @@ def test_a_decision_over_places_begins_with_what_to_do_then_the_finger_then_the_
         "Hatched: between 26 and 41 deg it costs at most 2 % more.",
         "The angle is not decided 32 deg ! with care : captures are needed",
         "What each place loses",
-        "8 mm 33.3% 63 deg 22 % 52 %",
+        "8 mm 33 % 63 deg 22 % 52 %",
         "Why, and how sure it is So says the simulation. It holds for touches at 8 to 50 mm.",
         "Best on average is 32 deg: 8.3 % on average and 22 % at most. Best at the worst place is 47 deg:",
         "Chosen was the best on average (--criterion).",
@@ -331,7 +331,7 @@ def test_a_decision_on_the_normal_shows_its_error_and_what_others_cost():
     text = plain(html)
     for told in (
         "How much larger the error of the sensed normal is than at the best angle for its own place",
-        "8 mm 33.3% 63 deg 28 % 108 %",
+        "8 mm 33 % 63 deg 28 % 108 %",
         "Marks on the pad: the places that were looked at",
         "brightness 62 deg 25 % 21 % [17 %, 25 %] yes",
         "brightness is best at 62 deg and loses 21 % here (there: 25 % more error of the normal)",

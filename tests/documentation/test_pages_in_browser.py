@@ -101,7 +101,7 @@ def test_it_prints_on_a4_with_its_folds_open(page, tmp_path):
     ).stdout
     wanted = {
         "comparison": ("Better than no simulation", "area too bright", "finray compare"),
-        "decision": ("Several angles do equally well", "On the drawing: 32 deg", "finray decide"),
+        "decision": ("Several angles are equally good", "On the drawing: 32 deg", "finray decide"),
     }
     for words in wanted[page.stem]:  # the second of the comparison stands in a fold
         assert words in " ".join(text.split()).replace("\u00a0", " ")

@@ -145,7 +145,7 @@ def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() ->
 @pytest.mark.parametrize(
     ("verdict", "meaning"),
     [
-        ("decided", "stays within 2 % with 95 % probability, and only angles nearby do as well (25 to 39 deg)"),
+        ("decided", "stays within 2 % with 95 % probability, and only nearby angles are as good (25 to 39 deg)"),
         ("tie", "Any of these angles will do: 25 to 39 deg"),
         ("undecided", "may lose 0.4 %. With captures the best guess is 32 deg. More angles or more repeats would help"),
         (
@@ -174,7 +174,7 @@ def test_the_simulation_is_praised_only_as_far_as_its_interval(low: float, high:
     sentence = simulation_sentence(report)
     assert meaning in sentence
     assert "Doing nothing scores 0, a perfect simulation 1 (the camera's noise is taken out)" in sentence
-    assert "a repeated capture in its place, whose noise is not, scores 0.998" in sentence
+    assert "a repeated capture in its place, with its noise, scores 0.998" in sentence
 
 
 def test_noise_is_said_to_be_taken_out_only_where_it_was() -> None:

@@ -32,12 +32,12 @@ def test_every_tag_is_closed_in_order(page: Page) -> None:
 
 
 def test_the_verdict_stands_before_every_stage_image_and_table(page: Page, html: str) -> None:
-    verdict = html.index("Several angles do equally well; take 32\u00a0deg", html.index("<body>"))
+    verdict = html.index("Several angles are equally good; take 32\u00a0deg", html.index("<body>"))
     assert verdict < min(html.index("<img"), html.index("<table"), *(html.index(f'id="{stage}"') for stage in STAGES))
     assert html.index(TRUST) < html.index('id="capture"')
     positions = [html.index(f'id="{stage}"') for stage in STAGES]
     assert positions == sorted(positions)
-    assert "The angle is decided 32 deg \u2713 good : angles beside it do as well" in page.prose
+    assert "The angle is decided 32 deg \u2713 good : neighbouring angles are as good" in page.prose
     first = Page(html[: html.index(TRUST)]).prose
     for shown in ("Captured, no contact", "Captured, contact", "The finger from the side, to scale", "Emission of the"):
         assert shown in first

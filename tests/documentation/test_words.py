@@ -38,6 +38,15 @@ ODD = {
     r"\bstages, which are whole\b|\bNOT WHOLE\b": "complete, unchanged",
     r"\bfor want of\b": "for lack of",
     r"\bnot told apart\b": "not distinguishable",
+    r"\bnought\b": "zero",
+    r"\bforetells?\b": "predicts",
+    r"\bribs do not see each other\b": "contact between ribs is not computed",
+    r"\bis (no finger's|the mesh's)\b": "comes from the mesh, not from the finger",
+    r"\bengine in process\b": "name the option to leave out",
+    r"\bto speak of\b": "that matters",
+    r"\bhas looked why\b": "has found out why",
+    r"\bto be had for\b|\bcan be had\b": "the best compromises",
+    r"\b(do|does) as well\b": "are as good",
     r"\bis a [A-Z][a-z]+[A-Z]\w+, a [A-Z][a-z]+[A-Z]\w+ is needed": "holds band signals, where a paint is needed",
 }
 """What was read twice -> what to write; a page says it in other words, or not."""

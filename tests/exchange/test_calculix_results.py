@@ -83,7 +83,7 @@ def test_totals_by_quantity_and_set(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "match"),
-    [("\n", "no totals of sets in it"), (DAT.replace("-2.083231", "-2.08x"), "line 2: the total is no")],
+    [("\n", "holds no totals of sets"), (DAT.replace("-2.083231", "-2.08x"), "line 2: the total is no")],
 )
 def test_other_totals_are_refused(tmp_path, text, match):
     path = tmp_path / "x.dat"
@@ -108,5 +108,5 @@ def test_increments_that_converged(tmp_path):
 def test_totals_of_uneven_length_are_refused(tmp_path):
     path = tmp_path / "x.dat"
     path.write_text(DAT.replace("-4.236760E+00 -7.895768E-02", "-4.236760E+00"))
-    with pytest.raises(ImportFormatError, match="totals of force of INDENTER have not the same number of values"):
+    with pytest.raises(ImportFormatError, match="totals of force of INDENTER differ in their number of values"):
         read_totals(path)

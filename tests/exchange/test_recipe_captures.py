@@ -173,7 +173,7 @@ def test_the_hold_of_a_load_cell_of_any_sign_and_rest_is_found(tmp_path, sign):
     capture = read_by_recipe(tmp_path, plain).captures["golf_ball__t=0"]
     assert capture.force_n == pytest.approx(-9.5 * sign)
     assert np.abs(capture.contact.astype(float) - capture.no_contact).max() > 20.0
-    for values, message in ((np.full(30, 2.0), "nothing changes"), (np.eye(30)[3], "held within the first")):
+    for values, message in ((np.full(30, 2.0), "nothing changes"), (np.eye(30)[3], "shows contact within the first")):
         np.save(force, values)
         with pytest.raises(ImportFormatError, match=message):
             read_by_recipe(tmp_path, plain)
@@ -280,8 +280,13 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
 @pytest.mark.parametrize(
     ("change", "of_contact", "message"),
     [
-        (('file = "rest.png"', 'file = "other.png"'), None, "there is no other.png, the image without contact"),
-        (('"{press}.png"', '"{press}.tiff"'), None, r"no file in it is as the recipe 'mine' says \(\{press\}.tiff\)"),
+        (('file = "rest.png"', 'file = "other.png"'), None, "the image without contact, other.png, is missing"),
+        (
+            ('"{press}.png"', '"{press}.tiff"'),
+            None,
+            r"no file in it matches presses.files of the recipe 'mine' "
+            r"\(\{press\}.tiff\)",
+        ),
         (('"{press}.png"', '"../{press}.png"'), None, "must be a path within the folder"),
         (('"{press}.png"', '"a.png"'), None, r"must have \{press\} once"),
         (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing beside file"),
@@ -291,7 +296,12 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         (("[indenter]\n", CIRCLE), ("row_px = 9", "row_px = 999"), "outside the picture of 160 x 120 px; are row and"),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
         (('file = "rest.png"', "frames_before = 3"), None, "frames_before is for videos, and a.png is a picture"),
-        (("[indenter]\n", CIRCLE), ("t.csv", "{press}.npz"), r"there is no \{press\}.npz, which holds its contact"),
+        (
+            ("[indenter]\n", CIRCLE),
+            ("t.csv", "{press}.npz"),
+            r"the file \{press\}.npz, which should hold its "
+            r"contact, is missing",
+        ),
     ],
 )
 def test_what_a_recipe_and_a_folder_contradict_is_told(tmp_path, change, of_contact, message):
@@ -461,10 +471,10 @@ def test_a_press_that_taught_is_not_predicted_under_another_name(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     outcome = finray("import captures fots --recipe fots-gelsight --predict-from 1 --out set")
     assert outcome.status == 0
-    assert "0002: is the same image as a press that taught the table, and is not predicted" in outcome.err
+    assert "0002: has the same image as a press that taught the table, and is not predicted" in outcome.err
     assert sorted(p.name for p in (tmp_path / "set").glob("*.press.json")) == [f"000{k}.press.json" for k in (3, 4, 5)]
     captures = read_by_recipe(folder, shipped("fots-gelsight")).captures
-    with pytest.raises(CompareError, match=r"0002: its contact image taught the table \(0001\), so that what it"):
+    with pytest.raises(CompareError, match=r"0002: its contact image taught the table \(0001\), so its prediction"):
         predict_press(teach_table([captures["0001"]]), captures["0002"])
 
 

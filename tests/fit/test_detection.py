@@ -223,7 +223,7 @@ class TestVerb:
         "command",
         [
             "export {0} --format csv --out {0}.csv",
-            "simulate render {2}/finger.toml --paint red={0} --paint green={0} --images --out {0}.out",
+            "simulate render {2}/finger.toml --paint red={0} --paint green={0} --images --out {0}.out.json",
             "export {0} --format mitsuba --out {0}.spd",
         ],
     )

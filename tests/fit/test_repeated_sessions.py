@@ -80,7 +80,7 @@ def test_a_session_with_another_filter_is_named_and_others_are_not(session):
     sessions[3] = sessions[3].model_copy(update={"fluorescence": y})
     _, scatter = combine_sessions(sessions)
     assert scatter.departing == (4,)
-    assert departing_warnings(scatter)[0].startswith("session 4 departs from the other sessions")
+    assert departing_warnings(scatter)[0].startswith("session 4 differs from the other sessions")
 
 
 def test_the_common_values_lie_among_those_of_the_sessions_however_their_channels_disagree(session, red_bands):

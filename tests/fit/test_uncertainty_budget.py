@@ -124,7 +124,7 @@ def test_a_linear_model_has_its_closed_form():
 
 def test_other_band_signals_hold_no_budget(bands, paint):
     other = bands.model_copy(update={"fluorescence": 1.5 * bands.fluorescence})
-    with pytest.raises(FitError, match="do not give this calibration again"):
+    with pytest.raises(FitError, match="do not reproduce this calibration"):
         uncertainty_budget(other, paint)
     of_family = paint.model_copy(update={"spectrum_from": "log-normal"})
     with pytest.raises(FitError, match="fit it without --family"):

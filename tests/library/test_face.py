@@ -57,7 +57,9 @@ def test_another_package_of_the_same_name_is_named(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     require_own_packages(tmp_path, ("simulacrum",))
     with pytest.raises(
-        ImportError, match=r"its own package 'simulacrum', .* another one at .*simulacrum/__init__\.py; ren"
+        ImportError,
+        match=r"its own package 'simulacrum', .* another package of this name at "
+        r".*simulacrum/__init__\.py; ren",
     ):
         require_own_packages(ROOT, ("simulacrum",))
     with pytest.raises(

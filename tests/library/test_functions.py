@@ -111,7 +111,7 @@ def test_a_render_names_its_paints_and_is_recoloured(lab, paint, rendered, tmp_p
     assert f"{lab}/finger.toml" in rendered.provenance.input_sha256
     grey = finray.recolour_press(rendered, white_balance="pad")
     assert not np.array_equal(grey.contact, rendered.contact)
-    with pytest.raises(SimulateError, match="nothing is to change"):
+    with pytest.raises(SimulateError, match="no change is asked for"):
         finray.recolour_press(rendered)
     with pytest.raises(SimulateError, match="give both red and green"):
         finray.recolour_press(rendered, red=paint)
@@ -193,7 +193,9 @@ def test_what_is_no_record_is_refused(lab, tmp_path):
                           ("none.json", "none.json")):  # fmt: skip
         with pytest.raises(RecordError, match=message):
             finray.read_record(tmp_path / name)
-    with pytest.raises(RecordError, match="a file that a person writes; read a finger's design with finger_design"):
+    with pytest.raises(
+        RecordError, match="a TOML file, not a stored record; read a finger's design with finger_design"
+    ):
         finray.read_record(lab / "finger.toml")
     with pytest.raises(RecordError, match="path of a stored one"):
         finray.fit_paint(PlainSensor())

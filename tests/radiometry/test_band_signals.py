@@ -191,7 +191,7 @@ def test_region_that_reaches_beyond_the_tile_is_told():
     whole = band_signals(*_parts(synthetic_session(np.random.default_rng(1))))
     cut = band_signals(*_parts(synthetic_session(np.random.default_rng(1), change=beside)))
     assert not [note for note in whole.notes if "beyond the tile" in note]
-    assert len([note for note in cut.notes if "the region reaches beyond the tile" in note]) == 1
+    assert len([note for note in cut.notes if "the region extends beyond the tile" in note]) == 1
 
 
 def test_laser_that_misses_the_tile():

@@ -232,5 +232,9 @@ def test_an_old_file_that_does_not_fit_names_the_commit_that_wrote_it(tmp_path):
     stored["record"]["tolerance"] = stored["record"].pop("tolerance_rel")
     path = tmp_path / "old.json"
     path.write_text(json.dumps(stored))
-    with pytest.raises(RecordError, match=r"Several schemas were stored as version 1 .* written by commit 8ef2b25"):
+    with pytest.raises(
+        RecordError,
+        match=r"Earlier programs stored several schemas as version 1; .* written by "
+        r"commit 8ef2b25",
+    ):
         read_record(path, LightAngleDecision)

@@ -81,7 +81,7 @@ def opened(path):
         ('kind = "sensor"\nwalls = "clear"\nwall_reflectance = 0.1\n', RecordError, 'no effect: walls = "clear"'),
         (
             'kind = "sensor"\n[surface]\nfile = "a.npy"\nstep_mm = 0.1\n[indenter]\nposition_mm = 5.0\n',
-            RecordError, r"indenter has no effect: \[surface\] states the shape",
+            RecordError, r"indenter has no effect: \[surface\] and \[indenter\] both state the pressed shape",
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_reflectance = 0.5\ndiffuse_reflectance_rgb = [0.1, 0.2, 0.3]\n',

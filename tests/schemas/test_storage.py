@@ -295,7 +295,7 @@ class TestFilesPeopleWrite:
     def test_filter_named_twice(self, tmp_path):
         one = '[[filter_wheel.filters]]\nslot = {}\nname = "405"\ncenter_nm = {}\n'
         text = 'name = "r"\n[filter_wheel]\n' + one.format(1, 405) + one.format(2, 450)
-        with pytest.raises(RecordError, match="name 405 stands in two filters"):
+        with pytest.raises(RecordError, match="name 405 is used by two filters"):
             read_toml(self.rig(tmp_path, text), RigFile)
 
     def test_exposure_range_turned_round(self, tmp_path):

@@ -44,7 +44,7 @@ def test_each_conversion_counts_once_for_each_time_it_happens():
 
 def test_light_that_was_not_rendered_cannot_be_added():
     after = {**BEFORE, "red": np.array([0.1, 0.2, 0.3])}
-    with pytest.raises(SimulateError, match="the red paint converts light of the red band now"):
+    with pytest.raises(SimulateError, match="the red paint now converts light of the red band"):
         conversion_gains(BEFORE, after)
     assert conversion_gains(after, BEFORE)["red", "red"] == 0.0
 

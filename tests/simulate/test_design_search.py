@@ -48,7 +48,7 @@ def evaluated(design: FingerDesign) -> EvaluatedDesign:
         ("light.angle_deg=0:nan", "must be two finite numbers"),
         ("light.angle_deg=40:60", "light.angle_deg = 30 of the design lies outside 40 to 60"),
         ("light.angle_deg=0:300", "light.angle_deg = 300 is not possible"),
-        ("light.position_mm=-14:-7", "of a place name its coordinate, as in light.position_mm[y]"),
+        ("light.position_mm=-14:-7", "for a place, name its coordinate, as in light.position_mm[y]"),
         ("camera.position_mm[y]=-14:-7", "write it into the design file first"),
         ("pad.shape=0:1", "is 'flat', no number"),
         ("coating.diffuse_share", "has no usual limits; give them as coating.diffuse_share=LOW:HIGH"),

@@ -93,7 +93,7 @@ def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text
         ("", r"vary"),
         ('[[vary]]\nfield = "seed"\n', r"vary seed: give values, or low and high of a random study"),
         ('[[vary]]\nfield = "seed"\nlow = 2.0\nhigh = 1.0\n', r"low and high are both needed, low below high"),
-        (vary("seed", [1, 1]), r"vary seed: 1 stands in its values twice"),
+        (vary("seed", [1, 1]), r"vary seed: 1 is listed twice in its values"),
         (vary("seed", [1]) + vary("seed", [2]), r"seed is given twice; vary it or set it, once"),
         ("[set]\nseed = 3\n" + vary("seed", [1]), r"seed is given twice"),
         ("count = 4\n" + vary("seed", [1]), r'count goes with combine = "random", and only with it'),

@@ -198,4 +198,4 @@ def test_the_curve_shows_a_force_that_is_not_the_finger_s():
     assert curve(mechanics).get_title() == "6.00 N at 3.00 mm"
     pulled = curve(mechanics.model_copy(update={"force_n": -mechanics.force_n}))
     assert pulled.get_ylim()[0] < -6.0
-    assert "it touches no node or has been passed through" in pulled.get_title()
+    assert "the indenter touches no node or has passed through" in pulled.get_title()

@@ -167,7 +167,7 @@ def test_an_open_gel_is_refused_and_the_hole_named():
 def test_one_turned_face_is_refused():
     surfaces = gel()
     surfaces["inner"] = surfaces["inner"].reversed()
-    with pytest.raises(SimulateError, match="edges are open or run twice in one direction"):
+    with pytest.raises(SimulateError, match="edges are open or belong to triangles of opposite orientation"):
         check_closed(surfaces)
 
 

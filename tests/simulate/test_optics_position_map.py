@@ -98,5 +98,5 @@ def test_folded_texture_coordinates_and_crumpled_faces_are_refused():
         PositionMap.of(folded, "inner face")
     crumpled = points + np.random.default_rng(0).normal(0.0, 3.0, points.shape) * [0.0, 1.0, 0.0]
     fine = grid_surface(np.repeat(np.repeat(crumpled, 8, 0), 8, 1), np.linspace(0, 1, 72), np.linspace(0, 1, 72))
-    with pytest.raises(SimulateError, match=r"the inner face is no smooth face: .* \(0.3 mm allowed\)"):
+    with pytest.raises(SimulateError, match=r"the inner face is not a smooth face: .* \(0.3 mm allowed\)"):
         PositionMap.of(fine, "inner face")

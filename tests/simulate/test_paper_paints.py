@@ -175,7 +175,7 @@ def test_what_cannot_stand_for_a_paint_is_refused():
     with pytest.raises(SimulateError, match="no emission above the laser at 450 nm"):
         measure_stand_in(dark, "red", rng)
     line = np.where(paint.emission_nm[:, None] == 560.0, paint.radiance_factor_per_nm, 0.0)
-    with pytest.raises(SimulateError, match="so that absorption cannot be read off"):
+    with pytest.raises(SimulateError, match="so the absorption cannot be read from the matrix"):
         measure_stand_in(paint.model_copy(update={"radiance_factor_per_nm": line}), "red", rng)
 
 

@@ -162,7 +162,11 @@ class TestHeightMaps:
             (np.full((200, 200), np.nan), {}, "finite numbers in rows and columns"),
             (np.full((30, 30), 0.5), {}, r"ends on the pad with a step of 0\.5 mm; at most 0\.05 mm"),
             (np.full((400, 400), 800.0), {}, r"comes to -796 mm above .*\(is it in mm\? see unit_mm"),
-            (np.full((400, 400), 4.0), {"position_mm": 900.0}, "lies beside the pad; see surface.position_mm"),
+            (
+                np.full((400, 400), 4.0),
+                {"position_mm": 900.0},
+                "the map does not lie on the pad; correct surface.position_mm",
+            ),
         ],
     )
     def test_refusals(self, tmp_path, values, fields, message):

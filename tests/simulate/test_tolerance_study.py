@@ -91,7 +91,7 @@ def test_what_a_person_sets_varies_and_what_is_stated(drawn):
     assert inputs["light.angle_deg"].unit == "deg"
     assert inputs["light.position_mm.z"].unit == "mm"
     for field, words in (
-        ("light.angel_deg", "is no number of this finger"),
+        ("light.angel_deg", "is not a number of this finger"),
         ("pad.shape", "is no number"),
         ("mechanics.gel.c10_mpa", "that light depends on"),
         ("light.position_mm", "the axis last"),

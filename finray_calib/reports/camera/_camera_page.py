@@ -84,14 +84,14 @@ def camera_page(camera: CameraCharacterisation) -> str:
 
 _UNCERTAINTY: Final = (
     f"Behind the sign \u00b1 stands the expanded uncertainty U = {COVERAGE_FACTOR:g} u (coverage factor k = "
-    f"{COVERAGE_FACTOR:g}, some 95 %). Where a quantity cannot be told from zero, its upper limit with 95 % confidence "
-    "stands instead."
+    f"{COVERAGE_FACTOR:g}, some 95 %). Where a quantity cannot be distinguished from zero, its upper limit with 95 % "
+    f"confidence is given instead."
 )
 _TRANSFER_WORDS: Final = (
     "Temporal variance of a pixel against its mean above the dark mean, for every channel, with the line whose slope "
     "is the system gain.",
-    "Photon transfer. Filled marks: exposures behind the line, up to 70 % of saturation. What to see: they lie on it, "
-    "and the variance falls where the channel saturates.",
+    "Photon transfer. Filled marks: exposures behind the line, up to 70 % of saturation. What to see: these marks "
+    "lie on the line, and the variance falls where the channel saturates.",
 )
 _SNR_WORDS: Final = (
     "Signal-to-noise ratio of one pixel against its charge, for every channel, beside the linear camera model and an "
@@ -110,13 +110,13 @@ def _verdict(camera: CameraCharacterisation) -> tuple[str, Light, str]:
     """Return whether the linear camera model holds, its light, and a sentence."""
     bent = [c.channel for c in camera.channels if c.chi_square_p < SMALLEST_CHI_SQUARE_P]
     if bent:
-        return "MODEL DOES NOT HOLD", "bad", (
+        return "The camera model does not hold", "bad", (
             f"The noise of {_listed(bent)} does not grow with the signal as that of photons does; see what was found."
         )  # fmt: skip
     grows = "The noise of every channel grows with the signal as that of photons does"
     if _findings(camera) or camera.warnings:
-        return "MODEL HOLDS, WITH REMARKS", "care", f"{grows}; read what was found."
-    return "MODEL HOLDS", "good", f"{grows}, and the signal with the exposure."
+        return "The camera model holds, with remarks", "care", f"{grows}; read what was found."
+    return "The camera model holds", "good", f"{grows}, and the signal with the exposure."
 
 
 def _findings(camera: CameraCharacterisation) -> tuple[str, ...]:
@@ -284,14 +284,14 @@ def _limits(camera: CameraCharacterisation) -> tuple[str, ...]:
         "Quantum efficiency, responsivity, and threshold and saturation in photons are not known: they need a light "
         "source of known irradiance.",
         "The light is the rig's own lamp on the white tile. It is not as even as the standard asks for, so the "
-        "non-uniformity without high-pass holds lamp, lens and tile too. The high-pass removes them, and with them "
-        "what whole rows and columns share.",
+        "non-uniformity without high-pass includes lamp, lens and tile. The high-pass removes these, and also "
+        "whatever whole rows and columns share.",
         "Rows, columns and pixels are not separated in DSNU and PRNU, and there are no spectrograms and no counts of "
         "defect pixels.",
         f"One exposure of the lamp repeats within {percent(camera.light_repeatability_rel)} (one standard deviation, "
         "with drift). A linearity error below that cannot be seen.",
-        "The exposure times are the camera's own: an offset of its shutter is in the linearity line, an error in "
-        "proportion is not seen.",
+        "The exposure times are those that the camera reports: an offset of its shutter shows in the linearity line, "
+        "a proportional error is not seen.",
         "The temperature of the sensor was not recorded. Dark current doubles every 6 to 10 degrees, and the numbers "
         "hold for these settings of the camera.",
         "Saturation lies between two exposures: its interval reaches from one to the other.",
@@ -329,7 +329,7 @@ def _mark(channel: str) -> tuple[str, str]:
 @styled()
 def photon_transfer_svg(camera: CameraCharacterisation) -> str:
     """Draw temporal variance against mean above dark, with the line of every channel."""
-    figure = new_figure(6.0, 3.6)
+    figure = new_figure(5.0, 3.5)
     axes = figure.subplots()
     for c in camera.channels:
         marker, colour = _mark(c.channel)

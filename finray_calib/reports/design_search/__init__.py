@@ -1,4 +1,4 @@
-"""The page of a search over designs: the front, what each parameter does, what was gained and traded."""
+"""The page of a search over designs: the best compromises, the effect of each parameter, the gains and their cost."""
 
 from typing import TYPE_CHECKING
 

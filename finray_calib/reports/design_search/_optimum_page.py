@@ -72,12 +72,14 @@ def optimum_page(optimum: DesignOptimum, command: str, digests: Mapping[str, str
             title=optimum.name,
             lead=f"{len(optimum.designs)} designs within limits of {', '.join(p.field for p in optimum.parameters)}, "
             f"for {' and '.join(o.name for o in optimum.objectives)}.",
-            verdict="; ".join(_verdict(gain) for gain in (first, *lost)),
+            verdict=_sentence_case("; ".join(_verdict(gain) for gain in (first, *lost))),
             light="care" if lost and light == "good" else light,
             sentence=optimum.sentence,
             picture=_front_picture(optimum),
             key_numbers=(
-                KeyNumber(f"{first.objective}, to the start", _best_known(first), _how(first), light, reason),
+                KeyNumber(
+                    f"Gain in {first.objective} against the start", _best_known(first), _how(first), light, reason
+                ),
                 _screen_number(optimum),
                 KeyNumber(
                     "Still to gain",
@@ -91,7 +93,7 @@ def optimum_page(optimum: DesignOptimum, command: str, digests: Mapping[str, str
             parts=(
                 *found_part(_found(optimum)),
                 Part("The recommended finger", _finger(optimum)),
-                Part("What was gained, and how much of it was luck", _gains(optimum)),
+                Part("What was gained, and how much of it was chance", _gains(optimum)),
                 Part("The front", _front(optimum)),
                 Part("What each parameter does", _effects(optimum)),
                 trust_part(_limits(optimum), optimum.notes),
@@ -145,6 +147,11 @@ def _judged(gain: DesignGain) -> tuple[Light, str]:
     return ("bad", "really worse than the start") if high < 0.0 else ("care", "no difference is shown")
 
 
+def _sentence_case(text: str) -> str:
+    """Return a text with its first letter large."""
+    return text[:1].upper() + text[1:]
+
+
 def _verdict(gain: DesignGain) -> str:
     """Say in few words what the search found."""
     value, low, high = _interval(gain)
@@ -159,7 +166,8 @@ def _screen_number(optimum: DesignOptimum) -> KeyNumber:
     count = sum(row.role == "screen" for row in optimum.designs)
     light, reason = _judged(gain)
     return KeyNumber(
-        f"{gain.objective}, to a screen's best", _best_known(gain), f"{_how(gain)}; best of {count} Sobol' points",
+        f"Gain in {gain.objective} against the best of the screen", _best_known(gain),
+        f"{_how(gain)}; a screen of {count} Sobol' points",
         "care" if light == "bad" else light, reason,
     )  # fmt: skip
 
@@ -240,8 +248,8 @@ def _gains(optimum: DesignOptimum) -> Content:
         for gain in optimum.gains
     ]
     return Content(
-        "Positive is better. All designs of the search share their random numbers; what a design gains by them alone "
-        "is lost with other seeds and contact places (shrinkage). The confirmed gain is the one to quote.",
+        "Positive is better. All designs of the search share their random numbers; a gain that is due to them alone "
+        "disappears with other seeds and contact places (shrinkage). The confirmed gain is the one to quote.",
         tables=(
             one_group(
                 "Gains of the recommended finger (95 % intervals)",
@@ -262,8 +270,8 @@ def _front(optimum: DesignOptimum) -> Content:
     """Show the designs of the front in a table."""
     lead = (
         "Designs for which, with at least even odds, no other within the limits is as good in every objective and "
-        f"better by {percent(optimum.tolerance_rel)} in one. The last column says in what they really differ from the "
-        "recommended one (97.5 % on one side); everything else is within the noise."
+        f"better by {percent(optimum.tolerance_rel)} in one. The last column names the objectives in which they "
+        f"differ from the recommended one (97.5 %, one-sided); everything else is within the noise."
     )
     return Content(lead, tables=(_designs_table(optimum, front_rows(optimum), "The front"),), has_wide_tables=True)
 
@@ -313,7 +321,7 @@ def _front_picture(optimum: DesignOptimum) -> Picture:
     """Draw the designs in their first two objectives, or one objective in the order of the search."""
     names = [o.name for o in optimum.objectives]
     with styled():
-        figure = new_figure(7.2, 4.4)
+        figure = new_figure(5.2, 4.2)
         axes = figure.add_subplot()
         x_name = names[0] if len(names) > 1 else None
         y = optimum.objectives[1] if len(names) > 1 else optimum.objectives[0]
@@ -326,7 +334,7 @@ def _front_picture(optimum: DesignOptimum) -> Picture:
                   zorder=1)  # fmt: skip
         axes.set_xlabel("design, in order" if x_name is None else _axis(optimum.objectives[0]))
         axes.set_ylabel(_axis(y))
-        legend_above(figure, axes, 5)
+        legend_above(figure, axes, 3)
         text = svg_text(figure)
     more = f" Of {len(names)} objectives the first two are drawn." if len(names) > 2 else ""
     return drawing(
@@ -390,7 +398,7 @@ def _effects(optimum: DesignOptimum) -> Content:
                                 f"{objective.name}: {told} Dashed: the recommended finger."))  # fmt: skip
     lead = (
         "Mean over all other parameters within their limits, by the emulator, with its 95 % band. A parameter whose "
-        "curve is flat may still count together with another one."
+        "curve is flat may still matter in combination with another one."
     )
     return Content(lead, tuple((picture,) for picture in pictures))
 
@@ -411,13 +419,13 @@ def _limits(optimum: DesignOptimum) -> tuple[str, ...]:
     """Say what the numbers do not know."""
     return (
         "All numbers are simulated. How far the simulation is from a real finger is shared by all designs and not in "
-        "the intervals; a gain holds on the bench only as far as the simulation ranks designs rightly.",
+        "the intervals; a gain holds on the bench only as far as the simulation ranks designs correctly.",
         "The bound on what could still be gained rests on the emulator: smooth numbers within the limits. A narrow "
         "optimum between all computed designs would not be seen.",
-        "A panel is a sheet without thickness: that it passes through nothing does not say that its housing and wires "
-        "have room. The camera's exposure is set anew for each design.",
-        "One objective's 1 % was weighed like another's when the finger was chosen; the front shows what else can be "
-        "had.",
+        "A panel is modelled as a sheet without thickness: its housing and wires may need more room than the model "
+        "shows. The camera's exposure is set anew for each design.",
+        "When the finger was chosen, 1 % of one objective counted as much as 1 % of another; the front shows the "
+        "alternatives.",
     )[: 4 if len(optimum.objectives) > 1 else 3]
 
 
@@ -429,6 +437,7 @@ def _methods(optimum: DesignOptimum) -> tuple[str, ...]:
         f"{screen} designs of a scrambled Sobol' sequence were computed, then {search} one by one where the knowledge "
         "gradient of Gaussian processes (Frazier et al., 2009; Rasmussen and Williams, 2006) was largest. Each "
         "objective's logarithm had a process of its own with one length for each parameter and a fitted noise; "
-        "intervals hold what is open in these. The recommended design has the best expected value, which is not the "
+        "intervals include the uncertainty of these. The recommended design has the best expected value, which is "
+        "not the "
         f"best value seen. Objectives are: {meanings}.",
     )

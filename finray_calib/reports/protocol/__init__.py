@@ -1,4 +1,4 @@
-"""The sheet of a press protocol: what a lab prints, presses and photographs in an hour, to take along on paper."""
+"""The printed sheet of a press protocol: what a lab prints, presses and photographs in an hour."""
 
 from typing import TYPE_CHECKING
 

@@ -91,7 +91,7 @@ _BEFORE: Final = (
     "0.05 mm.",
     "Switch automatic exposure, white balance, denoising and sharpening off. Save pictures without loss (PNG, or raw).",
     "Switch the lights on, wait for ten minutes, and take a picture of a ruler laid on the gel: its millimetres per "
-    "pixel are asked for later.",
+    "pixel are needed later.",
 )
 _SOLIDS: Final = (
     "Each carries its shape on a round back of 20 mm diameter. The files in the folder 'solids' are in mm. In a "
@@ -99,23 +99,23 @@ _SOLIDS: Final = (
 )
 _EACH: Final = (
     "Make a folder of the press's name. Save a picture without contact as no_contact.png.",
-    "Lower the indenter until the picture just changes: this is zero. Go on to the depth of the table, wait for five "
+    "Lower the indenter until the picture just changes: this is zero. Go on to the depth in the table, wait for five "
     "seconds, and save contact.png.",
     "Lift it by 5 mm, wait for a minute, and save repeat_no_contact.png. If a dent is still to be seen, wait longer.",
-    "Do the three once more, for the folder whose name ends in -again. Tick the press off.",
+    "Repeat these three steps for the folder whose name ends in -again. Tick the press off.",
 )
 _TURN: Final = (
     "Along the pad from its base, across from its middle line (towards the green wall of a finger: positive), depth "
     "from the first touch; turned about the pad's normal, against the clock as seen from the camera."
 )
 _THEN: Final = (
-    "With the folders, and presses.csv of this protocol, in one folder PICTURES, and S millimetres per pixel:"
+    "Put the folders, and presses.csv of this protocol, into one folder PICTURES. With S millimetres per pixel, type:"
 )
 _LIMITS: Final = (
     "The times on this sheet are estimates; no lab has been timed.",
     "A press by hand is known to about 0.1 mm in depth and 0.5 mm in place. Let the comparison fit the place, and "
     "state these uncertainties.",
-    "One session says nothing on how much the sensor changes from day to day: repeat the protocol on another day.",
+    "One session says nothing about how much the sensor changes from day to day: repeat the protocol on another day.",
     "Pictures that went through a camera's own tone curve are compared up to such a curve.",
 )
 

@@ -81,7 +81,7 @@ def tolerance_page(found: FingerTolerances, command: str, digests: Mapping[str, 
                 tolerance_drawing(found),
                 "the finger from its side with the limits of its parts",
                 f"Distance from the drawn value at which the error has grown by {percent(found.allowed_rel)}, each "
-                "number alone. 'over' is the farthest that was evaluated.",
+                "number alone. 'over' marks the largest distance that was evaluated.",
             ),
             key_numbers=_key_numbers(found),
             parts=(*_sections(found), trust_part(_limits(found), found.notes)),
@@ -106,7 +106,7 @@ def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
     return (
         KeyNumber("All half-ranges times", f"{factor}{value:.2g}", f"{interval}; 95 % of fingers stay within"),
         KeyNumber(
-            "Evaluated there once more",
+            "Evaluated again at these limits",
             f"{found.checked_within} of {found.checked_fingers}",
             "fingers within, with other paths, paint draws and noise",
         ),
@@ -130,7 +130,7 @@ def _sections(found: FingerTolerances) -> tuple[Part, ...]:
     shares = Content(
         lead=f"Shares of the variance of the error when all numbers vary within {found.box_factor:.2g} times their "
         f"given half-ranges. A share below {percent(max(1.0 - found.q2, 0.0))}, what the emulator does not explain, is "
-        "not distinguishable from 0: holding that number more tightly gains nothing that could be shown here.",
+        "not distinguishable from 0: a tighter tolerance of that number gains nothing that this study could show.",
         picture_rows=((drawing(variance_figure(found), "shares of the variance of each number",
                                "Sobol' indices with 95 % intervals: alone, and with its interactions."),),),
         tables=(_share_table(found.rows),),
@@ -196,12 +196,12 @@ def _limits(found: FingerTolerances) -> tuple[str, ...]:
     return (
         f"The error is simulated: {found.objective}. Contacts at {places} mm along the pad.",
         own,
-        "Half-ranges that are assumed are nobody's measurement; give your own with --vary. Shares and the common "
+        "Half-ranges marked as assumed have not been measured; give your own with --vary. Shares and the common "
         "factor hold for half-ranges in these proportions.",
         "Numbers vary independently of each other and uniformly within their half-ranges; what is not listed does not "
         "vary, such as the shape of the coat, the camera's response and the noise of its pixels.",
-        f"By its random numbers alone the growth of the error scatters by {100.0 * found.noise_rel:.2g} %. Intervals "
-        "hold this and what the emulator leaves out, not how far the simulation is from a real finger.",
+        f"The random numbers alone make the growth of the error scatter by {100.0 * found.noise_rel:.2g} %. "
+        f"Intervals include this and the error of the emulator, but not how far the simulation is from a real finger.",
     )
 
 

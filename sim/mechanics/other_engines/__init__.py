@@ -1,7 +1,7 @@
 """Other programs for the same press: decks, CalculiX in a process of its own, results of Abaqus.
 
-A deck holds the very mesh, materials and push of our own engine, so that the programs differ by their contact and
-elements only. `finger_deck` writes one for Abaqus or CalculiX, `press_finger_calculix` runs CalculiX on it, and
+A deck holds the same mesh, materials and push as our own engine, so that the programs differ in contact and elements
+only. `finger_deck` writes one for Abaqus or CalculiX, `press_finger_calculix` runs CalculiX on it, and
 `pressed_by_abaqus` reads what a user's Abaqus made of it; both give the `PressedFinger` that our own press gives.
 """
 

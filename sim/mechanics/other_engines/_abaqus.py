@@ -65,7 +65,7 @@ def pressed_by_abaqus(
         pressure_mpa=coat.pressures_mpa(moved[-1]),
         touch_mm=coat.points_mm(np.zeros_like(moved[-1])),
         unreached="" if times[-1] > 1.0 - _SAME_TIME else f"the results end at {times[-1]:.4g} of the step",
-        contact="faceted rigid indenter; contact surface to surface by penalty; ribs do not see each other",
+        contact="faceted rigid indenter; contact surface to surface by penalty; contact between ribs is not computed",
     )
 
 
@@ -146,7 +146,7 @@ def read_fil(path: Path) -> list[NodalField]:
             components.append([float(v) for v in (*values, 0.0, 0.0)][:_COMPONENTS])
     found += _collected(rows, time)
     if not found:
-        raise ImportFormatError(f"{path}: no displacements in it; *NODE FILE with U and RF writes them")
+        raise ImportFormatError(f"{path}: holds no displacements; write them by *NODE FILE with U and RF")
     return found
 
 

@@ -86,7 +86,7 @@ def read_frd(path: Path, names: tuple[str, ...] = ("DISP", "CONTACT")) -> list[N
             found.append(_field(path, name, before[-1], text[field.end() : end + 1]))
     if not found:
         raise ImportFormatError(
-            f"{path}: no field {' or '.join(names)} in it; it must be an ASCII .frd file of CalculiX, written by "
+            f"{path}: holds no field {' or '.join(names)}; it must be an ASCII .frd file of CalculiX, written by "
             "*NODE FILE (binary ones, of OUTPUT=2D or *CONTROLS, are not read)"
         )
     return found
@@ -144,11 +144,11 @@ def read_totals(path: Path) -> Mapping[tuple[str, str], FloatArray]:
                 raise ImportFormatError(f"{path}: line {number + 1}: the total is no number: {error}") from None
     if not found:
         raise ImportFormatError(
-            f"{path}: no totals of sets in it; *NODE PRINT and *EL PRINT with TOTALS=ONLY write them"
+            f"{path}: holds no totals of sets; write them by *NODE PRINT and *EL PRINT with TOTALS=ONLY"
         )
     uneven = next((key for key, rows in found.items() if len({len(row) for row in rows}) > 1), None)
     if uneven is not None:
-        raise ImportFormatError(f"{path}: the totals of {' of '.join(uneven)} have not the same number of values each")
+        raise ImportFormatError(f"{path}: the totals of {' of '.join(uneven)} differ in their number of values")
     return {key: np.array(rows) for key, rows in found.items()}
 
 
@@ -164,7 +164,7 @@ def read_convergence(path: Path) -> Convergence:
 
 Progress = Callable[[int, int, str], None]
 
-_CONTACT: Final = "faceted rigid indenter; contact surface to surface by penalty; ribs do not see each other"
+_CONTACT: Final = "faceted rigid indenter; contact surface to surface by penalty; contact between ribs is not computed"
 _SAME_TIME = 1e-4  # the .frd file holds six digits of it
 _PRESSURE = 3  # of the contact's COPEN, CSLIP1, CSLIP2, CPRESS
 
@@ -242,7 +242,7 @@ def press_mesh_calculix(
         if not len(_reached(Path(name))):
             raise SimulateError(
                 f"CalculiX found no equilibrium in the first increment: {unreached or 'it gave no reason'}. Ask for "
-                "more increments, a smaller push, or press with the engine in process"
+                f"more increments or a smaller push, or leave out --engine calculix"
             )
         return _pressed(depth_mm, mesh, Path(name), unreached)
 
@@ -274,7 +274,7 @@ def _pressed(depth_mm: float, mesh: FingerMesh, folder: Path, unreached: str) ->
     convergence = read_convergence(folder / f"{JOB}.sta")
     count = min(len(moved), len(pressed), len(force), len(convergence.times), *map(len, energies))
     if not count:
-        raise SimulateError("CalculiX has not written a complete increment; press with the engine in process")
+        raise SimulateError("CalculiX has not written a complete increment; leave out --engine calculix")
     nodes = len(mesh.nodes_mm)
     displacement = np.stack([_at_nodes(f.nodes, f.values, nodes) for f in moved[:count]])
     # at the Gauss points, as the engine in process has them
@@ -324,7 +324,7 @@ def find_calculix() -> str:
     if path is None:
         raise MissingExtraError(
             f"CalculiX (the program {PROGRAM}) is not installed or not on the PATH; on Debian and Ubuntu: apt-get "
-            "install calculix-ccx. Without it, press with the engine in process"
+            "install calculix-ccx. Without it, leave out --engine calculix"
         )
     return path
 

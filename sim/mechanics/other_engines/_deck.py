@@ -185,9 +185,9 @@ def _stand_in(name: str, material: Ogden) -> InvariantLaw:
     law = fit_invariant_law(material)
     if law.deviation_rel > _LARGEST_DEVIATION_REL:
         raise SimulateError(
-            f"mechanics.{name}: no polynomial of second order follows this Ogden rubber closer than "
-            f"{100.0 * law.deviation_rel:.0f} % for stretches of {law.stretches[0]:g} to {law.stretches[1]:g}; a deck "
-            f"for CalculiX allows {100.0 * _LARGEST_DEVIATION_REL:g} %. Press with the engine in process"
+            f"mechanics.{name}: every polynomial of second order deviates from this Ogden rubber by "
+            f"{100.0 * law.deviation_rel:.0f} % or more for stretches of {law.stretches[0]:g} to {law.stretches[1]:g}; "
+            f"a deck for CalculiX allows {100.0 * _LARGEST_DEVIATION_REL:g} %. Press without --engine calculix"
         )
     return law
 
@@ -291,7 +291,7 @@ def _rounded(body: Body, across_mm: float) -> tuple[float, tuple[float, float], 
         return body.edge_radius_mm, (x, z), y, (_REACH_DEG, _REACH_DEG), 2.0 * _BALL_FACET_DEG
     raise SimulateError(
         f"a deck holds an indenter of shape cylinder, ball or cuboid, not {type(body).__name__}; give one of these, or "
-        "press it in with the engine in process"
+        "press without --engine calculix"
     )
 
 
@@ -553,21 +553,21 @@ def finger_push(design: FingerDesign, preset: Preset, increments: int) -> Push:
     indenter = None if design.indenter.shape == "mesh" else rigid_indenter(design)
     if indenter is None or indenter.body is None:
         raise SimulateError(
-            'indenter.shape = "mesh": a deck holds a cylinder, a ball or a cuboid; press an STL in with the engine in '
-            "process (leave out --engine calculix)"
+            'indenter.shape = "mesh": a deck holds a cylinder, a ball or a cuboid; press an STL without '
+            "--engine calculix"
         )
     tilt_deg = float(np.degrees(np.arccos(np.clip(indenter.touching.rotation[1, 1], -1.0, 1.0))))
     if design.indenter.shape != "ball" and tilt_deg > _STEEPEST_DEG:
         raise SimulateError(
             f"indenter.rotation_deg = {list(design.indenter.rotation_deg)} deg tilts the indenter by {tilt_deg:.0f} "
             f"deg; a deck holds its underside and takes at most {_STEEPEST_DEG:g} deg. Swap its sizes to turn it by 90 "
-            "deg, or press with the engine in process"
+            "deg, or press without --engine calculix"
         )
     if design.indenter.shape == "ball" and depth_mm > deepest_ball_mm(design.indenter.radius_mm):
         raise SimulateError(
             f"indenter.depth_mm = {depth_mm:g} mm: a deck holds the underside of a ball and takes at most "
             f"{deepest_ball_mm(design.indenter.radius_mm):.3g} mm with indenter.radius_mm = "
-            f"{design.indenter.radius_mm:g} mm; press with the engine in process"
+            f"{design.indenter.radius_mm:g} mm; press without --engine calculix"
         )
     # an endless cylinder is cut off beyond the pad, wherever it lies and whichever way it is turned
     length_mm = 2.0 * (design.pad.width_mm + design.pad.length_mm)
@@ -635,7 +635,7 @@ def _heading(design: FingerDesign, dialect: Dialect, preset: Preset, push: Push,
         yield "not run: no Abaqus was at hand; elements as in the paper (C3D8R, CSS8, R3D4)"
         yield "one C3D8R through a rib or fin is too soft in bending: take the medium or fine mesh"
     else:
-        yield "solver: that of the program, SPOOLES where it has no other"
+        yield "solver: the default of the program, SPOOLES if it has no other"
     for where in sorted(set(design.origin.values())):
         fields = ", ".join(field for field, origin in design.origin.items() if origin == where)
         yield from textwrap.wrap(f"{where}: {fields}", 116)

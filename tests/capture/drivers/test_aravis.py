@@ -124,7 +124,7 @@ def test_exposure_out_of_range_is_refused_and_the_next_is_taken(camera: GenicamC
 @pytest.mark.rigs
 def test_too_short_a_deadline_keeps_the_first_frame_and_says_so(camera: GenicamCamera) -> None:
     frame = camera.expose(EXPOSURE_S, 1.5)  # two frames and the answers may take up to 3 s
-    assert frame.settings["FirstFrameAfterChange"] == "kept: no time for two"
+    assert frame.settings["FirstFrameAfterChange"] == "kept: there was no time to take a second frame"
     assert "FirstFrameAfterChange" not in camera.expose(EXPOSURE_S, DEADLINE_S).settings
 
 

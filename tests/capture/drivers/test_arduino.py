@@ -236,7 +236,7 @@ class TestFaults:
             open_switch(address, "laser", None) as switch,
         ):
             switch.keep_alive()
-            with pytest.raises(UnsafeError, match="answers ON to the off command"):
+            with pytest.raises(UnsafeError, match="answers ON to the command to switch off"):
                 switch.switch(False, DEADLINE_S)
 
     def test_after_a_missed_answer_questions_and_answers_match_again(self):

@@ -353,7 +353,7 @@ def test_a_driver_that_is_not_installed_is_refused_before_anything_opens(site: P
 def test_a_rig_file_cannot_name_a_module(name: str, tmp_path: Path) -> None:
     path = real_rig(tmp_path, wheel_of("grbl", "/dev/ttyUSB0"))
     path.write_text(path.read_text().replace('driver = "grbl"', f'driver = "{name}"'))
-    with pytest.raises(RecordError, match="cannot name a module, for it must not choose what code runs"):
+    with pytest.raises(RecordError, match="cannot name a module, because it must not decide which code runs"):
         read_toml(path, RigFile)
 
 

@@ -304,7 +304,7 @@ def test_refusal_of_a_feature_names_it() -> None:
 
     camera = GenicamCamera(SETTINGS, lambda: Locked(nodes().values))
     camera.open()
-    with pytest.raises(RefusedError, match=r"refuses what was asked .ExposureTime is locked."):
+    with pytest.raises(RefusedError, match=r"refuses the request .ExposureTime is locked."):
         camera.expose(0.01, 5.0)
     camera.close()
 

@@ -132,7 +132,7 @@ def test_light_that_comes_on_in_the_dark_is_switched_off_and_told(folder):
         assert not light.state()
         (folder / "on").touch()
         wait_until(lambda: not (folder / "on").exists(), "the light to be off", AT_ONCE_S)
-        with pytest.raises(LostError, match=r"on although nobody had asked for it.*confirmed off"):
+        with pytest.raises(LostError, match=r"on although nothing had switched it on.*confirmed off"):
             light.state()
 
 

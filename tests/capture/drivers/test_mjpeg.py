@@ -149,7 +149,7 @@ def test_pictures_with_the_same_time_are_of_a_camera_that_hangs():
     with (
         serving(parts) as address,
         opened(address) as camera,
-        pytest.raises(TimedOutError, match=r"no new picture came in time|none in time that was exposed after"),
+        pytest.raises(TimedOutError, match=r"no new picture came in time|none of them was exposed after"),
     ):
         camera.expose(ASKED_S, 1.0)
 
@@ -216,7 +216,7 @@ def test_stream_that_ends_within_a_picture_is_refused():
     with (
         serving([*stream_of(jpeg(1)), part(jpeg(2))[:400]]) as address,
         opened(address) as camera,
-        pytest.raises(BadFrameError, match="the stream ended within a picture"),
+        pytest.raises(BadFrameError, match="the stream ended in the middle of a picture"),
     ):
         camera.expose(ASKED_S, 2.0)
 
@@ -263,7 +263,7 @@ def test_pictures_that_are_all_old_time_out(monkeypatch):
             reader, "newer_than", lambda seen, end_s, name: (next(numbers), Part(old, b"", time.monotonic()))
         )
         began_s = time.monotonic()
-        with pytest.raises(TimedOutError, match=r"no new picture came in time|none in time that was exposed after"):
+        with pytest.raises(TimedOutError, match=r"no new picture came in time|none of them was exposed after"):
             camera.expose(ASKED_S, 0.3)
         assert 0.3 <= time.monotonic() - began_s < 1.0
 

@@ -127,7 +127,7 @@ def test_drain_forgets_what_was_said_before() -> None:
 def test_drain_ends_at_the_deadline_where_the_device_never_falls_silent() -> None:
     with terminal() as (device, path), SerialLink(path, 9600, "wheel") as link:
         os.write(device, b"chatter")
-        with pytest.raises(TimedOutError, match=r"does not fall silent \(it says b'chatter'\)"):
+        with pytest.raises(TimedOutError, match=r"does not stop sending \(it says b'chatter'\)"):
             link.drain(10.0, soon(0.1))
 
 
