@@ -330,13 +330,9 @@ def _open_simulated(
     if rig.simulated is not None and rig.simulated.fault is not None:
         practise(rig.simulated.fault)
         notes = (*notes, f"the simulated rig has a fault to practise on: {rig.simulated.practice_fault}")
+    bench, sensor = Bench(rig, folder, response, filter_curves), _simulated_sensor(rig.camera, seed)
     return OpenRig(
-        camera=SimulatedCamera(
-            Bench(rig, folder, response, filter_curves),
-            _simulated_sensor(rig.camera, seed),
-            state,
-            np.random.default_rng([seed, 2]),
-        ),
+        camera=SimulatedCamera(bench, sensor, state, np.random.default_rng([seed, 2])),
         wheel=SimulatedFilterWheel(slots, state),
         laser=SimulatedLight("laser", state),
         lamp=SimulatedLight("lamp", state),
