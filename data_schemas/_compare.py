@@ -308,8 +308,9 @@ class PhotometricErrorReport(Record):
     interval_covers: str = Field(description="what the intervals cover, in plain words")
     interval_over: Literal["inputs", "pixels of this press"] | None = Field(
         default=None,
-        description="inputs: 95 % of what they leave open; pixels of this press: no more than the spread over parts of "
-        "the region, which says nothing of another press; None: not known (an older version)",
+        description="inputs: the interval holds 95 % of what the inputs leave open; pixels of this press: it is only "
+        "the spread over parts of the region and says nothing about another press; None: not known (an "
+        "older version)",
     )
     contact_signal: NotNegative | None = Field(
         default=None,

@@ -226,8 +226,9 @@ def _beyond_the_tile(steps: SessionSteps) -> tuple[str, ...]:
     if dimmest_rel >= SMALLEST_BLOCK_REL:
         return ()
     return (
-        f"the darkest of {len(blocks)} blocks of the region has {dimmest_rel:.0%} of the brightest one's light on the "
-        "white tile: the region reaches beyond the tile or the light, and all values are biased; correct plan.region",
+        f"the darkest of {len(blocks)} blocks of the region has {dimmest_rel:.0%} of the light of the brightest one "
+        f"on the white tile: the region extends beyond the tile or the light, and all values are biased; correct "
+        f"plan.region",
     )
 
 

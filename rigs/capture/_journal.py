@@ -174,7 +174,7 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
         return ()
     spent_s = sum(float(line["spent_s"]) for line in faults)
     return (
-        f"faults that did not stop the session: {', '.join(said)}; {JOURNAL_NAME} tells each ({spent_s:.1f} s lost)",
+        f"faults that did not stop the session: {', '.join(said)}; {JOURNAL_NAME} lists each ({spent_s:.1f} s lost)",
     )
 
 
