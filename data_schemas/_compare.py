@@ -165,7 +165,7 @@ class SensingError(Model):
     outside_share_captured: float
     rows: tuple[SensingRow, ...]
     mm_per_px_u_rel: RelativeUncertainty | None = Field(
-        default=None, description="of the scale that the map and its depths rest on; None: not known"
+        default=None, description="of the scale from which the map and its depths are computed; None: not known"
     )
 
 

@@ -292,7 +292,7 @@ def check_caches() -> Found:
             continue
         if folder == renderers:
             return _note(
-                f"{folder} cannot be written to: {why}; {what} compiles anew each time",
+                f"{folder} cannot be written to: {why}; {what} compiles again each time",
                 f"chmod u+rwx {_quoted(folder)}",
             )
         mend = "export NUMBA_CACHE_DIR=/a/folder/that/you/may/write"

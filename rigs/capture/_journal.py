@@ -111,7 +111,7 @@ class Journal:
             except OSError as error:
                 resume = f"finray capture --resume {self._path.parent}"
                 raise CaptureError(
-                    f"{self._path}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                    f"{self._path}: cannot be written ({error.strerror}); free space or repair the disk, then "
                     f"{resume if self._nameless is None else 'begin the capture again: nothing was captured yet'}"
                 ) from None
         self._told(event, what)
