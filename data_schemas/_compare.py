@@ -352,7 +352,7 @@ class ComparedPair(Model):
     skill: Interval | None = Field(default=None, description="headline of the report")
     floor_skill: Interval | None = Field(default=None, description="what a repeat of the no-contact image would score")
     contact_signal: NotNegative | None = Field(
-        default=None, description="squared change by the contact that skill is a share of; None: not known"
+        default=None, description="squared change by the contact, of which the skill is a share; None: not known"
     )
     findings: tuple[str, ...] = ()
     error: str | None = Field(default=None, description="why this pair could not be compared")

@@ -359,7 +359,8 @@ class FingerTolerances(Record):
     contact_places_mm: tuple[float, ...] = Field(description="middles of the contacts along the pad")
     rows: tuple[ToleranceRow, ...] = Field(min_length=1)
     together_factor: float | None = Field(
-        description="all half-ranges times this: 95 % of the fingers stay within what is allowed; null: beyond the box"
+        description="largest factor on all half-ranges at which 95 % of the fingers stay within what is allowed; "
+        "null: beyond the box"
     )
     together_low95: float | None = None
     together_high95: float | None = None

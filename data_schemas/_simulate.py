@@ -377,8 +377,8 @@ class PressMechanics(Record):
     )
     energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", allow_nan=True)] = Field(
         description="energy that is stored: strain, ties and contact; NaN where another program's results do not "
-        "hold it. Records without contact_energy_n_mm hold with the barrier also that of its drive and "
-        "the last friction"
+        "hold it. In records without contact_energy_n_mm, presses by the barrier also include the energy of its "
+        "drive and the last friction"
     )
     contact_energy_n_mm: PartOfEnergy | None = Field(default=None, description="of the energy, that of the contact")
     friction_work_n_mm: PartOfEnergy | None = Field(
