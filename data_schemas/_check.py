@@ -25,7 +25,7 @@ class CheckLimits(Model):
     handshake_s: PositiveS = Field(default=2.0, description="one answer of a device about its identity and state")
     move_s: PositiveS = Field(default=5.0, description="longest of the moves of the wheel")
     revisit_rel: RelativeUncertainty = Field(
-        default=0.01, description="RMS change of the white signal when the wheel goes away and comes back"
+        default=0.01, description="RMS change of the white signal after the wheel has left the filter and come back"
     )
     black_level_dn: SignalDn = Field(default=2.0, description="dark level apart from the rig file's black_level_dn")
     read_noise_rel: RelativeUncertainty = Field(

@@ -165,7 +165,7 @@ class SensingError(Model):
     outside_share_captured: float
     rows: tuple[SensingRow, ...]
     mm_per_px_u_rel: RelativeUncertainty | None = Field(
-        default=None, description="of the scale that the map and its depths rest on; None: not known"
+        default=None, description="of the scale from which the map and its depths are computed; None: not known"
     )
 
 
@@ -308,8 +308,9 @@ class PhotometricErrorReport(Record):
     interval_covers: str = Field(description="what the intervals cover, in plain words")
     interval_over: Literal["inputs", "pixels of this press"] | None = Field(
         default=None,
-        description="inputs: 95 % of what they leave open; pixels of this press: no more than the spread over parts of "
-        "the region, which says nothing of another press; None: not known (an older version)",
+        description="inputs: the interval holds 95 % of what the inputs leave open; pixels of this press: it is only "
+        "the spread over parts of the region and says nothing about another press; None: not known (an "
+        "older version)",
     )
     contact_signal: NotNegative | None = Field(
         default=None,
@@ -351,7 +352,7 @@ class ComparedPair(Model):
     skill: Interval | None = Field(default=None, description="headline of the report")
     floor_skill: Interval | None = Field(default=None, description="what a repeat of the no-contact image would score")
     contact_signal: NotNegative | None = Field(
-        default=None, description="squared change by the contact that skill is a share of; None: not known"
+        default=None, description="squared change by the contact, of which the skill is a share; None: not known"
     )
     findings: tuple[str, ...] = ()
     error: str | None = Field(default=None, description="why this pair could not be compared")

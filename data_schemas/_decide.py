@@ -134,14 +134,14 @@ class LightAngleDecision(Record):
     validated: bool = Field(description="False: not validated against a capture")
     discrepancy_rel: float | None = Field(
         description="sim-to-real error of the objective at an angle without capture, one standard deviation: median; "
-        "assumed where no capture tells it"
+        "assumed where there is no capture"
     )
     discrepancy_95_rel: tuple[float, float] | None = Field(default=None, description="its central 95 % interval")
     captures: tuple[DecidingCapture, ...] = ()
     statement: AngleStatement = Field(description="of the real finger, with the sim-to-real error")
     statement_simulation_only: AngleStatement
     grid_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
-    mean: Curve = Field(description="of the real finger, as simulation and captures (or the prior) tell together")
+    mean: Curve = Field(description="of the real finger, from simulation and captures (or the prior) together")
     low95: Curve
     high95: Curve
     mean_simulation_only: Curve
@@ -359,7 +359,8 @@ class FingerTolerances(Record):
     contact_places_mm: tuple[float, ...] = Field(description="middles of the contacts along the pad")
     rows: tuple[ToleranceRow, ...] = Field(min_length=1)
     together_factor: float | None = Field(
-        description="all half-ranges times this: 95 % of the fingers stay within what is allowed; null: beyond the box"
+        description="largest factor on all half-ranges at which 95 % of the fingers stay within what is allowed; "
+        "null: beyond the box"
     )
     together_low95: float | None = None
     together_high95: float | None = None

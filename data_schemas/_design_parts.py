@@ -217,7 +217,7 @@ class LightPanel(Model):
 
     angle_deg: AngleDeg = 30.0
     azimuth_deg: AngleDeg = Field(
-        default=0.0, description="where its light goes, seen along the pad: 0 along +z, 90 along +x"
+        default=0.0, description="direction of its light in the plane of the pad: 0 along +z, 90 along +x"
     )
     position_mm: tuple[PositionMm, PositionMm, PositionMm] = (0.0, -10.0, -1.0)
     width_mm: LengthMm = 20.0

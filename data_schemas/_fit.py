@@ -423,7 +423,7 @@ class PaintCalibration(Record):
     detection: EmissionDetection | None = Field(
         default=None, description="that there is emission, and how sure that is; none: not judged, by an older version"
     )
-    spectrum_from: str = Field(default="", description="what the reported spectrum rests on; empty: on the family")
+    spectrum_from: str = Field(default="", description="origin of the reported spectrum; empty: the family")
     family: str = Field(description="whose sampled parameters stand here, and with which pixels are mapped")
     family_title: str
     family_choice: str = Field(description="why this family, and how sure that is")

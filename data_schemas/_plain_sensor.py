@@ -34,7 +34,7 @@ class ColouredLight(Model):
 
     channel: Literal["red", "green", "blue", "white"]
     azimuth_deg: AngleDeg = Field(
-        default=0.0, description="where its light goes, seen along the pad: 0 along +z, 90 along +x"
+        default=0.0, description="direction of its light in the plane of the pad: 0 along +z, 90 along +x"
     )
     angle_deg: AngleDeg = Field(
         default=40.0, description="of the panel's normal from the pad plane: 0 along the pad, 90 straight into it"

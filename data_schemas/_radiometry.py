@@ -160,7 +160,7 @@ def _require_covariance(name: str, covariance: Floats) -> None:
     sd = np.sqrt(variance)
     correlation = covariance / np.outer(sd, sd)
     if np.abs(correlation - correlation.T).max(initial=0.0) > ASYMMETRY:
-        raise ValueError(f"{name} is not symmetric: give C_ij and C_ji alike")
+        raise ValueError(f"{name} is not symmetric: give C_ij and C_ji the same value")
     least = float(np.linalg.eigvalsh((correlation + correlation.T) / 2).min(initial=1.0))
     if least < LEAST_EIGENVALUE:
         raise ValueError(

@@ -238,8 +238,8 @@ class LaserSettings(Model):
     )
     outside_layer: OutsideLayer | None = Field(
         default=None,
-        description="what switches it off outside the computer; class 3R and above go on only with one, which the "
-        "driver 'arduino' brings in its firmware",
+        description="what switches it off outside the computer; lasers of class 3R and above are switched on only "
+        "with one, and the firmware behind the driver 'arduino' is one",
     )
 
     @model_validator(mode="after")

@@ -221,7 +221,8 @@ class SensedPress(Record):
     normal: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"), "1")]
     contact: Annotated[NDArray[np.uint8], ArraySpec("<u1", ("row", "column"))]
     depth_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None = Field(
-        description="standard uncertainty of the depth at one pixel, its level included; none: the map does not hold it"
+        description="standard uncertainty of the depth at one pixel, including that of its zero level; none: the map "
+        "does not hold it"
     )
     contact_depth_mm: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "mm"})]
     deepest_mm: float = Field(description="largest depth")
@@ -236,7 +237,7 @@ class SensedPress(Record):
         description="share of the contact's pixels whose change of colour no teaching press showed"
     )
     clipped_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(description="of the contact's pixels")
-    is_of_teaching: bool | None = Field(description="whether the press taught the map; none: the map does not tell")
+    is_of_teaching: bool | None = Field(description="whether the press taught the map; none: the map does not state it")
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")

@@ -59,7 +59,7 @@ class KnownInputs(Model):
     """
 
     names: tuple[str, ...] = Field(description="such as 'red paint', 'green paint', 'camera response'")
-    keys: tuple[str, ...] = Field(description="of each input: what its draws rest on, for example a checksum")
+    keys: tuple[str, ...] = Field(description="of each input: the origin of its draws, for example a checksum")
     evaluations: tuple[Literal["A", "B"], ...]
     sources: tuple[str, ...] = Field(description="where the uncertainty comes from, in plain words")
     factors: Annotated[NDArray[np.float32], ArraySpec("<f4", ("input", "draw", "3", "layer"))]
@@ -376,8 +376,9 @@ class PressMechanics(Record):
         description="force on the indenter: across the finger, along the pad's normal, along the finger"
     )
     energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", allow_nan=True)] = Field(
-        description="energy that is stored: strain, ties and contact; NaN where another program's results do not tell "
-        "it. Records without contact_energy_n_mm hold with the barrier also that of its drive and the last friction"
+        description="energy that is stored: strain, ties and contact; NaN where another program's results do not "
+        "hold it. In records without contact_energy_n_mm, presses by the barrier also include the energy of its "
+        "drive and the last friction"
     )
     contact_energy_n_mm: PartOfEnergy | None = Field(default=None, description="of the energy, that of the contact")
     friction_work_n_mm: PartOfEnergy | None = Field(

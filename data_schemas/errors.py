@@ -138,7 +138,7 @@ def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
     try:
         yield
     except kind as error:
-        if not paths or any(str(error).startswith(str(path)) for path in paths):
+        if not paths or any(str(error).startswith((f"{path}:", f"{path},", f"{path}/")) for path in paths):
             raise
         raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None
 

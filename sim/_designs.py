@@ -518,7 +518,7 @@ SENSORS: Final[dict[str, tuple[str, Callable[[str], PlainSensor]]]] = {
     "gelsight-flat": ("classic sensor: flat GelSight, red, green and blue from three sides", _gelsight_flat),
     "digit": ("classic sensor: DIGIT, a rounded gel over three LEDs", _digit),
     "9dtact": ("classic sensor: 9DTact, translucent gel before black gel under white light", _nine_dtact),
-    "gelsight-wedge": ("classic sensor: GelSight Wedge, the camera looks at the pad aslant", _gelsight_wedge),
+    "gelsight-wedge": ("classic sensor: GelSight Wedge, its camera looks at the pad at an angle", _gelsight_wedge),
 }
 """Name -> (what it is, its builder)."""
 

@@ -101,7 +101,7 @@ def _telling(rig: "RigFile") -> Iterator[Progress]:
 
 GAUGE_HELP = "gauge R&R: how much of the scatter comes from the measurement"
 GAUGE_DESCRIPTION = """\
-Analyse a gauge study: several samples, each measured in the same sessions, with repeats and, optionally, mounted anew
+Analyse a gauge study: several samples, each measured in the same sessions, with repeats and, optionally, mounted again
 within a session. Take five samples or more that differ as yours do, and six sessions or more: with three, the interval
 of the measurement's standard deviation spans a factor of five.
 

@@ -39,7 +39,7 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument(
         "records", type=Path, nargs="*", metavar="SIMULATED ... CAPTURE",
         help="record of a simulated press and of a tactile capture; or folders of simulated presses, one of each "
-        "simulator, and last the folder of captures; a zip archive of one serves as well",
+        "simulator, and last the folder of captures; a folder may be a zip archive",
     )  # fmt: skip
     parser.add_argument(
         "--pairs", type=Path, metavar="CSV",
@@ -146,7 +146,7 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--known-first-touch", action="store_true",
-        help="with --force: displacements count from first touch; it is not fitted",
+        help="with --force: displacements are measured from first touch, which is not fitted",
     )  # fmt: skip
     parser.add_argument(
         "--other-mesh", type=Path, metavar="FILE",

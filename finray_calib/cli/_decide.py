@@ -36,7 +36,8 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )  # fmt: skip
     parser.add_argument(
         "--weights", type=_weights, metavar="W,W,...",
-        help="how often each touch occurs, in the order of the sweeps (default: all alike), e.g. from a log of grasps",
+        help="how often each touch occurs, in the order of the sweeps (default: all equally), e.g. from a log of "
+             "grasps",
     )  # fmt: skip
     parser.add_argument(
         "--criterion", choices=["average", "worst"], default="average",

@@ -416,8 +416,12 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
         help="contact circles that replace those of the recipe (CSV): image (name of the press), column_px, row_px, "
              "radius_px",
     )  # fmt: skip
-    parser.add_argument("--ball-diameter-mm", type=float, metavar="D", help="in the place of the recipe's")
-    parser.add_argument("--mm-per-px", type=float, metavar="S", help="in the place of the recipe's; not px per mm")
+    parser.add_argument(
+        "--ball-diameter-mm", type=float, metavar="D", help="diameter of the ball, replaces that of the recipe"
+    )
+    parser.add_argument(
+        "--mm-per-px", type=float, metavar="S", help="mm per pixel, replaces that of the recipe; not px per mm"
+    )
     parser.add_argument(
         "--predict-from", type=int, metavar="N", help="teach a table with N presses and predict the others"
     )

@@ -149,8 +149,6 @@ def characterise(folder: Path, out: Path | None, page: Path | None = None) -> No
     session = read_camera_session(folder)
     out = require_new(out or Path(f"{file_name(session.plan.camera_name)}.camera.json"), ".json")
     page = None if page is None else require_new(page, ".html")
-    if page is not None and page.absolute() == out.absolute():
-        raise RadiometryError(f"{page}: --out and --report are one file; give the page a name that ends in .html")
     with progress_bar("radiometry"), naming(RadiometryError, folder):
         camera = characterise_camera(session, lambda frame: read_frame_of(folder, frame))
     origin = provenance(command_line(), input_digests([folder / SESSION_NAME]))

@@ -319,7 +319,7 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
     if record.held_out_depth_rms_mm is not None and record.held_out_height_error_rel is not None:
         off = float((record.held_out_height_error_rel**2).mean() ** 0.5)
         say(f"  depth inside the contact {_spread(record.held_out_depth_rms_mm, 3)} mm rms; height from rim to middle")
-        say(f"  off by {off:.1%} rms, {record.held_out_height_error_rel.mean():+.1%} on average")
+        say(f"  wrong by {off:.1%} rms, {record.held_out_height_error_rel.mean():+.1%} on average")
 
 
 def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path | None) -> "list[TactileCapture]":

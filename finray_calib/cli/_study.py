@@ -299,7 +299,7 @@ def _tell_two_lights(study: "TwoLights") -> None:
         numbers = f"{u.variation_rel:9.2f}{u.middle_variation_rel:21.2f}{u.min_to_max_ratio:30.2f}{u.noise_rel:25.2f}"
         say(f"  {u.lights:28s}{u.channel:9s}{numbers}")
     say(
-        "  red, green, led: light of each paint and of the LEDs, before the camera; R, G, B: what it makes of them."
+        "  red, green, led: light of each paint and of the LEDs, before the camera; R, G, B: the camera's channels."
         f"\n  Cells of {study.cell_mm:g} mm; their noise is taken out of sd / mean, not of darkest / brightest."
     )
 

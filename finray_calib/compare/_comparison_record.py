@@ -379,7 +379,7 @@ _NOT_PRESSES: Final = (
 )
 COVERS_PARTS = f"{_PARTS}; no input of this image has a known uncertainty. {_NOT_PRESSES}"
 COVERS_CURVE = (
-    f"{_PARTS}; what {{unknown}} leaves open is in them; no other input of this image has a known uncertainty. "
+    f"{_PARTS}; they include what {{unknown}} leaves open; no other input of this image has a known uncertainty. "
     f"{_NOT_PRESSES}"
 )
 
@@ -465,7 +465,8 @@ def notes_of(
     if block_px > 1:
         notes.append(
             f"compared over blocks of {block_px} x {block_px} px, at most a quarter of the contact's half-width, so "
-            f"that noise leaves the headline uncertain by {LARGEST_HEADLINE_NOISE:g}, or as little as such blocks allow"
+            f"that noise makes the headline uncertain by no more than {LARGEST_HEADLINE_NOISE:g}, or by as little as "
+            f"such blocks allow"
         )
     if capture.repeat_no_contact is None:
         notes.append("no repeat of the no-contact image: neither the floor nor the camera's noise is known")

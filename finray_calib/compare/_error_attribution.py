@@ -499,7 +499,8 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
         )
     if cause == "shading":
         return (
-            f"light changes across the picture by up to {float(np.abs(theta).max()):.1%} otherwise than simulated: "
+            f"the change of light across the picture differs by up to {float(np.abs(theta).max()):.1%} from the "
+            f"simulated one: "
             "check how the lights fall off, and let them warm up"
         )
     if cause == "blur":

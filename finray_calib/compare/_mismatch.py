@@ -225,7 +225,7 @@ def _gain_findings(nuisances: Nuisances, repeat: Floats | None, capture: Tactile
     elif not gain.is_refused:
         text += "it was not taken out, because it may be an error of the render; "
     elif (gain.uneven > size)[channel] and size[channel] <= np.log1p(REFUSED_GAIN_REL):
-        text += f"across the picture it changes by {gain.uneven[channel]:.1%}, so that it is no gain; "
+        text += f"across the picture it changes by {gain.uneven[channel]:.1%}, so it is not a gain; "
     text += "capture both with the same exposure, gain, white balance and bit depth"
     return [Finding("refuse" if gain.is_refused else "warn", "exposure", text)]
 

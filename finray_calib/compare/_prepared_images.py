@@ -320,8 +320,8 @@ def _require_same_light(press: SimulatedPress, capture: TactileCapture) -> None:
     allowed_deg = _allowed(_SAME_ANGLE_DEG, capture.light_angle_uncertainty_deg)
     if abs(rendered_deg - captured_deg) > allowed_deg:
         raise CompareError(
-            f"{press.name} is lit at {rendered_deg:g} deg, {capture.name} at {captured_deg:g} deg; up to "
-            f"{allowed_deg:.2g} deg apart are one light: simulate with the capture's light.angle_deg"
+            f"{press.name} is lit at {rendered_deg:g} deg, {capture.name} at {captured_deg:g} deg; the two may "
+            f"differ by at most {allowed_deg:.2g} deg: simulate with the capture's light.angle_deg"
         )
 
 
@@ -337,8 +337,8 @@ def _require_same_indenter(name: str, rendered: Indenter, capture: TactileCaptur
         return
     if abs(rendered.radius_mm / captured.radius_mm - 1.0) > _SAME_RADIUS_REL * (1.0 + 1e-9):
         raise CompareError(
-            f"{name} presses a {_described(rendered)}, {capture.name} a {_described(captured)}; up to "
-            f"{_SAME_RADIUS_REL:.0%} apart are one size: simulate with the capture's indenter.radius_mm"
+            f"{name} presses a {_described(rendered)}, {capture.name} a {_described(captured)}; the radii may differ "
+            f"by at most {_SAME_RADIUS_REL:.0%}: simulate with the capture's indenter.radius_mm"
         )
 
 
@@ -361,7 +361,7 @@ def _require_same_push(name: str, rendered: Indenter, capture: TactileCapture) -
         allowed_mm = _allowed(same_mm, uncertainty_mm)
         if captured_mm is not None and abs(rendered_mm - captured_mm) > allowed_mm:
             raise CompareError(
-                f"{name} is pressed {rendered_mm:g} mm {where}, {capture.name} {captured_mm:g} mm; up to "
-                f"{allowed_mm:.2g} mm apart are one {what}: simulate with the capture's indenter.{field}, or, if it is "
+                f"{name} is pressed {rendered_mm:g} mm {where}, {capture.name} {captured_mm:g} mm; the {what} may "
+                f"differ by at most {allowed_mm:.2g} mm: simulate with the capture's indenter.{field}, or, if it is "
                 f"not known so well, state {field.removesuffix('_mm')}_uncertainty_mm in the capture"
             )

@@ -73,8 +73,8 @@ def captures_within(
             kept.append(capture)
         else:
             notes.append(
-                f"{capture.name} is left out: its light stood at {capture.angle_deg:g} deg, outside the sweep "
-                f"({first:g} to {last:g} deg), so the decision is not validated by it"
+                f"{capture.name} is left out: its light was at {capture.angle_deg:g} deg, outside the sweep "
+                f"({first:g} to {last:g} deg), so it does not validate the decision"
             )
     return kept, notes
 

@@ -76,7 +76,7 @@ CHECKS: Final = (
     Check("solver", f"{_HERE}:check_solver", "bad", "pip uninstall pypardiso mkl   (SciPy's solver takes over)"),
     Check("compiler", f"{_HERE}:check_compiler", "bad", "pip install --upgrade --force-reinstall numba llvmlite"),
     Check("memory", f"{_HERE}:check_memory", "note", ""),
-    Check("disk", f"{_HERE}:check_disk", "bad", "work in a folder of a disk that answers"),
+    Check("disk", f"{_HERE}:check_disk", "bad", "work in a folder on a disk that responds"),
     Check("caches", f"{_HERE}:check_caches", "bad", "export XDG_CACHE_HOME=/a/folder/that/you/may/write"),
     Check("serial ports", f"{_HERE}:check_serial_ports", "note", ""),
     Check("drivers", f"{_HERE}:check_drivers", "note", "pip uninstall the package whose driver dies"),
@@ -292,7 +292,7 @@ def check_caches() -> Found:
             continue
         if folder == renderers:
             return _note(
-                f"{folder} cannot be written to: {why}; {what} compiles anew each time",
+                f"{folder} cannot be written to: {why}; {what} compiles again each time",
                 f"chmod u+rwx {_quoted(folder)}",
             )
         mend = "export NUMBA_CACHE_DIR=/a/folder/that/you/may/write"

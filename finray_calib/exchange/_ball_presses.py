@@ -196,7 +196,10 @@ def read_ball_presses(folder: Path, mm_per_px: float, ball_diameter_mm: float | 
     elif (folder / CIRCLES).is_file():
         presses = _circled(folder, ball_diameter_mm)
     else:
-        raise ImportFormatError(f"{folder}: there is neither {CATALOG} (gs_sdk) nor {CIRCLES}; see the how-to")
+        raise ImportFormatError(
+            f"{folder}: there is neither {CATALOG} (gs_sdk) nor {CIRCLES}; add one of them "
+            f"(docs/how-to/exchange-with-taxim.md)"
+        )
     if not presses:
         raise ImportFormatError(f"{folder}: no labelled press in it; label the contact circles first")
     captures = press_captures(presses, read_rgb(background), scale, f"ball presses of '{folder.resolve().name}'")

@@ -70,7 +70,8 @@ def ball_presses(design: FingerDesign, view: PlannedView) -> IndenterPresses:
         raise RecordError(
             f"pad: {pad.length_mm:g} x {pad.width_mm:g} x {pad.thickness_mm:g} mm, of which "
             f"{max(tip - base, 0.0):.1f} x {max(2.0 * half, 0.0):.1f} mm are seen, leaves no room for presses of a "
-            f"ball of {radius:g} mm radius to {deepest:g} mm; a normal map cannot be asked for"
+            f"ball of {radius:g} mm radius to {deepest:g} mm, which a normal map needs; change the pad or the camera "
+            f"of the design"
         )
     reach_mm = half - rim
     columns = BALL_PRESSES // len(_ACROSS_REL)

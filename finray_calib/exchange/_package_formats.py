@@ -77,7 +77,8 @@ def _entry_of(name: str) -> EntryPoint:
     if len(found) > 1:
         packages = sorted(_package(entry) for entry in found)
         raise ImportFormatError(
-            f"format '{name}' is offered by {' and by '.join(packages)}, and only one can be meant; uninstall one of "
+            f"format '{name}' is offered by {' and by '.join(packages)}, and finray cannot know which one you mean; "
+            f"uninstall one of "
             "them, or ask its author for another name"
         )
     return found[0]

@@ -532,7 +532,8 @@ def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
     pattern = recipe.presses.files
     if pattern.count(PRESS) != 1:
         raise ImportFormatError(
-            f"recipe '{recipe.name}': presses.files = \"{pattern}\" must have {PRESS} once: it names the press"
+            f"recipe '{recipe.name}': presses.files = \"{pattern}\" must contain {PRESS} exactly once: it stands for "
+            f"the name of the press"
         )
     _require_inside(pattern)
     parts = re.split(r"(\{press\}|\*)", pattern)

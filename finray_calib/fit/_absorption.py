@@ -220,8 +220,9 @@ def draw_candidates(
     lost = cumulated[:, -1] == 0
     if lost.any():
         raise FitError(
-            f"absorption: none of {CANDIDATES} shapes of the prior agrees with the yields under the lights and an "
-            f"emission maximum at {modes_nm[lost][0]:g} nm; check the other lights' sessions (same paint, laser power) "
+            f"absorption: none of {CANDIDATES} shapes of the prior agrees both with the yields under the lights and "
+            f"with an emission maximum at {modes_nm[lost][0]:g} nm; check the other lights' sessions (same paint, "
+            f"laser power) "
             "or leave them out"
         )
     mean = share @ weight

@@ -133,8 +133,9 @@ def _record(patches: ColourCheckerPatches, paint_dn: Floats, frame: Frame, passe
         statement=(
             f"reflectance of ColorChecker patch '{closest.patch}', the closest to the paint in room light (CIEDE2000 "
             f"{closest.delta_e:.1f}; next '{runner_up.patch}' {runner_up.delta_e:.1f}; the camera predicts the patches "
-            f"themselves within {np.median(match.camera_delta_e):.1f}): a stand-in with {uncertainty_rel:.0%} relative "
-            f"standard uncertainty (+- {sd:.2f} at every wavelength); light that the paint re-emits is part of its "
+            f"themselves within {np.median(match.camera_delta_e):.1f}): used in place of a measurement, with "
+            f"{uncertainty_rel:.0%} relative standard uncertainty (+- {sd:.2f} at every wavelength); light that the "
+            f"paint re-emits is part of its "
             "colour"
         ),
     )

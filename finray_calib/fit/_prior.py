@@ -356,7 +356,7 @@ PAINT_DISCREPANCY = Discrepancy(
 )
 """What measured paints, inks, papers and textiles ask for with the default family."""
 
-NO_DISCREPANCY = Discrepancy(0.0, 12.0, 0.0, 0.0, "none: the curve is taken to be exactly of the family")
+NO_DISCREPANCY = Discrepancy(0.0, 12.0, 0.0, 0.0, "none: the curve is assumed to follow its family exactly")
 
 _erfc = np.vectorize(math.erfc, otypes=[np.float64])
 _quantile = np.vectorize(NormalDist().inv_cdf, otypes=[np.float64])

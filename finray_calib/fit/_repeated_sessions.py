@@ -145,8 +145,8 @@ def _notes(scatter: SessionScatter) -> tuple[str, ...]:
 def departing_warnings(scatter: SessionScatter) -> tuple[str, ...]:
     """Return a warning for each session that differs from the others by more than they scatter."""
     return tuple(
-        f"session {number} departs from the other sessions more than they scatter (p < {DEPARTS_P:g}): look at its "
-        "frames, or leave it out and say so"
+        f"session {number} differs from the other sessions by more than these differ from each other (p < "
+        f"{DEPARTS_P:g}): look at its frames, or leave it out and state that you did"
         for number in scatter.departing
     )
 

@@ -485,7 +485,7 @@ def check_reach(curve: ForceCurve, measured: MeasuredForce, offset_mm: float) ->
 def _deeper(name: str, deepest_mm: float, curve: ForceCurve) -> str:
     """Return what to do where a press is not deep enough."""
     return (
-        f"{name}: reaches {deepest_mm:.4g} mm or more from first touch, the simulated press serves to "
+        f"{name}: reaches {deepest_mm:.4g} mm or more from first touch, but the simulated press reaches only "
         f"{curve.reach_mm:.4g} mm; simulate with a larger indenter.depth_mm, or leave the deeper points out"
     )
 

@@ -600,7 +600,7 @@ def compare(kind: str, before: Mapping[str, Any], again: Mapping[str, Any]) -> R
             told.append(f"{place}: {_shown(a)} before, {_shown(b)} now")
     words = f"{values} values, {changed} differ"
     if changed and math.isfinite(largest_rel):
-        words += f", at most by {largest_rel:.2g} of the largest of their field"
+        words += f", by at most {largest_rel:.2g} of the largest value of their field"
     if told:
         more = [f"and {len(told) - MOST_DIFFERENCES} more fields"] if len(told) > MOST_DIFFERENCES else []
         sentence = f"REPLAYED, DIFFERS: {words} (tolerance of a {kind}: {tolerance_rel:g})"

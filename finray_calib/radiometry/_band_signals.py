@@ -134,7 +134,7 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps, accept_repeat: 
             *session.notes,
             f"light repeatability from exposure brackets: {100 * steps.repeatability_rel:.2f} % per exposure",
             f"largest dark drift from before to after: {max(abs(d.drift_dn) for d in steps.darks.values()):.3f} DN",
-            f"texture of paint and white tile: {100 * y.texture_sd_rel:.2f} % of every band alike",
+            f"texture of paint and white tile: {100 * y.texture_sd_rel:.2f} %, the same in every band",
             *_beyond_the_tile(steps),
             *([] if trend is None else [bleaching_note(trend.record)]),
             *map(tilt_note, ratios),
@@ -226,8 +226,9 @@ def _beyond_the_tile(steps: SessionSteps) -> tuple[str, ...]:
     if dimmest_rel >= SMALLEST_BLOCK_REL:
         return ()
     return (
-        f"the darkest of {len(blocks)} blocks of the region has {dimmest_rel:.0%} of the brightest one's light on the "
-        "white tile: the region reaches beyond the tile or the light, and all values are biased; correct plan.region",
+        f"the darkest of {len(blocks)} blocks of the region has {dimmest_rel:.0%} of the light of the brightest one "
+        f"on the white tile: the region extends beyond the tile or the light, and all values are biased; correct "
+        f"plan.region",
     )
 
 

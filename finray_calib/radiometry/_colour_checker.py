@@ -103,7 +103,7 @@ def find_colour_checker(linear_rgb: Floats, reference: Floats) -> ColourCheckerP
         if best is not None and best[0].mismatch_rel < GOOD_MISMATCH_REL:
             break
     if best is None or best[0].mismatch_rel > LARGEST_MISMATCH_REL:
-        seen = "" if best is None else f" (the best candidate's colours are off by {best[0].mismatch_rel:.0%})"
+        seen = "" if best is None else f" (the colours of the best candidate differ by {best[0].mismatch_rel:.0%})"
         raise RadiometryError(
             f"no ColorChecker is found in the frame of {linear_rgb.shape[0]} x {linear_rgb.shape[1]} cells{seen}: the "
             "whole chart must be in view and unshaded, its patches at least 10 cells (20 px) a side"

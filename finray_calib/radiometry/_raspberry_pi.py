@@ -572,17 +572,19 @@ def processed_signal(
     values: Floats = np.interp(encoded, curve[:, 1], curve[:, 0])
     code_sd = float(np.sqrt(ROUNDING_CODES**2 + PROCESSING_CODES**2 + (JPEG_CODES**2 if compressed else 0.0)))
     steps = [
-        f"tone curve of the tuning inverted; {code_sd:.1f} of 255 codes carried for rounding, assumed sharpening and "
-        "denoising" + (", JPEG" if compressed else "")
+        f"tone curve of the tuning inverted; {code_sd:.1f} of 255 codes of uncertainty for rounding, assumed "
+        f"sharpening and denoising" + (", JPEG" if compressed else "")
     ]
     variance = (_slope(encoded, curve) * code_sd / LARGEST_CODE) ** 2
     if tuning.contrast is not None:
         variance += _stretch_sd(values, tuning) ** 2
-        steps.append("contrast stretched from image to image (ce_enable): not undone, its limits are carried")
+        steps.append(
+            "contrast stretched from image to image (ce_enable): not undone, but its limits are in the uncertainty"
+        )
     bound = 0.0 if tuning.shading is None else tuning.shading.adaptive_bound_rel
     if bound:
         variance += (bound / np.sqrt(3.0) * np.array([1.0, 0.0, 1.0]) * values) ** 2
-        steps.append(f"red and blue shading adapts within {bound:.0%}: not undone, carried")
+        steps.append(f"red and blue shading adapts within {bound:.0%}: not undone, but included in the uncertainty")
     lost = codes == LARGEST_CODE
     if undo_colour:
         matrix = _undoing_matrix(tuning, settings)

@@ -213,7 +213,7 @@ def _lines(comparison: ForceComparison) -> Iterator[str]:
         rms = row.rms_rel
         yield f"{row.candidate:<12}{rms.estimate:8.1%}" + _interval(rms, ".1%", "  ")
     if comparison.first_touch is None:
-        yield "first touch: displacements count from it, nothing fitted"
+        yield "first touch: displacements are measured from it; it is not fitted"
     else:
         offset = comparison.first_touch.offset_mm
         known = "" if comparison.withheld else f", u = {comparison.first_touch.u_mm:.3f} mm"

@@ -378,7 +378,7 @@ def widened_factor(resampled_u_rel: float, at_middle: ScaleDraws) -> float:
     if ratio > LARGEST_WIDENED_FACTOR:
         raise CompareError(
             f"the scale scatters {ratio:.0f} times as much when pictures are drawn with replacement as independent "
-            f"corners allow; up to {LARGEST_WIDENED_FACTOR:g} times can be stated: the lens rests on one or two of the "
-            "pictures, or the board was not rigid. Take more pictures"
+            f"corners allow; at most {LARGEST_WIDENED_FACTOR:g} times is accepted: one or two of the pictures alone "
+            f"determine the lens, or the board was not rigid. Take more pictures"
         )
     return ratio if ratio > _SCATTER_FACTOR else 1.0

@@ -189,8 +189,8 @@ def _require_facing(found: LensCalibration, pad: BoardView) -> None:
     angle_deg = float(np.rad2deg(np.arccos(min(cosine, 1.0))))
     if angle_deg > MOST_OBLIQUE_DEG:
         raise CompareError(
-            f"{pad.name}: the board on the pad is seen at {angle_deg:.0f} deg from its normal, up to "
-            f"{MOST_OBLIQUE_DEG:g} deg can be measured: is it flat on the pad, and is this the picture of it?"
+            f"{pad.name}: the board on the pad is seen at {angle_deg:.0f} deg from its normal, and at most "
+            f"{MOST_OBLIQUE_DEG:g} deg is allowed: is it flat on the pad, and is this the picture of it?"
         )
 
 

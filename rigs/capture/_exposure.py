@@ -395,7 +395,7 @@ class TactileCamera:
         if not math.isfinite(raw.exposure_s):
             if not self._one_exposure:
                 raise RefusedError(
-                    "camera: does not say its exposure time, so that a bracket would be the same image several times; "
+                    "camera: does not report its exposure time, so a bracket would be the same image several times; "
                     "give one exposure in exposures_s (the one set at the camera's server)"
                 )
         elif abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:

@@ -111,7 +111,7 @@ class Journal:
             except OSError as error:
                 resume = f"finray capture --resume {self._path.parent}"
                 raise CaptureError(
-                    f"{self._path}: cannot be written ({error.strerror}); free space or mend the disk, then "
+                    f"{self._path}: cannot be written ({error.strerror}); free space or repair the disk, then "
                     f"{resume if self._nameless is None else 'begin the capture again: nothing was captured yet'}"
                 ) from None
         self._told(event, what)
@@ -171,14 +171,14 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
     said += [f"{retaken} frames were taken again"] if retaken else []
     said += [f"a light was lost {lost} times"] if lost else []
     aside = sum(int(line["frames"]) for line in lines if line["event"] == "set aside")
-    repaired = f"{aside} frames from before a repair were set aside and taken again; {JOURNAL_NAME} tells why"
+    repaired = f"{aside} frames from before a repair were set aside and taken again; {JOURNAL_NAME} says why"
     notes = (repaired,) if aside else ()
     if not said:
         return notes
     spent_s = sum(float(line["spent_s"]) for line in faults)
     return (
         *notes,
-        f"faults that did not stop the session: {', '.join(said)}; {JOURNAL_NAME} tells each ({spent_s:.1f} s lost)",
+        f"faults that did not stop the session: {', '.join(said)}; {JOURNAL_NAME} lists each ({spent_s:.1f} s lost)",
     )
 
 

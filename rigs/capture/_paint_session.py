@@ -650,4 +650,6 @@ def require_ready(opened: OpenRig, steps: Sequence[Step]) -> None:
         )
     for name, light in (("lamp", opened.lamp), ("laser", opened.laser)):
         if light.state():
-            raise CaptureError(f"{name}: is on although nobody asked; switch it off and look at its controller")
+            raise CaptureError(
+                f"{name}: is on although nothing has switched it on; switch it off and look at its controller"
+            )

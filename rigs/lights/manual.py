@@ -59,7 +59,7 @@ class ManualSwitch:
             Nothing was confirmed yet.
         """
         if self._confirmed is None:
-            raise RefusedError("lamp: nobody has confirmed whether it is on or off; have it switched off first")
+            raise RefusedError("lamp: nobody has confirmed whether it is on or off; switch it off first")
         return self._confirmed
 
     def keep_alive(self) -> None:

@@ -49,7 +49,7 @@ KEYS: Final = " l LIGHT OFF   Enter done, go on   y n yes, no   q end   ? help"
 HELP: Final = (
     "l Space Esc    all lights off, and none is lit before you say so; the frame",
     "               under way is discarded and taken again",
-    "Enter          what was asked for is done: go on",
+    "Enter          you have done what was asked: continue",
     "y n            yes and no, where a question is asked",
     "g              goggles are on: light a laser of class 3R or above again",
     "e              end here, where that is offered",

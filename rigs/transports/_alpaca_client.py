@@ -122,7 +122,7 @@ class AlpacaClient:
         if self._model not in (None, model):
             raise RefusedError(
                 f"{self.name}: '{model}' answers now, '{self._model}' did before; correct the numbers in the address, "
-                "or set the server up as it was"
+                "or restore the server's configuration"
             )
         self._model, self._is_doubtful = model, False
 

@@ -344,7 +344,7 @@ def colour_spread(press: SimulatedPress, seed: int, draws: int = 400) -> ColourS
     bands, matrix = press.contact_bands, press.camera_matrix
     if bands is None or matrix is None or "led" not in press.bands:
         raise SimulateError(
-            f"{press.name} holds no band images: only a rendered press records what its colours rest on"
+            f"{press.name} holds no band images: only a rendered press records the origin of its colours"
         )
     mean = bands[np.isfinite(press.distance)].astype(np.float64).mean(axis=0)
     led, uncertainty = press.bands.index("led"), design.camera.response_at_led_uncertainty_rel

@@ -359,7 +359,8 @@ def _notes(finger: BareFinger, paints: Mapping[str, PaintDraws], bands: Sequence
     """Say what the numbers rest on."""
     light = finger.design.light
     elsewhere = [
-        f"{name}: its emission was measured under {paint.excited_at_nm:.0f} nm and is taken as it is under the LED's "
+        f"{name}: its emission was measured under {paint.excited_at_nm:.0f} nm and is assumed to be the same under "
+        f"the LED's "
         f"{light.peak_wavelength_nm:.0f} nm"
         for name, paint in paints.items()
         if paint.excited_at_nm is not None and abs(paint.excited_at_nm - light.peak_wavelength_nm) > light.fwhm_nm / 2.0

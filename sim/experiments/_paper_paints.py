@@ -601,7 +601,7 @@ def _location(paints: Sequence[PaintStandIn]) -> PaperStatement:
 def _whole_emission(paints: Sequence[PaintStandIn]) -> PaperStatement:
     """Check how well the four-parameter curve describes an emission that is seen completely."""
     return PaperStatement(
-        subject="emission curve, whole spectrum seen",
+        subject="emission curve, from the whole spectrum",
         paper=CURVE,
         measure=f"error of the curve fitted to the whole emission (of our log-normal); {GOOD}",
         ours=_each(
@@ -619,7 +619,7 @@ def _emission_from_bands(paints: Sequence[PaintStandIn]) -> PaperStatement:
         return f"{_percent(fit.residual_rel)} (band holds {_percent(fit.covered_share)})"
 
     return PaperStatement(
-        subject="emission curve, eight filter bands seen",
+        subject="emission curve, from eight filter bands",
         paper=CURVE + ", fitted by hand to eight bands",
         measure=f"error of the curve, {GOOD} (share of the measured emission in its 95 % band)",
         ours=_each(paints, lambda p: f"the paper's curve {words(p.paper_fit)}, ours {words(p.our_fit)}"),

@@ -540,7 +540,7 @@ def _require_chains(press: SimulatedPress, before: PaintBands, after: PaintBands
     """Refuse other paints where they need a new render."""
     if not press.chains:
         raise SimulateError(
-            f"{press.name} ({press.label}) does not hold each chain of fluorescence apart, which other paints need; "
+            f"{press.name} ({press.label}) does not hold each chain of fluorescence separately, as other paints need; "
             "render with --level b in a compiled variant (--engine llvm), or change camera and white balance only"
         )
     require_same_reflectance(before.reflectance, after.reflectance)

@@ -136,7 +136,7 @@ def test_few_sessions_decide_nothing():
     assert session_history(made(noise(10))).verdict == "UNDECIDED"
     alike = session_history(made(np.ones(12)))
     assert (alike.verdict, alike.watched) == ("UNDECIDED", ())
-    assert "exactly alike" in alike.waiting[0]
+    assert "exactly the same" in alike.waiting[0]
 
 
 def test_false_alarms_are_shared_by_all_charts():

@@ -180,7 +180,7 @@ def test_bracket_over_mjpeg_is_refused(tmp_path):
     plan = plan_of(tmp_path, PLAN.replace("[0.01]", "[0.01, 0.02]"))
     with (
         serving(stream_of(*(jpeg(n) for n in range(240)))) as address,
-        pytest.raises(RefusedError, match=r"does not say its exposure time.*give one exposure"),
+        pytest.raises(RefusedError, match=r"does not report its exposure time.*give one exposure"),
     ):
         capture(tmp_path, plan, mjpeg_rig(tmp_path, address, 320, 240), Hands())
 

@@ -85,7 +85,11 @@ def test_what_a_classic_sensor_presses_in_is_compared_too():
     capture = capture_of(press(), 50.0).model_copy(
         update={"indenter": IndenterPose(shape="ball", radius_mm=3.0, depth_mm=1.0, position_mm=10.0)}
     )
-    with pytest.raises(CompareError, match=r"a ball of radius 4 mm, .* a ball of radius 3 mm; up to 2% apart"):
+    with pytest.raises(
+        CompareError,
+        match=r"a ball of radius 4 mm, .* a ball of radius 3 mm; the radii may differ "
+        r"by at most 2%",
+    ):
         require_same_conditions(simulated, capture)
     given = sensor.model_copy(update={"surface": CoatSurface(file="coat.npy", step_mm=0.1)})
     mapped = simulated.model_copy(update={"sensor": given})

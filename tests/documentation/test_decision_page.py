@@ -148,7 +148,7 @@ def test_a_record_of_before_the_prior_says_that_it_rests_on_the_simulation():
     bare = {"discrepancy_rel": None, "discrepancy_95_rel": None}
     claim = ALONE.statement_simulation_only.model_copy(update={"p_within_tolerance": None})
     text = plain(page_of(ALONE.model_copy(update={**bare, "statement": claim, "statement_simulation_only": claim})))
-    assert "not validated against a capture: it holds only if the simulation is right" in text
+    assert "not validated against a capture: it holds only if the simulation is correct" in text
     assert "loss within 2 %, probability not stored" in text
     for absent in ("assumed sim-to-real error", "At an angle without a capture", "is lost with probability"):
         assert absent not in text

@@ -71,10 +71,10 @@ def test_two_lights_and_a_camera(stored, tmp_path):
     ],
 )
 def test_mistakes_end_with_status_2(stored, tmp_path, arguments, message):
-    outcome = finray(f"export {stored} {arguments} --out {tmp_path}/x")
+    outcome = finray(f"export {stored} {arguments} --out {tmp_path}/x.json")
     assert outcome.status == 2
     assert message in outcome.err
-    assert not (tmp_path / "x").exists()
+    assert not (tmp_path / "x.json").exists()
 
 
 def test_a_record_of_another_kind_is_refused(tmp_path):

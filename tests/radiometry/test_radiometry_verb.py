@@ -123,7 +123,7 @@ def test_the_page_of_a_camera_is_stored_with_its_record(camera_folder, tmp_path,
 
 
 def test_record_and_page_cannot_be_one_file(camera_folder, tmp_path) -> None:
-    with pytest.raises(RadiometryError, match="--out and --report are one file"):
+    with pytest.raises(RecordError, match=r"x\.json: must be a page: choose a --report that ends in \.html"):
         run(camera_folder, "--out", tmp_path / "x.json", "--report", tmp_path / "x.json")
     assert not (tmp_path / "x.json").exists()
 

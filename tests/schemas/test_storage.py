@@ -326,7 +326,7 @@ class TestFilesPeopleWrite:
             ("[indenter]\nacross_mm = 20.0\n", "must lie on the pad"),
             ("[indenter]\nposition_mm = 90.0\n", "must lie on the pad"),
             ("[camera]\nwidth_px = 641\n", "must be even"),
-            ("[mirror]\nreflectance = 88.0\n", r"mirror.reflectance' \(in 1\)"),
+            ("[mirror]\nreflectance = 88.0\n", r"mirror.reflectance': input should be less than or equal to 1"),
             (
                 '[origin]\n"pad.lenght_mm" = "measured"\n',
                 r"'origin': 'pad\.lenght_mm' is no field of the design; did you mean pad\.length_mm",

@@ -98,7 +98,7 @@ def test_two_to_five_per_cent_is_a_band_and_not_the_light(paper):
 
 @pytest.mark.shared_data
 def test_the_paper_curve_is_too_sure_on_eight_bands_and_ours_is_not(paper):
-    seen = by_subject(paper)["emission curve, eight filter bands seen"]
+    seen = by_subject(paper)["emission curve, from eight filter bands"]
     assert seen.verdict == "does not hold"
     theirs, ours = ([getattr(p, name) for p in paper.stand_ins] for name in ("paper_fit", "our_fit"))
     assert all(f.trusted for f in (*theirs, *ours))
@@ -149,7 +149,7 @@ def test_a_paint_as_the_paper_says_is_found_to_hold():
         assert statements[f"Stokes shift, {colour} paint"].verdict == "holds"
     assert statements["reradiation, read as share of the light"].verdict == "holds"
     assert statements["lambda_0 of the curve"].verdict == "holds"
-    assert statements["emission curve, eight filter bands seen"].verdict == "holds"
+    assert statements["emission curve, from eight filter bands"].verdict == "holds"
     # The fitter gives back what went in: the mode is known to some half a nm, so that 3 nm are beyond chance.
     for paint, mode_nm in zip(paper.stand_ins, (560.0, 540.0), strict=True):
         assert paint.paper_fit.parameters["mode_nm"].estimate == pytest.approx(mode_nm, abs=3.0)

@@ -210,7 +210,7 @@ def test_what_needs_a_new_render_is_refused(exciting):
     with pytest.raises(SimulateError, match=r"the light of chain led>red>red, .* would grow 3\.\d times .* 3 times"):
         recoloured(press(flat), wide)
     together = press(exciting, no_contact_chains=None, contact_chains=None, chains=())
-    with pytest.raises(SimulateError, match="does not hold each chain of fluorescence apart"):
+    with pytest.raises(SimulateError, match="does not hold each chain of fluorescence separately"):
         recoloured(together, other(exciting))
     assert recoloured(together, white_balance=(1.0, 1.0, 2.0)).chains == ()
     with pytest.raises(SimulateError, match="does not hold the light that it was rendered with"):

@@ -420,10 +420,10 @@ def _limits(optimum: DesignOptimum) -> tuple[str, ...]:
     return (
         "All numbers are simulated. How far the simulation is from a real finger is shared by all designs and not in "
         "the intervals; a gain holds on the bench only as far as the simulation ranks designs correctly.",
-        "The bound on what could still be gained rests on the emulator: smooth numbers within the limits. A narrow "
-        "optimum between all computed designs would not be seen.",
+        "The bound on the gain that is still possible comes from the emulator, which assumes smooth numbers within "
+        "the limits. A narrow optimum between the computed designs would not be seen.",
         "A panel is modelled as a sheet without thickness: its housing and wires may need more room than the model "
-        "shows. The camera's exposure is set anew for each design.",
+        "shows. The camera's exposure is set again for each design.",
         "When the finger was chosen, 1 % of one objective counted as much as 1 % of another; the front shows the "
         "alternatives.",
     )[: 4 if len(optimum.objectives) > 1 else 3]

@@ -187,8 +187,8 @@ def _share_table(rows: Sequence[ToleranceRow]) -> ReportTable:
 def _limits(found: FingerTolerances) -> tuple[str, ...]:
     """Say what the numbers do not know."""
     own = (
-        "Each finger is calibrated as it was built: a limit says how far it may be built from its drawing, not how far "
-        "it may change after its calibration."
+        "Each finger is calibrated as it was built: a limit states how far the built finger may differ from its "
+        "drawing, not how far it may change after its calibration."
         if found.calibration == "own"
         else "All fingers take the calibration of the finger as drawn, and have their own picture without contact."
     )

@@ -442,7 +442,7 @@ class TestLightInAFile:
                 (folder / "lies").touch()
                 os.kill(the_guard(str(folder)), signal.SIGKILL)
 
-        with pytest.raises(UnsafeError, match=r"NOT CONFIRMED OFF.*killed by SIGKILL.*still reports on"):
+        with pytest.raises(UnsafeError, match=r"NOT CONFIRMED OFF.*killed by SIGKILL.*still reports that it is on"):
             work()
 
     def test_guard_that_hangs_though_its_process_runs(self, folder):
