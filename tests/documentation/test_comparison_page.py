@@ -126,7 +126,7 @@ def test_without_a_repeat_or_a_brightness_the_bounds_stand_in_their_place():
     labels = re.findall(r'<div class="(\w+)"><dt>([^<]+)</dt>', html)
     assert labels == [
         ("care", "Skill of the simulation"),
-        ("care", "A repeated capture"),
+        ("care", "Skill of a repeated capture"),
         ("unjudged", "Doing nothing"),
     ]
 
