@@ -15,6 +15,7 @@ The tree (the command line prints the message and ends with status 2; no traceba
     │   ├── TimedOutError      a device did not answer or finish before its deadline
     │   ├── LostError          the connection to a device broke
     │   ├── WrongPositionError a filter wheel stands somewhere else than it should
+    │   ├── SignalChangedError a frame shows another signal than was metered before
     │   ├── BadFrameError      a frame is torn, stale or not what was asked for
     │   └── UnsafeError        a light could not be confirmed off
     ├── RadiometryError        frames cannot be turned into band signals

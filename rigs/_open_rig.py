@@ -21,6 +21,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 from urllib.parse import urlsplit
@@ -50,6 +51,7 @@ from rigs.light_guard import GuardedLight, off_lines
 from rigs.transports import indi_address
 
 if TYPE_CHECKING:
+    from rigs.simulated import BenchState
     from rigs.simulated.sensor import Sensor
 
 
@@ -309,7 +311,6 @@ def _open_simulated(
     # Imported here so that a rig of real devices never loads the simulation.
     from rigs.simulated import (
         Bench,
-        BenchFault,
         BenchState,
         SimulatedCamera,
         SimulatedClock,
@@ -322,13 +323,8 @@ def _open_simulated(
     slots = tuple(sorted(optic.slot for optic in rig.filter_wheel.filters))
     clock = SimulatedClock()
     state = BenchState(clock=clock, slot=slots[0], laser_power_mw=rig.laser.power_mw)
-
-    def practise(fault: PracticeFault | None) -> None:
-        filters, camera = rig.filter_wheel.filters, rig.camera
-        state.fault = fault and BenchFault(fault, filters, rig.lamp.temperature_k, camera.gain_e_per_dn)
-
     if rig.simulated is not None and rig.simulated.fault is not None:
-        practise(rig.simulated.fault)
+        _practise(state, rig, rig.simulated.fault)
         notes = (*notes, f"the simulated rig has a fault to practise on: {rig.simulated.practice_fault}")
     bench, sensor = Bench(rig, folder, response, filter_curves), _simulated_sensor(rig.camera, seed)
     return OpenRig(
@@ -342,8 +338,16 @@ def _open_simulated(
         lamp_spectrum=lamp,
         filter_curves=filter_curves,
         notes=notes,
-        practise=practise,
+        practise=partial(_practise, state, rig),
     )
+
+
+def _practise(state: "BenchState", rig: RigFile, fault: PracticeFault | None) -> None:
+    """Give the bench a fault to practise on, or take it away."""
+    from rigs.simulated import BenchFault
+
+    filters, camera = rig.filter_wheel.filters, rig.camera
+    state.fault = fault and BenchFault(fault, filters, rig.lamp.temperature_k, camera.gain_e_per_dn)
 
 
 def _simulated_sensor(camera: CameraSettings, seed: int) -> "Sensor":

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from data_schemas import FittedToneCurve, ForceComparison, InputUncertainty, PhotometricErrorReport, ValidationCell
 from finray_calib.reports._comparison_statements import row_of
-from finray_calib.reports._images import Floats, TouchChanges, coarser
+from finray_calib.reports._images import Floats, TouchChanges, coarser, on_grid
 from finray_calib.reports._plain_text import percent, signed_percent
 from finray_calib.reports._style import (
     BLUE,
@@ -64,9 +64,7 @@ def error_map_figure(
 
 def _top_inside(error: NDArray[np.float64], outline: NDArray[np.bool_]) -> float:
     """Return what 99 % of a map stays below inside an outline, on a grid of the same view: the end of its colours."""
-    rows = np.arange(error.shape[0]) * outline.shape[0] // error.shape[0]
-    columns = np.arange(error.shape[1]) * outline.shape[1] // error.shape[1]
-    inside = error[outline[np.ix_(rows, columns)]]
+    inside = error[on_grid(outline, error.shape)]
     shown = inside if np.isfinite(inside).any() else error
     return float(np.nanpercentile(shown, SHOWN_PERCENTILE))
 

@@ -264,6 +264,13 @@ class TouchPictures:
     clipped: tuple[Mask, Mask]
 
 
+def on_grid(mask: Mask, shape: tuple[int, ...]) -> Mask:
+    """Return a mask (H, W) on a coarser or finer grid of the same view; all of it where the mask is empty."""
+    rows, columns = (np.arange(n) * size // n for n, size in zip(shape, mask.shape, strict=True))
+    found = mask[np.ix_(rows, columns)]
+    return found if found.any() else np.full(shape, True)
+
+
 @dataclass(frozen=True, slots=True)
 class TouchChanges:
     """What the touch changes, mean over the channels relative to the untouched level, (H, W); NaN where clipped.
@@ -281,7 +288,7 @@ class TouchChanges:
 
         Beside the regions a dark picture changes by many times its level, and would leave nothing to see in them.
         """
-        inside = np.any(self.regions, axis=0) if self.regions else np.full(self.captured.shape, True)
+        inside = on_grid(np.any(self.regions, axis=0), self.captured.shape)
         both = np.abs(np.stack([self.captured[inside], self.simulated[inside]]))
         top = float(np.nanpercentile(both, 99.0)) if np.isfinite(both).any() else 0.0
         return top if top > 0 else 1.0

@@ -50,7 +50,7 @@ def page(html: str) -> Page:
 
 
 def test_the_page_says_that_noise_was_taken_out_only_where_it_was(html):
-    free, within = "which is not in the simulation\u2019s score", "which is in the simulation\u2019s score too"
+    free, within = "which is not in the simulation\u2019s skill", "which is in the simulation\u2019s skill too"
     encoded = page_of(REPORT.model_copy(update={"values": "encoded values, encoding unknown"}))
     linear, encoded = (text.replace("&#39;", "\u2019").replace("'", "\u2019") for text in (html, encoded))
     assert free in linear
@@ -126,7 +126,7 @@ def test_without_a_repeat_or_a_brightness_the_bounds_stand_in_their_place():
     labels = re.findall(r'<div class="(\w+)"><dt>([^<]+)</dt>', html)
     assert labels == [
         ("care", "Skill of the simulation"),
-        ("care", "A repeated capture"),
+        ("care", "Skill of a repeated capture"),
         ("unjudged", "Doing nothing"),
     ]
 

@@ -37,6 +37,7 @@ from finray_calib.reports._fit_figures import (
 )
 from finray_calib.reports._images import (
     CLIPPED_GREYS,
+    TouchChanges,
     is_unmixed,
     png_bytes,
     png_data_uri,
@@ -349,3 +350,12 @@ def test_words_under_the_pointer_are_escaped_and_readers_of_a_screen_skip_them()
     (overlay,) = parsed.all("svg")
     assert overlay["aria-hidden"] == "true"
     assert [image["alt"] for image in parsed.all("img")] == ["what it shows"]
+
+
+def test_the_colours_of_a_change_are_those_of_the_regions_and_not_of_what_lies_beside_them():
+    """Beside the touch the change is 5, in its region 0.3; the maps are coarser than the mask."""
+    region = np.zeros((8, 12), bool)
+    region[2:6, 4:8] = True
+    captured = np.where(region[::2, ::2], 0.3, 5.0)
+    assert TouchChanges(captured, -captured, (region,)).scale == pytest.approx(0.3)
+    assert TouchChanges(captured, captured, (np.zeros((8, 12), bool),)).scale == pytest.approx(5.0)
