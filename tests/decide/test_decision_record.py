@@ -33,7 +33,7 @@ def test_without_a_report_it_carries_the_prior_of_the_error_and_decides_nothing(
     assert any("until one does, the error is taken to be a curve that is moved" in note for note in decision.notes)
     assert "it stays undecided until one does" in decision.sentence
     assert decision.sentence.startswith(decision.headline)
-    assert decision.headline.startswith("For one place only (35 mm from the base), mount the light at 3")
+    assert decision.headline.startswith("For one place only (35 mm from the base), for now, mount the light at 3")
     assert decision.angle_deg == pytest.approx(BEST_DEG, abs=2)
     assert decision.angle_simulation_only_deg == pytest.approx(BEST_DEG, abs=2)
     assert "no capture has checked it" in decision.sentence
