@@ -115,7 +115,8 @@ class _Display:
         """Return the display of a capture and of the candidates' images."""
         linear, near = capture.encoding == "linear", _around(headline, _filters(PIXELS_PER_DEGREE).reach_px)
         white_dn = display_white_dn(captured.no_contact) if linear else full_scale_dn(capture)
-        finite = np.isfinite(sum(image[near] for image in (captured.contact, *images))).all(axis=2, keepdims=True)
+        seen = np.isfinite(sum((image[near] for image in images), captured.contact[near]))
+        finite = np.asarray(seen.all(axis=2, keepdims=True), dtype=np.bool_)
         srgb, where = _displayed(captured.contact[near], finite, white_dn, linear), headline[near]
         lab, perceived = srgb_to_lab(pixels_within(srgb, where)), perceived_image(srgb, where)
         return cls(headline, near, finite, white_dn, linear, lab, perceived)

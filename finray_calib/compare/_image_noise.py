@@ -217,6 +217,5 @@ def block_mean(image: Image, side_px: int) -> Image:
         total /= side_px**2
         return total
     # whole rows first: numpy's sum over both axes at once takes several times as long
-    total = cut.reshape(rows, side_px, columns * side_px).sum(axis=1).reshape(rows, columns, side_px).sum(axis=2)
-    total /= side_px**2
-    return total
+    of_rows = cut.reshape(rows, side_px, columns * side_px).sum(axis=1)
+    return np.asarray(of_rows.reshape(rows, columns, side_px).sum(axis=2) / image.dtype.type(side_px**2))
