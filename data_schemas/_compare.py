@@ -123,7 +123,7 @@ class ErrorRow(Model):
     ms_ssim: float | None = Field(default=None, description="multi-scale SSIM of the frame; None in small images")
     ciede2000_mean: float | None = Field(default=None, description="as displayed, mean over the region")
     ciede2000_p95: float | None = Field(default=None, description="as displayed, 95th percentile over the region")
-    flip_mean: float | None = Field(default=None, description="as displayed, mean over the region; needs extra 'flip'")
+    flip_mean: float | None = Field(default=None, description="as displayed, mean over the headline region")
     psnr_db: float | None = Field(description="None for identical images")
     ssim: float | None = Field(
         description="mean of the SSIM map over the region; for comparison with papers; None without a complete window"

@@ -16,7 +16,7 @@ from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._displayed_images import ShownCandidate
 from finray_calib.compare._input_draws import Drawn, ends
 from finray_calib.compare._photometric_error import ErrorDraws, RegionResult
-from finray_calib.compare._regions import usable_pixels
+from finray_calib.compare._regions import pixels_within, usable_pixels
 from finray_calib.sensing import SensingError, check_senses, full_scale_dn, normal_map_of, sensing_error
 
 Floats = NDArray[np.float64]
@@ -162,7 +162,8 @@ def error_row(name: str, candidate: ShownCandidate, region: ComparedRegion, draw
     images, centre = region.result.images, (region.best or region.result).images
     skills = images.skill(name, region.channel_weights), centre.skill(name, region.channel_weights)
     channels = np.where(region.told, np.median(centre.channel_skill(name), axis=0), np.nan)
-    mean_square = float(((candidate.image[region.used] - region.captured[region.used]) ** 2).mean())
+    apart = pixels_within(candidate.image, region.used) - pixels_within(region.captured, region.used)
+    mean_square = float((apart**2).mean())
     differences = candidate.colour_difference[region.used]
     ssim = candidate.similarity.mean_within(region.used)
     linear = _of_linear_light(name, candidate, region, drawn_images) if region.linear else _WITHHELD

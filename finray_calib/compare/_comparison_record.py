@@ -361,7 +361,9 @@ def _error_map(simulated: Floats, comparison: Comparison) -> NDArray[np.float32]
     """Return the error per pixel: rms over channels of (simulated - captured) / mean no-contact level."""
     captured = comparison.captured
     level = np.nanmean(captured.no_contact, axis=(0, 1))
-    error: Floats = np.sqrt((((simulated - captured.contact) / level) ** 2).mean(axis=-1))
+    squares = ((simulated - captured.contact) / level) ** 2
+    # numpy's mean over so short an axis takes many times as long, for the same digits
+    error: Floats = np.sqrt((squares[..., 0] + squares[..., 1] + squares[..., 2]) / 3.0)
     return error.astype(np.float32)
 
 

@@ -1,25 +1,25 @@
 """The candidates as a screen would show them, and how different people see them: CIEDE2000 and FLIP.
 
-Candidates are doing nothing, the render, and a perfect render seen on the repeat; each is formed once. Colour
-differences are for displayed images only: a photometric error belongs in linear light. The pointwise arithmetic of
-CIEDE2000 is compiled; powers and angles stay with numpy, which forms several at once.
+Candidates are doing nothing, the render, and a perfect render seen on the repeat; each is formed once, and what the
+capture brings to every candidate as well. Colour differences are for displayed images only: a photometric error belongs
+in linear light. The pointwise arithmetic of CIEDE2000 is compiled; powers and angles stay with numpy, which forms
+several at once.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CompareError, MissingExtraError, TactileCapture
+from data_schemas import CompareError, TactileCapture
 from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._region_sums import Captured
-from finray_calib.compare._regions import usable_pixels
-from finray_calib.compare._structural_similarity import (
-    StructuralSimilarity,
-    multi_scale_similarity,
-    structural_similarity,
-)
+from finray_calib.compare._regions import pixels_within, usable_pixels
+from finray_calib.compare._structural_similarity import StructuralSimilarity, similarity_of_all_scales
 from finray_calib.sensing import full_scale_dn
 from finray_calib.spectra import compiled
 
@@ -43,17 +43,17 @@ class ShownCandidate:
         To the capture, as the images are: noise lowers it.
     ms_ssim : float or None
         None for small images.
-    flip : float or None
-        Mean over the headline region; None without the extra 'flip'.
+    flip : float
+        Mean over the headline region.
     colour_difference : ndarray, shape (H, W)
-        CIEDE2000 to the capture as displayed; NaN where one of them is missing.
+        CIEDE2000 to the capture as displayed; NaN outside the headline region.
     """
 
     image: Floats
     variance: Floats
     similarity: StructuralSimilarity
     ms_ssim: float | None
-    flip: float | None
+    flip: float
     colour_difference: Floats
 
 
@@ -67,35 +67,70 @@ def shown_candidates(comparison: Comparison, capture: TactileCapture) -> dict[st
     if captured.repeat is not None:
         variance = captured.variance(captured.repeat) + captured.variance(captured.no_contact)
         images["floor"] = (captured.contact + captured.repeat - captured.no_contact, variance)
-    return {name: _shown(*image, captured, comparison.used[-1], capture) for name, image in images.items()}
+    display = _Display.of(captured, [image for image, _ in images.values()], comparison.used[-1], capture)
+    return {name: _shown(*image, captured.contact, display, capture) for name, image in images.items()}
 
 
 def _shown(
-    image: Floats, variance: Floats, captured: Captured, headline: Bools, capture: TactileCapture
+    image: Floats, variance: Floats, contact: Floats, display: "_Display", capture: TactileCapture
 ) -> ShownCandidate:
     """Return a candidate with its likeness to the captured contact image."""
-    linear, data_range_dn = capture.encoding == "linear", full_scale_dn(capture)
-    white_dn = display_white_dn(captured.no_contact) if linear else data_range_dn
-    contact = captured.contact
-    usable: Bools = np.asarray(np.isfinite(contact + image).all(axis=2), dtype=np.bool_)
-    shown = [displayed_image(np.where(usable[..., None], i, 0.0), white_dn, linear) for i in (image, contact)]
-    multi_scale = multi_scale_similarity(image, contact, data_range_dn)
-    return ShownCandidate(
-        image,
-        variance,
-        structural_similarity(image, contact, data_range_dn),
-        None if multi_scale is None else multi_scale.value,
-        _flip(shown[1], shown[0], headline),
-        np.where(usable, colour_difference_map(*shown), np.nan),
-    )
+    similarity, multi_scale = similarity_of_all_scales(image, contact, full_scale_dn(capture))
+    flip, differences = display.likeness(image)
+    colour_difference = np.full(display.headline.shape, np.nan)
+    colour_difference[display.headline] = differences
+    ms_ssim = None if multi_scale is None else multi_scale.value
+    return ShownCandidate(image, variance, similarity, ms_ssim, flip, colour_difference)
 
 
-def _flip(captured_srgb: Floats, candidate_srgb: Floats, where: Bools) -> float | None:
-    """Return the mean FLIP, where its package is installed."""
-    try:
-        return flip_mean(captured_srgb, candidate_srgb, where)
-    except MissingExtraError:
-        return None
+@dataclass(frozen=True, slots=True)
+class _Display:
+    """Show images around the headline region, and hold what the captured contact image looks like there.
+
+    Attributes
+    ----------
+    headline : ndarray of bool, shape (H, W)
+    near : tuple of slice
+        Rows and columns that reach as far beyond the region as FLIP's filters do.
+    finite : ndarray of bool, shape (h, w, 1)
+        Pixels there that are finite in every image; the others are shown black.
+    white_dn : float
+    linear : bool
+    lab : ndarray, shape (P, 3)
+        Of the capture at the pixels of the region.
+    perceived : PerceivedImage
+        The capture.
+    """
+
+    headline: Bools
+    near: tuple[slice, slice]
+    finite: Bools
+    white_dn: float
+    linear: bool
+    lab: Floats
+    perceived: "PerceivedImage"
+
+    @classmethod
+    def of(cls, captured: Captured, images: list[Floats], headline: Bools, capture: TactileCapture) -> "_Display":
+        """Return the display of a capture and of the candidates' images."""
+        linear, near = capture.encoding == "linear", _around(headline, _filters(PIXELS_PER_DEGREE).reach_px)
+        white_dn = display_white_dn(captured.no_contact) if linear else full_scale_dn(capture)
+        seen = np.isfinite(sum((image[near] for image in images), captured.contact[near]))
+        finite = np.asarray(seen.all(axis=2, keepdims=True), dtype=np.bool_)
+        srgb, where = _displayed(captured.contact[near], finite, white_dn, linear), headline[near]
+        lab, perceived = srgb_to_lab(pixels_within(srgb, where)), perceived_image(srgb, where)
+        return cls(headline, near, finite, white_dn, linear, lab, perceived)
+
+    def likeness(self, image: Floats) -> tuple[float, Floats]:
+        """Return the mean FLIP of an image to the capture, and CIEDE2000 (P,) of the region's pixels."""
+        srgb, where = _displayed(image[self.near], self.finite, self.white_dn, self.linear), self.headline[self.near]
+        flip = flip_errors(self.perceived, perceived_image(srgb, where)).mean(dtype=np.float64)
+        return float(flip), ciede2000(srgb_to_lab(pixels_within(srgb, where)), self.lab)
+
+
+def _displayed(image: Floats, finite: Bools, white_dn: float, linear: bool) -> Floats:
+    """Return an image as displayed, black where pixels are missing."""
+    return displayed_image(np.where(finite, image, 0.0), white_dn, linear)
 
 
 def full_frame_ssim(candidates: Mapping[str, ShownCandidate]) -> dict[str, float | None]:
@@ -160,14 +195,156 @@ def displayed_image(image: Floats, white_dn: float, linear: bool) -> Floats:
 
 #: A 0.7 m wide screen of 3840 pixels seen from 0.7 m: the default of FLIP's makers.
 PIXELS_PER_DEGREE = 67.0
-#: Nothing farther away enters a pixel: the widest filter, of blue and yellow, is cut at 3 sqrt(0.04 / 2 pi^2) deg.
-_FLIP_REACH_DEG = 0.16
+Perceived = NDArray[np.float32]
+#: sRGB's primaries and D65 with the digits of FLIP's makers, as shares of white.
+_FLIP_XYZ = np.array(
+    [[10135552 / 2, 8788810 / 2, 4435075 / 2], [2613072, 8788810, 887015], [1425312 / 6, 8788810 / 6, 70074185 / 6]]
+)
+_FLIP_RATIO = _FLIP_XYZ / _FLIP_XYZ.sum(axis=1)[:, None]
+_FLIP_TO_RGB = np.linalg.inv(_FLIP_RATIO)
+#: What the eye resolves: (weight, width in deg^2) of Gaussians for grey, red to green, and yellow to blue.
+_CONTRAST_SENSITIVITY = (((1.0, 0.0047),), ((1.0, 0.0053),), ((34.1, 0.04), (13.5, 0.025)))
+_FEATURE_DEG = 0.082
+_COLOUR_POWER, _FEATURE_POWER = 0.7, 0.5
+#: Up to this share of the largest difference of colour, errors take this share of the scale.
+_SMALL_SHARE, _SMALL_ERRORS = 0.4, 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class PerceivedImage:
+    """Hold how an eye perceives some pixels of a displayed image.
+
+    Attributes
+    ----------
+    colour : ndarray, shape (3, P)
+        L*, and a* and b* times L* / 100, of the image as far as the eye resolves it.
+    detail : ndarray, shape (2, P)
+        Strength of edges and of points.
+    """
+
+    colour: Perceived
+    detail: Perceived
+
+
+@dataclass(frozen=True, slots=True)
+class _Filters:
+    """Hold separable kernels: (share, kernel) of each opponent channel, and smooth, slope and curvature of features."""
+
+    opponents: tuple[tuple[tuple[float, Perceived], ...], ...]
+    features: tuple[Perceived, Perceived, Perceived]
+
+    @property
+    def reach_px(self) -> int:
+        """Nothing farther away enters a pixel."""
+        return max(len(kernel) // 2 for kernel in (self.opponents[2][0][1], *self.features))
+
+
+@lru_cache(maxsize=4)
+def _filters(pixels_per_deg: float) -> _Filters:
+    """Return the filters of an eye at this distance."""
+    widest = max(width for parts in _CONTRAST_SENSITIVITY for _, width in parts)
+    reach = int(np.ceil(3.0 * np.sqrt(widest / (2.0 * np.pi**2)) * pixels_per_deg))
+    square = (np.arange(-reach, reach + 1) / pixels_per_deg) ** 2
+    opponents = []
+    for parts in _CONTRAST_SENSITIVITY:
+        bells = [np.exp(-(np.pi**2) * square / width) for _, width in parts]
+        # over the plane a bell adds up to the square of its sum along a line
+        sums = [w * np.sqrt(np.pi / b) * bell.sum() ** 2 for (w, b), bell in zip(parts, bells, strict=True)]
+        shares = [float(one / sum(sums)) for one in sums]
+        opponents.append(tuple((s, (b / b.sum()).astype(np.float32)) for s, b in zip(shares, bells, strict=True)))
+    sigma = 0.5 * _FEATURE_DEG * pixels_per_deg
+    x = np.arange(-np.ceil(3.0 * sigma), np.ceil(3.0 * sigma) + 1.0)
+    bell = np.exp(-(x**2) / (2.0 * sigma**2))
+    kernels = (bell, -x * bell, ((x / sigma) ** 2 - 1.0) * bell)
+    smooth, slope, curvature = (
+        (np.where(k > 0.0, k / k[k > 0.0].sum(), k / max(-k[k < 0.0].sum(), 1e-300))).astype(np.float32)
+        for k in kernels
+    )
+    return _Filters(tuple(opponents), (smooth, slope, curvature))
+
+
+def perceived_image(srgb: Floats, where: Bools, pixels_per_deg: float = PIXELS_PER_DEGREE) -> PerceivedImage:
+    """Return how an eye perceives some pixels of a displayed image, after FLIP.
+
+    Parameters
+    ----------
+    srgb : ndarray, shape (H, W, 3)
+        0..1 and finite.
+    where : ndarray of bool, shape (H, W)
+    pixels_per_deg : float
+        Of visual angle.
+    """
+    filters, places = _filters(pixels_per_deg), np.flatnonzero(where)
+
+    def filtered(plane: Perceived, across: Perceived, along: Perceived) -> Perceived:
+        whole = cv2.sepFilter2D(plane, -1, across, along, borderType=cv2.BORDER_REPLICATE)
+        return np.asarray(whole.ravel()[places], dtype=np.float32)
+
+    planes = np.array(np.moveaxis(srgb, 2, 0), dtype=np.float32, order="C")
+    light = np.where(planes <= 0.04045, planes / 12.92, ((planes + 0.055) / 1.055) ** 2.4)
+    x, y, z = np.tensordot(_FLIP_RATIO.astype(np.float32), light, axes=1)
+    seen = [
+        np.sum([share * filtered(plane, kernel, kernel) for share, kernel in parts], axis=0, dtype=np.float32)
+        for plane, parts in zip((y, x - y, y - z), filters.opponents, strict=True)
+    ]
+    light = np.clip(_FLIP_TO_RGB.astype(np.float32) @ np.stack([seen[1] + seen[0], seen[0], seen[0] - seen[2]]), 0, 1)
+    smooth, slope, curvature = filters.features
+    detail = [np.hypot(filtered(y, k, smooth), filtered(y, smooth, k)) for k in (slope, curvature)]
+    return PerceivedImage(_perceived_colour(light), np.stack(detail))
+
+
+def _perceived_colour(light: NDArray[np.floating]) -> Perceived:
+    """Return L*, and a* and b* times L* / 100 (Hunt), of linear RGB (3, P) in 0..1."""
+    ratios = _FLIP_RATIO.astype(light.dtype) @ light
+    f = np.where(ratios > (6 / 29) ** 3, np.cbrt(ratios), ratios * ((29 / 6) ** 2 / 3) + 4 / 29)
+    lightness = 116 * f[1] - 16
+    a, b = 500 * (f[0] - f[1]), 200 * (f[1] - f[2])
+    return np.stack([lightness, 0.01 * lightness * a, 0.01 * lightness * b]).astype(np.float32)
+
+
+def _colour_distance(first: Perceived, second: Perceived) -> Perceived:
+    """Return the HyAB distance of perceived colours (3, P), raised to FLIP's power."""
+    apart = np.abs(first - second)
+    return np.asarray((apart[0] + np.hypot(apart[1], apart[2])) ** _COLOUR_POWER, dtype=np.float32)
+
+
+_GREEN, _BLUE = (np.array(primary)[:, None] for primary in ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+_LARGEST_DISTANCE: Final = float(_colour_distance(_perceived_colour(_GREEN), _perceived_colour(_BLUE))[0])
+
+
+def flip_errors(reference: PerceivedImage, test: PerceivedImage) -> Perceived:
+    r"""Return the LDR-FLIP of each pixel, 0 (no visible difference) to 1.
+
+    .. math:: \Delta E = (\Delta E_c)^{1 - \Delta E_f}, \quad
+              \Delta E_f = \Big(\tfrac{1}{\sqrt 2} \max(|\Delta e|, |\Delta p|)\Big)^{1/2}
+
+    with the difference of colour E_c, HyAB to the power 0.7 brought to 0..1, and those of edges e and points p.
+    Computed in single precision, as the makers' program is: means over regions agree to 1e-6.
+
+    Parameters
+    ----------
+    reference, test : PerceivedImage
+        Of the same pixels; the capture is the reference.
+
+    Returns
+    -------
+    ndarray, shape (P,)
+
+    References
+    ----------
+    P. Andersson et al., Proc. ACM Comput. Graph. Interact. Tech. 3 (2020) 15.
+    """
+    colour, bend = _colour_distance(reference.colour, test.colour), _SMALL_SHARE * _LARGEST_DISTANCE
+    beyond = _SMALL_ERRORS + (colour - bend) / (_LARGEST_DISTANCE - bend) * (1.0 - _SMALL_ERRORS)
+    error = np.where(colour < bend, colour * (_SMALL_ERRORS / bend), beyond)
+    detail = (np.abs(reference.detail - test.detail).max(axis=0) / np.sqrt(np.float32(2.0))) ** _FEATURE_POWER
+    return np.asarray(error ** (1 - detail), dtype=np.float32)
 
 
 def flip_mean(
     reference_srgb: Floats, test_srgb: Floats, mask: NDArray[np.bool_], pixels_per_deg: float = PIXELS_PER_DEGREE
 ) -> float:
-    """Return the mean LDR-FLIP over a region, 0 (no visible difference) to 1.
+    """Return the mean LDR-FLIP over a region, 0 (no visible difference) to 1, see `flip_errors`.
 
     A pixel that is not finite in one image is black in both, so that it adds no difference of its own.
 
@@ -183,29 +360,15 @@ def flip_mean(
     ------
     CompareError
         If shapes differ or no pixel is usable.
-    MissingExtraError
-        The package flip-evaluator is not installed.
-
-    References
-    ----------
-    P. Andersson et al., Proc. ACM Comput. Graph. Interact. Tech. 3 (2020) 15.
     """
     used = usable_pixels(mask, reference_srgb, test_srgb)
-    try:
-        import flip_evaluator
-    except ImportError:
-        raise MissingExtraError(
-            "FLIP needs the package flip-evaluator: pip install 'finray-calib[flip]', or leave this row out"
-        ) from None
-    near = _around(used, int(np.ceil(_FLIP_REACH_DEG * pixels_per_deg)))
-    reference_srgb, test_srgb, used = reference_srgb[near], test_srgb[near], used[near]
-    finite = np.asarray(np.isfinite(reference_srgb + test_srgb).all(axis=2))[..., None]
-    reference, test = (np.where(finite, image, 0.0).astype(np.float32) for image in (reference_srgb, test_srgb))
-    error, _, _ = flip_evaluator.evaluate(
-        reference, test, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False,
-        parameters={"ppd": pixels_per_deg},
-    )  # fmt: skip
-    return float(np.asarray(error, dtype=np.float64).reshape(used.shape)[used].mean())
+    near = _around(used, _filters(pixels_per_deg).reach_px)
+    finite = np.isfinite(reference_srgb[near] + test_srgb[near]).all(axis=2, keepdims=True)
+    seen = [
+        perceived_image(np.where(finite, image[near], 0.0), used[near], pixels_per_deg)
+        for image in (reference_srgb, test_srgb)
+    ]
+    return float(flip_errors(*seen).mean(dtype=np.float64))
 
 
 def _around(mask: Bools, reach_px: int) -> tuple[slice, slice]:

@@ -11,7 +11,7 @@ Gauss-Newton steps, over pixels up to 3.5 half-widths from the contact that are 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal, get_args
+from typing import Final, Literal, TypeVar, get_args
 
 import cv2
 import numpy as np
@@ -24,6 +24,7 @@ from finray_calib.compare._regions import tile_indices
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Image = TypeVar("Image", NDArray[np.float64], NDArray[np.float32])
 Cause = Literal["pose", "size", "depth", "gain", "shading", "blur", "halo"]
 CAUSES: Final = get_args(Cause)
 
@@ -197,10 +198,17 @@ class _Window:
     columns: slice
     side_px: int
 
-    def of(self, image: Floats) -> Floats:
-        """Return that part of an image."""
-        part = image[self.rows, self.columns]
+    def cut(self, image: Image) -> Image:
+        """Return that part of an image in its own pixels."""
+        return image[self.rows, self.columns]
+
+    def averaged(self, part: Floats) -> Floats:
+        """Return the means of a part over blocks."""
         return part if self.side_px == 1 else block_mean(part, self.side_px)
+
+    def of(self, image: Floats) -> Floats:
+        """Return that part of an image, averaged."""
+        return self.averaged(self.cut(image))
 
     def back(self, image: Floats, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Return a map of the scene in the compared image, 0 elsewhere."""
@@ -214,18 +222,20 @@ class _Window:
 def _scene(comparison: Comparison, distance: Floats, block_px: int, full_scale_dn: float) -> tuple[_Scene, _Window]:
     """Return the images around the contact in few pixels."""
     layers, k = comparison.layers, comparison.best_exposure
-    near = np.nan_to_num(distance, nan=np.inf) <= REACH
+    near = distance <= REACH
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     height, width = int(rows[-1] - rows[0] + 1), int(columns[-1] - columns[0] + 1)
     side = max(1, -(-max(height, width) // _LARGEST_SIDE_PX))
     height, width = height // side * side, width // side * side
     top, left = int(rows[0]), int(columns[0])
     window = _Window(slice(top, top + height), slice(left, left + width), side)
-    simulated, rest = (window.of(k * layers.rgb(image)) for image in (layers.contact, layers.no_contact))
+    simulated, rest = (
+        window.averaged(k * layers.rgb(window.cut(image))) for image in (layers.contact, layers.no_contact)
+    )
     captured, away = window.of(comparison.captured.contact), window.of(distance)
     used = np.where(comparison.used[-1], 1.0, np.nan)
     finite = np.isfinite(captured).all(axis=-1) & np.isfinite(simulated).all(axis=-1)
-    inside = np.nan_to_num(away, nan=np.inf) <= 1.0
+    inside = away <= 1.0
     at = np.argwhere(inside).mean(axis=0) if inside.any() else np.array(away.shape) / 2.0
     dark = (simulated < _NEARLY_CLIPPED * full_scale_dn).all(axis=-1)
     y, x = np.mgrid[: away.shape[0], : away.shape[1]].astype(np.float64)
@@ -239,7 +249,7 @@ def _scene(comparison: Comparison, distance: Floats, block_px: int, full_scale_d
         place=place,
         centre_px=(float(at[1]), float(at[0])),
         weights=comparison.channel_weights,
-        fitted=np.asarray(finite & dark & (np.nan_to_num(away, nan=np.inf) <= REACH), dtype=np.bool_),
+        fitted=np.asarray(finite & dark & (away <= REACH), dtype=np.bool_),
         scored=np.asarray(finite & np.isfinite(window.of(used)), dtype=np.bool_),
         side_px=float(side * block_px),
     ), window
@@ -247,9 +257,10 @@ def _scene(comparison: Comparison, distance: Floats, block_px: int, full_scale_d
 
 def _noise_variance(comparison: Comparison, scene: _Scene, window: _Window, theta: Mapping[Cause, Floats]) -> Floats:
     """Return the variance (3,) of a pixel's noise: known, or from how neighbours differ in what causes leave."""
-    known = comparison.captured.variance(np.nan_to_num(comparison.captured.contact))
-    known = known + comparison.best_exposure**2 * comparison.layers.contact_variance
-    variance = np.nan_to_num(window.of(known))[scene.fitted].mean(axis=0) / window.side_px**2
+    captured, layers = comparison.captured, comparison.layers
+    known = captured.variance(np.nan_to_num(window.cut(captured.contact)))
+    known = known + comparison.best_exposure**2 * layers.rgb(window.cut(layers.contact_half)) ** 2
+    variance = np.nan_to_num(window.averaged(known))[scene.fitted].mean(axis=0) / window.side_px**2
     if (variance > 0.0).all():
         return np.asarray(variance)
     left = scene.residual(theta)
@@ -290,7 +301,22 @@ class _Fit:
         soft = cv2.GaussianBlur(scene.change, (0, 0), _SMOOTH_PX)
         smooth = replace(scene, change=np.asarray(soft, dtype=np.float64))
         fit = cls(scene, smooth, np.flatnonzero(scene.fitted), {})
-        return replace(fit, rows={c: fit.listed(fit.derivatives(c, {}, scene.changed({}))) for c in CAUSES})
+        image = scene.changed({})
+        light = fit._light_rows(image)
+        of_light: dict[Cause, Floats] = {"gain": light[:3], "shading": light[3:]}
+        rows = {c: of_light[c] if c in of_light else fit.listed(fit.derivatives(c, {}, image)) for c in CAUSES}
+        return replace(fit, rows=rows)
+
+    def _light_rows(self, image: Floats) -> Floats:
+        """Return the listed derivatives (9, 3 P) by gain and shading, which are none of the other channels'."""
+        pixels = image.reshape(-1, 3).take(self.fitted, axis=0) * np.sqrt(self.scene.weights)
+        place = self.scene.place.reshape(-1, 2).take(self.fitted, axis=0)
+        rows = np.zeros((3, 3, len(pixels), 3))
+        for c in range(3):
+            rows[0, c, :, c] = pixels[:, c]
+            for way in range(2):
+                rows[1 + way, c, :, c] = place[:, way] * pixels[:, c]
+        return rows.reshape(9, -1)
 
     def derivatives(self, cause: Cause, theta: Mapping[Cause, Floats], image: Floats) -> Floats:
         """Return the derivatives (parameters, H, W, 3) of the changed simulation `image` by a cause's parameters."""

@@ -84,10 +84,10 @@ def mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[tuple[Fi
         )
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
     findings = [Finding("refuse" if sure else "warn", "levels", text) for sure, text in level_findings(capture)]
-    findings += _clipped_findings(press, capture)
+    findings += _clipped_findings(press, capture, (contact, no_contact))
     nuisances = None
     if press.encoding == capture.encoding or press.encoding == "linear":
-        nuisances = nuisances_of(press, capture)
+        nuisances = nuisances_of(press, capture, (contact, no_contact))
         findings += _gain_findings(nuisances, repeat, capture)
         shown = press if nuisances.tone is None else _through_the_curve(press, nuisances)
         scene = _scene(shown, contact, no_contact, repeat)
@@ -243,10 +243,9 @@ def _repeat_drift(nuisances: Nuisances, repeat: Floats | None) -> Floats:
 _TOLD_CLIPPED, _NEARLY = 0.01, 0.98
 
 
-def _clipped_findings(press: SimulatedPress, capture: TactileCapture) -> list[Finding]:
+def _clipped_findings(press: SimulatedPress, capture: TactileCapture, images: tuple[Floats, Floats]) -> list[Finding]:
     """Tell how much of the contact is clipped or nearly so, channel by channel."""
     near_dn = _NEARLY * full_scale_dn(capture)
-    images = [rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact)]
     bright = np.logical_or.reduce([~(image < near_dn) for image in images])
     findings = []
     for name, factor in FACTORS.items():
@@ -464,7 +463,9 @@ def _depth_findings(name: str, counts: Counts, full_scale_dn: int, bits: int) ->
     highest = int(counts.max())
     if highest > full_scale_dn:
         return [(True, f"{name} holds {highest} DN, above the full scale of {bits} bit ({full_scale_dn} DN): {_MEND}")]
-    levels, pixels = np.unique(counts, return_counts=True)
+    pixels = np.bincount(counts.ravel())
+    levels = np.flatnonzero(pixels)
+    pixels = pixels[levels]
     findings = []
     step = int(np.gcd.reduce(levels))
     if step > 1 and len(levels) > 2:

@@ -29,7 +29,7 @@ from finray_calib.compare._input_draws import (
 )
 from finray_calib.compare._prepared_images import Nuisances
 from finray_calib.compare._region_sums import RegionSums, gradient_places
-from finray_calib.compare._regions import tile_indices, tile_side_px
+from finray_calib.compare._regions import pixels_within, tile_indices, tile_side_px
 from finray_calib.spectra import compiled
 
 Floats = NDArray[np.float64]
@@ -109,15 +109,22 @@ class TileSums:
     pixels_of: NDArray[np.intp]
     pixels: int
 
-    def draw(self, draws: int, rng: np.random.Generator) -> RegionDraws:
-        """Return draws of the sums over as many tiles, drawn with replacement."""
-        tiles = len(self.pixels_of)
-        counts = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), size=draws).astype(np.float64)
-        # the number of pixels differs from draw to draw; the sums are brought to that of the region
-        share = self.pixels / (counts @ self.pixels_of)[:, None]
-        names = {"simulation": "error", "do nothing": "signal", "floor": "floor"}
-        errors = {n: np.asarray(share * (counts @ self.squares[of])) for n, of in names.items() if of in self.squares}
-        return RegionDraws(errors, np.asarray(share * (counts @ self.squares["level"])), self.pixels)
+
+def _drawn(kinds: Sequence[TileSums], draws: int, rng: np.random.Generator) -> RegionDraws:
+    """Return draws of the sums over as many tiles, drawn with replacement; each kind of sums has its share of them."""
+    first = kinds[0]
+    tiles, each = len(first.pixels_of), draws // len(kinds)
+    counts = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), size=each * len(kinds)).astype(np.float64)
+    # the number of pixels differs from draw to draw; the sums are brought to that of the region
+    share = first.pixels / (counts @ first.pixels_of)[:, None]
+    counts = counts.reshape(len(kinds), each, tiles)
+
+    def of(name: str) -> Floats:
+        return np.asarray(share * (counts @ np.stack([kind.squares[name] for kind in kinds])).reshape(share.size, -1))
+
+    names = {"simulation": "error", "do nothing": "signal", "floor": "floor"}
+    errors = {n: of(name) for n, name in names.items() if name in first.squares}
+    return RegionDraws(errors, of("level"), first.pixels)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +157,7 @@ def resampled_draws(sums: RegionSums, draws: int, rng: np.random.Generator) -> R
     For images of which no input has a known uncertainty: the spread tells how much a number depends on which part of
     the region was looked at.
     """
-    return _tiles_of(sums).of(sums).draw(draws, rng)
+    return _drawn([_tiles_of(sums).of(sums)], draws, rng)
 
 
 RESAMPLED_DRAWS = 2000
@@ -230,7 +237,7 @@ def resampled(comparison: Comparison, rng: np.random.Generator) -> list[RegionRe
     regions = []
     places = gradient_places(comparison.captured, comparison.used)
     for kinds, gradients, place in zip(drawn, comparison.gradients, places, strict=True):
-        images = _joined([tiles.draw(RESAMPLED_DRAWS // len(kinds), rng) for tiles in kinds])
+        images = _drawn(kinds, RESAMPLED_DRAWS, rng)
         of_gradients = None if gradients is None else resampled_draws(gradients, RESAMPLED_DRAWS, rng)
         if gradients is None and place is not None:
             # no row tells them of encoded values, but the next region's draws stay those of older versions
@@ -244,10 +251,11 @@ def _drawn_tiles(comparison: Comparison, rng: np.random.Generator) -> list[list[
     """Return the tiles of every region for each draw of tone curve and gains; a single one where there are none."""
     tiles = [_tiles_of(sums) for sums in comparison.sums]
     best = [of.of(sums) for of, sums in zip(tiles, comparison.sums, strict=True)]
-    if comparison.nuisances is None:
+    nuisances = comparison.nuisances
+    if nuisances is None:
         return [[each] for each in best]
     found: list[list[TileSums]] = [[] for _ in tiles]
-    for squares in drawn_squares(comparison, comparison.nuisances, tiles, rng):
+    for squares in drawn_squares(comparison, nuisances, tiles, rng):
         for kept, each, changed in zip(found, best, squares, strict=True):
             kept.append(replace(each, squares={**each.squares, **changed}))
     return found
@@ -258,8 +266,11 @@ def drawn_squares(
 ) -> Iterator[list[dict[str, Floats]]]:
     """Yield the sums over tiles, (tiles, 3), of error, signal and level of every region for draws of curve and gains.
 
-    The last region holds the others, so that curve and gains are taken out of its pixels alone.
+    The last region holds the others, so that a curve and gains are taken out of its pixels alone.
     """
+    if nuisances.tone is None:
+        yield from _squares_of_gains(comparison, tiles, nuisances.drawn_factors(rng))
+        return
     captured, k, widest = comparison.captured, comparison.best_exposure, comparison.sums[-1].where
     inside = [
         np.stack([np.flatnonzero(sums.where[widest]), of.of_number])
@@ -267,17 +278,42 @@ def drawn_squares(
     ]
     rest = captured.no_contact[widest]
     of_contact, of_rest = (captured.variance(i[widest]) for i in (captured.contact, captured.no_contact))
-    everywhere, drawn_from = np.ones((1, len(rest)), dtype=np.bool_), None
-    for layers, contact in nuisances.at(widest).drawn(rng):
-        if layers is not drawn_from:  # of gains alone all draws share one render
-            first, second = (k * half @ layers.matrix.T for half in layers.halves("contact", everywhere))
-            drawn_from = layers
+    everywhere = np.ones((1, len(rest)), dtype=np.bool_)
+    for layers, contact in nuisances.at(widest).drawn(nuisances.tone, rng):
+        first, second = (k * half @ layers.matrix.T for half in layers.halves("contact", everywhere))
         found = []
         for places, of in zip(inside, tiles, strict=True):
             sums = np.zeros((3, of.tiles, 3))
             add_squares(first, second, contact[0], rest, of_contact, of_rest, places, sums)
             found.append(dict(zip(("error", "signal", "level"), sums, strict=True)))
         yield found
+
+
+def _squares_of_gains(
+    comparison: Comparison, tiles: Sequence[_Tiles], factors: Floats
+) -> Iterator[list[dict[str, Floats]]]:
+    """Yield the sums of `drawn_squares` for factors (draws, 3) on the captured contact image D.
+
+    Of (1 + g) D the error is (S1 - D)(S2 - D) - g D (S1 + S2 - 2 D) + g^2 D^2, and so is the signal: three more sums
+    over tiles serve all draws.
+    """
+    captured, k, layers = comparison.captured, comparison.best_exposure, comparison.layers
+    formed = []
+    for sums, of in zip(comparison.sums, tiles, strict=True):
+        d = sums.per_pixel["level"]
+        twice = sum(half @ layers.matrix.T for half in layers.halves("contact", sums.where))
+        rest = pixels_within(captured.no_contact, sums.where)
+        best = of.of(sums).squares
+        formed.append((best, of.sums(d * (k * twice - 2.0 * d)), of.sums(2.0 * d * (rest - d)), of.sums(d * d)))
+    for g in factors - 1.0:
+        yield [
+            {
+                "error": best["error"] - g * by_error + g**2 * square,
+                "signal": best["signal"] - g * by_signal + g**2 * square,
+                "level": (1.0 + g) * best["level"],
+            }
+            for best, by_error, by_signal, square in formed
+        ]
 
 
 @compiled
@@ -298,12 +334,6 @@ def add_squares(
             sums[0, t, c] += (first[p, c] - d) * (second[p, c] - d) - v
             sums[1, t, c] += change * change - of_rest[p, c] - v
             sums[2, t, c] += d
-
-
-def _joined(parts: list[RegionDraws]) -> RegionDraws:
-    """Return the draws of all parts one after the other."""
-    errors = {name: np.concatenate([part.error[name] for part in parts]) for name in parts[0].error}
-    return RegionDraws(errors, np.concatenate([part.level for part in parts]), parts[0].pixels)
 
 
 def nuisance_skill_u(comparison: Comparison, rng: np.random.Generator) -> float:

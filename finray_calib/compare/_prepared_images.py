@@ -77,13 +77,19 @@ class Nuisances:
         curve = None if self.tone is None else (self.tone.exponent, self.tone.offset_dn)
         return self._layers(curve), self._contact(curve, np.zeros(3))
 
-    def drawn(self, rng: np.random.Generator) -> Iterator[tuple[RenderLayers, Floats]]:
-        """Return the same for draws of curve and gains."""
+    def drawn(self, tone: ToneFit, rng: np.random.Generator) -> Iterator[tuple[RenderLayers, Floats]]:
+        """Yield the same for draws of its curve and of the gains."""
         u = np.zeros(3) if self.gain is None else self.gain.u
-        layers = self._layers(None) if self.tone is None else None
-        for i in range(NUISANCE_DRAWS):
-            curve = None if self.tone is None else (float(self.tone.draws[i, 0]), float(self.tone.draws[i, 1]))
-            yield layers or self._layers(curve), self._contact(curve, u * rng.standard_normal(3))
+        for exponent, offset_dn in tone.draws[:NUISANCE_DRAWS].tolist():
+            curve = exponent, offset_dn
+            yield self._layers(curve), self._contact(curve, u * rng.standard_normal(3))
+
+    def drawn_factors(self, rng: np.random.Generator) -> Floats:
+        """Return factors (draws, 3) on the best captured contact image for draws of the gains, without a curve."""
+        if self.gain is None:
+            return np.ones((NUISANCE_DRAWS, 3))
+        more = self.gain.u * rng.standard_normal((NUISANCE_DRAWS, 3))
+        return np.exp(np.where(self.gain.to_correct, -more, 0.0))
 
     def _layers(self, curve: tuple[float, float] | None) -> RenderLayers:
         """Return the render through a curve of this exponent and offset, without its gains."""
@@ -105,15 +111,17 @@ class Nuisances:
         return without_gain(self.contact, of_capture, 0.0 if curve is None else curve[1])
 
 
-def nuisances_of(press: SimulatedPress, capture: TactileCapture) -> Nuisances:
-    """Estimate tone curve and gains; images of one size.
+def nuisances_of(
+    press: SimulatedPress, capture: TactileCapture, images: tuple[Floats, Floats] | None = None
+) -> Nuisances:
+    """Estimate tone curve and gains; images of one size, the captured ones (contact, no contact) where they are known.
 
     The curve is fitted where a render in linear light meets encoded values. Gains that all pixels far from the contact
     share are taken out of both sides, each by its own, so that an image without contact that was given the gain of the
     capture explains nothing; of a render whose paints and camera are known they are only told, for there they may be an
     error of the render, which is to be seen.
     """
-    contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
+    contact, no_contact = images or [rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact)]
     render, distance = render_layers(press), press.distance.astype(np.float64)
     full_dn = full_scale_dn(capture)
     tone, shown, offset_dn = None, render, 0.0

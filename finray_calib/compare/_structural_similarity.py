@@ -89,26 +89,33 @@ def structural_similarity(
     ----------
     Z. Wang et al., IEEE Transactions on Image Processing 13 (2004) 600.
     """
+    x, y = _images(first, second, data_range_dn)
+    everywhere = np.ones(x.shape[:2], dtype=np.bool_)
+    ssim_map = np.full(x.shape[:2], np.nan)
+    _mean_factors(x, y, data_range_dn, everywhere, ssim_map)
+    return StructuralSimilarity(ssim_map, _mean_within(ssim_map, everywhere if mask is None else mask))
+
+
+def _images(
+    first: NDArray[np.float64] | NDArray[np.uint8],
+    second: NDArray[np.float64] | NDArray[np.uint8],
+    data_range_dn: float,
+) -> tuple[Floats, Floats]:
+    """Return two images as floats, or say what they must be."""
     x, y = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     if x.ndim != 3 or x.shape != y.shape or min(x.shape[:2]) < WINDOW_PX:
         raise CompareError(
             f"Structural similarity needs two images of one shape (height, width, channels) of at least "
             f"{WINDOW_PX} x {WINDOW_PX} px, got {x.shape} and {y.shape}. Register and crop the render first."
         )
+    _require_range(data_range_dn)
+    return x, y
+
+
+def _require_range(data_range_dn: float) -> None:
+    """Refuse a range that is none."""
     if not data_range_dn > 0:
         raise CompareError(f"The data range must be positive, got {data_range_dn}; give full scale, as 255 for 8 bit.")
-    missing = missing_pixels(x, y)
-    if missing is not None:
-        x, y = (np.where(missing[..., None], 0.0, image) for image in (x, y))
-    ssim_map = np.full(x.shape[:2], np.nan)
-    inside = slice(_BORDER_PX, -_BORDER_PX)
-    for rows, luminance, structure in similarity_bands(x, y, data_range_dn):
-        channel_mean_of_product(luminance, structure, ssim_map[rows, inside])
-    if missing is not None:
-        window = np.ones((WINDOW_PX, WINDOW_PX), dtype=np.uint8)
-        ssim_map[cv2.dilate(missing.astype(np.uint8), window) > 0] = np.nan
-    everywhere = np.ones(x.shape[:2], dtype=np.bool_)
-    return StructuralSimilarity(ssim_map, _mean_within(ssim_map, everywhere if mask is None else mask))
 
 
 def similarity_bands(x: Floats, y: Floats, data_range_dn: float) -> Iterator[tuple[slice, Floats, Floats]]:
@@ -238,11 +245,44 @@ def multi_scale_similarity(
             "Multi-scale similarity needs two images and a mask of one size (height, width, channels), got "
             f"{x.shape}, {y.shape} and {inside.shape}. Register and crop the render first."
         )
-    if not data_range_dn > 0:
-        raise CompareError(f"The data range must be positive, got {data_range_dn}; give full scale, as 255 for 8 bit.")
+    _require_range(data_range_dn)
     scales = _scales(min(x.shape[:2]))
     if scales == 0 or (scales < len(SCALE_WEIGHTS) and not fewer_scales):
         return None
+    return _over_scales(x, y, data_range_dn, inside, scales, None)
+
+
+def similarity_of_all_scales(
+    first: Floats, second: Floats, data_range_dn: float
+) -> tuple[StructuralSimilarity, MultiScaleSimilarity | None]:
+    """Return `structural_similarity` and `multi_scale_similarity` of whole images, whose finest windows are the same.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (H, W, C)
+        Images in one unit.
+    data_range_dn : float
+        Full scale in that unit.
+
+    Raises
+    ------
+    CompareError
+        If shapes differ, the images are smaller than the window, or the range is not positive.
+    """
+    x, y = _images(first, second, data_range_dn)
+    everywhere, scales = np.ones(x.shape[:2], dtype=np.bool_), _scales(min(x.shape[:2]))
+    ssim_map = np.full(x.shape[:2], np.nan)
+    finest = _mean_factors(x, y, data_range_dn, everywhere, ssim_map)
+    single = StructuralSimilarity(ssim_map, _mean_within(ssim_map, everywhere))
+    if scales < len(SCALE_WEIGHTS):
+        return single, None
+    return single, _over_scales(x, y, data_range_dn, everywhere, scales, finest)
+
+
+def _over_scales(
+    x: Floats, y: Floats, data_range_dn: float, inside: Mask, scales: int, finest: tuple[Floats, Floats] | None
+) -> MultiScaleSimilarity | None:
+    """Return the product over scales; `finest` holds the means of the first, where they are known."""
     missing = missing_pixels(x, y)
     if missing is not None:
         x, y = (np.where(missing[..., None], np.nan, image) for image in (x, y))
@@ -253,7 +293,8 @@ def multi_scale_similarity(
         if scale:
             x, y = _halved(x), _halved(y)
             inside = block_mean(inside.astype(np.float64), 2) > 0
-        structure, whole = _mean_factors(x, y, data_range_dn, inside)
+        known = finest if scale == 0 else None
+        structure, whole = known or _mean_factors(x, y, data_range_dn, inside)
         value *= np.maximum(whole if scale == scales - 1 else structure, 0.0) ** weight
     return MultiScaleSimilarity(float(value.mean()), scales) if np.isfinite(value).all() else None
 
@@ -270,20 +311,30 @@ def _scales(side_px: int) -> int:
     return sum(side_px >= WINDOW_PX * 2**scale for scale in range(len(SCALE_WEIGHTS)))
 
 
-def _mean_factors(x: Floats, y: Floats, data_range_dn: float, mask: Mask) -> tuple[Floats, Floats]:
-    """Return per channel the means of structure and of luminance x structure over the complete windows of a mask."""
-    missing, used = missing_pixels(x, y), mask
+def _mean_factors(
+    x: Floats, y: Floats, data_range_dn: float, mask: Mask, ssim_map: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """Return per channel the means of structure and of luminance x structure over the complete windows of a mask.
+
+    The mean over channels of the latter is put into a map (H, W) of NaN, where one is given, at all complete windows.
+    """
+    missing, spoiled = missing_pixels(x, y), None
     if missing is not None:
         window = np.ones((WINDOW_PX, WINDOW_PX), dtype=np.uint8)
-        used = mask & (cv2.dilate(missing.astype(np.uint8), window) == 0)
+        spoiled = cv2.dilate(missing.astype(np.uint8), window) > 0
+        mask = mask & ~spoiled
         x, y = (np.where(missing[..., None], 0.0, image) for image in (x, y))
-    sums, windows = np.zeros((2, x.shape[2])), 0
+    sums, windows, inside = np.zeros((2, x.shape[2])), 0, slice(_BORDER_PX, -_BORDER_PX)
     for rows, luminance, structure in similarity_bands(x, y, data_range_dn):
-        chosen = used[rows, _BORDER_PX:-_BORDER_PX]
+        chosen = mask[rows, inside]
         of_band = np.zeros_like(sums)
         add_factors(luminance, structure, chosen, of_band)
         sums += of_band
         windows += int(np.count_nonzero(chosen))
+        if ssim_map is not None:
+            channel_mean_of_product(luminance, structure, ssim_map[rows, inside])
+    if ssim_map is not None and spoiled is not None:
+        ssim_map[spoiled] = np.nan
     structure_mean, whole_mean = sums / windows if windows else np.full_like(sums, np.nan)
     return structure_mean, whole_mean
 

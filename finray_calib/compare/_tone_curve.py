@@ -375,8 +375,12 @@ def far_gain(
         None where no channel has eight blocks: it cannot be told.
     """
     side = max(1, min(_FAR_BLOCK_PX, min(distance.shape) // 15))
+    far, away = distance > FAR, block_mean(np.nan_to_num(distance), side)
     found = [
-        _channel_gain([i[..., c] for i in (*captured, *simulated)], distance, side, full_scale_dn) for c in range(3)
+        _channel_gain(
+            [np.ascontiguousarray(i[..., c]) for i in (*captured, *simulated)], far, away, side, full_scale_dn
+        )
+        for c in range(3)
     ]
     real, expected, noise_u, u, uneven, blocks = (np.array(values) for values in zip(*found, strict=True))
     if blocks.max() < _LEAST_FAR_BLOCKS:
@@ -385,11 +389,11 @@ def far_gain(
 
 
 def _channel_gain(
-    images: list[Floats], distance: Floats, side: int, full_scale_dn: float
+    images: list[Floats], far: NDArray[np.bool_], away: Floats, side: int, full_scale_dn: float
 ) -> tuple[float, float, float, float, float, int]:
-    """Return what `FarGain` holds of one channel; zeros where unknown."""
+    """Return what `FarGain` holds of one channel, from its far pixels and the blocks' distances; zeros if unknown."""
     contact, rest = images[:2]
-    usable = (distance > FAR) & np.isfinite(contact + rest)
+    usable = far & np.isfinite(contact + rest)
     for image in (contact, rest):
         usable &= (image > _DARKEST_SHARE * full_scale_dn) & (image < _BRIGHTEST_SHARE * full_scale_dn)
     share = block_mean(usable.astype(np.float64), side)
@@ -404,7 +408,7 @@ def _channel_gain(
     off = np.abs(gain - np.median(gain))
     kept = off <= _TRIM_SD * 1.4826 * np.median(off) + 1e-4
     place = np.array(np.nonzero(used)).T / np.array(used.shape) - 0.5
-    away = block_mean(np.nan_to_num(distance), side)[used]
+    away = away[used]
     reach = float(np.ptp(away[kept])) or 1.0
     terms = np.column_stack([np.ones(len(gain)), place, (away - away.mean()) / reach])[kept]
     slopes = np.linalg.lstsq(terms, np.column_stack([gain, real])[kept], rcond=None)[0]

@@ -14,6 +14,7 @@ from typing import Any
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 # The palette of Okabe and Ito, told apart with all common kinds of colour blindness.
@@ -73,9 +74,27 @@ def legend_above(figure: Figure, axes: Axes, columns: int) -> None:
 
 def svg_text(figure: Figure) -> str:
     """Return the figure as SVG text without date or creator, so that equal input gives equal bytes."""
+    _lay_out(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     return buffer.getvalue().decode("utf-8")
+
+
+def _lay_out(figure: Figure) -> None:
+    """Place the parts of a figure for SVG; `savefig` would draw all of it once more to do so."""
+    engine, dpi = figure.get_layout_engine(), figure.dpi
+    if engine is None:
+        return
+    FigureCanvasSVG(figure)
+    figure.dpi = _SVG_DPI
+    for axes in figure.axes:
+        axes.apply_aspect()
+    engine.execute(figure)
+    figure.set_layout_engine("none")
+    figure.dpi = dpi
+
+
+_SVG_DPI = 72.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,8 +33,9 @@ def rgb_image(counts: NDArray[np.uint16], capture: TactileCapture) -> Floats:
     interpolated from neighbours. Values are proportional to light only where ``capture.encoding`` is "linear".
     A value that was clipped in any sample of its cell is NaN.
     """
-    full_scale = 2**capture.bit_depth - 1
-    return per_cell(np.where(counts >= full_scale, np.nan, counts - capture.black_level_dn), capture)
+    values = np.subtract(counts, capture.black_level_dn, dtype=np.float64)
+    np.putmask(values, counts >= 2**capture.bit_depth - 1, np.nan)
+    return per_cell(values, capture)
 
 
 def per_cell(values: Floats, capture: TactileCapture) -> Floats:

@@ -20,7 +20,6 @@ PACKAGES_OF_EXTRAS = {
     "denoise": ("pyoidn",),
     "dng": ("rawpy",),
     "exr": ("OpenEXR",),
-    "flip": ("flip_evaluator",),
     "gentl": ("harvesters", "genicam"),
     "micro-manager": ("pymmcore",),
     "netcdf": ("h5netcdf", "xarray"),

@@ -1,15 +1,17 @@
-import sys
-from types import SimpleNamespace
-
 import colour
 import numpy as np
 import pytest
 
-from data_schemas import CompareError, MissingExtraError
+from data_schemas import CompareError
 from finray_calib.compare._displayed_images import (
+    PIXELS_PER_DEGREE,
+    colour_difference_map,
+    colour_difference_within,
     display_white_dn,
     displayed_image,
+    flip_errors,
     flip_mean,
+    perceived_image,
 )
 
 
@@ -38,53 +40,73 @@ def test_white_is_the_brightest_half_per_cent_without_contact():
         displayed_image(image, 0.0, linear=True)
 
 
-def test_flip_is_asked_for_the_displayed_images_and_averaged_over_the_region(monkeypatch):
-    """What is handed to the package and what is done with its answer; its numbers are its makers'."""
-    asked = {}
-
-    def evaluate(reference, test, dynamic_range, **settings):
-        asked.update(reference=reference, test=test, dynamic_range=dynamic_range, **settings)
-        return np.abs(reference - test).mean(axis=2, keepdims=True), -1.0, {}
-
-    monkeypatch.setitem(sys.modules, "flip_evaluator", SimpleNamespace(evaluate=evaluate))
-    reference, test = np.full((6, 8, 3), 0.5), np.full((6, 8, 3), 0.75)
-    reference[0, 0, 0] = np.nan
-    mask = np.zeros((6, 8), bool)
-    mask[:3] = True
-    test[3:] = 0.0
-    assert flip_mean(reference, test, mask) == pytest.approx(0.25)
-    assert asked["dynamic_range"] == "LDR"
-    assert asked["parameters"] == {"ppd": 67.0}
-    assert asked["inputsRGB"] is True
-    assert asked["reference"][0, 0].tolist() == asked["test"][0, 0].tolist() == [0, 0, 0]
-    assert asked["test"].dtype == np.float32
+def test_the_colour_difference_within_a_region():
+    rng = np.random.default_rng(0)
+    first, second = rng.random((20, 30, 3)), rng.random((20, 30, 3))
+    mask = np.zeros((20, 30), bool)
+    mask[5:15, 5:20] = True
+    second[6, 6, 0] = np.nan
+    found = colour_difference_within(first, second, mask)
+    mask[6, 6] = False
+    values = colour_difference_map(first, np.nan_to_num(second))[mask]
+    assert found.pixels == 149
+    assert found.mean == pytest.approx(values.mean(), rel=1e-12)
+    assert found.p95 == pytest.approx(np.quantile(values, 0.95), rel=1e-12)
 
 
-def test_flip_by_its_makers_program():
-    pytest.importorskip("flip_evaluator")
+def textured(rng, shape=(90, 120, 3)):
+    """Two displayed images of smooth colours, one with a brighter spot, and noise in both."""
+    rows, columns = np.indices(shape[:2])
+    pad = 0.4 + 0.2 * np.sin(rows / 9)[..., None] * [1.0, 0.7, 0.3] + 0.1 * np.cos(columns / 7)[..., None]
+    spot = 0.2 * np.exp(-((rows - 40) ** 2 + (columns - 60) ** 2) / 300)[..., None] * [1.0, -0.5, 0.3]
+    return [np.clip(i + 0.02 * rng.standard_normal(shape), 0.0, 1.0) for i in (pad, pad + spot)]
+
+
+def test_flip_ends_at_none_and_at_the_largest_difference():
     black, white = np.zeros((32, 32, 3)), np.ones((32, 32, 3))
     everywhere = np.ones((32, 32), bool)
     assert flip_mean(black, black, everywhere) == 0
-    # the largest difference there is: the paper's scale ends at 1
+    # the paper's scale ends at 1
     assert flip_mean(black, white, everywhere) == pytest.approx(1.0, abs=0.05)
 
 
-def test_flip_of_a_region_is_that_of_the_whole_picture():
-    """What lies farther from the region than the filters reach changes no digit."""
+@pytest.mark.parametrize("pixels_per_deg", [PIXELS_PER_DEGREE, 40.0])
+@pytest.mark.parametrize("light", [1.0, 0.1])
+def test_flip_agrees_with_its_makers_program(pixels_per_deg, light):
+    """Both compute in single precision."""
     program = pytest.importorskip("flip_evaluator")
-    rng = np.random.default_rng(5)
-    reference = rng.random((90, 120, 3))
-    test = np.clip(reference + 0.1 * rng.standard_normal(reference.shape), 0.0, 1.0)
-    rows, columns = np.indices(reference.shape[:2])
-    for row, column in ((45, 60), (3, 116)):
-        mask = np.hypot(rows - row, columns - column) < 12
-        images = (image.astype(np.float32) for image in (reference, test))
-        settings = {"inputsRGB": True, "applyMagma": False, "computeMeanError": False, "parameters": {"ppd": 67.0}}
-        whole = np.asarray(program.evaluate(*images, "LDR", **settings)[0], dtype=np.float64).reshape(mask.shape)
-        assert flip_mean(reference, test, mask) == whole[mask].mean()
+    reference, test = (light * image for image in textured(np.random.default_rng(5)))
+    images = (image.astype(np.float32) for image in (reference, test))
+    settings = {"inputsRGB": True, "applyMagma": False, "computeMeanError": False}
+    found = program.evaluate(*images, "LDR", **settings, parameters={"ppd": pixels_per_deg})[0]
+    whole = np.asarray(found, dtype=np.float64).reshape(reference.shape[:2])
+    rows, columns = np.indices(whole.shape)
+    for row, column, radius in ((45, 60, 12), (3, 116, 12), (45, 60, 200)):
+        mask = np.hypot(rows - row, columns - column) < radius
+        assert flip_mean(reference, test, mask, pixels_per_deg) == pytest.approx(whole[mask].mean(), abs=1e-6)
+    where = np.ones(whole.shape, bool)
+    seen = [perceived_image(image, where, pixels_per_deg) for image in (reference, test)]
+    # a difference of structure of 1e-6 shows through its square root
+    assert np.abs(flip_errors(*seen) - whole.ravel()).max() < 1e-3
 
 
-def test_without_the_package_the_error_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[flip\]'"):
-        flip_mean(np.zeros((4, 4, 3)), np.zeros((4, 4, 3)), np.ones((4, 4), bool))
+def test_flip_of_a_region_is_that_of_the_whole_picture():
+    """What lies farther from the region than the filters reach changes nothing but the order of sums."""
+    reference, test = textured(np.random.default_rng(6))
+    mask = np.zeros(reference.shape[:2], bool)
+    mask[30:50, 50:70] = True
+    found = flip_mean(reference, test, mask)
+    reference[:15], test[:, 90:] = 0.0, 1.0
+    assert flip_mean(reference, test, mask) == pytest.approx(found, rel=1e-6)
+    assert flip_mean(reference, test, ~mask) > 1.5 * found
+
+
+def test_a_pixel_that_is_missing_in_one_image_is_black_in_both():
+    reference, test = textured(np.random.default_rng(7))
+    mask = np.zeros(reference.shape[:2], bool)
+    mask[20:60, 40:80] = True
+    black = [image.copy() for image in (reference, test)]
+    reference[70, 60, 1] = np.nan
+    for image in black:
+        image[70, 60] = 0.0
+    assert flip_mean(reference, test, mask) == pytest.approx(flip_mean(*black, mask), rel=1e-12)

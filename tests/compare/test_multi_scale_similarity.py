@@ -5,8 +5,8 @@ from scipy.signal import convolve2d
 from skimage.metrics import structural_similarity as scikit_image_ssim
 
 from data_schemas import CompareError
-from finray_calib.compare import multi_scale_similarity
-from finray_calib.compare._structural_similarity import SCALE_WEIGHTS
+from finray_calib.compare import multi_scale_similarity, structural_similarity
+from finray_calib.compare._structural_similarity import SCALE_WEIGHTS, similarity_of_all_scales
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +84,21 @@ def test_missing_pixels_and_what_lies_outside_the_mask_do_not_count(pair):
     assert with_gap != plain
     first[:, ::8] = np.nan
     assert multi_scale_similarity(first, second, 255.0, mask) is None
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_one_scale_and_several_formed_together_are_those_formed_apart(pair, missing):
+    first, second = pair[0].copy(), pair[1]
+    if missing:
+        first[50:53, 50, 0] = np.nan
+    single, multi = similarity_of_all_scales(first, second, 255.0)
+    assert multi == multi_scale_similarity(first, second, 255.0)
+    apart = structural_similarity(first, second, 255.0)
+    assert single.mean == apart.mean
+    np.testing.assert_array_equal(single.ssim_map, apart.ssim_map)
+    small = similarity_of_all_scales(first[:100], second[:100], 255.0)
+    assert small[1] is None
+    assert small[0].mean == structural_similarity(first[:100], second[:100], 255.0).mean
 
 
 def test_wrong_input_is_refused(pair):
