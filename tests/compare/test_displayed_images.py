@@ -5,8 +5,6 @@ import pytest
 from data_schemas import CompareError
 from finray_calib.compare._displayed_images import (
     PIXELS_PER_DEGREE,
-    colour_difference_map,
-    colour_difference_within,
     display_white_dn,
     displayed_image,
     flip_errors,
@@ -38,20 +36,6 @@ def test_white_is_the_brightest_half_per_cent_without_contact():
             display_white_dn(black)
     with pytest.raises(CompareError, match="white level must be positive, got 0"):
         displayed_image(image, 0.0, linear=True)
-
-
-def test_the_colour_difference_within_a_region():
-    rng = np.random.default_rng(0)
-    first, second = rng.random((20, 30, 3)), rng.random((20, 30, 3))
-    mask = np.zeros((20, 30), bool)
-    mask[5:15, 5:20] = True
-    second[6, 6, 0] = np.nan
-    found = colour_difference_within(first, second, mask)
-    mask[6, 6] = False
-    values = colour_difference_map(first, np.nan_to_num(second))[mask]
-    assert found.pixels == 149
-    assert found.mean == pytest.approx(values.mean(), rel=1e-12)
-    assert found.p95 == pytest.approx(np.quantile(values, 0.95), rel=1e-12)
 
 
 def textured(rng, shape=(90, 120, 3)):
