@@ -92,8 +92,8 @@ def test_what_a_person_sets_varies_and_what_is_stated(drawn):
     assert inputs["light.position_mm.z"].unit == "mm"
     for field, words in (
         ("light.angel_deg", "is not a number of this finger"),
-        ("pad.shape", "is no number"),
-        ("mechanics.gel.c10_mpa", "that light depends on"),
+        ("pad.shape", "is not a number of this finger"),
+        ("mechanics.gel.c10_mpa", "that its light depends on"),
         ("light.position_mm", "the axis last"),
     ):
         with pytest.raises(SimulateError, match=words):
