@@ -65,6 +65,13 @@ if TYPE_CHECKING:
     from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, AbsorptionPrior, Discrepancy, EmissionPrior
     from finray_calib.fit._repeated_sessions import combine_sessions, departing_warnings
     from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE
+    from finray_calib.fit._sensor_posterior import (
+        PictureBlocks,
+        PicturePosterior,
+        picture_blocks,
+        placed_picture,
+        sample_picture_posterior,
+    )
     from finray_calib.fit._uncertainty_budget import BUDGETED, BudgetRow, uncertainty_budget
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -96,6 +103,8 @@ __all__ = [
     "FitSettings",
     "LogPosterior",
     "NextFilter",
+    "PictureBlocks",
+    "PicturePosterior",
     "PixelSpread",
     "SamplerSettings",
     "Summary",
@@ -124,8 +133,11 @@ __all__ = [
     "next_filters",
     "paper_parameters",
     "patch_colours",
+    "picture_blocks",
+    "placed_picture",
     "rank_r_hat",
     "reflectance",
+    "sample_picture_posterior",
     "sample_posterior",
     "score_families",
     "smooth_weights",

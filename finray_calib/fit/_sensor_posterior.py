@@ -1,0 +1,297 @@
+"""Posterior of what makes a sensor's pictures, when a model predicts the means of their blocks.
+
+The pictures are taken as the model times one plus a smooth error of unknown size (what the model does not have, such as
+uneven paint or a vignetting lens) plus independent noise. At given sizes of both errors all is Gaussian about the
+model's tangent; the sizes are integrated over a grid.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_matrix
+
+from data_schemas import FitError
+
+Floats = NDArray[np.float64]
+Predict = Callable[[Floats], Floats]
+CHANNELS = 3
+BLOCKS: Final = (24, 16)
+"""Along the longer and the shorter side of the pad's picture."""
+_LEAST_BLOCK_PX = 2
+_LEAST_SEEN = 0.5
+_FEWEST_BLOCKS = 20
+DISCREPANCY_SIZES_REL = (0.0, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4)
+INDEPENDENT_SIZES_REL = (0.0, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
+"""Sizes of both errors, relative to the picture: even in the logarithm, all of one prior weight."""
+
+# of the smooth error's variance: what all channels and pictures share, what all pictures of a channel share, the rest
+_SHARES = (0.5, 0.4, 0.1)
+_KEPT_VARIANCE = 0.99
+# relative errors count from this share of a channel's mean: where a channel is dark they would mean nothing
+_DARKEST_REL = 0.05
+_MOST_STEPS = 15
+_CLOSE_SD = 0.05
+_HALVINGS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class PictureBlocks:
+    """Means over blocks of several pictures, in the order picture, channel, block.
+
+    Attributes
+    ----------
+    values, variance
+        (picture, 3, block) means and their known variance.
+    places
+        (block, 2) middles, in lengths of the pad's picture.
+    averaging
+        (block, pixel) sparse: averages over the pixels of a block that see the pad and are not clipped.
+    """
+
+    values: Floats
+    variance: Floats
+    places: Floats
+    averaging: csr_matrix
+
+    def means(self, pictures: Floats) -> Floats:
+        """Return block means (picture, 3, block) of pictures (picture, 3, row, column)."""
+        flat = pictures.reshape(-1, pictures.shape[-2] * pictures.shape[-1])
+        return np.asarray((self.averaging @ flat.T).T).reshape(*pictures.shape[:2], -1)
+
+    def variance_of_means(self, variance: Floats) -> Floats:
+        """Return the variance of block means of pictures whose pixels have independent noise."""
+        return replace(self, averaging=self.averaging.multiply(self.averaging).tocsr()).means(variance)
+
+    def features(self, correlation_length: float) -> Floats:
+        r"""Return what a smooth relative error of unit size consists of, (number of values, feature).
+
+        Over places its correlation is :math:`\exp(-d^2 / 2 l^2)`; half its variance is common to all channels and
+        pictures, two fifths to the pictures of a channel, a tenth is of one channel of one picture.
+
+        Parameters
+        ----------
+        correlation_length
+            l, in lengths of the pad's picture.
+        """
+        distance2 = ((self.places[:, None] - self.places[None]) ** 2).sum(axis=-1)
+        sizes, vectors = np.linalg.eigh(np.exp(-0.5 * distance2 / correlation_length**2))
+        order = np.argsort(sizes)[::-1]
+        kept = 1 + int(np.searchsorted(np.cumsum(sizes[order]) / sizes.sum(), _KEPT_VARIANCE))
+        over_places = vectors[:, order[:kept]] * np.sqrt(sizes[order[:kept]])
+        pictures = len(self.values)
+        groups = (
+            np.ones((pictures * CHANNELS, 1)),
+            np.tile(np.eye(CHANNELS), (pictures, 1)),
+            np.eye(pictures * CHANNELS),
+        )
+        return np.concatenate(
+            [np.sqrt(s) * np.kron(g, over_places) for s, g in zip(_SHARES, groups, strict=True)], axis=1
+        )
+
+
+def picture_blocks(pictures: Floats, variance: Floats, on_pad: NDArray[np.bool_]) -> PictureBlocks:
+    """Divide the pad's picture into 24 blocks along its longer and 16 along its shorter side, and average over them.
+
+    Parameters
+    ----------
+    pictures, variance
+        (picture, 3, row, column) and the variance of each pixel; NaN where clipped.
+    on_pad
+        (row, column) whether the camera sees the pad by the design.
+
+    Raises
+    ------
+    FitError
+        Fewer than 20 blocks hold light that is not clipped.
+    """
+    rows, columns = np.nonzero(on_pad)
+    usable = np.isfinite(pictures).all(axis=(0, 1))[rows, columns]
+    spans = np.array([np.ptp(rows) + 1, np.ptp(columns) + 1]) if len(rows) else np.ones(2)
+    side = np.maximum(spans / np.array(BLOCKS if spans[0] >= spans[1] else BLOCKS[::-1]), _LEAST_BLOCK_PX)
+    number = [np.floor((at - at.min()) / size).astype(int) for at, size in zip((rows, columns), side, strict=True)]
+    _, at, count = np.unique(number[0] * on_pad.shape[1] + number[1], return_inverse=True, return_counts=True)
+    good = np.bincount(at, usable, len(count)) >= _LEAST_SEEN * np.maximum(count, 0.5 * side.prod())
+    if good.sum() < _FEWEST_BLOCKS:
+        raise FitError(
+            f"only {int(good.sum())} blocks of the pad's picture are seen and not clipped; at least {_FEWEST_BLOCKS} "
+            "are needed: capture with a shorter exposure, or check the camera of the design"
+        )
+    kept = usable & good[at]
+    block = (np.cumsum(good) - 1)[at[kept]]
+    total = np.bincount(block)
+    pixel = rows[kept] * on_pad.shape[1] + columns[kept]
+    averaging = csr_matrix((1.0 / total[block], (block, pixel)), shape=(len(total), on_pad.size))
+    places = np.stack([np.bincount(block, of[kept]) / total for of in (rows, columns)], axis=-1) / spans.max()
+    empty = PictureBlocks(np.empty(0), np.empty(0), places, averaging)
+    means, spread = np.nan_to_num(pictures), np.nan_to_num(variance)
+    return replace(empty, values=empty.means(means), variance=empty.variance_of_means(spread))
+
+
+def placed_picture(picture: Floats, rows_px: float, columns_px: float, scale: float, blur_px: float) -> Floats:
+    """Return a picture (row, column) scaled about its middle, shifted and blurred by a Gaussian."""
+    rows, columns = picture.shape
+    middle = np.array([(columns - 1) / 2.0, (rows - 1) / 2.0])
+    matrix = np.eye(2, 3) / scale
+    matrix[:, 2] = middle - (middle + np.array([columns_px, rows_px])) / scale
+    moved = cv2.warpAffine(
+        picture, matrix, (columns, rows), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+    )
+    # one size of kernel for all widths: a size that follows the width would jump
+    return np.asarray(cv2.GaussianBlur(moved, (25, 25), blur_px, borderType=cv2.BORDER_REFLECT))
+
+
+@dataclass(frozen=True, slots=True)
+class PicturePosterior:
+    """Draws of the standardised parameters, whose prior is the unit normal, and of both errors' sizes.
+
+    ``theta`` (draw, parameter), ``discrepancy_rel`` and ``independent_rel`` (draw,); ``mean`` (parameter,) is the
+    point about which the model was linearised; ``residual_rel`` the rms of the residuals over the picture's mean.
+    """
+
+    theta: Floats
+    mean: Floats
+    discrepancy_rel: Floats
+    independent_rel: Floats
+    residual_rel: float
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Tangent:
+    """The model about a point: residuals there, slopes (value, parameter), scale of relative errors (value,)."""
+
+    point: Floats
+    residual: Floats
+    slopes: Floats
+    scale: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """At each pair of sizes: log evidence, mean and covariance of the parameters."""
+
+    log_evidence: Floats
+    means: Floats
+    covariances: Floats
+
+    @property
+    def weights(self) -> Floats:
+        weight = np.exp(self.log_evidence - self.log_evidence.max())
+        return np.asarray(weight / weight.sum())
+
+
+def sample_picture_posterior(
+    predict: Predict,
+    blocks: PictureBlocks,
+    steps: Floats,
+    rng: np.random.Generator,
+    *,
+    correlation_length: float,
+    draws: int = 2000,
+) -> PicturePosterior:
+    r"""Fit standardised parameters to the blocks of pictures and draw from their posterior.
+
+    .. math:: y = f(\theta) + m \, (\sigma_d \Phi w + \sigma_n e) + e_y, \quad \theta, w, e \sim N(0, 1)
+
+    with m the model's own picture, :math:`\Phi` of :meth:`PictureBlocks.features` and :math:`e_y` of known variance.
+    Gauss-Newton finds the tangent; there the posterior is Gaussian at each pair of sizes, and draws come from the
+    mixture over the grid of sizes. Valid where f is near its tangent over the posterior's width.
+
+    Parameters
+    ----------
+    predict
+        Returns block means in the order of `blocks` from standardised parameters (parameter,).
+    blocks
+        What was measured.
+    steps
+        (parameter,) half steps of the differences that make the tangent.
+    rng
+        Of the draws.
+    correlation_length
+        Of the smooth error, in lengths of the pad's picture.
+    draws
+        How many.
+
+    Raises
+    ------
+    FitError
+        The model predicts numbers that are not finite, or no light at all.
+    """
+    measured, variance = blocks.values.ravel(), blocks.variance.ravel()
+    features = blocks.features(correlation_length)
+    point, converged = np.zeros(len(steps)), False
+    for _ in range(_MOST_STEPS):
+        tangent = _tangent(predict, blocks, point, steps)
+        grid = _grid(tangent, variance, features)
+        best = int(np.argmax(grid.log_evidence))
+        spread = np.sqrt(np.diagonal(grid.covariances[best]))
+        move = grid.means[best] - point
+        if np.abs(move / spread).max() < _CLOSE_SD:
+            converged = True
+            break
+        point = point + _shortened(move, predict, measured, tangent)
+    cell = rng.choice(len(grid.weights), size=draws, p=grid.weights)
+    theta = np.empty((draws, len(steps)))
+    for k in np.unique(cell):
+        own = cell == k
+        root = np.linalg.cholesky(grid.covariances[k])
+        theta[own] = grid.means[k] + rng.standard_normal((own.sum(), len(steps))) @ root.T
+    sizes = np.array([(d, n) for n in INDEPENDENT_SIZES_REL for d in DISCREPANCY_SIZES_REL])
+    at_mean = predict(grid.means[best])
+    residual = float(np.sqrt(np.mean((measured - at_mean) ** 2)) / np.mean(measured))
+    return PicturePosterior(theta, grid.means[best], *sizes[cell].T, residual, converged)
+
+
+def _tangent(predict: Predict, blocks: PictureBlocks, point: Floats, steps: Floats) -> _Tangent:
+    """Return the model about a point, by central differences."""
+    at = predict(point)
+    if not np.isfinite(at).all() or not (at > 0.0).any():
+        raise FitError("the model of the sensor predicts no light in these pictures: check light and camera")
+    slopes = np.empty((len(at), len(point)))
+    for k, step in enumerate(steps):
+        moved = np.zeros(len(point))
+        moved[k] = step
+        slopes[:, k] = (predict(point + moved) - predict(point - moved)) / (2.0 * step)
+    of_channel = at.reshape(blocks.values.shape)
+    floor = _DARKEST_REL * of_channel.mean(axis=2, keepdims=True)
+    return _Tangent(point, blocks.values.ravel() - at, slopes, np.maximum(of_channel, floor).ravel())
+
+
+def _grid(tangent: _Tangent, variance: Floats, features: Floats) -> _Grid:
+    """Solve the linear model at each pair of sizes, by the matrix inversion lemma over parameters and features."""
+    count, several = tangent.slopes.shape[1], tangent.slopes.shape[1] + features.shape[1]
+    columns = np.concatenate([tangent.slopes, tangent.scale[:, None] * features], axis=1)
+    measured = tangent.residual + tangent.slopes @ tangent.point
+    evidence, means, covariances = [], [], []
+    for independent in INDEPENDENT_SIZES_REL:
+        # with neither noise nor error the solution would claim to be exact: a ten-thousandth is below every camera
+        noise = variance + (max(independent, 1e-4) * tangent.scale) ** 2
+        weighted = columns / noise[:, None]
+        normal, right = columns.T @ weighted, weighted.T @ measured
+        square, log_noise = float(measured @ (measured / noise)), float(np.log(noise).sum())
+        for size in DISCREPANCY_SIZES_REL:
+            scaled = np.concatenate([np.ones(count), np.full(several - count, size)])
+            matrix = np.eye(several) + scaled[:, None] * normal * scaled
+            root = cho_factor(matrix, lower=True)
+            solved = cho_solve(root, np.column_stack([scaled * right, np.eye(several, count)]))
+            log_size = 2.0 * float(np.log(np.diagonal(root[0])).sum())
+            evidence.append(-0.5 * (square - float((scaled * right) @ solved[:, 0]) + log_size + log_noise))
+            means.append(solved[:count, 0])
+            covariances.append(solved[:count, 1:])
+    return _Grid(np.array(evidence), np.array(means), np.array(covariances))
+
+
+def _shortened(move: Floats, predict: Predict, measured: Floats, tangent: _Tangent) -> Floats:
+    """Return the move, halved while it makes the residuals larger than they were."""
+    before = float(np.sum((tangent.residual / tangent.scale) ** 2))
+    for _ in range(_HALVINGS):
+        after = (measured - predict(tangent.point + move)) / tangent.scale
+        if np.isfinite(after).all() and float(np.sum(after**2)) <= 1.05 * before:
+            return move
+        move = 0.5 * move
+    return move
