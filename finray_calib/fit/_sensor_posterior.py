@@ -5,14 +5,13 @@ uneven paint or a vignetting lens) plus independent noise. At given sizes of bot
 model's tangent; the sizes are integrated over a grid.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
 from data_schemas import FitError
@@ -22,12 +21,13 @@ Predict = Callable[[Floats], Floats]
 CHANNELS = 3
 BLOCKS: Final = (24, 16)
 """Along the longer and the shorter side of the pad's picture."""
-_LEAST_BLOCK_PX = 2
+_LEAST_BLOCK_PX = 6
 _LEAST_SEEN = 0.5
 _FEWEST_BLOCKS = 20
 DISCREPANCY_SIZES_REL = (0.0, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4)
 INDEPENDENT_SIZES_REL = (0.0, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
 """Sizes of both errors, relative to the picture: even in the logarithm, all of one prior weight."""
+SIZES_REL: Final = tuple((d, n) for n in INDEPENDENT_SIZES_REL for d in DISCREPANCY_SIZES_REL)
 
 # of the smooth error's variance: what all channels and pictures share, what all pictures of a channel share, the rest
 _SHARES = (0.5, 0.4, 0.1)
@@ -36,7 +36,8 @@ _KEPT_VARIANCE = 0.99
 _DARKEST_REL = 0.05
 _MOST_STEPS = 15
 _CLOSE_SD = 0.05
-_HALVINGS = 5
+# of one step, in standard deviations of the prior
+_LONGEST_MOVE = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,9 @@ class PictureBlocks:
 
 
 def picture_blocks(pictures: Floats, variance: Floats, on_pad: NDArray[np.bool_]) -> PictureBlocks:
-    """Divide the pad's picture into 24 blocks along its longer and 16 along its shorter side, and average over them.
+    """Divide the pad's picture into up to 24 blocks along its longer and 16 along its shorter side, and average there.
+
+    A block has at least 6 pixels along each side: a blur, which is narrower, then hardly smooths the model's own noise.
 
     Parameters
     ----------
@@ -151,6 +154,7 @@ class PicturePosterior:
 
     ``theta`` (draw, parameter), ``discrepancy_rel`` and ``independent_rel`` (draw,); ``mean`` (parameter,) is the
     point about which the model was linearised; ``residual_rel`` the rms of the residuals over the picture's mean.
+    ``noise_share`` (parameter,) is how much of what the pictures seem to tell of a parameter is the model's own noise.
     """
 
     theta: Floats
@@ -159,15 +163,18 @@ class PicturePosterior:
     independent_rel: Floats
     residual_rel: float
     converged: bool
+    noise_share: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class _Tangent:
-    """The model about a point: residuals there, slopes (value, parameter), scale of relative errors (value,)."""
+    """The model about a point: residuals and half differences there, their slopes, and the scale of relative errors."""
 
     point: Floats
     residual: Floats
+    half: Floats
     slopes: Floats
+    half_slopes: Floats
     scale: Floats
 
 
@@ -199,15 +206,18 @@ def sample_picture_posterior(
     .. math:: y = f(\theta) + m \, (\sigma_d \Phi w + \sigma_n e) + e_y, \quad \theta, w, e \sim N(0, 1)
 
     with m the model's own picture, :math:`\Phi` of :meth:`PictureBlocks.features` and :math:`e_y` of known variance.
-    Gauss-Newton finds the tangent; there the posterior is Gaussian at each pair of sizes, and draws come from the
-    mixture over the grid of sizes. Valid where f is near its tangent over the posterior's width.
+    The model is rendered and has noise of its own, which would make what smooths it (blur) look right and what it
+    hides (slopes) look small; the squared residual is therefore the product of the residuals of two independent halves
+    of it. Gauss-Newton finds the tangent; there the posterior is Gaussian at each pair of sizes, and draws come from
+    the mixture over the grid of sizes. Valid where f is near its tangent over the posterior's width.
 
     Parameters
     ----------
     predict
-        Returns block means in the order of `blocks` from standardised parameters (parameter,).
+        Returns from standardised parameters (parameter,) block means and half the difference of the model's halves, in
+        the order of `blocks`, (2, value).
     blocks
-        What was measured.
+        What was measured; its variance includes the model's noise.
     steps
         (parameter,) half steps of the differences that make the tangent.
     rng
@@ -224,74 +234,95 @@ def sample_picture_posterior(
     """
     measured, variance = blocks.values.ravel(), blocks.variance.ravel()
     features = blocks.features(correlation_length)
-    point, converged = np.zeros(len(steps)), False
+    point, converged, pair = np.zeros(len(steps)), False, None
     for _ in range(_MOST_STEPS):
         tangent = _tangent(predict, blocks, point, steps)
-        grid = _grid(tangent, variance, features)
+        # the sizes are chosen anew where the point has settled for those of before
+        grid = _grid(tangent, variance, features, SIZES_REL if pair is None else (pair,))
         best = int(np.argmax(grid.log_evidence))
-        spread = np.sqrt(np.diagonal(grid.covariances[best]))
         move = grid.means[best] - point
-        if np.abs(move / spread).max() < _CLOSE_SD:
-            converged = True
+        is_near = np.abs(move / np.sqrt(np.diagonal(grid.covariances[best]))).max() < _CLOSE_SD
+        converged = bool(is_near and pair is None)
+        if converged:
             break
-        point = point + _shortened(move, predict, measured, tangent)
+        pair = None if is_near else pair or SIZES_REL[best]
+        point = point + np.clip(move, -_LONGEST_MOVE, _LONGEST_MOVE)
+    grid = _grid(tangent, variance, features, SIZES_REL)
+    best = int(np.argmax(grid.log_evidence))
     cell = rng.choice(len(grid.weights), size=draws, p=grid.weights)
     theta = np.empty((draws, len(steps)))
     for k in np.unique(cell):
         own = cell == k
         root = np.linalg.cholesky(grid.covariances[k])
         theta[own] = grid.means[k] + rng.standard_normal((own.sum(), len(steps))) @ root.T
-    sizes = np.array([(d, n) for n in INDEPENDENT_SIZES_REL for d in DISCREPANCY_SIZES_REL])
-    at_mean = predict(grid.means[best])
-    residual = float(np.sqrt(np.mean((measured - at_mean) ** 2)) / np.mean(measured))
-    return PicturePosterior(theta, grid.means[best], *sizes[cell].T, residual, converged)
+    sizes = np.array(SIZES_REL)
+    residual = measured - predict(grid.means[best])[0]
+    residual_rel = float(np.sqrt(np.mean(residual**2)) / np.mean(measured))
+    noise_share = _noise_share(tangent, variance, features, SIZES_REL[best])
+    return PicturePosterior(theta, grid.means[best], *sizes[cell].T, residual_rel, converged, noise_share)
 
 
 def _tangent(predict: Predict, blocks: PictureBlocks, point: Floats, steps: Floats) -> _Tangent:
     """Return the model about a point, by central differences."""
-    at = predict(point)
+    at, half = predict(point)
     if not np.isfinite(at).all() or not (at > 0.0).any():
         raise FitError("the model of the sensor predicts no light in these pictures: check light and camera")
-    slopes = np.empty((len(at), len(point)))
+    slopes = np.empty((2, len(at), len(point)))
     for k, step in enumerate(steps):
         moved = np.zeros(len(point))
         moved[k] = step
-        slopes[:, k] = (predict(point + moved) - predict(point - moved)) / (2.0 * step)
+        slopes[..., k] = (predict(point + moved) - predict(point - moved)) / (2.0 * step)
     of_channel = at.reshape(blocks.values.shape)
     floor = _DARKEST_REL * of_channel.mean(axis=2, keepdims=True)
-    return _Tangent(point, blocks.values.ravel() - at, slopes, np.maximum(of_channel, floor).ravel())
+    scale = np.maximum(of_channel, floor).ravel()
+    return _Tangent(point, blocks.values.ravel() - at, half, slopes[0], slopes[1], scale)
 
 
-def _grid(tangent: _Tangent, variance: Floats, features: Floats) -> _Grid:
-    """Solve the linear model at each pair of sizes, by the matrix inversion lemma over parameters and features."""
-    count, several = tangent.slopes.shape[1], tangent.slopes.shape[1] + features.shape[1]
-    columns = np.concatenate([tangent.slopes, tangent.scale[:, None] * features], axis=1)
-    measured = tangent.residual + tangent.slopes @ tangent.point
+def _grid(tangent: _Tangent, variance: Floats, features: Floats, pairs: Sequence[tuple[float, float]]) -> _Grid:
+    """Solve the linear model at pairs of sizes; the smooth error is eliminated by the matrix inversion lemma."""
+    count = tangent.slopes.shape[1]
+    at_zero = tangent.residual + tangent.slopes @ tangent.point
+    half_at_zero = tangent.half - tangent.half_slopes @ tangent.point
+    columns = np.column_stack([tangent.slopes, at_zero, tangent.half_slopes, half_at_zero])
+    smooth = tangent.scale[:, None] * features
     evidence, means, covariances = [], [], []
-    for independent in INDEPENDENT_SIZES_REL:
+    for independent in dict.fromkeys(own for _, own in pairs):
         # with neither noise nor error the solution would claim to be exact: a ten-thousandth is below every camera
         noise = variance + (max(independent, 1e-4) * tangent.scale) ** 2
         weighted = columns / noise[:, None]
-        normal, right = columns.T @ weighted, weighted.T @ measured
-        square, log_noise = float(measured @ (measured / noise)), float(np.log(noise).sum())
-        for size in DISCREPANCY_SIZES_REL:
-            scaled = np.concatenate([np.ones(count), np.full(several - count, size)])
-            matrix = np.eye(several) + scaled[:, None] * normal * scaled
-            root = cho_factor(matrix, lower=True)
-            solved = cho_solve(root, np.column_stack([scaled * right, np.eye(several, count)]))
-            log_size = 2.0 * float(np.log(np.diagonal(root[0])).sum())
-            evidence.append(-0.5 * (square - float((scaled * right) @ solved[:, 0]) + log_size + log_noise))
-            means.append(solved[:count, 0])
-            covariances.append(solved[:count, 1:])
+        products = columns.T @ weighted
+        sizes, vectors = np.linalg.eigh(smooth.T @ (smooth / noise[:, None]))
+        sizes, seen = np.maximum(sizes, 0.0), vectors.T @ (smooth.T @ weighted)
+        for size in (size for size, own in pairs if own == independent):
+            share = size**2 / (1.0 + size**2 * sizes)
+            reduced = products - seen.T @ (share[:, None] * seen)
+            log_size = float(np.log(noise).sum() + np.log1p(size**2 * sizes).sum())
+            mean, covariance, square = _solved(reduced, count)
+            log_information = -float(np.linalg.slogdet(covariance)[1])
+            evidence.append(-0.5 * (square + log_size + log_information))
+            means.append(mean)
+            covariances.append(covariance)
     return _Grid(np.array(evidence), np.array(means), np.array(covariances))
 
 
-def _shortened(move: Floats, predict: Predict, measured: Floats, tangent: _Tangent) -> Floats:
-    """Return the move, halved while it makes the residuals larger than they were."""
-    before = float(np.sum((tangent.residual / tangent.scale) ** 2))
-    for _ in range(_HALVINGS):
-        after = (measured - predict(tangent.point + move)) / tangent.scale
-        if np.isfinite(after).all() and float(np.sum(after**2)) <= 1.05 * before:
-            return move
-        move = 0.5 * move
-    return move
+def _solved(products: Floats, count: int) -> tuple[Floats, Floats, float]:
+    """Return mean, covariance and squared residual with its prior term, from weighted products of all columns."""
+    n, last = count, 2 * count + 1
+    information = products[:n, :n] - products[n + 1 : last, n + 1 : last]
+    right = products[:n, n] + products[n + 1 : last, last]
+    sizes, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    # that of the halves' product is right on average, and below zero by chance only
+    covariance = (vectors / (1.0 + np.maximum(sizes, 0.0))) @ vectors.T
+    mean = covariance @ right
+    square = products[n, n] - 2.0 * products[:n, n] @ mean + mean @ products[:n, :n] @ mean + mean @ mean
+    return mean, covariance, float(square)
+
+
+def _noise_share(tangent: _Tangent, variance: Floats, features: Floats, pair: tuple[float, float]) -> Floats:
+    """Return for each parameter the squared slopes of the half differences over those of the model, (parameter,)."""
+    noise = variance + (max(pair[1], 1e-4) * tangent.scale) ** 2
+    smooth = pair[0] * tangent.scale[:, None] * features / np.sqrt(noise)[:, None]
+    slopes = np.concatenate([tangent.slopes, tangent.half_slopes], axis=1) / np.sqrt(noise)[:, None]
+    inner = np.linalg.solve(np.eye(smooth.shape[1]) + smooth.T @ smooth, smooth.T @ slopes)
+    seen, of_noise = np.split(np.maximum((slopes * (slopes - smooth @ inner)).sum(axis=0), 0.0), 2)
+    return np.asarray(of_noise / np.maximum(seen, 1.0))

@@ -79,7 +79,7 @@ if TYPE_CHECKING:
         simulate_press,
     )
     from sim.experiments._sensor_fit import USUAL_FIELDS, fit_sensor, fitted_design
-    from sim.experiments._sensor_layers import ClassicLayers, FingerLayers, SensorScene
+    from sim.experiments._sensor_layers import ClassicLayers, FingerLayers, FreeNumber, Layers, SensorScene
     from sim.experiments._sensor_press import (
         BallPresses,
         PressedCoat,
@@ -118,6 +118,8 @@ __all__ = [
     "FingerEvaluator",
     "FingerLayers",
     "FingerScene",
+    "FreeNumber",
+    "Layers",
     "LightMeasure",
     "LookTruth",
     "OpticsProducts",

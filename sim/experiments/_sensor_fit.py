@@ -50,6 +50,10 @@ _GAIN_U = 2.0
 CORRELATION_LENGTH: Final = 0.3
 """Of the smooth error, over the longer side of the pad's picture."""
 _FAR_SD = 3.0
+LARGEST_EMULATOR_REL: Final = 0.01
+"""Where renders differ by more from the parabolas through others, new ones are made about the numbers found."""
+_SHORTEST_STEP: Final = 0.2  # of such renders, in standard deviations of the prior: shorter ones differ by noise only
+_MOST_NOISE: Final = 0.3
 
 
 def captured_pictures(captures: Sequence[TactileCapture]) -> tuple[Floats, Floats]:
@@ -103,8 +107,8 @@ class PictureModel:
     """Predicts the block means of all pictures from standardised numbers.
 
     ``mix`` (3, layer) is what each channel sees of each layer by the design, ``exponents`` (number, 3, layer) with what
-    power of a number it grows. ``slopes`` and ``bends`` hold, by place of a number, how the layers change to first and
-    second order.
+    power of a number it grows. ``base`` are the layers of the design (:class:`Layers`); ``slopes`` and ``bends`` hold,
+    by place of a number, how they change to first and second order about ``centre``.
     """
 
     numbers: tuple[FreeNumber, ...]
@@ -112,14 +116,16 @@ class PictureModel:
     base: Floats
     mix: Floats
     exponents: Floats
+    centre: Floats
     slopes: Mapping[int, Floats]
     bends: Mapping[int, Floats]
 
     def layers(self, theta: Floats) -> Floats:
-        """Return layers at these numbers, (picture, layer, row, column)."""
+        """Return layers at these numbers, (2, picture, layer, row, column)."""
         pictures = self.base
         for k, slope in self.slopes.items():
-            pictures = pictures + theta[k] * slope + theta[k] ** 2 * self.bends[k]
+            step = theta[k] - self.centre[k]
+            pictures = pictures + step * slope + step**2 * self.bends[k]
         return pictures
 
     def growth(self, theta: Floats) -> Floats:
@@ -128,17 +134,18 @@ class PictureModel:
         return np.asarray(np.exp(np.einsum("...k,kcl->...cl", theta * logs, self.exponents)))
 
     def channels(self, theta: Floats, layers: Floats) -> Floats:
-        """Return block means (picture, 3, block) of layers."""
+        """Return block means (2, picture, 3, block) of layers."""
         of = {n.name: float(n.at(theta[k])) for k, n in enumerate(self.numbers) if n.place == "picture"}
         gain = next(n.value for n in self.numbers if n.name == GAIN)
-        mixed = np.einsum("cl,slij->scij", gain * self.mix * self.growth(theta), layers)
+        mixed = np.einsum("cl,...lij->...cij", gain * self.mix * self.growth(theta), layers)
         moves = tuple(of[f"picture.{name}"] for name in ("shift_rows_px", "shift_columns_px", "scale", "blur_px"))
-        flat = mixed.reshape(-1, *mixed.shape[2:])
-        return self.captured.means(np.array([placed_picture(one, *moves) for one in flat]).reshape(mixed.shape))
+        moved = np.array([placed_picture(one, *moves) for one in mixed.reshape(-1, *mixed.shape[3:])])
+        means = self.captured.means(moved.reshape(-1, *mixed.shape[2:]))
+        return means.reshape(*mixed.shape[:3], -1)
 
     def predict(self, theta: Floats) -> Floats:
-        """Return block means in the order of the captured ones."""
-        return self.channels(theta, self.layers(theta)).ravel()
+        """Return block means and half differences in the order of the captured ones, (2, value)."""
+        return self.channels(theta, self.layers(theta)).reshape(2, -1)
 
 
 def fit_sensor(
@@ -180,23 +187,26 @@ def fit_sensor(
     steps = _Steps(progress, 2 + 2 * len(moving))
     base = scene.layers(presses)
     steps.done("the design as it is")
-    if base.pictures.shape[2:] != pictures.shape[2:]:
+    if base.pictures.shape[-2:] != pictures.shape[-2:]:
         raise SimulateError(
-            f"the design renders {base.pictures.shape[3]} x {base.pictures.shape[2]} px, {captures[0].name} has "
+            f"the design renders {base.pictures.shape[4]} x {base.pictures.shape[3]} px, {captures[0].name} has "
             f"{pictures.shape[3]} x {pictures.shape[2]} px (of a Bayer picture one for each cell): change "
             "camera.width_px and camera.height_px of the design"
         )
     model = _model(scene, moving, picture_blocks(pictures, noise, base.on_pad), base)
-    slopes, bends = _changes(scene, presses, model.numbers, base.pictures, steps)
-    model = replace(model, slopes=slopes, bends=bends)
-    rng = np.random.default_rng(seed)
-    posterior, emulator_rel = _posterior(model, rng), None
-    if moving:
+    renders = _Renders(scene, presses, model.numbers, steps)
+    model = renders.about(model, np.zeros(len(model.numbers)), base.pictures, np.ones(len(model.numbers)))
+    rng, emulator_rel = np.random.default_rng(seed), None
+    posterior = _posterior(model, rng)
+    for is_last in (False, True) if moving else ():
         at = posterior.mean
-        truth = scene.layers([_moved(press, number, model.numbers, at) for number, press in enumerate(presses)])
-        error = truth.pictures - model.layers(at)
-        emulator_rel = _rms_rel(model.channels(at, error), model.captured.values)
-        model = replace(model, base=model.base + error)
+        truth = renders.at(at)
+        error = truth - model.layers(at)
+        emulator_rel = _rms_rel(model.channels(at, error)[0], model.captured.values)
+        if is_last or emulator_rel <= LARGEST_EMULATOR_REL:
+            posterior = _posterior(replace(model, base=model.base + error), rng)
+            break
+        model = renders.about(model, at, truth, np.clip(2.0 * posterior.theta.std(axis=0), _SHORTEST_STEP, 1.0))
         posterior = _posterior(model, rng)
     steps.done("the fitted numbers")
     return _record(scene, captures, model, posterior, emulator_rel)
@@ -212,8 +222,9 @@ class _Steps:
         self._progress, self._total, self._done = progress, total, 0
 
     def done(self, what: str) -> None:
-        """Tell that one is done."""
+        """Tell that one is done; where new renders were needed there are more than was thought."""
         self._done += 1
+        self._total = max(self._total, self._done)
         if self._progress is not None:
             self._progress(self._done, self._total, f"rendered {what}")
 
@@ -295,7 +306,7 @@ def _press_numbers(captures: Sequence[TactileCapture], presses: Sequence[Design]
 
 def _model(scene: SensorScene, moving: tuple[FreeNumber, ...], captured: PictureBlocks, base: Layers) -> PictureModel:
     """Return the model at the gain that makes the pictures alike, with the noise of the renders in the blocks'."""
-    width = base.pictures.shape[3]
+    width = base.pictures.shape[4]
     picture = (
         FreeNumber(GAIN, 1.0, _GAIN_U, True, "not known from the design", "picture", "DN"),
         FreeNumber("picture.shift_rows_px", 0.0, _SHIFT_SHARE * width, False, "assumed", "picture", "px"),
@@ -306,16 +317,14 @@ def _model(scene: SensorScene, moving: tuple[FreeNumber, ...], captured: Picture
     numbers = (*scene.layer_numbers, *moving, *picture)
     mix = scene.mix({})
     exponents = np.array([_exponents(scene, mix, number) for number in numbers])
-    model = PictureModel(numbers, captured, base.pictures, mix, exponents, {}, {})
-    at = model.channels(np.zeros(len(numbers)), base.pictures)
+    model = PictureModel(numbers, captured, base.pictures, mix, exponents, np.zeros(len(numbers)), {}, {})
+    at, half = model.channels(np.zeros(len(numbers)), base.pictures)
     gain = float((at * captured.values).sum() / max(float((at**2).sum()), np.finfo(float).tiny))
     if not gain > 0.0:
         raise SimulateError("the captured pictures hold no light where the design has the pad: check the camera")
     numbers = tuple(replace(n, value=gain) if n.name == GAIN else n for n in numbers)
     # pooled over a picture's channel: a block's own variance goes with its value and would bias the fit to dark blocks
-    of_render = np.einsum("cl,slij->scij", mix**2, base.variance)
-    of_blocks = captured.variance_of_means(of_render).sum(axis=-1)
-    share = of_blocks / np.maximum((at**2).sum(axis=-1), np.finfo(float).tiny)
+    share = (half**2).sum(axis=-1) / np.maximum((at**2).sum(axis=-1), np.finfo(float).tiny)
     captured = replace(captured, variance=captured.variance + share[..., None] * (gain * at) ** 2)
     return replace(model, numbers=numbers, captured=captured)
 
@@ -341,28 +350,42 @@ def _moved(press: Design, number: int, numbers: Sequence[FreeNumber], theta: Flo
     return changed_numbers(press, values)
 
 
-def _changes(
-    scene: SensorScene, presses: Sequence[Design], numbers: Sequence[FreeNumber], base: Floats, steps: _Steps
-) -> tuple[dict[int, Floats], dict[int, Floats]]:
-    """Return slopes and bends of the layers by each number that needs renders, from a standard deviation either way."""
-    slopes, bends = {}, {}
-    for k, one in enumerate(numbers):
-        if one.place not in ("design", "press"):
-            continue
-        sides = []
-        for sign in (1.0, -1.0):
-            theta = np.zeros(len(numbers))
-            theta[k] = sign
-            if one.place == "design":
-                moved = [_moved(press, number, numbers, theta) for number, press in enumerate(presses)]
-                sides.append(scene.layers(moved).pictures)
-            else:
-                side = base.copy()
-                side[1 + one.press] = scene.layers([_moved(presses[one.press], one.press, numbers, theta)]).pictures[1]
-                sides.append(side)
-            steps.done(f"{one.name} {'above' if sign > 0 else 'below'}")
-        slopes[k], bends[k] = (sides[0] - sides[1]) / 2.0, (sides[0] + sides[1]) / 2.0 - base
-    return slopes, bends
+@dataclass(frozen=True, slots=True)
+class _Renders:
+    """Renders of the presses with the free numbers at standardised places."""
+
+    scene: SensorScene
+    presses: Sequence[Design]
+    numbers: Sequence[FreeNumber]
+    steps: _Steps
+
+    def at(self, theta: Floats) -> Floats:
+        """Return the layers of all pictures."""
+        moved = [_moved(press, number, self.numbers, theta) for number, press in enumerate(self.presses)]
+        return self.scene.layers(moved).pictures
+
+    def about(self, model: PictureModel, centre: Floats, base: Floats, widths: Floats) -> PictureModel:
+        """Return the model with parabolas through its layers at `centre`, a width above and a width below."""
+        slopes, bends = {}, {}
+        for k, one in enumerate(self.numbers):
+            if one.place not in ("design", "press"):
+                continue
+            sides = []
+            for sign in (1.0, -1.0):
+                theta = centre.copy()
+                theta[k] += sign * widths[k]
+                sides.append(self.at(theta) if one.place == "design" else self._of_press(one.press, theta, base))
+                self.steps.done(f"{one.name} {'above' if sign > 0 else 'below'}")
+            slopes[k] = (sides[0] - sides[1]) / (2.0 * widths[k])
+            bends[k] = ((sides[0] + sides[1]) / 2.0 - base) / widths[k] ** 2
+        return replace(model, base=base, centre=centre, slopes=slopes, bends=bends)
+
+    def _of_press(self, press: int, theta: Floats, base: Floats) -> Floats:
+        """Return the layers of all pictures where one press alone has moved."""
+        side = base.copy()
+        moved = _moved(self.presses[press], press, self.numbers, theta)
+        side[:, 1 + press] = self.scene.layers([moved]).pictures[:, 1]
+        return side
 
 
 def _posterior(model: PictureModel, rng: np.random.Generator) -> PicturePosterior:
@@ -402,6 +425,9 @@ def _record(
     ]
     if far:
         notes.append(f"far outside the prior ({_FAR_SD:g} standard deviations): {', '.join(far)}; check the design")
+    noisy = [n.name for n, share in zip(model.numbers, posterior.noise_share, strict=True) if share > _MOST_NOISE]
+    if noisy:
+        notes.append(f"the renders are too noisy to tell {', '.join(noisy)}: take more --samples")
     if not any(n.place == "press" for n in model.numbers):
         notes.append("the captures state no uncertainty of depth or position: the presses are taken as exactly known")
     return SensorFit(
@@ -420,7 +446,7 @@ def _record(
         residual_rel=posterior.residual_rel,
         emulator_rel=emulator_rel,
         blocks=model.captured.values.shape[-1],
-        trusted=posterior.converged and not far,
+        trusted=posterior.converged and not far and not noisy,
         notes=tuple(notes),
     )
 

@@ -19,6 +19,7 @@ from sim.experiments._sensor_press import pressed_coat
 from sim.optics import (
     BAND_NAMES,
     FIRST_CHAINS,
+    PlainRender,
     PressRender,
     RenderSettings,
     chain_steps,
@@ -60,10 +61,13 @@ class FreeNumber:
 
 @dataclass(frozen=True, slots=True)
 class Layers:
-    """Pictures (picture, layer, row, column) and their variance; without contact first, then each press."""
+    """Layers of each picture, without contact first, then each press; and which pixels see the pad.
+
+    ``pictures`` (2, picture, layer, row, column) holds the mean of two independent halves of a render, and half their
+    difference.
+    """
 
     pictures: Floats
-    variance: Floats
     on_pad: NDArray[np.bool_]
 
 
@@ -147,23 +151,28 @@ class ClassicLayers:
 
     def layers(self, presses: Sequence[Design]) -> Layers:
         """Render the sensor at rest and each press, light by light where channels mix."""
-        pictures, variances = [], []
-        for press in presses:
-            coat = pressed_coat(_sensor(press), self.folder)
-            images, noise = {}, {}
+        coats = [pressed_coat(_sensor(press), self.folder) for press in presses]
+        seen = seen_places_mm(
+            _sensor(presses[0]), coats[0].rest, self.renderer, sensor_calibration(self.design, self.folder)
+        )
+        found: list[Floats] = []
+        for press, coat in zip(presses, coats, strict=True):
+            of_light = {}
             for group in self._together:
-                lit = _only_lit(_sensor(press), group)
                 render = render_plain_sensor(
-                    lit, self.renderer, self.seed, self.samples, gels=(coat.rest, coat.pressed), folder=self.folder
-                )
-                for k in group:
-                    images[k] = np.stack([render.no_contact, render.contact])
-                    noise[k] = np.stack([render.no_contact_variance, render.contact_variance])
-            for into, of in ((pictures, images), (variances, noise)):
-                into += list(np.stack([of[k][..., c] for k, c in self._seen], axis=1))[1 if into else 0 :]
-        rest = pressed_coat(_sensor(presses[0]), self.folder).rest
-        seen = seen_places_mm(_sensor(presses[0]), rest, self.renderer, sensor_calibration(self.design, self.folder))
-        return Layers(np.array(pictures, float), np.array(variances, float), np.isfinite(seen[..., 0]))
+                    _only_lit(_sensor(press), group), self.renderer, self.seed, self.samples,
+                    gels=(coat.rest, coat.pressed), folder=self.folder,
+                )  # fmt: skip
+                of_light |= dict.fromkeys(group, _means_and_halves(render))
+            both = np.stack([of_light[k][..., c] for k, c in self._seen], axis=2)
+            found += [both[:, state] for state in range(1 if found else 0, 2)]
+        return Layers(np.stack(found, axis=1), np.isfinite(seen[..., 0]))
+
+
+def _means_and_halves(render: PlainRender) -> Floats:
+    """Return mean and half difference, each without and with contact, (2, 2, row, column, 3)."""
+    halves = render.no_contact_half_difference, render.contact_half_difference
+    return np.array([[render.no_contact, render.contact], halves], dtype=np.float64)
 
 
 def _sensor(design: Design) -> PlainSensor:
@@ -273,8 +282,7 @@ class FingerLayers:
                 on_pad = np.isfinite(renders[0].no_contact_maps.coat_mm(_finger(press))[..., 0])
                 at_rest = [self._apart(render, "no_contact") for render in renders]
             pressed.append(np.concatenate([self._apart(render, "contact") for render in renders], axis=1))
-        both = np.stack([np.concatenate(at_rest, axis=1), *pressed])
-        return Layers(both[:, 0], both[:, 1] ** 2, on_pad)
+        return Layers(np.stack([np.concatenate(at_rest, axis=1), *pressed], axis=1), on_pad)
 
     def _apart(self, render: PressRender, state: str) -> Floats:
         """Return the chains of one state and half the difference of their halves, (2, chain, row, column)."""
