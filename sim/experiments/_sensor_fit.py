@@ -50,7 +50,7 @@ _GAIN_U = 2.0
 CORRELATION_LENGTH: Final = 0.3
 """Of the smooth error, over the longer side of the pad's picture."""
 _FAR_SD = 3.0
-LARGEST_EMULATOR_REL: Final = 0.01
+LARGEST_EMULATOR_REL: Final = 0.02
 """Where renders differ by more from the parabolas through others, new ones are made about the numbers found."""
 _SHORTEST_STEP: Final = 0.2  # of such renders, in standard deviations of the prior: shorter ones differ by noise only
 _MOST_NOISE: Final = 0.3
