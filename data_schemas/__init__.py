@@ -9,7 +9,7 @@ JSON Schema of each. It imports nothing of the other packages, and every name is
 
 from typing import TYPE_CHECKING
 
-from data_schemas._lazy_exports import lazy_exports
+from data_schemas._lazy_exports import lazy_exports, register_record_methods
 
 if TYPE_CHECKING:
     from data_schemas._arrays import ArraySpec
@@ -182,7 +182,6 @@ if TYPE_CHECKING:
     )
     from data_schemas._provenance import Provenance, digest_of_input, note_renderer, package_version, provenance
     from data_schemas._radiometry import BandSignals, Bleaching, Flag, Optics, PixelSignals, TiltRatio
-    from data_schemas._record_methods import register_record_methods
     from data_schemas._record_text import decimals_for, fixed, interval_text, kind_in_words, needed_kind, significant
     from data_schemas._rig import (
         EXCHANGED_FILTERS,
@@ -207,6 +206,7 @@ if TYPE_CHECKING:
         LARGEST_WIDENED_FACTOR,
         BoardResidual,
         CameraCalibration,
+        Determined,
         DistortionModel,
         FittedNumber,
         LayerBrightness,
@@ -391,6 +391,7 @@ __all__ = [
     "DesignRole",
     "DesignStudy",
     "DesignValue",
+    "Determined",
     "DeviceIdentity",
     "Diagnostics",
     "DiedError",

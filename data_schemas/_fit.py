@@ -17,9 +17,9 @@ from pydantic import Field, model_validator
 from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._capture import RegionOfInterest
 from data_schemas._curves import SpectralCurve
+from data_schemas._lazy_exports import call_record_method
 from data_schemas._model import Estimate, Model, Quantity, Record
 from data_schemas._radiometry import Optics
-from data_schemas._record_methods import call_record_method
 from data_schemas._record_text import interval_text
 from data_schemas._units import Fraction, WavelengthNm
 from data_schemas.errors import RecordError

@@ -1,7 +1,10 @@
-"""Front doors of packages that load what is asked for, when it is asked for.
+"""What is loaded when it is asked for: names of packages' front doors, and methods of records.
 
 A package lists what it offers once, as imports below ``if TYPE_CHECKING:`` in its ``__init__``. Readers, editors and
 type checkers see ordinary imports; a program that needs one name loads one module, not all that the package needs.
+
+Methods of records that rooms above this one bring (plots, exports, draws through a function) are known here by their
+names only. Who provides one registers where it lives, as text, so that nothing is loaded before a method is called.
 """
 
 import ast
@@ -33,3 +36,30 @@ def lazy_exports(package: str, file: str) -> Callable[[str], Any]:
         return getattr(import_module(homes()[name]), name)
 
     return load
+
+
+_homes: dict[str, str] = {}
+
+
+def register_record_methods(**homes: str) -> None:
+    """Say where methods of records live: method name -> ``"package:function"``; the function takes the record first."""
+    _homes.update(homes)
+
+
+def call_record_method(record: object, method: str, *arguments: Any, **options: Any) -> Any:
+    """Call a registered method of a record and return its result.
+
+    Raises
+    ------
+    RecordError
+        Nothing has registered the method: the package that brings it is not imported.
+    """
+    from data_schemas.errors import RecordError
+
+    if method not in _homes:
+        raise RecordError(
+            f"{type(record).__name__}.{method}(): comes with the package finray_calib, which is not imported; write "
+            "'import finray_calib' first"
+        )
+    module, _, function = _homes[method].partition(":")
+    return getattr(import_module(module), function)(record, *arguments, **options)

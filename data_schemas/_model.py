@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, Validat
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
+from data_schemas._lazy_exports import call_record_method
 from data_schemas._provenance import Provenance
-from data_schemas._record_methods import call_record_method
 from data_schemas._record_text import array_text, interval_text, record_html, record_text
 
 if TYPE_CHECKING:

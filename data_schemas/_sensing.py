@@ -248,7 +248,9 @@ class SensedPress(Record):
         return self
 
 
-Determined = Literal["determined", "partly determined", "not determined by these pictures"]
+Determined = Literal[
+    "determined", "partly determined", "not determined by these pictures", "the renders are too noisy to tell"
+]
 
 
 class FittedNumber(Model):
@@ -262,7 +264,10 @@ class FittedNumber(Model):
     left_of_prior_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="standard deviation after over that before, of the logarithm where the number is positive"
     )
-    verdict: Determined = Field(description="left of the prior: below a half, below nine tenths, or more")
+    verdict: Determined = Field(
+        description="by what is left of the prior: below a half, below nine tenths, or more; where the renders are too "
+        "noisy, the posterior is not to be relied on"
+    )
 
 
 class LayerBrightness(Model):

@@ -12,10 +12,9 @@ Functions take records or the paths of stored ones, and return records; the comm
 below (`fit`, `compare`, `reports` ...) hold what each stage does. Names are loaded when they are asked for.
 """
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from finray_calib._own_packages import require_own_packages
 
 if TYPE_CHECKING:
     from data_schemas import (
@@ -69,6 +68,30 @@ if TYPE_CHECKING:
     )
 
     __version__: str
+
+NEIGHBOURS = ("data_schemas", "rigs", "sim")
+
+
+def require_own_packages(root: Path, names: tuple[str, ...] = NEIGHBOURS) -> None:
+    """Refuse a package of one of these names that does not stand in `root`, the folder that holds finray_calib.
+
+    Raises
+    ------
+    ImportError
+        One is missing, or is another package of that name.
+    """
+    for name in names:
+        spec = find_spec(name)
+        if spec is None or spec.origin is None:
+            raise ImportError(
+                f"finray_calib needs its package '{name}' beside it in {root}; install finray-calib again"
+            )
+        if Path(spec.origin).resolve().parent.parent != root.resolve():
+            raise ImportError(
+                f"finray_calib needs its own package '{name}', but Python finds another one at {spec.origin}; rename "
+                "that one, start Python from another folder, or give finray-calib an environment of its own"
+            )
+
 
 require_own_packages(Path(__file__).parent.parent)
 

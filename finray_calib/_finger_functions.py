@@ -295,7 +295,7 @@ def fit_sensor(
     captures: Sequence[TactileCapture | PathLike],
     *,
     paints: Mapping[str, Paint] | None = None,
-    free: Sequence[str] | None = None,
+    free: Sequence[str] = (),
     seed: int = 1,
     progress: Progress | None = None,
     **options: "Unpack[RenderOptions]",
@@ -312,7 +312,7 @@ def fit_sensor(
     paints
         "red" and "green" of a painted finger, see :func:`finray_calib.fit_paint`.
     free
-        Further numbers of the design, by dotted path; by default the gel's thickness and the coat's roughness.
+        Further numbers of the design, by dotted path, such as ``pad.thickness_mm``; by default none.
     seed
         Of the renders and of the draws.
     progress
@@ -341,7 +341,7 @@ def _layered(
     from sim.experiments import ClassicLayers, FingerLayers
 
     samples = options.get("samples", DEFAULT_SAMPLES_PER_PIXEL)
-    if _is_classic(design):
+    if isinstance(design, PlainSensor) or _is_classic(design):
         if paints:
             raise SimulateError("a classic sensor has no paints; leave them out")
         sensor, folder, files = _plain_sensor(design)
@@ -351,12 +351,12 @@ def _layered(
     return FingerLayers(painted.finger, painted.calibrations, seed, samples, shared), files
 
 
-def _is_classic(design: FingerDesign | PlainSensor | PathLike) -> bool:
+def _is_classic(design: FingerDesign | PathLike) -> bool:
     """Return whether a design, its file or its name is one of a classic sensor."""
     from sim import SENSORS, is_sensor
 
-    if isinstance(design, FingerDesign | PlainSensor):
-        return isinstance(design, PlainSensor)
+    if isinstance(design, FingerDesign):
+        return False
     path = Path(design)
     return is_sensor(path) if path.exists() else os.fspath(design) in SENSORS
 

@@ -364,9 +364,9 @@ def add_sensor_fit(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "--captures", type=Path, nargs="+", required=True, metavar="CAPTURE", help="tactile captures of one sensor"
     )
     parser.add_argument(
-        "--free", nargs="*", metavar="NAME",
-        help="numbers of the design to fit besides, such as pad.thickness_mm; each takes two renders of every press "
-        "(default: pad.thickness_mm coating.roughness_alpha)",
+        "--free", nargs="+", default=[], metavar="NAME",
+        help="numbers of the design to fit besides, such as pad.thickness_mm or coating.roughness_alpha; each takes two "
+        "renders of every press",
     )  # fmt: skip
     add_paint(parser)
     add_paints_as_given(parser)
@@ -376,7 +376,7 @@ def add_sensor_fit(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     parser.add_argument(
         "--shared-light", action="store_true", help="let pixels of a finger share light, see 'finray simulate render'"
     )
-    parser.add_argument("--engine", choices=["auto", "llvm"], default="auto", help="renderer (default: auto)")
+    parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
     add_out(parser, f"NAME{_OUT_ENDING}, with NAME.fitted.toml beside it")
     add_seed(parser)
     parser.set_defaults(run=run_sensor_fit, long_work=_long_sensor_fit)

@@ -18,7 +18,12 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from finray_calib.fit._absorption import ExcitationYield, fit_absorption
     from finray_calib.fit._band_data import BandData, band_data
-    from finray_calib.fit._colour_checker import colour_checker_reflectance, patch_colours
+    from finray_calib.fit._colour_checker import (
+        colour_checker_reflectance,
+        find_colour_checker,
+        linear_cells,
+        patch_colours,
+    )
     from finray_calib.fit._detection import detect_emission
     from finray_calib.fit._emission import EmissionPosterior, FitSettings, Summary, check_bands, fit_emission, summarise
     from finray_calib.fit._family_choice import (
@@ -122,12 +127,14 @@ __all__ = [
     "detect_emission",
     "estimate",
     "filter_catalogue",
+    "find_colour_checker",
     "find_maxima",
     "fit_absorption",
     "fit_emission",
     "fit_families",
     "importance_sample",
     "leave_one_band_out",
+    "linear_cells",
     "map_paint",
     "map_pixels",
     "next_filters",

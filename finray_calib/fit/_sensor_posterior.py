@@ -12,6 +12,7 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
 from scipy.sparse import csr_matrix
 
 from data_schemas import FitError
@@ -34,10 +35,12 @@ _SHARES = (0.5, 0.4, 0.1)
 _KEPT_VARIANCE = 0.99
 # relative errors count from this share of a channel's mean: where a channel is dark they would mean nothing
 _DARKEST_REL = 0.05
-_MOST_STEPS = 15
-_CLOSE_SD = 0.05
+_MOST_STEPS = 25
+_CLOSE_SD = 0.1
 # of one step, in standard deviations of the prior
 _LONGEST_MOVE = 1.0
+# variance of an unexplained error of a block that pictures do not share, over that which they do
+_LEAST_APART = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +116,7 @@ def picture_blocks(pictures: Floats, variance: Floats, on_pad: NDArray[np.bool_]
         Fewer than 20 blocks hold light that is not clipped.
     """
     rows, columns = np.nonzero(on_pad)
-    usable = np.isfinite(pictures).all(axis=(0, 1))[rows, columns]
+    usable = np.asarray(np.isfinite(pictures).all(axis=(0, 1)))[rows, columns]
     spans = np.array([np.ptp(rows) + 1, np.ptp(columns) + 1]) if len(rows) else np.ones(2)
     side = np.maximum(spans / np.array(BLOCKS if spans[0] >= spans[1] else BLOCKS[::-1]), _LEAST_BLOCK_PX)
     number = [np.floor((at - at.min()) / size).astype(int) for at, size in zip((rows, columns), side, strict=True)]
@@ -168,14 +171,32 @@ class PicturePosterior:
 
 @dataclass(frozen=True, slots=True)
 class _Tangent:
-    """The model about a point: residuals and half differences there, their slopes, and the scale of relative errors."""
+    """The model about a point, all relative to the picture, as root(pictures) times their mean, then contrasts.
+
+    Columns (value, 2 parameters + 2): slopes, residual, slopes of the half differences, half differences. ``seen``
+    (picture, 3, block) is the camera's variance.
+    """
 
     point: Floats
-    residual: Floats
-    half: Floats
-    slopes: Floats
-    half_slopes: Floats
-    scale: Floats
+    columns: Floats
+    seen: Floats
+
+    def noise(self, independent: float) -> Floats:
+        """Return the variance of each value, (value,).
+
+        Pictures that are rendered with common random numbers share most of their noise: it is pooled from the half
+        differences, apart for the mean of the pictures and for their contrasts. An unexplained error of a block is
+        taken to be shared in the same ratio.
+        """
+        pictures = len(self.seen)
+        of_model = (self.columns[:, -1].reshape(self.seen.shape) ** 2).mean(axis=2, keepdims=True)
+        common = float(of_model[0].mean()) / pictures
+        apart = float(of_model[1:].mean())
+        ratio = min(max(apart / common, _LEAST_APART), 1.0) if common > 0.0 else _LEAST_APART
+        unexplained = np.full((pictures, 1, 1), ratio)
+        unexplained[0] = pictures
+        # with neither noise nor error the solution would claim to be exact: a ten-thousandth is below every camera
+        return np.asarray(self.seen + of_model + max(independent, 1e-4) ** 2 * unexplained).ravel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +209,7 @@ class _Grid:
 
     @property
     def weights(self) -> Floats:
-        weight = np.exp(self.log_evidence - self.log_evidence.max())
+        weight: Floats = np.exp(self.log_evidence - self.log_evidence.max())
         return np.asarray(weight / weight.sum())
 
 
@@ -199,6 +220,7 @@ def sample_picture_posterior(
     rng: np.random.Generator,
     *,
     correlation_length: float,
+    start: Floats | None = None,
     draws: int = 2000,
 ) -> PicturePosterior:
     r"""Fit standardised parameters to the blocks of pictures and draw from their posterior.
@@ -206,10 +228,10 @@ def sample_picture_posterior(
     .. math:: y = f(\theta) + m \, (\sigma_d \Phi w + \sigma_n e) + e_y, \quad \theta, w, e \sim N(0, 1)
 
     with m the model's own picture, :math:`\Phi` of :meth:`PictureBlocks.features` and :math:`e_y` of known variance.
-    The model is rendered and has noise of its own, which would make what smooths it (blur) look right and what it
-    hides (slopes) look small; the squared residual is therefore the product of the residuals of two independent halves
-    of it. Gauss-Newton finds the tangent; there the posterior is Gaussian at each pair of sizes, and draws come from
-    the mixture over the grid of sizes. Valid where f is near its tangent over the posterior's width.
+    Gauss-Newton finds the tangent; there the posterior is Gaussian at each pair of sizes, and draws come from the
+    mixture over the grid of sizes. Valid where f is near its tangent over the posterior's width, and where the noise of
+    a rendered model is a small part of its slopes (``noise_share``): noise hides slopes, and a blur that smooths it
+    looks right.
 
     Parameters
     ----------
@@ -217,13 +239,15 @@ def sample_picture_posterior(
         Returns from standardised parameters (parameter,) block means and half the difference of the model's halves, in
         the order of `blocks`, (2, value).
     blocks
-        What was measured; its variance includes the model's noise.
+        What was measured, with the camera's variance.
     steps
         (parameter,) half steps of the differences that make the tangent.
     rng
         Of the draws.
     correlation_length
         Of the smooth error, in lengths of the pad's picture.
+    start
+        (parameter,) where the search begins; by default at zero.
     draws
         How many.
 
@@ -232,22 +256,26 @@ def sample_picture_posterior(
     FitError
         The model predicts numbers that are not finite, or no light at all.
     """
-    measured, variance = blocks.values.ravel(), blocks.variance.ravel()
-    features = blocks.features(correlation_length)
-    point, converged, pair = np.zeros(len(steps)), False, None
+    features = mean_and_contrasts(blocks.features(correlation_length), len(blocks.values))
+    point, converged = np.zeros(len(steps)) if start is None else start, False
+    pair: tuple[float, float] | None = None
+    settled: set[tuple[float, float]] = set()
     for _ in range(_MOST_STEPS):
         tangent = _tangent(predict, blocks, point, steps)
         # the sizes are chosen anew where the point has settled for those of before
-        grid = _grid(tangent, variance, features, SIZES_REL if pair is None else (pair,))
+        grid = _grid(tangent, features, SIZES_REL if pair is None else (pair,))
         best = int(np.argmax(grid.log_evidence))
         move = grid.means[best] - point
-        is_near = np.abs(move / np.sqrt(np.diagonal(grid.covariances[best]))).max() < _CLOSE_SD
-        converged = bool(is_near and pair is None)
+        is_near = bool(np.abs(move / np.sqrt(np.diagonal(grid.covariances[best]))).max() < _CLOSE_SD)
+        # two pairs that each prefer the other are both in the mixture
+        converged = pair is None and (is_near or SIZES_REL[best] in settled)
         if converged:
             break
+        if is_near and pair is not None:
+            settled.add(pair)
         pair = None if is_near else pair or SIZES_REL[best]
         point = point + np.clip(move, -_LONGEST_MOVE, _LONGEST_MOVE)
-    grid = _grid(tangent, variance, features, SIZES_REL)
+    grid = _grid(tangent, features, SIZES_REL)
     best = int(np.argmax(grid.log_evidence))
     cell = rng.choice(len(grid.weights), size=draws, p=grid.weights)
     theta = np.empty((draws, len(steps)))
@@ -256,14 +284,14 @@ def sample_picture_posterior(
         root = np.linalg.cholesky(grid.covariances[k])
         theta[own] = grid.means[k] + rng.standard_normal((own.sum(), len(steps))) @ root.T
     sizes = np.array(SIZES_REL)
-    residual = measured - predict(grid.means[best])[0]
-    residual_rel = float(np.sqrt(np.mean(residual**2)) / np.mean(measured))
-    noise_share = _noise_share(tangent, variance, features, SIZES_REL[best])
+    residual = blocks.values.ravel() - predict(grid.means[best])[0]
+    residual_rel = float(np.sqrt(np.mean(residual**2)) / np.mean(blocks.values))
+    noise_share = _noise_share(tangent, features, SIZES_REL[best])
     return PicturePosterior(theta, grid.means[best], *sizes[cell].T, residual_rel, converged, noise_share)
 
 
 def _tangent(predict: Predict, blocks: PictureBlocks, point: Floats, steps: Floats) -> _Tangent:
-    """Return the model about a point, by central differences."""
+    """Return the model about a point by central differences, relative to the picture, as mean and contrasts."""
     at, half = predict(point)
     if not np.isfinite(at).all() or not (at > 0.0).any():
         raise FitError("the model of the sensor predicts no light in these pictures: check light and camera")
@@ -273,56 +301,55 @@ def _tangent(predict: Predict, blocks: PictureBlocks, point: Floats, steps: Floa
         moved[k] = step
         slopes[..., k] = (predict(point + moved) - predict(point - moved)) / (2.0 * step)
     of_channel = at.reshape(blocks.values.shape)
-    floor = _DARKEST_REL * of_channel.mean(axis=2, keepdims=True)
-    scale = np.maximum(of_channel, floor).ravel()
-    return _Tangent(point, blocks.values.ravel() - at, half, slopes[0], slopes[1], scale)
+    scale = np.maximum(of_channel, _DARKEST_REL * of_channel.mean(axis=2, keepdims=True)).ravel()
+    columns = np.column_stack([slopes[0], blocks.values.ravel() - at, slopes[1], half]) / scale[:, None]
+    seen = (blocks.variance / scale.reshape(blocks.values.shape) ** 2).mean(axis=0, keepdims=True)
+    return _Tangent(point, mean_and_contrasts(columns, len(blocks.values)), np.repeat(seen, len(blocks.values), axis=0))
 
 
-def _grid(tangent: _Tangent, variance: Floats, features: Floats, pairs: Sequence[tuple[float, float]]) -> _Grid:
+def mean_and_contrasts(columns: Floats, pictures: int) -> Floats:
+    """Return columns (value, ...) with the pictures turned into root(pictures) times their mean, and contrasts."""
+    turn = helmert(pictures, full=True)
+    return np.asarray(np.tensordot(turn, columns.reshape(pictures, -1, columns.shape[1]), 1).reshape(columns.shape))
+
+
+def _grid(tangent: _Tangent, features: Floats, pairs: Sequence[tuple[float, float]]) -> _Grid:
     """Solve the linear model at pairs of sizes; the smooth error is eliminated by the matrix inversion lemma."""
-    count = tangent.slopes.shape[1]
-    at_zero = tangent.residual + tangent.slopes @ tangent.point
-    half_at_zero = tangent.half - tangent.half_slopes @ tangent.point
-    columns = np.column_stack([tangent.slopes, at_zero, tangent.half_slopes, half_at_zero])
-    smooth = tangent.scale[:, None] * features
     evidence, means, covariances = [], [], []
     for independent in dict.fromkeys(own for _, own in pairs):
-        # with neither noise nor error the solution would claim to be exact: a ten-thousandth is below every camera
-        noise = variance + (max(independent, 1e-4) * tangent.scale) ** 2
-        weighted = columns / noise[:, None]
-        products = columns.T @ weighted
-        sizes, vectors = np.linalg.eigh(smooth.T @ (smooth / noise[:, None]))
-        sizes, seen = np.maximum(sizes, 0.0), vectors.T @ (smooth.T @ weighted)
+        noise = tangent.noise(independent)
+        weighted = tangent.columns / noise[:, None]
+        products = tangent.columns.T @ weighted
+        sizes, vectors = np.linalg.eigh(features.T @ (features / noise[:, None]))
+        sizes, seen = np.maximum(sizes, 0.0), vectors.T @ (features.T @ weighted)
         for size in (size for size, own in pairs if own == independent):
             share = size**2 / (1.0 + size**2 * sizes)
             reduced = products - seen.T @ (share[:, None] * seen)
             log_size = float(np.log(noise).sum() + np.log1p(size**2 * sizes).sum())
-            mean, covariance, square = _solved(reduced, count)
+            move, covariance, square = _solved(reduced, tangent.point)
             log_information = -float(np.linalg.slogdet(covariance)[1])
             evidence.append(-0.5 * (square + log_size + log_information))
-            means.append(mean)
+            means.append(tangent.point + move)
             covariances.append(covariance)
     return _Grid(np.array(evidence), np.array(means), np.array(covariances))
 
 
-def _solved(products: Floats, count: int) -> tuple[Floats, Floats, float]:
-    """Return mean, covariance and squared residual with its prior term, from weighted products of all columns."""
-    n, last = count, 2 * count + 1
-    information = products[:n, :n] - products[n + 1 : last, n + 1 : last]
-    right = products[:n, n] + products[n + 1 : last, last]
-    sizes, vectors = np.linalg.eigh(0.5 * (information + information.T))
-    # that of the halves' product is right on average, and below zero by chance only
-    covariance = (vectors / (1.0 + np.maximum(sizes, 0.0))) @ vectors.T
-    mean = covariance @ right
-    square = products[n, n] - 2.0 * products[:n, n] @ mean + mean @ products[:n, :n] @ mean + mean @ mean
-    return mean, covariance, float(square)
+def _solved(products: Floats, point: Floats) -> tuple[Floats, Floats, float]:
+    """Return the move to the mean, covariance, and squared residual with its prior term, from weighted products."""
+    n = len(point)
+    information = products[:n, :n]
+    covariance = np.linalg.inv(np.eye(n) + 0.5 * (information + information.T))
+    move = covariance @ (products[:n, n] - point)
+    at = point + move
+    square = products[n, n] - 2.0 * products[:n, n] @ move + move @ information @ move + at @ at
+    return move, covariance, float(square)
 
 
-def _noise_share(tangent: _Tangent, variance: Floats, features: Floats, pair: tuple[float, float]) -> Floats:
+def _noise_share(tangent: _Tangent, features: Floats, pair: tuple[float, float]) -> Floats:
     """Return for each parameter the squared slopes of the half differences over those of the model, (parameter,)."""
-    noise = variance + (max(pair[1], 1e-4) * tangent.scale) ** 2
-    smooth = pair[0] * tangent.scale[:, None] * features / np.sqrt(noise)[:, None]
-    slopes = np.concatenate([tangent.slopes, tangent.half_slopes], axis=1) / np.sqrt(noise)[:, None]
+    noise, count = np.sqrt(tangent.noise(pair[1]))[:, None], len(tangent.point)
+    smooth = pair[0] * features / noise
+    slopes = np.delete(tangent.columns / noise, [count, 2 * count + 1], axis=1)
     inner = np.linalg.solve(np.eye(smooth.shape[1]) + smooth.T @ smooth, smooth.T @ slopes)
     seen, of_noise = np.split(np.maximum((slopes * (slopes - smooth @ inner)).sum(axis=0), 0.0), 2)
     return np.asarray(of_noise / np.maximum(seen, 1.0))

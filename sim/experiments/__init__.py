@@ -78,7 +78,7 @@ if TYPE_CHECKING:
         recoloured,
         simulate_press,
     )
-    from sim.experiments._sensor_fit import USUAL_FIELDS, fit_sensor, fitted_design
+    from sim.experiments._sensor_fit import fit_sensor, fitted_design
     from sim.experiments._sensor_layers import ClassicLayers, FingerLayers, FreeNumber, Layers, SensorScene
     from sim.experiments._sensor_press import (
         BallPresses,
@@ -105,7 +105,6 @@ __all__ = [
     "DEPTH_ZERO",
     "OBJECTIVES",
     "REST_LEVEL",
-    "USUAL_FIELDS",
     "BallPresses",
     "BareFinger",
     "CameraResponse",

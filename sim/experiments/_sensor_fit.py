@@ -7,13 +7,14 @@ picture itself.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import (
     CHANNELS,
+    Determined,
     FingerDesign,
     FittedNumber,
     LayerBrightness,
@@ -37,8 +38,8 @@ from sim.optics import Progress
 
 Floats = NDArray[np.float64]
 
-USUAL_FIELDS: Final = ("pad.thickness_mm", "coating.roughness_alpha")
-"""Numbers of the design that are fitted if nothing else is asked for."""
+EXAMPLES: Final = ("pad.thickness_mm", "coating.roughness_alpha")
+"""Numbers of the design that may be fitted."""
 
 #: Standard uncertainty of a number of the design where its [uncertainty_rel] states none, by its [origin].
 USUAL_U_REL: Final = {"measured": 0.02, "data sheet": 0.05, "paper": 0.05, "assumed": 0.1}
@@ -53,7 +54,7 @@ _FAR_SD = 3.0
 LARGEST_EMULATOR_REL: Final = 0.02
 """Where renders differ by more from the parabolas through others, new ones are made about the numbers found."""
 _SHORTEST_STEP: Final = 0.2  # of such renders, in standard deviations of the prior: shorter ones differ by noise only
-_MOST_NOISE: Final = 0.3
+_MOST_NOISE: Final = 0.1
 
 
 def captured_pictures(captures: Sequence[TactileCapture]) -> tuple[Floats, Floats]:
@@ -151,7 +152,7 @@ class PictureModel:
 def fit_sensor(
     scene: SensorScene,
     captures: Sequence[TactileCapture],
-    free: Sequence[str] | None = None,
+    free: Sequence[str] = (),
     seed: int = 1,
     progress: Progress | None = None,
 ) -> SensorFit:
@@ -169,7 +170,7 @@ def fit_sensor(
     captures
         Presses of it, all of one exposure.
     free
-        Numbers of the design by their dotted path, each positive; by default :data:`USUAL_FIELDS`.
+        Numbers of the design by their dotted path, each positive, such as :data:`EXAMPLES`.
     seed
         Of the draws.
     progress
@@ -204,10 +205,10 @@ def fit_sensor(
         error = truth - model.layers(at)
         emulator_rel = _rms_rel(model.channels(at, error)[0], model.captured.values)
         if is_last or emulator_rel <= LARGEST_EMULATOR_REL:
-            posterior = _posterior(replace(model, base=model.base + error), rng)
+            posterior = _posterior(replace(model, base=model.base + error), rng, at)
             break
         model = renders.about(model, at, truth, np.clip(2.0 * posterior.theta.std(axis=0), _SHORTEST_STEP, 1.0))
-        posterior = _posterior(model, rng)
+        posterior = _posterior(model, rng, at)
     steps.done("the fitted numbers")
     return _record(scene, captures, model, posterior, emulator_rel)
 
@@ -260,19 +261,18 @@ def _require_same_light(design: FingerDesign, name: str, lit_deg: float) -> None
         )
 
 
-def _design_numbers(design: Design, free: Sequence[str] | None) -> tuple[FreeNumber, ...]:
+def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeNumber, ...]:
     """Return the numbers of the design that are fitted."""
     idle = design.idle_fields()
-    wanted = [name for name in USUAL_FIELDS if name not in idle] if free is None else list(dict.fromkeys(free))
     numbers = []
-    for name in wanted:
+    for name in dict.fromkeys(free):
         value = value_at(design, name) if not name.startswith("_") else None
         if name in idle:
             raise SimulateError(f"--free {name}: has no effect here, {idle[name]}")
         if isinstance(value, bool) or not isinstance(value, float) or not value > 0.0:
             raise SimulateError(
                 f"--free {name}: must be a positive number of the design by its dotted path, such as "
-                f"{' or '.join(USUAL_FIELDS)}; powers, yields, gain, shift, scale and blur are always fitted"
+                f"{' or '.join(EXAMPLES)}; powers, yields, gain, shift, scale and blur are always fitted"
             )
         if name.endswith("power_rel") or name.startswith("indenter."):
             raise SimulateError(
@@ -305,7 +305,7 @@ def _press_numbers(captures: Sequence[TactileCapture], presses: Sequence[Design]
 
 
 def _model(scene: SensorScene, moving: tuple[FreeNumber, ...], captured: PictureBlocks, base: Layers) -> PictureModel:
-    """Return the model at the gain that makes the pictures alike, with the noise of the renders in the blocks'."""
+    """Return the model at the gain that makes the pictures alike."""
     width = base.pictures.shape[4]
     picture = (
         FreeNumber(GAIN, 1.0, _GAIN_U, True, "not known from the design", "picture", "DN"),
@@ -318,15 +318,11 @@ def _model(scene: SensorScene, moving: tuple[FreeNumber, ...], captured: Picture
     mix = scene.mix({})
     exponents = np.array([_exponents(scene, mix, number) for number in numbers])
     model = PictureModel(numbers, captured, base.pictures, mix, exponents, np.zeros(len(numbers)), {}, {})
-    at, half = model.channels(np.zeros(len(numbers)), base.pictures)
+    at = model.channels(np.zeros(len(numbers)), base.pictures)[0]
     gain = float((at * captured.values).sum() / max(float((at**2).sum()), np.finfo(float).tiny))
     if not gain > 0.0:
         raise SimulateError("the captured pictures hold no light where the design has the pad: check the camera")
-    numbers = tuple(replace(n, value=gain) if n.name == GAIN else n for n in numbers)
-    # pooled over a picture's channel: a block's own variance goes with its value and would bias the fit to dark blocks
-    share = (half**2).sum(axis=-1) / np.maximum((at**2).sum(axis=-1), np.finfo(float).tiny)
-    captured = replace(captured, variance=captured.variance + share[..., None] * (gain * at) ** 2)
-    return replace(model, numbers=numbers, captured=captured)
+    return replace(model, numbers=tuple(replace(n, value=gain) if n.name == GAIN else n for n in numbers))
 
 
 def _exponents(scene: SensorScene, mix: Floats, number: FreeNumber) -> Floats:
@@ -388,11 +384,13 @@ class _Renders:
         return side
 
 
-def _posterior(model: PictureModel, rng: np.random.Generator) -> PicturePosterior:
+def _posterior(model: PictureModel, rng: np.random.Generator, start: Floats | None = None) -> PicturePosterior:
     """Return the posterior of the standardised numbers."""
     of_logs = [0.02 / n.u if n.place == "layer" or n.name == GAIN else 0.25 for n in model.numbers]
     steps = np.minimum(of_logs, 0.25)
-    return sample_picture_posterior(model.predict, model.captured, steps, rng, correlation_length=CORRELATION_LENGTH)
+    return sample_picture_posterior(
+        model.predict, model.captured, steps, rng, correlation_length=CORRELATION_LENGTH, start=start
+    )
 
 
 def _rms_rel(error: Floats, values: Floats) -> float:
@@ -436,7 +434,7 @@ def _record(
         finger=design if isinstance(design, FingerDesign) else None,
         sensor=design if isinstance(design, PlainSensor) else None,
         captures=tuple(capture.name for capture in captures),
-        numbers=tuple(_fitted(n, theta[:, k]) for k, n in enumerate(model.numbers)),
+        numbers=tuple(_fitted(n, theta[:, k], n.name in noisy) for k, n in enumerate(model.numbers)),
         draws=draws,
         brightness=_brightness(scene, model, theta),
         not_told_apart=_combinations(model.numbers, theta),
@@ -451,15 +449,17 @@ def _record(
     )
 
 
-def _fitted(number: FreeNumber, theta: Floats) -> FittedNumber:
+def _fitted(number: FreeNumber, theta: Floats, is_noisy: bool) -> FittedNumber:
     """Return a number before and after."""
     from scipy.stats import norm
 
     quantiles = norm.ppf((np.arange(_PRIOR_QUANTILES) + 0.5) / _PRIOR_QUANTILES)
     left = float(theta.std())
-    verdict: Literal["determined", "partly determined", "not determined by these pictures"] = "determined"
-    if left > _DETERMINED:
-        verdict = "partly determined" if left <= _NOT_DETERMINED else "not determined by these pictures"
+    verdict: Determined = "determined" if left <= _DETERMINED else "partly determined"
+    if left > _NOT_DETERMINED:
+        verdict = "not determined by these pictures"
+    elif is_noisy:
+        verdict = "the renders are too noisy to tell"
     return FittedNumber(
         name=number.name, unit=number.unit, prior=estimate(number.at(quantiles)), prior_origin=number.origin,
         posterior=estimate(number.at(theta)), left_of_prior_rel=left, verdict=verdict,
@@ -497,7 +497,7 @@ def fitted_design(fit: SensorFit) -> Design:
         raise SimulateError(f"{fit.name}: the fit holds no design")
     values, origin, spread = {}, dict(design.origin), dict(design.uncertainty_rel)
     for number in fit.numbers:
-        if value_at(design, number.name) is None or number.verdict == "not determined by these pictures":
+        if value_at(design, number.name) is None or number.verdict not in ("determined", "partly determined"):
             continue
         values[number.name] = number.posterior.estimate
         # of entries of a list the design states one uncertainty, that of all

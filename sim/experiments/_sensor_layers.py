@@ -74,7 +74,9 @@ class Layers:
 class SensorScene(Protocol):
     """A sensor that can be rendered in layers."""
 
-    design: Design
+    @property
+    def design(self) -> Design:
+        """The sensor as it is described."""
 
     @property
     def layer_numbers(self) -> tuple[FreeNumber, ...]:
@@ -157,7 +159,7 @@ class ClassicLayers:
         )
         found: list[Floats] = []
         for press, coat in zip(presses, coats, strict=True):
-            of_light = {}
+            of_light: dict[int, Floats] = {}
             for group in self._together:
                 render = render_plain_sensor(
                     _only_lit(_sensor(press), group), self.renderer, self.seed, self.samples,

@@ -8,7 +8,7 @@ import pytest
 
 import finray_calib as finray
 from data_schemas import package_version
-from finray_calib._own_packages import require_own_packages
+from finray_calib import require_own_packages
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("numpy", "scipy", "pydantic", "matplotlib", "mitsuba", "numba", "cv2", "rich", "tifffile", "xarray", "arviz")
