@@ -365,8 +365,8 @@ def add_sensor_fit(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument(
         "--free", nargs="+", default=[], metavar="NAME",
-        help="numbers of the design to fit besides, such as pad.thickness_mm or coating.roughness_alpha; each takes two "
-        "renders of every press",
+        help="numbers of the design to fit besides, such as pad.thickness_mm or coating.roughness_alpha; each takes "
+        "two renders of every press",
     )  # fmt: skip
     add_paint(parser)
     add_paints_as_given(parser)

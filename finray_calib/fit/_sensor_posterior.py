@@ -26,7 +26,9 @@ _LEAST_BLOCK_PX = 6
 _LEAST_SEEN = 0.5
 _FEWEST_BLOCKS = 20
 DISCREPANCY_SIZES_REL = (0.0, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4)
-INDEPENDENT_SIZES_REL = (0.0, 0.004, 0.01, 0.025, 0.06, 0.15, 0.4)
+INDEPENDENT_SIZES_REL = (
+    0.0, 0.002, 0.003, 0.0045, 0.007, 0.01, 0.015, 0.022, 0.033, 0.05, 0.075, 0.11, 0.17, 0.25, 0.4,
+)  # fmt: skip
 """Sizes of both errors, relative to the picture: even in the logarithm, all of one prior weight."""
 SIZES_REL: Final = tuple((d, n) for n in INDEPENDENT_SIZES_REL for d in DISCREPANCY_SIZES_REL)
 
@@ -41,6 +43,7 @@ _CLOSE_SD = 0.1
 _LONGEST_MOVE = 1.0
 # variance of an unexplained error of a block that pictures do not share, over that which they do
 _LEAST_APART = 0.05
+_LEAST_INFORMATION = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,11 +193,11 @@ class _Tangent:
         """
         pictures = len(self.seen)
         of_model = (self.columns[:, -1].reshape(self.seen.shape) ** 2).mean(axis=2, keepdims=True)
-        common = float(of_model[0].mean()) / pictures
-        apart = float(of_model[1:].mean())
-        ratio = min(max(apart / common, _LEAST_APART), 1.0) if common > 0.0 else _LEAST_APART
+        common, apart = float(of_model[0].mean()), float(of_model[1:].mean())
+        ratio = min(max(apart / common, _LEAST_APART), 1.0) if common > 0.0 else 1.0
         unexplained = np.full((pictures, 1, 1), ratio)
-        unexplained[0] = pictures
+        unexplained[0] = 1.0
+        unexplained *= pictures / unexplained.sum()
         # with neither noise nor error the solution would claim to be exact: a ten-thousandth is below every camera
         return np.asarray(self.seen + of_model + max(independent, 1e-4) ** 2 * unexplained).ravel()
 
@@ -228,10 +231,11 @@ def sample_picture_posterior(
     .. math:: y = f(\theta) + m \, (\sigma_d \Phi w + \sigma_n e) + e_y, \quad \theta, w, e \sim N(0, 1)
 
     with m the model's own picture, :math:`\Phi` of :meth:`PictureBlocks.features` and :math:`e_y` of known variance.
-    Gauss-Newton finds the tangent; there the posterior is Gaussian at each pair of sizes, and draws come from the
-    mixture over the grid of sizes. Valid where f is near its tangent over the posterior's width, and where the noise of
-    a rendered model is a small part of its slopes (``noise_share``): noise hides slopes, and a blur that smooths it
-    looks right.
+    The model is rendered and has noise of its own, which would make what smooths it (blur) look right and what it
+    hides (slopes) look small; the squared residual is therefore the product of the residuals of two independent halves
+    of it. Gauss-Newton finds the tangent; there the posterior is Gaussian at each pair of sizes, and draws come from
+    the mixture over the grid of sizes. Valid where f is near its tangent over the posterior's width, and where the
+    noise of the model is a small part of its slopes (``noise_share``).
 
     Parameters
     ----------
@@ -277,17 +281,20 @@ def sample_picture_posterior(
         point = point + np.clip(move, -_LONGEST_MOVE, _LONGEST_MOVE)
     grid = _grid(tangent, features, SIZES_REL)
     best = int(np.argmax(grid.log_evidence))
+    widening = _widening(tangent, features, SIZES_REL[best], grid.covariances[best])
     cell = rng.choice(len(grid.weights), size=draws, p=grid.weights)
     theta = np.empty((draws, len(steps)))
     for k in np.unique(cell):
         own = cell == k
-        root = np.linalg.cholesky(grid.covariances[k])
+        root = widening @ np.linalg.cholesky(grid.covariances[k])
         theta[own] = grid.means[k] + rng.standard_normal((own.sum(), len(steps))) @ root.T
     sizes = np.array(SIZES_REL)
     residual = blocks.values.ravel() - predict(grid.means[best])[0]
     residual_rel = float(np.sqrt(np.mean(residual**2)) / np.mean(blocks.values))
     noise_share = _noise_share(tangent, features, SIZES_REL[best])
-    return PicturePosterior(theta, grid.means[best], *sizes[cell].T, residual_rel, converged, noise_share)
+    return PicturePosterior(
+        theta, grid.means[best], sizes[cell, 0], sizes[cell, 1], residual_rel, converged, noise_share
+    )
 
 
 def _tangent(predict: Predict, blocks: PictureBlocks, point: Floats, steps: Floats) -> _Tangent:
@@ -336,13 +343,38 @@ def _grid(tangent: _Tangent, features: Floats, pairs: Sequence[tuple[float, floa
 
 def _solved(products: Floats, point: Floats) -> tuple[Floats, Floats, float]:
     """Return the move to the mean, covariance, and squared residual with its prior term, from weighted products."""
-    n = len(point)
-    information = products[:n, :n]
-    covariance = np.linalg.inv(np.eye(n) + 0.5 * (information + information.T))
-    move = covariance @ (products[:n, n] - point)
+    n, last = len(point), 2 * len(point) + 1
+    information = products[:n, :n] - products[n + 1 : last, n + 1 : last]
+    sizes, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    # that of the halves' product is right on average, and below zero by chance only
+    covariance = (vectors / (1.0 + np.maximum(sizes, 0.0))) @ vectors.T
+    move = covariance @ (products[:n, n] + products[n + 1 : last, last] - point)
     at = point + move
-    square = products[n, n] - 2.0 * products[:n, n] @ move + move @ information @ move + at @ at
-    return move, covariance, float(square)
+    square = products[n, n] - 2.0 * products[:n, n] @ move + move @ products[:n, :n] @ move + at @ at
+    return np.asarray(move), np.asarray(covariance, dtype=np.float64), float(square)
+
+
+def _widening(tangent: _Tangent, features: Floats, pair: tuple[float, float], covariance: Floats) -> Floats:
+    r"""Return what widens deviations from the mean where single blocks scatter more than they should, (n, n).
+
+    .. math:: \Sigma (1 + M) \Sigma, \quad M = \sum_i s_i s_i^T
+
+    replaces :math:`\Sigma = (1 + I)^{-1}`, with s the slopes of the log likelihood by block; M is taken where it is
+    more than the information I. Rendered pictures have rare bright paths: few blocks hold most of the noise.
+    """
+    count, noise = len(tangent.point), tangent.noise(pair[1])[:, None]
+    both = tangent.columns[:, : count + 1]
+    if pair[0] > 0.0:
+        inner = np.eye(features.shape[1]) / pair[0] ** 2 + features.T @ (features / noise)
+        both = both - features @ np.linalg.solve(inner, features.T @ (both / noise))
+    scores = both[:, :count] * both[:, count:] / noise
+    information = np.linalg.inv(covariance) - (1.0 - _LEAST_INFORMATION) * np.eye(count)
+    root = np.linalg.cholesky(0.5 * (information + information.T))
+    whitened = np.linalg.solve(root, np.linalg.solve(root, scores.T @ scores).T)
+    sizes, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    scattered = root @ (vectors * np.maximum(sizes, 1.0)) @ vectors.T @ root.T
+    wide = covariance @ (np.eye(count) + scattered) @ covariance
+    return np.asarray(np.linalg.cholesky(0.5 * (wide + wide.T)) @ np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 def _noise_share(tangent: _Tangent, features: Floats, pair: tuple[float, float]) -> Floats:

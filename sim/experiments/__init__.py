@@ -79,7 +79,15 @@ if TYPE_CHECKING:
         simulate_press,
     )
     from sim.experiments._sensor_fit import fit_sensor, fitted_design
-    from sim.experiments._sensor_layers import ClassicLayers, FingerLayers, FreeNumber, Layers, SensorScene
+    from sim.experiments._sensor_layers import (
+        ClassicLayers,
+        FingerLayers,
+        FreeNumber,
+        Layers,
+        SensorScene,
+        changed_numbers,
+        value_at,
+    )
     from sim.experiments._sensor_press import (
         BallPresses,
         PressedCoat,
@@ -138,6 +146,7 @@ __all__ = [
     "WhiteBalance",
     "camera_rgb",
     "capture_twin",
+    "changed_numbers",
     "coat_cells",
     "confirmed_losses",
     "design_parameter",
@@ -179,5 +188,6 @@ __all__ = [
     "study_two_lights",
     "tolerance_inputs",
     "usual_parameters",
+    "value_at",
     "varied_finger",
 ]

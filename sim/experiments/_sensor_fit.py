@@ -33,10 +33,11 @@ from finray_calib.fit import (
     sample_picture_posterior,
 )
 from finray_calib.sensing import rgb_image
-from sim.experiments._sensor_layers import Design, FreeNumber, Layers, SensorScene, changed_numbers, value_at
+from sim.experiments import FreeNumber, Layers, SensorScene, changed_numbers, value_at
 from sim.optics import Progress
 
 Floats = NDArray[np.float64]
+Design = FingerDesign | PlainSensor
 
 EXAMPLES: Final = ("pad.thickness_mm", "coating.roughness_alpha")
 """Numbers of the design that may be fitted."""

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from data_schemas import CHANNELS, FingerDesign, PaintCalibration, PlainSensor, SimulateError
+from sim.experiments import pressed_coat
 from sim.experiments._painted_finger import COLOURS, PaintedFinger
-from sim.experiments._sensor_press import pressed_coat
 from sim.optics import (
     BAND_NAMES,
     FIRST_CHAINS,

@@ -146,7 +146,10 @@ def render_plain_sensor(
         both = of_pass.reshape(2, passes // 2, *of_pass.shape[1:]).mean(axis=1)
         halves.append((0.5 * (both[0] - both[1])).astype(np.float32))
         variances.append(known_variance((of_pass.var(axis=0, ddof=1) / passes).astype(np.float32)))
-    return PlainRender(*images, *variances, *halves, samples_per_pixel, seed, renderer.variant())
+    return PlainRender(
+        images[0], images[1], variances[0], variances[1], halves[0], halves[1], samples_per_pixel, seed,
+        renderer.variant(),
+    )  # fmt: skip
 
 
 def plain_sensor_scene(
