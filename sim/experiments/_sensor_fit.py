@@ -422,6 +422,8 @@ def _record(
         "with powers are determined, and ratios of powers; a known exposure does not change that",
         f"the smooth error has a correlation length of {CORRELATION_LENGTH:g} of the pad's picture, which is assumed",
     ]
+    if not posterior.converged:
+        notes.append("the search has not settled on one point: take more --samples, or state smaller uncertainties")
     if far:
         notes.append(f"far outside the prior ({_FAR_SD:g} standard deviations): {', '.join(far)}; check the design")
     noisy = [n.name for n, share in zip(model.numbers, posterior.noise_share, strict=True) if share > _MOST_NOISE]
