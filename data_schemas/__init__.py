@@ -9,7 +9,7 @@ JSON Schema of each. It imports nothing of the other packages, and every name is
 
 from typing import TYPE_CHECKING
 
-from data_schemas._lazy_exports import lazy_exports
+from data_schemas._lazy_exports import lazy_exports, register_record_methods
 
 if TYPE_CHECKING:
     from data_schemas._arrays import ArraySpec, read_only
@@ -212,13 +212,17 @@ if TYPE_CHECKING:
         LARGEST_WIDENED_FACTOR,
         BoardResidual,
         CameraCalibration,
+        Determined,
         DistortionModel,
+        FittedNumber,
+        LayerBrightness,
         LocalScale,
         NormalMapRecord,
         PixelScale,
         ScaleContribution,
         ScaleRange,
         SensedPress,
+        SensorFit,
     )
     from data_schemas._simulate import (
         AngleConstraints,
@@ -394,6 +398,7 @@ __all__ = [
     "DesignRole",
     "DesignStudy",
     "DesignValue",
+    "Determined",
     "DeviceIdentity",
     "Diagnostics",
     "DiedError",
@@ -421,6 +426,7 @@ __all__ = [
     "FinrayError",
     "FirstTouch",
     "FitError",
+    "FittedNumber",
     "FittedToneCurve",
     "Flag",
     "FluorescentRendering",
@@ -444,6 +450,7 @@ __all__ = [
     "KnownInputs",
     "LampSettings",
     "LaserSettings",
+    "LayerBrightness",
     "LearningDataset",
     "LengthMm",
     "LevelDifference",
@@ -533,6 +540,7 @@ __all__ = [
     "SensingError",
     "SensingRow",
     "SensorCoat",
+    "SensorFit",
     "SessionScatter",
     "SignalChangedError",
     "SignalDn",

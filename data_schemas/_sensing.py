@@ -1,7 +1,8 @@
 """How a sensor senses: geometry of its camera, millimetres per pixel on the pad, and the map from colour to normal.
 
 A camera is described as OpenCV's models do, by intrinsic matrix and lens distortion. The pixel scale holds along both
-directions of the picture, with uncertainty. The normal map is what calibration presses taught.
+directions of the picture, with uncertainty. The normal map is what calibration presses taught. The fit of a sensor
+tells which numbers of its design its pictures determine.
 """
 
 from typing import Annotated, ClassVar, Final, Literal
@@ -12,7 +13,9 @@ from pydantic import Field, model_validator
 
 from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._capture import CharucoBoard, Encoding
-from data_schemas._model import Model, Record
+from data_schemas._design import FingerDesign
+from data_schemas._model import Estimate, Model, Record
+from data_schemas._plain_sensor import PlainSensor
 from data_schemas._units import LengthMm, RelativeUncertainty
 
 DistortionModel = Literal["pinhole", "fisheye"]
@@ -243,4 +246,81 @@ class SensedPress(Record):
     @model_validator(mode="after")
     def _lengths_agree(self) -> "SensedPress":
         check_dimensions(self)
+        return self
+
+
+Determined = Literal[
+    "determined", "partly determined", "not determined by these pictures", "the renders are too noisy to tell"
+]
+
+
+class FittedNumber(Model):
+    """A number of a sensor before and after its pictures were seen; ``posterior`` is that of ``draws``."""
+
+    name: str = Field(description="field of the design, or of what stands beside it: picture, paint, camera, press")
+    unit: str
+    prior: Estimate = Field(description="without the pictures, by the design")
+    prior_origin: str = Field(description="where the prior's width comes from")
+    posterior: Estimate
+    left_of_prior_rel: Annotated[float, Field(ge=0.0)] = Field(
+        description="standard deviation after over that before, of the logarithm where the number is positive"
+    )
+    verdict: Determined = Field(
+        description="by what is left of the prior: below a half, below nine tenths, or more; where the renders are too "
+        "noisy, the posterior is not to be relied on"
+    )
+
+
+class LayerBrightness(Model):
+    """What one light, or one chain of fluorescence, adds to the channel that sees it best, over what was predicted."""
+
+    layer: str
+    channel: Literal["red", "green", "blue"]
+    over_design_rel: Estimate = Field(description="product of gain, powers, yields and response, over the design's")
+
+
+class SensorFit(Record):
+    """Posterior of the numbers of a sensor, from a few captures of it and its design.
+
+    ``draws`` are joint: a product or ratio of two numbers is known better than either, where the pictures tell only
+    that. The discrepancy is the size of a smooth relative error that the model cannot explain.
+    """
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray simulate fit'"
+
+    name: str
+    label: str = Field(description="by what the pictures were predicted")
+    finger: FingerDesign | None = Field(default=None, description="the design that the priors are of")
+    sensor: PlainSensor | None = Field(default=None, description="the same of a classic sensor")
+    captures: tuple[str, ...] = Field(description="names of the captures")
+    numbers: tuple[FittedNumber, ...]
+    draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw", "number"))] = Field(
+        description="of the posterior, columns in the order of numbers, each in its unit"
+    )
+    brightness: tuple[LayerBrightness, ...]
+    not_told_apart: tuple[str, ...] = Field(
+        description="combinations of numbers of which more than half of the prior's width is left"
+    )
+    discrepancy_rel: Estimate = Field(description="smooth error of the model, standard deviation over the picture")
+    correlation_length_rel: Annotated[float, Field(gt=0.0)] = Field(
+        description="of the smooth error, over the longer side of the pad's picture; chosen, not fitted"
+    )
+    independent_rel: Estimate = Field(description="error of each block by itself, beside the known noise")
+    residual_rel: Annotated[float, Field(ge=0.0)] = Field(description="rms of what is left, over the picture's mean")
+    emulator_rel: Annotated[float, Field(ge=0.0)] | None = Field(
+        description="rms by which a render at the fitted numbers differs from the emulator that was fitted; it is "
+        "taken out before the last fit; none: no number needs a render of its own"
+    )
+    blocks: Annotated[int, Field(ge=1)] = Field(description="of each picture and channel")
+    trusted: bool = Field(description="the search has converged, and no number lies far outside its prior")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_draw_of_each(self) -> "SensorFit":
+        check_dimensions(self)
+        if self.draws.shape[1] != len(self.numbers):
+            raise ValueError(f"draws: {self.draws.shape[1]} columns, there are {len(self.numbers)} numbers")
+        if (self.finger is None) == (self.sensor is None):
+            raise ValueError("finger, sensor: the fit is of one of them; give one")
         return self

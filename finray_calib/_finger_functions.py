@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -15,8 +15,10 @@ from data_schemas import (
     PaintCalibration,
     PlainSensor,
     PressMechanics,
+    SensorFit,
     SimulatedPress,
     SimulateError,
+    TactileCapture,
     look_like_radians,
     naming,
     narrow_sweep_text,
@@ -26,7 +28,7 @@ from finray_calib._library import PathLike, digest_of, given, made
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from sim.experiments import FingerScene, OpticsProducts, Rendering, WhiteBalance
+    from sim.experiments import FingerScene, OpticsProducts, Rendering, SensorScene, WhiteBalance
     from sim.mechanics import ContactChoice
     from sim.optics import Preference, RenderLevel
 
@@ -280,21 +282,98 @@ def render_sensor(
     SimulateError
         There is neither a ready-made sensor nor a file of this name, or the scene cannot be rendered.
     """
-    from sim import SENSORS, preset_sensor, read_sensor, sensor_inputs
     from sim.experiments import simulate_sensor_press
 
-    folder, files = Path(), []
-    if isinstance(sensor, PlainSensor):
-        design = sensor
-    elif not Path(sensor).exists() and os.fspath(sensor) in SENSORS:
-        design = preset_sensor(os.fspath(sensor))
-    else:
-        path = Path(sensor)
-        design, folder = read_sensor(path), path.parent
-        files = sensor_inputs(design, path)
+    design, folder, files = _plain_sensor(sensor)
     with naming(SimulateError, *files[:1]):
         press, _ = simulate_sensor_press(design, folder, _renderer(engine), seed, samples)
     return made(press, "render_sensor", files, seed)
+
+
+def fit_sensor(
+    design: FingerDesign | PlainSensor | PathLike,
+    captures: Sequence[TactileCapture | PathLike],
+    *,
+    paints: Mapping[str, Paint] | None = None,
+    free: Sequence[str] = (),
+    seed: int = 1,
+    progress: Progress | None = None,
+    **options: "Unpack[RenderOptions]",
+) -> SensorFit:
+    """Fit the numbers of a sensor to captures of it: light powers, yields, gain, shift, scale, blur and what is `free`.
+
+    Parameters
+    ----------
+    design
+        A design, its file or the name of a ready-made one, of a painted finger or of a classic sensor; of its camera's
+        size and lit as in the captures.
+    captures
+        Presses of one sensor at one exposure, with linear values.
+    paints
+        "red" and "green" of a painted finger, see :func:`finray_calib.fit_paint`.
+    free
+        Further numbers of the design, by dotted path, such as ``pad.thickness_mm``; by default none.
+    seed
+        Of the renders and of the draws.
+    progress
+        Called with parts done, parts in all and what is done.
+    **options
+        ``samples``, ``engine``, ``shared_light`` and ``paints_as_given`` of :class:`RenderOptions`.
+
+    Raises
+    ------
+    SimulateError
+        The captures do not go with each other or with the design, or a number cannot be free.
+    """
+    from sim.experiments import fit_sensor as fit_scene
+
+    scene, files = _layered(design, dict(paints or {}), seed, options)
+    read = [given(capture, TactileCapture) for capture in captures]
+    with naming(SimulateError, *files[:1]):
+        fit = fit_scene(scene, [capture for capture, _ in read], free, seed, progress)
+    return made(fit, "fit_sensor", [*files, *(file for _, of in read for file in of)], seed)
+
+
+def _layered(
+    design: FingerDesign | PlainSensor | PathLike, paints: dict[str, Paint], seed: int, options: RenderOptions
+) -> "tuple[SensorScene, list[Path]]":
+    """Return what renders a sensor in layers, and the files that were read."""
+    from sim.experiments import ClassicLayers, FingerLayers
+
+    samples = options.get("samples", DEFAULT_SAMPLES_PER_PIXEL)
+    if isinstance(design, PlainSensor) or _is_classic(design):
+        if paints:
+            raise SimulateError("a classic sensor has no paints; leave them out")
+        sensor, folder, files = _plain_sensor(design)
+        return ClassicLayers(sensor, _renderer(options.get("engine", "auto")), folder, seed, samples), files
+    painted, _, files = _scene(design, paints, None, options)
+    shared = options.get("shared_light", False)
+    return FingerLayers(painted.finger, painted.calibrations, seed, samples, shared), files
+
+
+def _is_classic(design: FingerDesign | PathLike) -> bool:
+    """Return whether a design, its file or its name is one of a classic sensor."""
+    from sim import SENSORS, is_sensor
+
+    if isinstance(design, FingerDesign):
+        return False
+    path = Path(design)
+    return is_sensor(path) if path.exists() else os.fspath(design) in SENSORS
+
+
+def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainSensor, Path, list[Path]]:
+    """Return a classic sensor, the folder that its files are relative to, and the files that were read."""
+    from sim import SENSORS, preset_sensor, read_sensor, sensor_inputs
+
+    if isinstance(sensor, PlainSensor):
+        return sensor, Path(), []
+    if isinstance(sensor, FingerDesign):
+        raise SimulateError(f"{sensor.name} is a painted finger; a classic sensor is asked for")
+    path = Path(sensor)
+    if not path.exists() and os.fspath(sensor) in SENSORS:
+        return preset_sensor(os.fspath(sensor)), Path(), []
+    design = read_sensor(path)
+    return design, path.parent, sensor_inputs(design, path)
 
 
 def _rendering(seed: int, options: RenderOptions) -> "Rendering":

@@ -1,4 +1,7 @@
-"""``finray fit``: the emission spectrum of a paint with its uncertainty, of a region or pixel by pixel."""
+"""``finray fit``: the emission spectrum of a paint with its uncertainty, of a region or pixel by pixel.
+
+``finray simulate fit`` fits the numbers of a sensor to captures of it.
+"""
 
 import argparse
 from collections.abc import Sequence
@@ -7,17 +10,30 @@ from typing import TYPE_CHECKING
 
 from finray_calib.cli._output import give, go_on_with, is_for_a_program, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
+    LongWork,
     add_out,
+    add_paint,
+    add_paints_as_given,
     add_seed,
     command_line,
     file_name,
     input_digests,
     naming,
+    paint_files,
     require_new,
+    working_engine,
 )
 
 if TYPE_CHECKING:
-    from data_schemas import BandSignals, PaintCalibration, PaintMap, PaintWithoutEmission, SessionScatter
+    from data_schemas import (
+        BandSignals,
+        FittedNumber,
+        PaintCalibration,
+        PaintMap,
+        PaintWithoutEmission,
+        SensorFit,
+        SessionScatter,
+    )
     from finray_calib.fit import BudgetRow
 
 
@@ -329,3 +345,107 @@ def _report_map(fitted: "PaintMap") -> None:
         say(f"  spots whose yield departs. {spots_note(fitted)}")
     for spot in fitted.worst_spots:
         say(f"  {spot_sentence(spot)}")
+
+
+SENSOR_HELP = "fit a sensor's lights, yields, gel, coat and picture to captures of it"
+SENSOR_DESCRIPTION = """\
+Fit the numbers of a sensor to a few captures of it: powers of its lights, yields of its paints, the camera's response,
+one gain, shift, scale and blur of the picture, and the numbers of the design that --free names. DESIGN is a painted
+finger (with --paint) or a classic sensor, with the camera's size and lit as in the captures, which are presses of one
+sensor at one exposure with linear values. Each number keeps the prior that the design states ([uncertainty_rel], or
+what is usual for its [origin]); what the pictures do not determine is said. Depth and place of a press are fitted
+where its capture states their uncertainty. Beside the record a design with the fitted values is written."""
+_OUT_ENDING = ".sensor.json"
+
+
+def add_sensor_fit(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register ``finray simulate fit``."""
+    parser = jobs.add_parser("fit", help=SENSOR_HELP, description=SENSOR_DESCRIPTION)
+    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger or classic sensor (TOML)")
+    parser.add_argument(
+        "--captures", type=Path, nargs="+", required=True, metavar="CAPTURE", help="tactile captures of one sensor"
+    )
+    parser.add_argument(
+        "--free", nargs="+", default=[], metavar="NAME",
+        help="numbers of the design to fit besides, such as pad.thickness_mm or coating.roughness_alpha; each takes "
+        "two renders of every press",
+    )  # fmt: skip
+    add_paint(parser)
+    add_paints_as_given(parser)
+    parser.add_argument(
+        "--samples", type=int, default=128, metavar="N", help="paths per pixel, an even number (default: 128)"
+    )
+    parser.add_argument(
+        "--shared-light", action="store_true", help="let pixels of a finger share light, see 'finray simulate render'"
+    )
+    parser.add_argument("--engine", choices=["auto", "llvm", "scalar"], default="auto", help="renderer (default: auto)")
+    add_out(parser, f"NAME{_OUT_ENDING}, with NAME.fitted.toml beside it")
+    add_seed(parser)
+    parser.set_defaults(run=run_sensor_fit, long_work=_long_sensor_fit)
+
+
+def _long_sensor_fit(arguments: argparse.Namespace) -> LongWork:
+    """Return what is about to be done, and what of it is kept if its process dies."""
+    nothing = "Nothing is stored before its end: the same command begins again"
+    return LongWork("the fit of the sensor", nothing, arguments.out)
+
+
+def run_sensor_fit(arguments: argparse.Namespace) -> None:
+    """Fit a sensor, store the record and the design with the fitted values, and report."""
+    from data_schemas import FingerDesign, SimulateError, provenance
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib import fit_sensor
+    from sim import design_toml, sensor_toml
+    from sim.experiments import fitted_design
+
+    out = require_new(arguments.out or Path(f"{file_name(arguments.design.stem)}{_OUT_ENDING}"))
+    toml = require_new(out.with_name(f"{out.name.removesuffix('.json').removesuffix('.sensor')}.fitted.toml"))
+    if arguments.samples < 2 or arguments.samples % 2:
+        raise SimulateError(f"--samples {arguments.samples}: must be an even whole number from 2, for example 128")
+    with progress_bar("fit the sensor") as progress, naming(SimulateError, arguments.design):
+        fit = fit_sensor(
+            arguments.design, arguments.captures, paints=dict(paint_files(arguments)), free=arguments.free,
+            seed=arguments.seed, progress=progress, samples=arguments.samples, engine=working_engine(arguments.engine),
+            shared_light=arguments.shared_light, paints_as_given=arguments.paints_as_given,
+        )  # fmt: skip
+    design = fitted_design(fit)
+    text = design_toml(design) if isinstance(design, FingerDesign) else sensor_toml(design)
+    read = {} if fit.provenance is None else fit.provenance.input_sha256
+    with ProductSet(out) as products:
+        products.add(toml, text.encode())
+        write_record(fit, out, provenance(command_line(), read, arguments.seed), products)
+    wrote(out, f"'{fit.name}' fitted to {len(fit.captures)} captures, {fit.blocks} blocks of each picture")
+    wrote(toml, "the design with the fitted values")
+    _say_sensor_fit(fit)
+    go_on_with("finray simulate render", toml)
+
+
+def _say_sensor_fit(fit: "SensorFit") -> None:
+    """Tell each number before and after, what is not told apart, and how good the model is."""
+    give(
+        name=fit.name, numbers=fit.numbers, brightness=fit.brightness, not_told_apart=fit.not_told_apart,
+        discrepancy_rel=fit.discrepancy_rel, independent_rel=fit.independent_rel, residual_rel=fit.residual_rel,
+        emulator_rel=fit.emulator_rel, trusted=fit.trusted, notes=fit.notes,
+    )  # fmt: skip
+    say("  number, 95 % after the pictures (before them), what is left of the prior's width:")
+    for number in fit.numbers:
+        say(f"    {_number_line(number)}")
+    say("  brightness of each layer over the design's, at one gain:")
+    for layer in fit.brightness:
+        say(f"    {layer.layer} ({layer.channel}): {layer.over_design_rel}")
+    for combination in fit.not_told_apart:
+        say(f"  not told apart: {combination}")
+    say(
+        f"  smooth error of the model {fit.discrepancy_rel.estimate:.1%}, of each block "
+        f"{fit.independent_rel.estimate:.1%}, residual {fit.residual_rel:.1%} of the picture's mean"
+    )
+    say(f"  {'trusted' if fit.trusted else 'NOT trusted, see the notes'}")
+    for note in fit.notes:
+        say(f"  note: {note}")
+
+
+def _number_line(number: "FittedNumber") -> str:
+    """Return a number before and after in one line."""
+    unit = "" if number.unit == "1" else f" {number.unit}"
+    told = "" if number.verdict == "determined" else f": {number.verdict.upper()}"
+    return f"{number.name:32s} {number.posterior}{unit} ({number.prior}), {number.left_of_prior_rel:.0%} left{told}"

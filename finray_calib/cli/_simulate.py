@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._fit import add_sensor_fit
 from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     LongWork,
@@ -39,9 +40,10 @@ if TYPE_CHECKING:
     from sim.experiments import OpticsProducts, WhiteBalance
 
 
-SIMULATE_HELP = "press a finger by finite elements, render it, or sweep the light angle"
+SIMULATE_HELP = "press a finger by finite elements, render it, sweep the light angle, or fit a sensor to captures"
 SIMULATE_DESCRIPTION = """\
-Simulate a finger: how it bends, what its camera sees, and how that changes with the angle of the blue light."""
+Simulate a finger: how it bends, what its camera sees, and how that changes with the angle of the blue light; and fit
+a sensor to captures of it."""
 SMALLEST_STEP_DEG = 0.5
 SMALLEST_STEP_MM = 0.5
 CHANGE_SHOWN = 4.0
@@ -69,12 +71,13 @@ reaches them (level b)."""
 
 
 def add_simulate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the verb and its three jobs."""
+    """Register the verb and its jobs."""
     parser = verbs.add_parser("simulate", help=SIMULATE_HELP, description=SIMULATE_DESCRIPTION)
     jobs = parser.add_subparsers(dest="job", metavar="JOB", title="jobs", required=True)
     add_press(jobs)
     add_render(jobs)
     add_sweep(jobs)
+    add_sensor_fit(jobs)
 
 
 def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         shown_press,
     )
     from finray_calib.compare._displayed_images import ciede2000, displayed_image, srgb_to_lab
+    from finray_calib.compare._image_noise import capture_noise
     from finray_calib.compare._mismatch import find_mismatches
     from finray_calib.compare._regions import DILATED, Region, contact_regions, disc, strip_from_distance
     from finray_calib.compare._registration import register_press
@@ -51,6 +52,7 @@ __all__ = [
     "PairRow",
     "PressTable",
     "Region",
+    "capture_noise",
     "ciede2000",
     "compare_checked",
     "compare_press",

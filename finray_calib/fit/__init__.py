@@ -18,7 +18,12 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from finray_calib.fit._absorption import ExcitationYield, fit_absorption
     from finray_calib.fit._band_data import BandData, band_data
-    from finray_calib.fit._colour_checker import colour_checker_reflectance, patch_colours
+    from finray_calib.fit._colour_checker import (
+        colour_checker_reflectance,
+        find_colour_checker,
+        linear_cells,
+        patch_colours,
+    )
     from finray_calib.fit._detection import detect_emission
     from finray_calib.fit._emission import (
         EmissionPosterior,
@@ -71,6 +76,13 @@ if TYPE_CHECKING:
     from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, AbsorptionPrior, Discrepancy, EmissionPrior
     from finray_calib.fit._repeated_sessions import combine_sessions, departing_warnings
     from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE
+    from finray_calib.fit._sensor_posterior import (
+        PictureBlocks,
+        PicturePosterior,
+        picture_blocks,
+        placed_picture,
+        sample_picture_posterior,
+    )
     from finray_calib.fit._uncertainty_budget import BUDGETED, BudgetRow, uncertainty_budget
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -102,6 +114,8 @@ __all__ = [
     "FitSettings",
     "LogPosterior",
     "NextFilter",
+    "PictureBlocks",
+    "PicturePosterior",
     "PixelSpread",
     "SamplerSettings",
     "Summary",
@@ -119,19 +133,24 @@ __all__ = [
     "detect_emission",
     "estimate",
     "filter_catalogue",
+    "find_colour_checker",
     "find_maxima",
     "fit_absorption",
     "fit_emission",
     "fit_families",
     "importance_sample",
     "leave_one_band_out",
+    "linear_cells",
     "map_paint",
     "map_pixels",
     "next_filters",
     "paper_parameters",
     "patch_colours",
+    "picture_blocks",
+    "placed_picture",
     "rank_r_hat",
     "reflectance",
+    "sample_picture_posterior",
     "sample_posterior",
     "score_families",
     "smooth_weights",

@@ -5,7 +5,7 @@ r"""Reduce frames to numbers: band signals of a paint with their covariance, or 
 with F the sample under the laser, W the white reference under the lamp and V the laser's level on the white reference,
 all dark-corrected and linear: sensitivity of the pixels and transmission of the filters cancel. `band_signals` does so
 over a region, `pixel_signals` for every raw pixel, `characterise_camera` gives gain, noise and saturation after EMVA
-1288. Also a ColorChecker in a frame, and what a Raspberry Pi camera did to its images. No devices; a caller's function
+1288. Also what a Raspberry Pi camera did to its images. No devices; a caller's function
 reads the frames.
 """
 
@@ -27,13 +27,6 @@ if TYPE_CHECKING:
         sensitivity_threshold_e,
         with_camera,
     )
-    from finray_calib.radiometry._colour_checker import (
-        LARGEST_CLIPPED_FRACTION,
-        PATCHES,
-        ColourCheckerPatches,
-        find_colour_checker,
-        linear_cells,
-    )
     from finray_calib.radiometry._photon_transfer import FrameStack, PhotonTransfer, linearity, photon_transfer
     from finray_calib.radiometry._pixel_signals import laser_profile, pixel_signals
     from finray_calib.radiometry._raspberry_pi import (
@@ -52,10 +45,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "LARGEST_CLIPPED_FRACTION",
-    "PATCHES",
     "CaptureSettings",
-    "ColourCheckerPatches",
     "FrameStack",
     "LibcameraTuning",
     "PhotonTransfer",
@@ -66,9 +56,7 @@ __all__ = [
     "bleaching_trend",
     "capture_settings",
     "characterise_camera",
-    "find_colour_checker",
     "laser_profile",
-    "linear_cells",
     "linearity",
     "monochrome_bands",
     "optics_of",

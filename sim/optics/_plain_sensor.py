@@ -78,12 +78,15 @@ class PlainRender:
 
     Unit: what a panel of power 1 sends, seen by the channel that sees it best. ``*_variance`` is the variance of the
     mean of K independent passes, with K - 1 degrees of freedom: K is 16, 8, 4 or 2, as the paths divide.
+    ``*_half_difference`` is half the difference of the means of their halves.
     """
 
     no_contact: NDArray[np.float32]
     contact: NDArray[np.float32]
     no_contact_variance: NDArray[np.float32]
     contact_variance: NDArray[np.float32]
+    no_contact_half_difference: NDArray[np.float32]
+    contact_half_difference: NDArray[np.float32]
     samples_per_pixel: int
     seed: int
     variant: str
@@ -126,7 +129,7 @@ def render_plain_sensor(
             f"samples_per_pixel must be an even number of at least 2 (two independent halves), got {samples_per_pixel}"
         )
     passes = passes_of(samples_per_pixel)
-    images, variances = [], []
+    images, variances, halves = [], [], []
     for gel in gels or (analytic_gel(sensor, False), analytic_gel(sensor, True)):
         scene = plain_sensor_scene(sensor, renderer, gel=gel, folder=folder)
         integrator = plain_sensor_integrator(scene, sensor, renderer, gel=gel, folder=folder)
@@ -140,8 +143,13 @@ def render_plain_sensor(
             dtype=np.float64,
         )
         images.append(of_pass.mean(axis=0).astype(np.float32))
+        both = of_pass.reshape(2, passes // 2, *of_pass.shape[1:]).mean(axis=1)
+        halves.append((0.5 * (both[0] - both[1])).astype(np.float32))
         variances.append(known_variance((of_pass.var(axis=0, ddof=1) / passes).astype(np.float32)))
-    return PlainRender(images[0], images[1], variances[0], variances[1], samples_per_pixel, seed, renderer.variant())
+    return PlainRender(
+        images[0], images[1], variances[0], variances[1], halves[0], halves[1], samples_per_pixel, seed,
+        renderer.variant(),
+    )  # fmt: skip
 
 
 def plain_sensor_scene(

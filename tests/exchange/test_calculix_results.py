@@ -43,7 +43,7 @@ def test_a_frame_that_breaks_off_is_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        (HEAD + NODES, "no field DISP or CONTACT in it"),
+        (HEAD + NODES, "holds no field DISP or CONTACT"),
         (
             HEAD + FIRST.replace("-5.00000E-01", "-5.00000E-0x"),
             "a value of the field DISP at time 0.333333 is no number",

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 
 from data_schemas import RadiometryError
-from finray_calib.fit import patch_colours
-from finray_calib.radiometry import find_colour_checker, linear_cells
-from finray_calib.radiometry._colour_checker import LARGEST_MISMATCH_REL
+from finray_calib.fit import find_colour_checker, linear_cells, patch_colours
+from finray_calib.fit._colour_checker import LARGEST_MISMATCH_REL
 from tests.radiometry.colour_checker_scene import patch_rgb, render
 
 REFERENCE = patch_colours().xyz

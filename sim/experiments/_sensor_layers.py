@@ -1,0 +1,366 @@
+"""The layers of a sensor's picture: what each light, and each chain of fluorescence, adds to it, rendered once.
+
+A picture is their sum, each times a product of numbers that are told here: powers, yields and the camera's response.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from data_schemas import CHANNELS, FingerDesign, PaintCalibration, PlainSensor, SimulateError
+from sim.experiments import pressed_coat
+from sim.experiments._painted_finger import COLOURS, PaintedFinger
+from sim.optics import (
+    BAND_NAMES,
+    FIRST_CHAINS,
+    PlainRender,
+    PressRender,
+    RenderSettings,
+    chain_steps,
+    check_paints,
+    last_band,
+    light_colours,
+    render_plain_sensor,
+    render_press,
+    seen_places_mm,
+    sensor_calibration,
+)
+
+Floats = NDArray[np.float64]
+Design = FingerDesign | PlainSensor
+_POWER_U_REL, _BATCH_U_REL = 0.2, 0.1
+_DIM: Final = 1e-6  # power of the other lights while one is rendered
+
+
+@dataclass(frozen=True, slots=True)
+class FreeNumber:
+    """A number to be fitted: its value by the design and the standard uncertainty, of the logarithm or as it is.
+
+    ``place`` is what it acts on: the "layer" factors, the "design" of all pictures, one "press", or the "picture".
+    """
+
+    name: str
+    value: float
+    u: float
+    is_log: bool
+    origin: str
+    place: Literal["layer", "design", "press", "picture"]
+    unit: str = "1"
+    press: int = 0
+
+    def at(self, theta: Any) -> Any:
+        """Return the value at standardised places."""
+        return self.value * np.exp(self.u * theta) if self.is_log else self.value + self.u * theta
+
+
+@dataclass(frozen=True, slots=True)
+class Layers:
+    """Layers of each picture, without contact first, then each press; and which pixels see the pad.
+
+    ``pictures`` (2, picture, layer, row, column) holds the mean of two independent halves of a render, and half their
+    difference.
+    """
+
+    pictures: Floats
+    on_pad: NDArray[np.bool_]
+
+
+class SensorScene(Protocol):
+    """A sensor that can be rendered in layers."""
+
+    @property
+    def design(self) -> Design:
+        """The sensor as it is described."""
+
+    @property
+    def layer_numbers(self) -> tuple[FreeNumber, ...]:
+        """Powers, yields and responses."""
+
+    def mix(self, factors: Mapping[str, float]) -> Floats:
+        """Return what each channel sees of each layer, (3, layer), at these factors on the layer numbers."""
+
+    def layers(self, presses: Sequence[Design]) -> Layers:
+        """Render the sensor at rest as the first of some designs says, and each of their presses."""
+
+    @property
+    def layer_names(self) -> tuple[str, ...]:
+        """What the layers are of."""
+
+    @property
+    def label(self) -> str:
+        """By what they are rendered."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClassicLayers:
+    """A classic sensor, one layer for each light and channel.
+
+    Lights that share no channel are rendered together: with an ideal response each has the picture of its channel.
+    """
+
+    design: PlainSensor
+    renderer: ModuleType
+    folder: Path = Path()
+    seed: int = 1
+    samples: int = 128
+
+    @property
+    def _seen(self) -> tuple[tuple[int, int], ...]:
+        """Light and channel of each layer."""
+        colours = light_colours(self.design, self.folder)
+        return tuple((int(k), int(c)) for k, c in np.argwhere(colours > 0.0))
+
+    @property
+    def _together(self) -> list[list[int]]:
+        """Lights that are rendered at once."""
+        groups: list[list[int]] = []
+        channels = {k: {c for light, c in self._seen if light == k} for k in range(len(self.design.lights))}
+        for k, own in channels.items():
+            free = [group for group in groups if not any(own & channels[other] for other in group)]
+            if free:
+                free[0].append(k)
+            else:
+                groups.append([k])
+        return groups
+
+    @property
+    def layer_numbers(self) -> tuple[FreeNumber, ...]:
+        """The power of each light, relative to the others."""
+        return _powers(self.design, [f"lights.{k}.power_rel" for k in range(len(self.design.lights))])
+
+    @property
+    def layer_names(self) -> tuple[str, ...]:
+        """Light and channel."""
+        return tuple(f"light {k + 1} ({self.design.lights[k].channel}), {CHANNELS[c]} channel" for k, c in self._seen)
+
+    @property
+    def label(self) -> str:
+        """By what they are rendered."""
+        return f"rendered, classic sensor, {self.renderer.variant()}"
+
+    def mix(self, factors: Mapping[str, float]) -> Floats:
+        """Return what each channel sees of each layer."""
+        mixed = np.zeros((len(CHANNELS), len(self._seen)))
+        for layer, (k, c) in enumerate(self._seen):
+            mixed[c, layer] = factors.get(f"lights.{k}.power_rel", 1.0)
+        return mixed
+
+    def layers(self, presses: Sequence[Design]) -> Layers:
+        """Render the sensor at rest and each press, light by light where channels mix."""
+        coats = [pressed_coat(_sensor(press), self.folder) for press in presses]
+        seen = seen_places_mm(
+            _sensor(presses[0]), coats[0].rest, self.renderer, sensor_calibration(self.design, self.folder)
+        )
+        found: list[Floats] = []
+        for press, coat in zip(presses, coats, strict=True):
+            of_light: dict[int, Floats] = {}
+            for group in self._together:
+                render = render_plain_sensor(
+                    _only_lit(_sensor(press), group), self.renderer, self.seed, self.samples,
+                    gels=(coat.rest, coat.pressed), folder=self.folder,
+                )  # fmt: skip
+                of_light |= dict.fromkeys(group, _means_and_halves(render))
+            both = np.stack([of_light[k][..., c] for k, c in self._seen], axis=2)
+            found += [both[:, state] for state in range(1 if found else 0, 2)]
+        return Layers(np.stack(found, axis=1), np.isfinite(seen[..., 0]))
+
+
+def _means_and_halves(render: PlainRender) -> Floats:
+    """Return mean and half difference, each without and with contact, (2, 2, row, column, 3)."""
+    halves = render.no_contact_half_difference, render.contact_half_difference
+    return np.array([[render.no_contact, render.contact], halves], dtype=np.float64)
+
+
+def _sensor(design: Design) -> PlainSensor:
+    """Return a design that is one of a classic sensor."""
+    if not isinstance(design, PlainSensor):
+        raise SimulateError(f"{design.name} is a painted finger; layers of a classic sensor are asked for")
+    return design
+
+
+def _only_lit(sensor: PlainSensor, lit: Sequence[int]) -> PlainSensor:
+    """Return the sensor with all but some lights as good as out."""
+    lights = tuple(
+        light if k in lit else light.model_copy(update={"power_rel": _DIM}) for k, light in enumerate(sensor.lights)
+    )
+    return sensor.model_copy(update={"lights": lights})
+
+
+@dataclass(frozen=True, slots=True)
+class FingerLayers:
+    """A painted finger, one layer for each light panel and chain of fluorescence."""
+
+    finger: PaintedFinger
+    calibrations: Mapping[str, PaintCalibration] = field(default_factory=dict)
+    seed: int = 1
+    samples: int = 128
+    shared_light: bool = False
+    chains: tuple[str, ...] = FIRST_CHAINS
+
+    @property
+    def design(self) -> FingerDesign:
+        """The finger."""
+        return self.finger.design
+
+    @property
+    def _lights(self) -> list[str]:
+        """Paths of the panels in the design."""
+        second = ["second_light"] if self.design.second_light is not None else []
+        return ["light", *second, *(f"further_lights.{k}" for k in range(len(self.design.further_lights)))]
+
+    @property
+    def layer_numbers(self) -> tuple[FreeNumber, ...]:
+        """Powers where there are several panels, yields of both paints, response of the camera."""
+        # the power of a single panel is told from the gain by nothing
+        powers = _powers(self.design, [f"{light}.power_rel" for light in self._lights]) if len(self._lights) > 1 else ()
+        return (*powers, *self._yields(), *self._responses())
+
+    def _yields(self) -> list[FreeNumber]:
+        numbers = []
+        for colour in COLOURS:
+            fit = self.calibrations.get(colour)
+            of_fit = 0.0 if fit is None else fit.energy_yield.sd / fit.energy_yield.estimate
+            origin = f"calibration {of_fit:.0%}, batch of paint {_BATCH_U_REL:.0%} (assumed)"
+            numbers.append(_factor(f"paint.{colour}.yield_rel", float(np.hypot(of_fit, _BATCH_U_REL)), origin))
+        return numbers
+
+    def _responses(self) -> list[FreeNumber]:
+        numbers = []
+        at_led = self.design.camera.response_at_led_uncertainty_rel
+        for channel, curve in zip(CHANNELS, self.finger.response, strict=True):
+            numbers.append(_factor(f"camera.{channel}.response_rel", curve.uncertainty_rel, curve.source))
+            numbers.append(
+                _factor(f"camera.{channel}.response_at_led_rel", at_led, "camera.response_at_led_uncertainty_rel")
+            )
+        return [number for number in numbers if number.u > 0.0]
+
+    @property
+    def layer_names(self) -> tuple[str, ...]:
+        """Panel and chain."""
+        return tuple(f"{light}, {chain}" for light in self._lights for chain in self.chains)
+
+    @property
+    def label(self) -> str:
+        """By what they are rendered."""
+        return f"rendered, level b, {self.finger.renderer.variant()}"
+
+    def mix(self, factors: Mapping[str, float]) -> Floats:
+        """Return what each channel sees of each layer."""
+        matrix = self.finger.camera_matrix(check_paints(self.design, self.finger.paints)).copy()
+        for row, channel in enumerate(CHANNELS):
+            matrix[row] *= factors.get(f"camera.{channel}.response_rel", 1.0)
+            matrix[row, BAND_NAMES.index("led")] *= factors.get(f"camera.{channel}.response_at_led_rel", 1.0)
+        columns = []
+        for light in self._lights:
+            power = factors.get(f"{light}.power_rel", 1.0)
+            for chain in self.chains:
+                walls = [step for _, step in chain_steps(chain)]
+                gain = np.prod([factors.get(f"paint.{wall}.yield_rel", 1.0) for wall in walls])
+                columns.append(matrix[:, BAND_NAMES.index(last_band(chain))] * power * gain)
+        return np.array(columns).T
+
+    def layers(self, presses: Sequence[Design]) -> Layers:
+        """Render the finger at rest and each press, panel by panel."""
+        settings = RenderSettings("b", self.seed, self.samples, shared_light=self.shared_light)
+        at_rest, pressed = [], []
+        on_pad = np.zeros(0, dtype=np.bool_)
+        for number, press in enumerate(presses):
+            renders = [
+                render_press(
+                    _with_one_panel(press, light), self.finger.paints, self.finger.renderer, settings,
+                    calibration=self.finger.calibration,
+                )
+                for light in range(len(self._lights))
+            ]  # fmt: skip
+            if not renders[0].chains_apart:
+                raise SimulateError("fitting a finger needs a compiled renderer: install LLVM 17 or newer")
+            if number == 0:
+                on_pad = np.isfinite(renders[0].no_contact_maps.coat_mm(_finger(press))[..., 0])
+                at_rest = [self._apart(render, "no_contact") for render in renders]
+            pressed.append(np.concatenate([self._apart(render, "contact") for render in renders], axis=1))
+        return Layers(np.stack([np.concatenate(at_rest, axis=1), *pressed], axis=1), on_pad)
+
+    def _apart(self, render: PressRender, state: str) -> Floats:
+        """Return the chains of one state and half the difference of their halves, (2, chain, row, column)."""
+        at = [render.chains.index(chain) for chain in self.chains]
+        both = (getattr(render, f"{state}_{what}")[..., at] for what in ("chains", "half_difference"))
+        return np.stack([np.moveaxis(image.astype(np.float64), -1, 0) for image in both])
+
+
+def _finger(design: Design) -> FingerDesign:
+    """Return a design that is one of a finger."""
+    if not isinstance(design, FingerDesign):
+        raise SimulateError(f"{design.name} is a classic sensor; layers of a painted finger are asked for")
+    return design
+
+
+def _with_one_panel(design: Design, lit: int) -> FingerDesign:
+    """Return the finger with all panels but one as good as out."""
+    finger = _finger(design)
+    if len(finger.lights) == 1:
+        return finger
+    lights = [
+        light if k == lit else light.model_copy(update={"power_rel": _DIM}) for k, light in enumerate(finger.lights)
+    ]
+    second = None if finger.second_light is None else lights[1]
+    further = tuple(lights[len(lights) - len(finger.further_lights) :])
+    return finger.model_copy(update={"light": lights[0], "second_light": second, "further_lights": further})
+
+
+def _factor(name: str, u: float, origin: str) -> FreeNumber:
+    """Return a number that is 1 by the design."""
+    return FreeNumber(name, 1.0, u, True, origin, "layer")
+
+
+def _powers(design: Design, names: Sequence[str]) -> tuple[FreeNumber, ...]:
+    """Return powers of lights, of which the uncertainty may be stated for all of them."""
+    found = []
+    for name in names:
+        of_all = ".".join(part for part in name.split(".") if not part.isdecimal())
+        stated = design.uncertainty_rel.get(of_all)
+        origin = "design: uncertainty_rel" if stated is not None else "assumed: one LED to another"
+        value = float(value_at(design, name))
+        found.append(FreeNumber(name, value, stated or _POWER_U_REL, True, origin, "layer"))
+    return tuple(found)
+
+
+def value_at(design: Any, name: str) -> Any:
+    """Return the value at a dotted path, entries of lists by their number; None where a part is absent."""
+    for part in name.split("."):
+        if design is None:
+            return None
+        design = design[int(part)] if part.isdecimal() else getattr(design, part, None)
+    return design
+
+
+def changed_numbers(design: Design, values: Mapping[str, float]) -> Design:
+    """Return a design with values at dotted paths changed.
+
+    Raises
+    ------
+    SimulateError
+        The design refuses a value.
+    """
+    whole: Any = design.model_dump()
+    for name, value in values.items():
+        place = whole
+        *path, last = name.split(".")
+        for part in path:
+            if isinstance(place, dict) and isinstance(place[part], tuple):
+                place[part] = list(place[part])
+            place = place[int(part)] if part.isdecimal() else place[part]
+        place[last] = value
+    try:
+        return type(design).model_validate(whole)
+    except ValidationError as refused:
+        fields = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
+        raise SimulateError(
+            f"{fields}: a render one standard uncertainty from the design is refused ({refused.errors()[0]['msg']}); "
+            "state a smaller uncertainty_rel in the design, or leave the number out of --free"
+        ) from refused

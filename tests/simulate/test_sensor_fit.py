@@ -1,0 +1,144 @@
+"""The fit of a sensor to its captures: intervals hold on hidden sensors, and what the pictures do not tell is said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data_schemas import FittedNumber, SensorFit, SimulateError, provenance
+from data_schemas.storage import read_record, write_record
+from sim.experiments import fit_sensor, fitted_design
+from tests.simulate.drawn_sensor import COLUMNS, ROWS, DrawnSensor, captured, formula, hidden_sensor
+
+NOISE_REL = 0.05
+FREE = ["pad.thickness_mm"]
+
+
+def fitted(number, discrepancy=None) -> tuple[dict[str, float], SensorFit]:
+    truth, capture = hidden_sensor(number, NOISE_REL, discrepancy)
+    return truth, fit_sensor(DrawnSensor(noise_rel=NOISE_REL), [capture], FREE, seed=number)
+
+
+def of(fit: SensorFit, name: str) -> FittedNumber:
+    return next(number for number in fit.numbers if number.name == name)
+
+
+@pytest.fixture(scope="module")
+def hidden():
+    return [fitted(number) for number in range(12)]
+
+
+def test_intervals_hold_on_hidden_sensors(hidden):
+    inside = [
+        number.posterior.low95 <= truth[number.name] <= number.posterior.high95
+        for truth, fit in hidden
+        for number in fit.numbers
+    ]
+    assert len(inside) == 12 * 11
+    # numbers of one sensor go together: about 60 independent ones, of which 0.87 is three standard errors below 0.95
+    assert np.mean(inside) >= 0.87
+    # and they are worth having: of the gel's thickness a small part of what was not known is left
+    assert np.median([of(fit, "pad.thickness_mm").left_of_prior_rel for _, fit in hidden]) < 0.3
+
+
+def test_only_products_of_gain_and_power_are_determined(hidden):
+    for truth, fit in hidden:
+        names = [number.name for number in fit.numbers]
+        powers = np.log(fit.draws[:, [names.index(f"lights.{k}.power_rel") for k in range(3)]])
+        # a common factor on three lights is known as well as their mean is by the prior: 1 / sqrt(3) of it
+        assert powers.mean(axis=1).std() == pytest.approx(0.2 / np.sqrt(3.0), rel=0.1)
+        # ratios are told by the pictures
+        ratio = powers[:, 0] - powers[:, 1]
+        assert ratio.std() < 0.05
+        assert of(fit, "lights.0.power_rel").verdict == "partly determined"
+        assert any("lights.0.power_rel" in told and "lights.2.power_rel" in told for told in fit.not_told_apart)
+        product = fit.draws[:, names.index("picture.gain")] * np.exp(powers[:, 0])
+        assert product.std() / product.mean() < 0.05
+        assert abs(np.log(product.mean() / (truth["picture.gain"] * truth["lights.0.power_rel"]))) < 0.15
+
+
+def test_an_error_that_the_model_does_not_have_widens_the_intervals(hidden):
+    row, column = np.mgrid[:ROWS, :COLUMNS]
+    vignetting = 1.0 - 0.3 * ((row / ROWS - 0.5) ** 2 + (column / COLUMNS - 0.5) ** 2) / 0.5
+    _, plain = hidden[0]
+    _, dim = fitted(0, vignetting)
+    assert plain.discrepancy_rel.high95 < 0.01 < dim.discrepancy_rel.low95
+    layers = zip(plain.brightness, dim.brightness, strict=True)
+    assert all(two.over_design_rel.sd > 2.0 * one.over_design_rel.sd for one, two in layers)
+
+
+def test_what_makes_no_difference_is_said_not_to_be_determined():
+    truth, capture = hidden_sensor(3, NOISE_REL)
+    fit = fit_sensor(DrawnSensor(noise_rel=NOISE_REL), [capture], ["pad.refractive_index"])
+    index = of(fit, "pad.refractive_index")
+    assert index.verdict == "not determined by these pictures"
+    assert index.left_of_prior_rel == pytest.approx(1.0, abs=0.06)
+    # 2000 draws: the width of their spread is known to 1.6 %
+    assert index.posterior.estimate == pytest.approx(index.prior.estimate, rel=0.01)
+    kept = fitted_design(fit)
+    assert kept.pad.refractive_index == DrawnSensor().design.pad.refractive_index
+    assert "pad.refractive_index" not in kept.origin
+    assert truth
+
+
+def test_renders_that_are_too_noisy_are_not_trusted():
+    _, capture = hidden_sensor(1, NOISE_REL)
+    fit = fit_sensor(DrawnSensor(noise_rel=2.0), [capture], FREE)
+    assert not fit.trusted
+    assert any("too noisy" in note and "--samples" in note for note in fit.notes)
+    assert of(fit, "pad.thickness_mm").verdict == "the renders are too noisy to tell"
+
+
+def test_the_record_and_the_fitted_design(hidden, tmp_path):
+    truth, fit = hidden[1]
+    write_record(fit, tmp_path / "drawn.sensor.json", provenance("a test", {}))
+    again = read_record(tmp_path / "drawn.sensor.json", SensorFit)
+    np.testing.assert_array_equal(again.draws, fit.draws)
+    design = fitted_design(again)
+    thickness = of(fit, "pad.thickness_mm")
+    assert design.pad.thickness_mm == thickness.posterior.estimate
+    assert design.origin["pad.thickness_mm"] == "measured"
+    assert design.uncertainty_rel["pad.thickness_mm"] == pytest.approx(
+        thickness.posterior.sd / thickness.posterior.estimate
+    )
+    assert abs(design.pad.thickness_mm - truth["pad.thickness_mm"]) < abs(4.0 - truth["pad.thickness_mm"])
+    assert design.lights[0].power_rel == of(fit, "lights.0.power_rel").posterior.estimate
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"encoding": "unknown"}, "told from linear values only"),
+        ({"exposure_s": 0.02}, "one gain holds for all captures"),
+        ({"name": "hidden"}, "given twice"),
+    ],
+)
+def test_captures_that_do_not_go_together_are_refused(change, told):
+    _, capture = hidden_sensor(0)
+    other = capture.model_copy(update={"name": "other", **change})
+    with pytest.raises(SimulateError, match=told):
+        fit_sensor(DrawnSensor(), [capture, other], FREE)
+
+
+@pytest.mark.parametrize("name", ["pad.nose", "lights.0.power_rel", "indenter.depth_mm", "camera.width_px", "walls"])
+def test_numbers_that_cannot_be_free_are_refused(name):
+    _, capture = hidden_sensor(0)
+    with pytest.raises(SimulateError, match=f"--free {name}: "):
+        fit_sensor(DrawnSensor(), [capture], [name])
+
+
+def test_pictures_of_another_size_are_refused():
+    pictures = 1000.0 * formula(DrawnSensor().design, True)[:, ::2, ::2]
+    capture = captured(np.stack([pictures, pictures]), np.random.default_rng(1))
+    with pytest.raises(SimulateError, match=r"renders 64 x 48 px, hidden has 32 x 24 px"):
+        fit_sensor(DrawnSensor(), [capture], FREE)
+
+
+def test_two_captures_are_better_than_one():
+    _, capture = hidden_sensor(5, NOISE_REL)
+    scene = DrawnSensor(noise_rel=0.01)
+    one = fit_sensor(scene, [capture], FREE)
+    two = fit_sensor(scene, [capture, capture.model_copy(update={"name": "again"})], FREE)
+    assert {n.name for n in two.numbers} - {n.name for n in one.numbers} == {"press.1.depth_mm", "press.1.position_mm"}
+    assert of(two, "pad.thickness_mm").left_of_prior_rel <= 1.05 * of(one, "pad.thickness_mm").left_of_prior_rel
+    assert replace(scene).design == two.sensor
