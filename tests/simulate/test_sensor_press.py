@@ -101,7 +101,7 @@ class TestImprint:
 
     def test_a_body_that_goes_through_the_pad(self):
         cuboid = Indenter(shape="cuboid", size_mm=(3.0, 9.0, 3.0), edge_radius_mm=0.5, depth_mm=4.5, position_mm=9.0)
-        with pytest.raises(SimulateError, match=r"indenter.depth_mm presses it in so far that it comes to -0\.\d+ mm"):
+        with pytest.raises(SimulateError, match=r"presses it in so far that it reaches down to -0\.\d+ mm"):
             pressed_coat(SENSOR.model_copy(update={"indenter": cuboid}))
 
     def test_nothing_pressed_in(self):
@@ -161,7 +161,7 @@ class TestHeightMaps:
             (np.zeros(5), {}, r"rows and columns, got shape \(5,\)"),
             (np.full((200, 200), np.nan), {}, "finite numbers in rows and columns"),
             (np.full((30, 30), 0.5), {}, r"ends on the pad with a step of 0\.5 mm; at most 0\.05 mm"),
-            (np.full((400, 400), 800.0), {}, r"comes to -796 mm above .*\(is it in mm\? see unit_mm"),
+            (np.full((400, 400), 800.0), {}, r"reaches down to -796 mm above .*\(is it in mm\? see unit_mm"),
             (
                 np.full((400, 400), 4.0),
                 {"position_mm": 900.0},
