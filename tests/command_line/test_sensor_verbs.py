@@ -101,7 +101,7 @@ def test_fitted_to_a_capture(design, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     design.write_text(design.read_text().replace("= 16", "= 40"))
     press = render_sensor(design, seed=2, samples=2, engine="scalar")
-    light = 1000.0 * np.moveaxis([press.no_contact, press.contact], -1, 1) / np.mean(press.no_contact)
+    light = 300.0 * np.moveaxis([press.no_contact, press.contact], -1, 1) / np.mean(press.no_contact)
     write_record(captured(light, np.random.default_rng(1)), tmp_path / "a.json", provenance("a test", {}))
     told = succeed("simulate fit sensor.toml --captures a.json --engine scalar --samples 2")
     assert told.startswith("sensor.sensor.json: 'small sensor' fitted to 1 captures, 36 blocks of each picture\n")
