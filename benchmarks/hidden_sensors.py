@@ -4,8 +4,7 @@
 
 Drawn sensors are formulas with the noise of a render (tests/simulate/drawn_sensor.py); uneven ones have vignetting of
 10 to 40 % and slopes of one channel up to 15 %, which the model does not have. Rendered ones are the default finger at
-80 x 60 pixels with other random numbers than the model's; yields, responses, gain and the place of the picture are
-hidden.
+80 x 60 pixels with other random numbers than the model's; yields, responses, gain and the picture's place are hidden.
 Bar: 0.90 to 0.98 of 95 % intervals hold; of uneven ones the share is told.
 """
 

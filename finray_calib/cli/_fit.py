@@ -402,9 +402,10 @@ def run_sensor_fit(arguments: argparse.Namespace) -> None:
     toml = require_new(out.with_name(f"{out.name.removesuffix('.json').removesuffix('.sensor')}.fitted.toml"))
     if arguments.samples < 2 or arguments.samples % 2:
         raise SimulateError(f"--samples {arguments.samples}: must be an even whole number from 2, for example 128")
+    paints = paint_files(arguments, "a classic sensor")
     with progress_bar("fit the sensor") as progress, naming(SimulateError, arguments.design):
         fit = fit_sensor(
-            arguments.design, arguments.captures, paints=dict(paint_files(arguments)), free=arguments.free,
+            arguments.design, arguments.captures, paints=paints, free=arguments.free,
             seed=arguments.seed, progress=progress, samples=arguments.samples, engine=working_engine(arguments.engine),
             shared_light=arguments.shared_light, paints_as_given=arguments.paints_as_given,
         )  # fmt: skip

@@ -41,6 +41,8 @@ _MOST_STEPS = 25
 _CLOSE_SD = 0.1
 # of one step, in standard deviations of the prior
 _LONGEST_MOVE = 1.0
+# of the search from the prior's middle, in its standard deviations
+_FARTHEST = 4.0
 # variance of an unexplained error of a block that pictures do not share, over that which they do
 _LEAST_APART = 0.05
 _LEAST_INFORMATION = 1e-6
@@ -278,7 +280,7 @@ def sample_picture_posterior(
         if is_near and pair is not None:
             settled.add(pair)
         pair = None if is_near else pair or SIZES_REL[best]
-        point = point + np.clip(move, -_LONGEST_MOVE, _LONGEST_MOVE)
+        point = np.clip(point + np.clip(move, -_LONGEST_MOVE, _LONGEST_MOVE), -_FARTHEST, _FARTHEST)
     grid = _grid(tangent, features, SIZES_REL)
     best = int(np.argmax(grid.log_evidence))
     widening = _widening(tangent, features, SIZES_REL[best], grid.covariances[best])
@@ -301,7 +303,10 @@ def _tangent(predict: Predict, blocks: PictureBlocks, point: Floats, steps: Floa
     """Return the model about a point by central differences, relative to the picture, as mean and contrasts."""
     at, half = predict(point)
     if not np.isfinite(at).all() or not (at > 0.0).any():
-        raise FitError("the model of the sensor predicts no light in these pictures: check light and camera")
+        raise FitError(
+            "the model of the sensor predicts no light in these pictures: check light and camera; where renders are "
+            "noisy the search may lead there: take more --samples"
+        )
     slopes = np.empty((2, len(at), len(point)))
     for k, step in enumerate(steps):
         moved = np.zeros(len(point))

@@ -4,11 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas import SimulatedPress
-from data_schemas.storage import read_record
+from data_schemas import SensorFit, SimulatedPress, provenance
+from data_schemas.storage import read_record, write_record
 from finray_calib import render_sensor
-from sim import SENSORS, preset_sensor
+from sim import SENSORS, preset_sensor, read_sensor
 from tests.command_line.running import finray, succeed
+from tests.simulate.drawn_sensor import captured
 
 SMALL = "[camera]\nwidth_px = 16\nheight_px = 16\n"
 
@@ -94,3 +95,29 @@ def test_the_library_takes_names_designs_and_files(design):
     assert outcome.status == 2
     assert "there is no preset design 'nose'; there are flat-70x35" in outcome.err
     assert "gelsight-wedge" in outcome.err
+
+
+def test_fitted_to_a_capture(design, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    design.write_text(design.read_text().replace("= 16", "= 40"))
+    press = render_sensor(design, seed=2, samples=64, engine="scalar")
+    light = 300.0 * np.moveaxis([press.no_contact, press.contact], -1, 1) / np.mean(press.no_contact)
+    capture = captured(light, np.random.default_rng(1))
+    exact = capture.indenter.model_copy(update={"depth_uncertainty_mm": None, "position_uncertainty_mm": None})
+    write_record(capture.model_copy(update={"indenter": exact}), tmp_path / "a.json", provenance("a test", {}))
+    told = succeed("simulate fit sensor.toml --captures a.json --engine scalar --samples 64")
+    assert told.startswith("sensor.sensor.json: 'small sensor' fitted to 1 captures, 49 blocks of each picture\n")
+    assert "the presses are taken as exactly known" in told
+    assert "only products of the gain with powers are determined" in told
+    fit = read_record(tmp_path / "sensor.sensor.json", SensorFit)
+    assert set(fit.provenance.input_sha256) == {"sensor.toml", "a.json"}
+    assert {number.name for number in fit.numbers} >= {"lights.0.power_rel", "picture.gain"}
+    assert read_sensor(tmp_path / "sensor.fitted.toml").name == "small sensor, fitted"
+    for options, why in (
+        ("--samples 3", "--samples 3: must be an even whole number"),
+        ("--free pad.nose", "--free pad.nose: must be a positive number"),
+        ("--paint red=a.json", "give both red=FILE and green=FILE"),
+    ):
+        outcome = finray(f"simulate fit sensor.toml --captures a.json --out b.sensor.json --engine scalar {options}")
+        assert outcome.status == 2
+        assert why in outcome.err
