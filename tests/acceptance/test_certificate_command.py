@@ -163,7 +163,8 @@ def test_numbers_of_the_page_stand_in_it_as_json():
 def test_equivalence_command(tmp_path, capsys):
     path = tmp_path / "red.paint.json"
     write_record(example(), path, provenance("finray fit x", {}, 1))
-    words = ["check", "equivalence", "--first", str(path), "--second", str(path)]
+    write_record(example(), tmp_path / "again.paint.json", provenance("finray fit y", {}, 2))
+    words = ["check", "equivalence", "--first", str(path), "--second", str(tmp_path / "again.paint.json")]
     assert main([*words, "--margin", "reflectance_at_laser=0.9"]) == 0
     assert "PASS" in capsys.readouterr().out
     assert main([*words, "--margin", "mode_nm=1", "--margin", "mode_nm=2"]) == 2

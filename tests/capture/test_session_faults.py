@@ -568,5 +568,5 @@ def test_faults_are_noted_and_told_at_the_end(rig: RigFile, small: PaintPlan, tm
     assert len(faults) == wheel.moves
     assert session.notes[-1] == (
         f"faults that did not stop the session: {wheel.moves} exchanges were repeated (filter wheel at /dev/ttyUSB0 "
-        f"{wheel.moves}), 1 frames were taken again; journal.jsonl tells each ({1.25 * wheel.moves:.1f} s lost)"
+        f"{wheel.moves}), 1 frames were taken again; journal.jsonl lists each ({1.25 * wheel.moves:.1f} s lost)"
     )

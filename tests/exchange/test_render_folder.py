@@ -139,7 +139,7 @@ def _spoil(folder, what):
     ("what", "message"),
     [
         ("no untouched image", r"there is no no_contact .* beside contact; render the gel untouched"),
-        ("two kinds", r"contact\.npy and no_contact\.png are of two kinds"),
+        ("two kinds", r"contact\.npy and no_contact\.png are files of two kinds"),
         ("no encoding", r'npy files do not say what they hold; write "encoding": "linear"'),
         ("no order", r"npy files do not say their order"),
         ("another size", r"is 160 x 120 px, no_contact\.npy 160 x 118 px; render both with one camera"),

@@ -166,7 +166,7 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
         share_below_laser=np.zeros(10),
     )
     assert fit_warnings(fine, (), None, False) == ()
-    assert "emcee made the draws" in fit_warnings(fine, (), None, True)[0]  # asked for, but not independent
+    assert "emcee itself made the draws" in fit_warnings(fine, (), None, True)[0]  # asked for, but not independent
 
 
 def test_a_level_that_contradicts_energy_is_told():

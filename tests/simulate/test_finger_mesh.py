@@ -423,7 +423,7 @@ def test_a_mesh_names_only_its_nodes_and_is_unfolded():
                 **{"nodes_mm": corners, "blocks": (cube,), "node_sets": {}, "surfaces": {}, "ties": (), **kwargs}
             )
     corners[6] = (0.2, 0.2, 1.0)  # a corner pushed through the opposite edges
-    with pytest.raises(SimulateError, match="1 hexahedra of block cube are folded"):
+    with pytest.raises(SimulateError, match="1 hexahedra of block cube are inside out"):
         FingerMesh(corners, (cube,), {}, {}, ())
 
 
