@@ -121,7 +121,7 @@ def test_what_belongs_to_no_capture_is_left_out_and_told(made: Path, tmp_path: P
         ("compare {t}/poisoned.zip {f}/fots --out {t}/o", "poisoned.zip: '../one.txt' leads out of its folder"),
         ("compare {f}/fots {t}/poisoned.zip --out {t}/o", "poisoned.zip: '../one.txt' leads out of its folder"),
         ("bench tactile {t}/poisoned.zip --out {t}/o", "poisoned.zip: '../one.txt' leads out of its folder"),
-        ("sense teach {t}/poisoned.zip --out {t}/o", "poisoned.zip: '../one.txt' leads out of its folder"),
+        ("sense teach {t}/poisoned.zip --out {t}/o.json", "poisoned.zip: '../one.txt' leads out of its folder"),
         ("import captures {t}/poisoned.zip --recipe fots-gelsight --out {t}/o", "poisoned.zip: '../one.txt' leads"),
         ("verify {t}/poisoned.zip", "poisoned.zip: '../one.txt' leads out of its folder"),
         ("trace {f}/fots.zip", "fots.zip: is a folder or a zip archive; 'finray verify' checks folders"),

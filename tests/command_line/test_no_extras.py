@@ -31,8 +31,8 @@ def test_the_package_is_hidden_from_this_process_and_its_children(name):
     assert f"import of {name} halted" in child.stderr
 
 
-@pytest.mark.parametrize("file_format", ["exr", "netcdf"])
-def test_a_format_of_others_that_needs_an_extra_names_it(paints, tmp_path, file_format):
-    outcome = finray(f"export {paints}/red/paint.json --format {file_format} --out {tmp_path}/paint.{file_format}")
+@pytest.mark.parametrize(("file_format", "ending"), [("exr", "exr"), ("netcdf", "nc")])
+def test_a_format_of_others_that_needs_an_extra_names_it(paints, tmp_path, file_format, ending):
+    outcome = finray(f"export {paints}/red/paint.json --format {file_format} --out {tmp_path}/paint.{ending}")
     assert outcome.status == 2
     assert f"pip install 'finray-calib[{file_format}]'" in outcome.err
