@@ -186,7 +186,7 @@ class _Tangent:
     columns: Floats
     seen: Floats
 
-    def noise(self, independent: float) -> Floats:
+    def noise(self, independent_rel: float) -> Floats:
         """Return the variance of each value, (value,).
 
         Pictures that are rendered with common random numbers share most of their noise: it is pooled from the half
@@ -201,7 +201,7 @@ class _Tangent:
         unexplained[0] = 1.0
         unexplained *= pictures / unexplained.sum()
         # with neither noise nor error the solution would claim to be exact: a ten-thousandth is below every camera
-        return np.asarray(self.seen + of_model + max(independent, 1e-4) ** 2 * unexplained).ravel()
+        return np.asarray(self.seen + of_model + max(independent_rel, 1e-4) ** 2 * unexplained).ravel()
 
 
 @dataclass(frozen=True, slots=True)
