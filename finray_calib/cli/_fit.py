@@ -433,7 +433,7 @@ def _say_sensor_fit(fit: "SensorFit") -> None:
     for layer in fit.brightness:
         say(f"    {layer.layer} ({layer.channel}): {layer.over_design_rel}")
     for combination in fit.not_told_apart:
-        say(f"  not told apart: {combination}")
+        say(f"  not distinguishable: {combination}")
     say(
         f"  smooth error of the model {fit.discrepancy_rel.estimate:.1%}, of each block "
         f"{fit.independent_rel.estimate:.1%}, residual {fit.residual_rel:.1%} of the picture's mean"
