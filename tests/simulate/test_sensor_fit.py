@@ -86,7 +86,10 @@ def test_renders_that_are_too_noisy_are_not_trusted():
     fit = fit_sensor(DrawnSensor(noise_rel=2.0), [capture], FREE)
     assert not fit.trusted
     assert any("too noisy" in note and "--samples" in note for note in fit.notes)
-    assert of(fit, "pad.thickness_mm").verdict == "the renders are too noisy to tell"
+    assert of(fit, "pad.thickness_mm").verdict in (
+        "the renders are too noisy to tell",
+        "not determined by these pictures",
+    )
 
 
 def test_the_record_and_the_fitted_design(hidden, tmp_path):
