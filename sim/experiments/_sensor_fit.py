@@ -421,7 +421,8 @@ def _record(
         "gain and powers: the design does not know how many DN a unit of light makes, so only products of the gain "
         "with powers are determined, and ratios of powers; a known exposure does not change that",
         f"the smooth error has a correlation length of {CORRELATION_LENGTH:g} of the pad's picture, which is assumed",
-        "in tests on rendered fingers of 80 x 60 px the 95 % intervals held in 0.86 of the cases: take them as too narrow",
+        "in tests on rendered fingers of 80 x 60 px the 95 % intervals held in 0.86 of the cases: take them as too "
+        "narrow",
     ]
     if not posterior.converged:
         notes.append("the search has not settled on one point: take more --samples, or state smaller uncertainties")
