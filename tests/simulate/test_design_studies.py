@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import colour
 import numpy as np
@@ -10,7 +11,17 @@ import pytest
 
 from data_schemas import RecordError, SimulateError, StudyPoint, provenance
 from data_schemas.storage import write_record
-from sim.studies import SHIPPED_PLANS, StudyPaints, StudyTask, point_file, read_plan, run_study, study_points
+from data_schemas.storage._whole_files import part_name
+from sim.studies import (
+    SHIPPED_PLANS,
+    StudyPaints,
+    StudyTask,
+    point_file,
+    read_plan,
+    run_dataset,
+    run_study,
+    study_points,
+)
 from sim.studies._engine import _client, _each, _Steps
 from sim.studies._point import _metrics, _root_of_products, _Seen, point_key, press_file, vividness
 
@@ -248,3 +259,14 @@ def test_a_scheduler_that_does_not_answer_is_told(tmp_path):
     task, points = study_of(tmp_path, vary("light.angle_deg", [0.0]))
     with pytest.raises(SimulateError, match=r"--scheduler tcp://127\.0\.0\.1:1: no Dask scheduler answers there"):
         run_study(task, points, scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.parametrize(("run", "kept"), [(run_dataset, "shards"), (run_study, "points"), (run_study, "presses")])
+def test_what_a_killed_run_left_beside_its_last_result_is_collected(tmp_path, run, kept):
+    """Nothing is left to compute, so that no writer enters the folder again."""
+    (tmp_path / kept).mkdir()
+    part = tmp_path / kept / part_name("00000.json", "0123abcd")
+    part.write_bytes(b"half of")
+    (tmp_path / kept / "00000.json").write_bytes(b"whole")
+    run(SimpleNamespace(folder=tmp_path), [])
+    assert [path.name for path in (tmp_path / kept).iterdir()] == ["00000.json"]
