@@ -50,7 +50,7 @@ from finray_calib.compare._prepared_images import (
     prepare_images,
     require_same_conditions,
 )
-from finray_calib.compare._regions import DILATED, FACTORS
+from finray_calib.compare._regions import DILATED, FACTORS, every_channel
 from finray_calib.compare._registration import move_press, register_press
 from finray_calib.compare._tone_curve import drift_record, encoded_layers, tone_record, without_gain
 from finray_calib.sensing import full_scale_dn, patch_scale, rgb_image, scale_finding, with_measured_scale
@@ -279,7 +279,7 @@ def _tone_record(comparison: Comparison, distance: Floats, rng: np.random.Genera
         return None
     tone, where = nuisances.tone, comparison.used[-1]
     rest = nuisances.render.rgb(nuisances.render.no_contact)
-    lit = np.isfinite(distance) & (rest > 0.0).all(axis=2)
+    lit = np.isfinite(distance) & every_channel(rest > 0.0)
     light = np.log(rest[lit]).mean(axis=0) if lit.any() else np.zeros(3)
     level = comparison.captured.contact[where]
     low, high = tone.level_dn.min(axis=0), tone.level_dn.max(axis=0)
@@ -332,7 +332,7 @@ def _statements(
     if inputs is None or draws.propagated is None:
         return _Statements()
     captured = comparison.captured
-    usable: NDArray[np.bool_] = np.asarray(np.isfinite(captured.contact).all(axis=2), dtype=np.bool_)
+    usable = every_channel(np.isfinite(captured.contact))
     ring = ring_of(distance, usable)
     share = captured_share(comparison, ring, np.isfinite(distance))
     return _Statements(

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from data_schemas import CauseParameter, ErrorAttribution, ErrorCause
 from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._image_noise import block_mean
-from finray_calib.compare._regions import tile_indices
+from finray_calib.compare._regions import every_channel, tile_indices
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -234,10 +234,10 @@ def _scene(comparison: Comparison, distance: Floats, block_px: int, full_scale_d
     )
     captured, away = window.of(comparison.captured.contact), window.of(distance)
     used = np.where(comparison.used[-1], 1.0, np.nan)
-    finite = np.isfinite(captured).all(axis=-1) & np.isfinite(simulated).all(axis=-1)
+    finite = every_channel(np.isfinite(captured) & np.isfinite(simulated))
     inside = away <= 1.0
     at = np.argwhere(inside).mean(axis=0) if inside.any() else np.array(away.shape) / 2.0
-    dark = (simulated < _NEARLY_CLIPPED * full_scale_dn).all(axis=-1)
+    dark = every_channel(simulated < _NEARLY_CLIPPED * full_scale_dn)
     y, x = np.mgrid[: away.shape[0], : away.shape[1]].astype(np.float64)
     rows_all, columns_all = distance.shape
     place = np.stack([(left + side * x) / columns_all - 0.5, (top + side * y) / rows_all - 0.5], axis=-1)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from data_schemas import CompareError
+from finray_calib.compare._regions import every_channel
 
 Floats = NDArray[np.float64]
 LEVELS = 20
@@ -65,7 +66,7 @@ def capture_noise(first: Floats, second: Floats) -> CaptureNoise:
     CompareError
         If fewer than 500 pixels with whole neighbourhoods are finite.
     """
-    finite: NDArray[np.bool_] = np.asarray(np.isfinite(first + second).all(axis=2))
+    finite = every_channel(np.isfinite(first + second))
     whole = cv2.erode(finite.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
     if whole.sum() < _LEAST_PIXELS:
         raise CompareError(

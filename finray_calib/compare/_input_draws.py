@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from data_schemas import TactileCapture
 from finray_calib.compare._region_sums import RenderLayers
+from finray_calib.compare._regions import every_channel
 
 Floats = NDArray[np.float64]
 DRIFT, WALLS, PIXELS = "drift of the light", "render noise of the walls", "pixel noise of render and capture"
@@ -203,7 +204,7 @@ def generator_of(capture: TactileCapture, seed: int) -> np.random.Generator:
 
 def _level_change(no_contact: Floats, repeat: Floats, pad: NDArray[np.bool_]) -> float:
     """Return the relative change of the pad's level between two captures."""
-    usable = pad & np.isfinite(no_contact).all(axis=2) & np.isfinite(repeat).all(axis=2)
+    usable = pad & every_channel(np.isfinite(no_contact) & np.isfinite(repeat))
     before = float(no_contact[usable].sum())
     return float(repeat[usable].sum()) / before - 1.0 if before > 0.0 else 0.0
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from data_schemas import CompareError, SimulatedPress, TactileCapture
 from finray_calib.compare._image_noise import block_mean
 from finray_calib.compare._prepared_images import Nuisances, nuisances_of
-from finray_calib.compare._regions import FACTORS
+from finray_calib.compare._regions import FACTORS, every_channel
 from finray_calib.compare._tone_curve import FAR, REFUSED_GAIN_REL
 from finray_calib.sensing import full_scale_dn, rgb_image
 
@@ -148,7 +148,7 @@ def _scene(press: SimulatedPress, contact: Floats, no_contact: Floats, repeat: F
     blocks = [block_mean(image, side) for image in images]
     used = np.isfinite(distance)
     for image in blocks:
-        used &= np.isfinite(image).all(axis=2) & (np.nan_to_num(image) > 0).all(axis=2)
+        used &= every_channel(np.isfinite(image) & (image > 0))
     if int(used.sum()) < _LEAST_BLOCKS:
         return None
     values = [image[used] for image in blocks]
@@ -234,7 +234,7 @@ def _repeat_drift(nuisances: Nuisances, repeat: Floats | None) -> Floats:
     """Return how far the repeat of the no-contact image differs in the level of each channel, as a logarithm."""
     if repeat is None:
         return np.zeros(3)
-    both = np.isfinite(repeat + nuisances.no_contact).all(axis=2)
+    both = every_channel(np.isfinite(repeat + nuisances.no_contact))
     sums = [np.maximum(image[both].sum(axis=0), 1e-9) for image in (repeat, nuisances.no_contact)]
     return np.asarray(np.abs(np.log(sums[0] / sums[1])))
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from data_schemas import CompareError, Indenter, IndenterPose, SimulatedPress, TactileCapture
 from finray_calib.compare._image_noise import NO_NOISE, block_mean, capture_noise, high_passed
 from finray_calib.compare._region_sums import Captured, RenderLayers, render_layers
+from finray_calib.compare._regions import every_channel
 from finray_calib.compare._tone_curve import (
     NUISANCE_DRAWS,
     FarGain,
@@ -207,7 +208,7 @@ def prepare_images(
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
     _require_comparable(press, capture, contact.shape)
     images = [contact, no_contact] if repeat is None else [contact, no_contact, repeat]
-    clipped = np.logical_or.reduce([np.isnan(image).any(axis=-1) for image in images])
+    clipped = ~every_channel(~np.isnan(np.concatenate(images, axis=2)))
     noise = NO_NOISE
     if repeat is not None and capture.encoding == "linear":
         noise = capture_noise(no_contact, repeat)
@@ -257,7 +258,7 @@ def holds_noise_of(layers: RenderLayers, captured: Captured) -> bool:
     k = [contact[..., c][seen[..., c]].sum() / max(image[..., c][seen[..., c]].sum(), 1e-300) for c in range(3)]
     left, of_render = high_passed(image * k - contact), high_passed(half * k)
     of_camera = captured.variance(np.nan_to_num(contact))
-    used = np.isfinite(left).all(axis=2) & (np.nan_to_num(of_render) != 0.0).any(axis=2)
+    used = every_channel(np.isfinite(left)) & (np.nan_to_num(of_render) != 0.0).any(axis=2)
     if used.sum() < _LEAST_NOISE_PIXELS:
         return False
     render, camera = (of_render[used] ** 2).mean(axis=0), of_camera[used].mean(axis=0)

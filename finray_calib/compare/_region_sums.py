@@ -371,7 +371,7 @@ def gradient_sums(
     of_render = exposure_k**2 * gradient_variance(layers.contact_variance + layers.no_contact_variance)
     halves = _half_gradients(layers, pose_names)
     found: list[RegionSums | None] = []
-    for whole in gradient_places(captured, regions):
+    for whole in _gradient_places(captured, regions):
         if whole is None:
             found.append(None)
             continue
@@ -386,7 +386,7 @@ def gradient_sums(
     return found
 
 
-def gradient_places(captured: Captured, regions: Sequence[Bools]) -> list[Bools | None]:
+def _gradient_places(captured: Captured, regions: Sequence[Bools]) -> list[Bools | None]:
     """Return the pixels of every region whose captured gradients are known; None where there is none."""
     images = (captured.contact, captured.no_contact, captured.repeat)
     known = has_gradient(*(image for image in images if image is not None))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from data_schemas import ArraySpec, CompareError, Model, SimulatedPress, TactileCapture
 from finray_calib.compare._image_noise import block_mean
+from finray_calib.compare._regions import every_channel
 from finray_calib.sensing import rgb_image
 
 Floats = NDArray[np.float64]
@@ -349,7 +350,7 @@ def warp_image(image: NDArray[np.floating], to_render: Floats, interpolation: in
     planes = np.asarray(image, dtype=np.float64).reshape(*image.shape[:2], -1)
     size = image.shape[1], image.shape[0]
     flags = interpolation | cv2.WARP_INVERSE_MAP
-    missing = np.asarray(~np.isfinite(planes).all(axis=2))
+    missing = ~every_channel(np.isfinite(planes))
     filled = np.where(missing[..., None], 0.0, planes)
     warped = np.stack([cv2.warpAffine(np.ascontiguousarray(p), to_render, size, flags=flags)
                        for p in np.moveaxis(filled, 2, 0)], axis=-1)  # fmt: skip
@@ -397,7 +398,7 @@ def gradient_view(image: Floats) -> tuple[Floats, Mask]:
     usable : ndarray of bool, shape (H, W)
         False near pixels that are not finite.
     """
-    finite = np.asarray(np.isfinite(image).all(axis=2))
+    finite = every_channel(np.isfinite(image))
     filled = np.where(finite[..., None], image, 0.0)
     level = filled.sum(axis=(0, 1)) / max(int(finite.sum()), 1)
     relative = np.maximum(filled / np.where(level > 0, level, 1.0), 0.0)

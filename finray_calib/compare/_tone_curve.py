@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from data_schemas import FittedToneCurve, Interval, WhiteBalanceDrift
 from finray_calib.compare._image_noise import block_mean
 from finray_calib.compare._region_sums import RenderLayers
+from finray_calib.compare._regions import every_channel
 
 Floats = NDArray[np.float64]
 #: Draws of the curve that are stored; with the first of them, and draws of the gains, the score is formed.
@@ -153,7 +154,7 @@ def _levels(render: Floats, captured: Floats, pad: NDArray[np.bool_]) -> tuple[F
     side = max(1, min(_BLOCK_PX, min(pad.shape) // 15))
     light, dn = block_mean(render.astype(np.float64), side), block_mean(captured, side)
     inside = block_mean(pad.astype(np.float64), side) > 0.999
-    used = inside & np.isfinite(dn).all(axis=2) & (np.nan_to_num(dn) > 0.0).all(axis=2) & (light > 0.0).all(axis=2)
+    used = inside & every_channel(np.isfinite(dn) & (dn > 0.0) & (light > 0.0))
     if used.sum() < _LEAST_BLOCKS:
         middle = float(np.nanmedian(captured)) if np.isfinite(captured).any() else 1.0
         return np.zeros((1, 3)), np.full((1, 3), max(middle, 1.0)), np.zeros(1, dtype=np.intp)

@@ -75,13 +75,16 @@ def legend_above(figure: Figure, axes: Axes, columns: int) -> None:
 def svg_text(figure: Figure) -> str:
     """Return the figure as SVG text without date or creator, so that equal input gives equal bytes."""
     _lay_out(figure)
+    for patch in (figure.patch, *(axes.patch for whole in figure.axes for axes in (whole, *whole.child_axes))):
+        patch.set(facecolor="none", edgecolor="none")
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+    # `savefig` would draw all of it once more, for a layout that is done
+    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     return buffer.getvalue().decode("utf-8")
 
 
 def _lay_out(figure: Figure) -> None:
-    """Place the parts of a figure for SVG; `savefig` would draw all of it once more to do so."""
+    """Place the parts of a figure for SVG."""
     engine, dpi = figure.get_layout_engine(), figure.dpi
     if engine is None:
         return
