@@ -38,6 +38,14 @@ _PARAMETERS: Final[Mapping[Cause, tuple[tuple[str, str], ...]]] = {
     "blur": (("sigma", "px"),),
     "halo": (("strength", "1"),),
 }
+#: The rows of each cause among those of all.
+_OWN: Final[Mapping[Cause, NDArray[np.intp]]] = dict(
+    zip(
+        CAUSES,
+        np.split(np.arange(sum(map(len, _PARAMETERS.values()))), np.cumsum([len(_PARAMETERS[c]) for c in CAUSES])[:-1]),
+        strict=True,
+    )
+)
 #: Before the images are looked at: px, shares, and px^2 of blur. Far wider than what images tell.
 _PRIOR_SD: Final[Mapping[Cause, float]] = {
     "pose": 10.0, "size": 0.5, "depth": 1.0, "gain": 0.5, "shading": 0.5, "blur": 40.0, "halo": 1.0,
@@ -136,7 +144,7 @@ class _Scene:
     def energy(self, image: Floats, other: Floats | None = None) -> float:
         """Return the weighted sum of squares, or of products, over the scored pixels."""
         second = image if other is None else other
-        return float((image * second)[self.scored].sum(axis=0) @ self.weights)
+        return float(((image * second) @ self.weights)[self.scored].sum())
 
 
 def _moved(change: Floats, matrix: Floats, size: tuple[int, int]) -> Floats:
@@ -179,14 +187,14 @@ def attribute_error(
     scene, window = _scene(comparison, distance, block_px, full_scale_dn)
     if scene.fitted.sum() < 10 * _TILE_PX or not scene.change[scene.fitted].any():
         return None
-    fit = _Fit.of(scene)
-    noise = fit.noise(_noise_variance(comparison, scene, window, {}))
+    fit, known = _Fit.of(scene), _known_variance(comparison, scene, window)
+    noise = fit.noise(_noise_variance(scene, known, {}))
     chosen = fit.choose(noise)
     theta, effects, u = fit.together(chosen, noise)
     kept = tuple(c for c in chosen if (np.abs(theta[c]) > _TIMES_U * u[c]).any())
     if kept != chosen:
         theta, effects, u = fit.together(kept, noise)
-    variance = _noise_variance(comparison, scene, window, theta)
+    variance = _noise_variance(scene, known, theta)
     return _attribution(comparison, window, fit, variance, (theta, effects, u), 1.0 - skill)
 
 
@@ -255,25 +263,31 @@ def _scene(comparison: Comparison, distance: Floats, block_px: int, full_scale_d
     ), window
 
 
-def _noise_variance(comparison: Comparison, scene: _Scene, window: _Window, theta: Mapping[Cause, Floats]) -> Floats:
-    """Return the variance (3,) of a pixel's noise: known, or from how neighbours differ in what causes leave."""
+def _known_variance(comparison: Comparison, scene: _Scene, window: _Window) -> Floats:
+    """Return the variance (3,) of a pixel's noise by what is known of both sides; 0 where nothing is."""
     captured, layers = comparison.captured, comparison.layers
     known = captured.variance(np.nan_to_num(window.cut(captured.contact)))
     known = known + comparison.best_exposure**2 * layers.rgb(window.cut(layers.contact_half)) ** 2
-    variance = np.nan_to_num(window.averaged(known))[scene.fitted].mean(axis=0) / window.side_px**2
-    if (variance > 0.0).all():
-        return np.asarray(variance)
-    left = scene.residual(theta)
+    return np.asarray(np.nan_to_num(window.averaged(known))[scene.fitted].mean(axis=0) / window.side_px**2)
+
+
+def _noise_variance(scene: _Scene, known: Floats, theta: Mapping[Cause, Floats]) -> Floats:
+    """Return the variance (3,) of a pixel's noise: known, or from how neighbours differ in what causes leave."""
+    if (known > 0.0).all():
+        return known
     # mean of four neighbours, which a plane cancels: the variance of the difference is 5/4 of a pixel's
     kernel = np.array([[0.0, -0.25, 0.0], [-0.25, 1.0, -0.25], [0.0, -0.25, 0.0]])
-    differences = cv2.filter2D(left, -1, kernel)
+    differences = cv2.filter2D(scene.residual(theta), -1, kernel)
     seen = cv2.erode(scene.fitted.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_)
     if not seen.any():
         return np.zeros(3)
-    squares = differences[seen] ** 2
-    # the median alone would jump between the steps of whole counts
-    typical = squares <= 16.0 * 1.4826**2 * np.median(squares, axis=0)
-    return np.asarray(0.8 * np.where(typical, squares, 0.0).sum(axis=0) / np.maximum(typical.sum(axis=0), 1))
+    found = np.zeros(3)
+    for channel in range(3):
+        squares = differences[..., channel][seen] ** 2
+        # the median alone would jump between the steps of whole counts
+        typical = squares[squares <= 16.0 * 1.4826**2 * np.median(squares)]
+        found[channel] = 0.8 * typical.mean()
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,26 +300,31 @@ class _Fit:
         The second with a smooth change: derivatives of noise are none of a cause.
     fitted : ndarray of int, shape (P,)
         Pixels that the fit uses.
-    rows : Mapping of str to ndarray (parameters, 3 P)
+    rows : ndarray, shape (parameters of all causes, 3 P)
         Derivatives by every cause where nothing is changed yet, weighted, at these pixels.
+    gram : ndarray
+        Products of the rows with each other.
     """
 
     scene: _Scene
     smooth: _Scene
     fitted: NDArray[np.intp]
-    rows: Mapping[Cause, Floats]
+    rows: Floats
+    gram: Floats
 
     @classmethod
     def of(cls, scene: _Scene) -> "_Fit":
         """Return the fit of a scene."""
         soft = cv2.GaussianBlur(scene.change, (0, 0), _SMOOTH_PX)
         smooth = replace(scene, change=np.asarray(soft, dtype=np.float64))
-        fit = cls(scene, smooth, np.flatnonzero(scene.fitted), {})
+        fit = cls(scene, smooth, np.flatnonzero(scene.fitted), np.zeros((0, 0)), np.zeros((0, 0)))
         image = scene.changed({})
         light = fit._light_rows(image)
         of_light: dict[Cause, Floats] = {"gain": light[:3], "shading": light[3:]}
-        rows = {c: of_light[c] if c in of_light else fit.listed(fit.derivatives(c, {}, image)) for c in CAUSES}
-        return replace(fit, rows=rows)
+        rows = np.concatenate(
+            [of_light[c] if c in of_light else fit.listed(fit.derivatives(c, {}, image)) for c in CAUSES]
+        )
+        return replace(fit, rows=rows, gram=rows @ rows.T)
 
     def _light_rows(self, image: Floats) -> Floats:
         """Return the listed derivatives (9, 3 P) by gain and shading, which are none of the other channels'."""
@@ -347,9 +366,7 @@ class _Fit:
     def choose(self, variance: float) -> tuple[Cause, ...]:
         """Return the causes by forward selection, on one linearisation of all."""
         residual = self.listed(self.scene.residual({})[None])[0]
-        rows = np.concatenate([self.rows[c] for c in CAUSES])
-        owner = np.repeat(np.arange(len(CAUSES)), [len(self.rows[c]) for c in CAUSES])
-        gram, right = rows @ rows.T, rows @ residual
+        right = self.rows @ residual
         total = float(residual @ residual)
         chosen: list[Cause] = []
         explained = 0.0
@@ -357,11 +374,10 @@ class _Fit:
             tried = {}
             for c in CAUSES:
                 if c not in chosen:
-                    of = np.flatnonzero(np.isin(owner, [CAUSES.index(other) for other in (*chosen, c)]))
-                    tried[c] = _explained(gram[np.ix_(of, of)], right[of])
+                    tried[c] = self._explained_by((*chosen, c), right)
             best = max(tried, key=lambda c: tried[c])
             more = tried[best] - explained
-            if more < _LEAST_SHARE * (total - explained) or more < _TIMES_NOISE * len(self.rows[best]) * variance:
+            if more < _LEAST_SHARE * (total - explained) or more < _TIMES_NOISE * len(_PARAMETERS[best]) * variance:
                 break
             chosen.append(best)
             explained = tried[best]
@@ -391,16 +407,17 @@ class _Fit:
             hessian += _RIDGE * np.diag(np.diag(hessian)) + np.diag(prior)
             moved = np.concatenate([theta[c] for c in chosen])
             step = np.linalg.solve(hessian, rows @ residual - prior * moved)
-            if number == _PASSES - 1:
-                spread = _spread(rows, residual - step @ rows, tile, hessian, noise)
+            is_last = number == _PASSES - 1 or _is_small(step, hessian, noise)
+            spread = _spread(rows, residual - step @ rows, tile, hessian, noise) if is_last else moved
             at = 0
             for c in chosen:
                 own = slice(at, at := at + len(theta[c]))
                 moves = np.clip(step[own], -_limit(c), _limit(c))
                 effects[c] = effects[c] + sum(m * image for m, image in zip(moves, images[c], strict=True))
                 theta[c] = theta[c] + moves
-                if number == _PASSES - 1:
-                    u[c] = spread[own]
+                u[c] = spread[own]
+            if is_last:
+                break
         return theta, effects, u
 
     def alike(self, cause: Cause, effect: Floats) -> tuple[str, ...]:
@@ -409,8 +426,14 @@ class _Fit:
         size = float(wanted @ wanted)
         if not size > 0.0:
             return ()
-        like = {c: _explained(rows @ rows.T, rows @ wanted) for c, rows in self.rows.items() if c != cause}
+        right = self.rows @ wanted
+        like = {c: self._explained_by((c,), right) for c in CAUSES if c != cause}
         return tuple(c for c, explained in like.items() if np.sqrt(max(explained, 0.0) / size) >= _ALIKE)
+
+    def _explained_by(self, causes: Sequence[Cause], right: Floats) -> float:
+        """Return what causes explain of a residual's sum of squares, by the products of all rows with it."""
+        of = np.concatenate([_OWN[c] for c in causes])
+        return _explained(self.gram[np.ix_(of, of)], right[of])
 
 
 def _spread(rows: Floats, left: Floats, tile: NDArray[np.intp], hessian: Floats, noise: float) -> Floats:
@@ -419,6 +442,11 @@ def _spread(rows: Floats, left: Floats, tile: NDArray[np.intp], hessian: Floats,
     inverse = np.linalg.inv(hessian)
     of_tiles = np.diag(inverse @ (scores.T @ scores) @ inverse)
     return np.asarray(np.sqrt(np.maximum(of_tiles, noise * np.diag(inverse))))
+
+
+def _is_small(step: Floats, hessian: Floats, noise: float) -> bool:
+    """Return whether a step is a tenth of what noise leaves unknown; the next one would be far smaller."""
+    return bool((np.abs(step) <= 0.1 * np.sqrt(noise * np.diag(np.linalg.inv(hessian)))).all())
 
 
 def _limit(cause: Cause) -> float:

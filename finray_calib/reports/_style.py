@@ -79,7 +79,7 @@ def svg_text(figure: Figure) -> str:
         patch.set(facecolor="none", edgecolor="none")
     buffer = io.BytesIO()
     # `savefig` would draw all of it once more, for a layout that is done
-    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
+    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
     return buffer.getvalue().decode("utf-8")
 
 
