@@ -17,7 +17,7 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from data_schemas import (
     ComparedPair,
@@ -369,7 +369,7 @@ def _interval_of_left_over(units: _Units, left: float) -> tuple[float | None, fl
     n = len(units.errors)
     if n < LEAST_UNITS:
         return None, None, f"no interval: it needs three units, and there are {n}"
-    t = float(student_t.ppf(0.5 + _COVERAGE / 2.0, n - 1))
+    t = float(stdtrit(n - 1, 0.5 + _COVERAGE / 2.0))
     without = _left_without_each(units.errors, units.signals)
     if (units.errors > 0.0).all():
         half = t * _jackknife_u(np.log(without))
@@ -449,7 +449,7 @@ def _difference(
     d, n = float(units.errors.sum() / signals.sum()), len(signals)
     low = high = None
     if n >= LEAST_UNITS:
-        t = float(student_t.ppf(1.0 - (1.0 - _COVERAGE) / 2.0 / differences, n - 1))
+        t = float(stdtrit(n - 1, 1.0 - (1.0 - _COVERAGE) / 2.0 / differences))
         half = t * _jackknife_u(_left_without_each(units.errors, signals))
         low, high = d - half, d + half
     return SkillDifference(
