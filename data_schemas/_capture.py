@@ -62,7 +62,7 @@ class PaintPlan(Record):
     kind: Literal["paint"] = "paint"
     paint_name: str
     filters: tuple[str, ...] | None = Field(
-        default=None, description="names in capture order; all of the rig if left out"
+        default=None, description="names in capture order; all filters of the rig if left out"
     )
     excitation_filter: str = Field(default="450", description="the filter that passes the laser line")
     region: RegionOfInterest
@@ -122,12 +122,14 @@ class Frame(Model):
     lights_before: tuple[Literal["lamp", "laser"], ...] = Field(
         default=(), description="lights that read back as on before the exposure"
     )
-    lights_after: tuple[Literal["lamp", "laser"], ...] = Field(default=(), description="the same after it")
+    lights_after: tuple[Literal["lamp", "laser"], ...] = Field(
+        default=(), description="lights that read back as on after the exposure"
+    )
     settings: dict[str, str | float] = Field(
         default={}, description="other settings as the camera reads them back, by name (gain, pixel format)"
     )
     attempts: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=1, description="exposures it took; more than one where frames were refused"
+        default=1, description="number of exposures that were taken for it; more than one where frames were refused"
     )
     tilt_deg: AngleDeg = Field(default=0.0, description="between the laser beam and the sample's normal")
     saturated_fraction: Fraction = Field(description="pixels of the region at full scale")
@@ -176,7 +178,7 @@ class IndenterPose(Model):
     shape: Literal["cylinder", "ball", "cuboid", "mesh"]
     radius_mm: LengthMm | None = Field(description="half the width where it is not round; none: not known")
     depth_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None
-    position_mm: PositionMm | None = Field(description="along the pad, from the base")
+    position_mm: PositionMm | None = Field(description="place along the pad, from the base")
     tilt_deg: AngleDeg | None = Field(default=None, description="between the indenter's axis and the pad's normal")
     depth_uncertainty_mm: UncertaintyMm | None = None
     position_uncertainty_mm: UncertaintyMm | None = None
@@ -230,13 +232,13 @@ class TactileCapture(Record):
     mm_per_px: LengthMm | None
     source: str
     rig: str | None = Field(
-        default=None, description="whose name it is: captures of one rig at different angles may be compared absolutely"
+        default=None, description="name of the rig; captures of one rig at different angles may be compared absolutely"
     )
     light_angle_uncertainty_deg: UncertaintyDeg | None = Field(default=None, description="standard uncertainty")
     mm_per_px_u_rel: RelativeUncertainty | None = Field(
         default=None, description="relative standard uncertainty of mm_per_px; none: not known"
     )
-    led_current_ma: CurrentMa | None = Field(default=None, description="of the blue LED panel")
+    led_current_ma: CurrentMa | None = Field(default=None, description="current of the blue LED panel")
     exposure_bracket_s: tuple[ExposureS, ...] = Field(
         default=(), description="all exposures of the press, this one among them; the session holds the others' frames"
     )
@@ -250,9 +252,11 @@ class TactileCapture(Record):
         default="image", description="what the no-contact image is; all but an image are substitutes"
     )
     force_n: Annotated[float, Field(ge=-1000.0, le=1000.0, json_schema_extra={"unit": "N"})] | None = Field(
-        default=None, description="of the press at the contact image"
+        default=None, description="force of the press at the contact image"
     )
-    licence: str | None = Field(default=None, description="under which the images were published; none: not known")
+    licence: str | None = Field(
+        default=None, description="licence under which the images were published; none: not known"
+    )
     missing: tuple[MissingPart, ...] = Field(default=(), description="what the source of the capture does not hold")
 
     @model_validator(mode="after")
@@ -307,7 +311,7 @@ class PlannedPress(Model):
     """One press: where and how deep, with standard uncertainties."""
 
     depth_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
-    position_mm: PositionMm = Field(description="along the pad, from the base")
+    position_mm: PositionMm = Field(description="place along the pad, from the base")
     tilt_deg: AngleDeg = Field(default=0.0, description="between the indenter's axis and the pad's normal")
     depth_uncertainty_mm: UncertaintyMm
     position_uncertainty_mm: UncertaintyMm
@@ -322,7 +326,7 @@ class CharucoBoard(Model):
     """The ChArUco board whose images calibrate the camera's geometry."""
 
     squares: tuple[Annotated[int, Field(ge=3, le=100)], Annotated[int, Field(ge=3, le=100)]] = Field(
-        description="along the rows, along the columns"
+        description="number of squares along the rows, and along the columns"
     )
     square_mm: LengthMm
     marker_mm: LengthMm
@@ -353,20 +357,24 @@ class TactilePlan(Record):
     presses: tuple[PlannedPress, ...] = Field(default=(), description="asked of the operator one after another")
     poses_csv: str | None = Field(
         default=None,
-        description="in place of 'presses': CSV file of poses that a stage reports, with their fields as header; "
-        "relative to the plan",
+        description="in place of 'presses': a CSV file of poses that a stage reports, with the names of their "
+        "fields as header; relative to the plan",
     )
-    repeats: Annotated[int, Field(ge=1, le=100)] = Field(default=1, description="of each press, retracted between")
-    no_contact_images: Annotated[int, Field(ge=1, le=50)] = Field(default=2, description="before and after each press")
+    repeats: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=1, description="number of repeats of each press; the indenter is retracted between them"
+    )
+    no_contact_images: Annotated[int, Field(ge=1, le=50)] = Field(
+        default=2, description="number of images before and after each press"
+    )
     exposures_s: tuple[ExposureS, ...] = Field(
-        default=(), description="of every image; over MJPEG one, which is set at the camera's server"
+        default=(), description="exposures of every image; over MJPEG a single one, which is set at the camera's server"
     )
     bracket_powers: tuple[Annotated[int, Field(ge=0, le=31)], Annotated[int, Field(ge=0, le=31)]] | None = Field(
         default=None,
         description="in place of 'exposures_s': all powers of two of a microsecond from the first to the last that the "
         f"rig's camera allows, such as [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]",
     )
-    led_current_ma: CurrentMa = Field(description="of the blue LED panel")
+    led_current_ma: CurrentMa = Field(description="current of the blue LED panel")
     light_angle_deg: AngleDeg = Field(description="measured: the panel's normal from the pad plane")
     light_angle_uncertainty_deg: UncertaintyDeg
     mm_per_px: LengthMm | None = Field(
@@ -409,16 +417,18 @@ class TactileFrame(Model):
     file: str = Field(pattern=r"^frames/[A-Za-z0-9_.-]+\.tiff$")
     frame_type: TactileFrameType
     place: Annotated[int, Field(ge=0)] = Field(
-        description="number of the contact, from 1; of no-contact images that of the contact before them (0: none); of "
-        "board images that of the board's place"
+        description="number of the contact, counted from 1. A no-contact image has that of the contact before it "
+        "(0 where there is none), a board image that of the board's place"
     )
     exposure_requested_s: ExposureS
-    exposure_s: ExposureS | None = Field(description="none where the camera does not say")
+    exposure_s: ExposureS | None = Field(description="none where the camera does not report it")
     captured_utc: str
     captured_s: DurationS = Field(description="end of the exposure on the journal's monotonic clock")
     frame_id: int | None = None
     device_time_s: float | None = None
-    settings: dict[str, str | float] = Field(default={}, description="as the camera reads them back, by name")
+    settings: dict[str, str | float] = Field(
+        default={}, description="other settings as the camera reads them back, by name"
+    )
     attempts: Annotated[int, Field(ge=1, le=100)] = 1
     saturated_fraction: Fraction = Field(description="pixels with a value at full scale")
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
@@ -432,7 +442,7 @@ class TactileSession(Record):
 
     plan: TactilePlan
     rig: TactileRig
-    presses: tuple[PlannedPress, ...] = Field(description="of the plan or of its poses_csv")
+    presses: tuple[PlannedPress, ...] = Field(description="presses of the plan or of its poses_csv")
     frames: tuple[TactileFrame, ...]
     captures: tuple[str, ...] = Field(description="files of the tactile captures, in the order of the contacts")
     devices: tuple[DeviceIdentity, ...] = ()

@@ -27,17 +27,23 @@ class CheckLimits(Model):
     revisit_rel: RelativeUncertainty = Field(
         default=0.01, description="RMS change of the white signal after the wheel has left the filter and come back"
     )
-    black_level_dn: SignalDn = Field(default=2.0, description="dark level apart from the rig file's black_level_dn")
+    black_level_dn: SignalDn = Field(
+        default=2.0, description="largest difference of the dark level from black_level_dn of the rig file"
+    )
     read_noise_rel: RelativeUncertainty = Field(
-        default=0.25, description="read noise apart from the rig file's read_noise_e, relative to it"
+        default=0.25,
+        description="largest difference of the read noise from read_noise_e of the rig file, relative to it",
     )
     dark_rate_dn_per_s: RateDnPerS = Field(
         default=2.0, description="growth of the dark level with the exposure: dark current and leaking light"
     )
     exposure_ratio_rel: RelativeUncertainty = Field(
-        default=0.01, description="signal at 2 t and 4 t apart from 2 and 4 times that at t"
+        default=0.01,
+        description="largest difference of the signals at 2 t and 4 t from 2 and 4 times that at t, relative to them",
     )
-    light_off_s: PositiveS = Field(default=1.0, description="from the mishap until the laser is off, each layer")
+    light_off_s: PositiveS = Field(
+        default=1.0, description="time from the mishap until the laser is off, for each layer"
+    )
 
 
 class CheckPlan(Record):
@@ -59,8 +65,10 @@ class CheckPlan(Record):
     exposure_rounds: Annotated[int, Field(ge=4, le=100)] = Field(
         default=6, description="times that each of the exposures t, 2 t and 4 t is taken"
     )
-    light_off_repeats: Annotated[int, Field(ge=1, le=20)] = Field(default=3, description="mishaps of each layer")
-    seed: Seed = Field(default=1, description="of the random moves")
+    light_off_repeats: Annotated[int, Field(ge=1, le=20)] = Field(
+        default=3, description="number of mishaps for each layer"
+    )
+    seed: Seed = Field(default=1, description="seed of the random moves")
     limits: CheckLimits = CheckLimits()
 
     @model_validator(mode="after")
@@ -152,7 +160,7 @@ class CheckResult(Model):
     section: Section
     name: str
     what: str
-    value: float | None = Field(description="None where nothing was measured, or nothing is a number")
+    value: float | None = Field(description="None where nothing was measured, or the result is not a number")
     unit: str
     sd: Annotated[float, Field(ge=0.0)] | None = Field(description="standard uncertainty of the value, in its unit")
     low: float | None = Field(description="lowest allowed value; None where there is none")
@@ -174,7 +182,9 @@ class AcceptanceReport(Record):
     rig: RigFile
     facts: CheckFacts
     results: tuple[CheckResult, ...]
-    verdict: CheckVerdict = Field(description="FAIL before ERROR before UNDECIDED before PASS")
+    verdict: CheckVerdict = Field(
+        description="the worst verdict of the checks: FAIL, else ERROR, else UNDECIDED, else PASS"
+    )
     notes: tuple[str, ...] = ()
 
 
@@ -195,10 +205,12 @@ class ReferenceCertificate(Model):
     """A certificate of calibration that the laboratory holds for a part of its rig."""
 
     of: Reference
-    number: Annotated[str, Field(min_length=1, max_length=300)] = Field(description="of the certificate")
+    number: Annotated[str, Field(min_length=1, max_length=300)] = Field(description="number of the certificate")
     issued_by: Annotated[str, Field(min_length=1, max_length=300)]
     calibrated_on: IsoDay
-    valid_until: IsoDay | None = Field(default=None, description="none: the certificate states no such day")
+    valid_until: IsoDay | None = Field(
+        default=None, description="last day on which it is valid; none: the certificate states none"
+    )
 
 
 class CertifiedLimits(Model):
@@ -223,7 +235,9 @@ class CertificateDetails(Record):
     kind: Literal["certificate"] = "certificate"
     laboratory: Line = ""
     address: Line = ""
-    number: Line = Field(default="", description="of the certificate; left out: made from the record's SHA-256")
+    number: Line = Field(
+        default="", description="number of the certificate; if left out, it is made from the record's SHA-256"
+    )
     customer: Line = ""
     item: Line = Field(default="", description="what was measured: tin, batch, coat, substrate")
     conditions: Line = Field(default="", description="temperature and humidity with their uncertainty, and what else")

@@ -57,8 +57,10 @@ class MonteCarlo(Model):
     """How the intervals were propagated (JCGM 101): draws, and to how many digits they are stable."""
 
     draws: int
-    significant_digits: Annotated[int, Field(ge=0, le=2, description="of the headline's standard uncertainty")]
-    not_included: tuple[str, ...] = Field(description="what the intervals do not know, in plain words")
+    significant_digits: Annotated[
+        int, Field(ge=0, le=2, description="stable digits of the headline's standard uncertainty")
+    ]
+    not_included: tuple[str, ...] = Field(description="what the intervals leave out, in plain words")
 
 
 class ValidationCell(Model):
@@ -117,9 +119,12 @@ class ErrorRow(Model):
         description="per channel; None where values are not linear light"
     )
     difference_gradient_rms_per_px: Interval | None = Field(
-        default=None, description="of the gradient of (image - its no-contact image), relative to the pad's level"
+        default=None,
+        description="RMS error of the gradient of (image - its no-contact image), relative to the pad's level",
     )
-    chromaticity_rms: Interval | None = Field(default=None, description="of R and G over R + G + B; None in noise")
+    chromaticity_rms: Interval | None = Field(
+        default=None, description="RMS error of R and G over R + G + B; None where noise hides them"
+    )
     ms_ssim: float | None = Field(default=None, description="multi-scale SSIM of the frame; None in small images")
     ciede2000_mean: float | None = Field(default=None, description="as displayed, mean over the region")
     ciede2000_p95: float | None = Field(default=None, description="as displayed, 95th percentile over the region")
@@ -165,7 +170,9 @@ class SensingError(Model):
     outside_share_captured: float
     rows: tuple[SensingRow, ...]
     mm_per_px_u_rel: RelativeUncertainty | None = Field(
-        default=None, description="of the scale from which the map and its depths are computed; None: not known"
+        default=None,
+        description="relative standard uncertainty of the scale from which the map and its depths are computed; "
+        "None: not known",
     )
 
 
@@ -186,7 +193,7 @@ class PatchScale(Model):
     their standard uncertainty.
     """
 
-    middle: LocalScale = Field(description="at the middle of the contact patch")
+    middle: LocalScale = Field(description="scale at the middle of the contact patch")
     over_patch: ScaleRange
     over_pad: ScaleRange
     extents: tuple[RegionExtent, ...]
@@ -200,10 +207,12 @@ class WhiteBalanceDrift(Model):
     """
 
     gains: tuple[float, float, float] = Field(description="red, green, blue of the capture; 1: none")
-    expected_gains: tuple[float, float, float] = Field(description="the same of the simulation")
+    expected_gains: tuple[float, float, float] = Field(description="gains that the simulation expects")
     u_rel: tuple[NotNegative, NotNegative, NotNegative] = Field(description="relative standard uncertainty")
     uneven_rel: tuple[NotNegative, NotNegative, NotNegative] = Field(description="change across the picture")
-    blocks: tuple[int, int, int] = Field(description="of pixels; a channel of fewer than 8 is not judged")
+    blocks: tuple[int, int, int] = Field(
+        description="number of blocks of pixels; a channel of fewer than 8 is not judged"
+    )
     corrected: bool
 
 
@@ -219,7 +228,9 @@ class FittedToneCurve(Model):
     white_balance: tuple[Interval, Interval, Interval] = Field(
         description="scale of red, green and blue in linear light, relative to green"
     )
-    correlation: float = Field(description="of the logarithms of both no-contact images; near 0 the prior decides")
+    correlation: float = Field(
+        description="correlation of the logarithms of both no-contact images; near 0 the prior decides"
+    )
     skill_u: NotNegative = Field(description="standard uncertainty of the headline skill from curve and gains alone")
     outside_share: Fraction = Field(
         description="pixels of the headline region whose level does not occur without contact: there the curve is "
@@ -246,8 +257,10 @@ class ErrorCause(Model):
 
     cause: Literal["pose", "size", "depth", "gain", "shading", "blur", "halo"]
     parameters: tuple[CauseParameter, ...]
-    skill_lost: float = Field(description="its part of 1 - skill; parts add up, so that one may be below 0")
-    skill_regained: float = Field(description="what repairing it alone would add to the skill")
+    skill_lost: float = Field(
+        description="its part of 1 - skill; the parts add up to 1 - skill, so one of them may be below 0"
+    )
+    skill_regained: float = Field(description="what correcting this cause alone would add to the skill")
     like: tuple[str, ...] = Field(default=(), description="causes whose effect on the image is much like this one's")
     advice: str
 
@@ -261,9 +274,11 @@ class ErrorAttribution(Model):
 
     causes: tuple[ErrorCause, ...]
     skill_lost: float = Field(description="1 - skill of the region")
-    saturation_skill: float = Field(description="of pixels that are clipped, or nearly so, in the simulation")
-    noise_skill: float = Field(description="of render and capture, as known or as neighbours differ; 0 where taken out")
-    remainder_skill: float = Field(description="explained by none of these")
+    saturation_skill: float = Field(description="part of pixels that are clipped, or nearly so, in the simulation")
+    noise_skill: float = Field(
+        description="part of the noise of render and capture, as known or as neighbours differ; 0 where it is taken out"
+    )
+    remainder_skill: float = Field(description="part that is explained by none of these")
     maps: Annotated[NDArray[np.float32], ArraySpec("<f4", ("cause", "row", "column"))] | None = Field(
         description="what each cause changes in the image, mean over channels, relative to the pad's level; None "
         "without a cause"
@@ -287,7 +302,7 @@ class PhotometricErrorReport(Record):
     simulated: str
     captured: str
     finger: FingerIdentity | None = Field(
-        default=None, description="that was rendered; None: not known (no design, or an older version)"
+        default=None, description="finger that was rendered; None: not known (no design, or an older version)"
     )
     label: str
     values: Literal["linear light", "encoded values, encoding unknown", "encoded values, through a fitted tone curve"]
@@ -318,7 +333,7 @@ class PhotometricErrorReport(Record):
         "no-contact level (encoded values: of full scale) times pixels; None: not known (an older version)",
     )
     attribution: ErrorAttribution | None = Field(
-        default=None, description="None where it cannot be told, or was not asked for"
+        default=None, description="None where the causes cannot be separated, or were not asked for"
     )
     monte_carlo: MonteCarlo | None = Field(default=None, description="None where no input has a known uncertainty")
     budget: tuple[InputUncertainty, ...] = ()
@@ -328,8 +343,10 @@ class PhotometricErrorReport(Record):
     tone_curve: FittedToneCurve | None = Field(
         default=None, description="None where both sides hold the same kind of values"
     )
-    white_balance: WhiteBalanceDrift | None = Field(default=None, description="None where it cannot be told")
-    findings: tuple[str, ...] = Field(default=(), description="of the checks of registration, channels and exposure")
+    white_balance: WhiteBalanceDrift | None = Field(default=None, description="None where it cannot be determined")
+    findings: tuple[str, ...] = Field(
+        default=(), description="findings of the checks of registration, channels and exposure"
+    )
     forced_mismatch: bool = Field(
         default=False, description="compared although the checks say that the images do not belong together"
     )
@@ -344,10 +361,10 @@ class ComparedPair(Model):
     name: str
     simulated: str
     captured: str
-    simulator: str = Field(default="", description="whose press it is; empty where only one is compared")
+    simulator: str = Field(default="", description="name of the simulator; empty where only one is compared")
     press: str = Field(default="", description="repeats of one press share it; empty: the name")
-    session: str | None = Field(default=None, description="in which it was captured; None: not known")
-    sensor: str | None = Field(default=None, description="of which it was captured; None: not known")
+    session: str | None = Field(default=None, description="session in which it was captured; None: not known")
+    sensor: str | None = Field(default=None, description="sensor with which it was captured; None: not known")
     report: str | None = Field(default=None, description="file of the report, relative to the batch")
     skill: Interval | None = Field(default=None, description="headline of the report")
     floor_skill: Interval | None = Field(default=None, description="what a repeat of the no-contact image would score")
@@ -372,7 +389,7 @@ class SkillOverPresses(Model):
     unit: Literal["press", "session", "sensor"]
     units: Annotated[int, Field(ge=1)]
     method: str = Field(description="how the interval was formed, in plain words")
-    not_sampled: tuple[str, ...] = Field(default=(), description="what the interval does not know")
+    not_sampled: tuple[str, ...] = Field(default=(), description="what the interval leaves out")
 
 
 class SimulatorScore(Model):
@@ -382,7 +399,7 @@ class SimulatorScore(Model):
     compared: Annotated[int, Field(ge=0, description="presses")]
     failed: Annotated[int, Field(ge=0, description="presses that could not be compared")]
     skill: SkillOverPresses | None = Field(
-        description="over the presses that all ranked simulators share; None where nothing could be compared"
+        description="skill over the presses that all ranked simulators share; None where nothing could be compared"
     )
 
 
@@ -410,9 +427,9 @@ class ComparisonBatch(Record):
     pairs: tuple[ComparedPair, ...]
     headline_region: str | None = Field(description="None where no pair could be compared")
     simulators: tuple[SimulatorScore, ...] = Field(default=(), description="the best first")
-    differences: tuple[SkillDifference, ...] = Field(default=(), description="of every two simulators")
+    differences: tuple[SkillDifference, ...] = Field(default=(), description="difference of every two simulators")
     worst: tuple[str, ...] = Field(default=(), description="names of the pairs of lowest skill, the lowest first")
-    to_capture_next: tuple[str, ...] = Field(default=(), description="what would make the scores surer")
+    to_capture_next: tuple[str, ...] = Field(default=(), description="which captures would make the scores surer")
     notes: tuple[str, ...] = ()
 
 
@@ -476,7 +493,7 @@ class ForceThird(Model):
     u_input_n: NotNegative
     u_data_n: NotNegative
     u_validation_n: NotNegative
-    within: bool | None = Field(description="None: withheld")
+    within: bool | None = Field(description="abs(error_n) <= 2 u_validation_n; None where the verdict is withheld")
 
 
 class FirstTouch(Model):
@@ -498,10 +515,12 @@ class ForceComparison(Record):
     points: tuple[ForcePoint, ...]
     rows: tuple[ForceRow, ...]
     first_touch: FirstTouch | None = Field(description="None where the displacement counts from first touch")
-    thirds: tuple[ForceThird, ...] = Field(description="of the measured displacement; a third without points is absent")
+    thirds: tuple[ForceThird, ...] = Field(
+        description="thirds of the measured displacement; a third without points is absent"
+    )
     budget: tuple[ForceInput, ...]
     draws: int
-    not_included: tuple[str, ...] = Field(description="what the intervals do not know, in plain words")
+    not_included: tuple[str, ...] = Field(description="what the intervals leave out, in plain words")
     withheld: str = Field(
         default="", description="why there are no intervals and verdicts, and how to get them; empty where there are"
     )

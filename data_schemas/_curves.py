@@ -99,11 +99,11 @@ def require_coverage(curve: SpectralCurve, wavelength_nm: ArrayLike, weight: Arr
     span = f"{curve.wavelength_nm[0]:g} to {curve.wavelength_nm[-1]:g} nm"
     if share > LARGEST_SHARE_OUTSIDE:
         raise CurveError(
-            f"{curve.source}: curve '{curve.name}' covers {span}, but {share:.0%} of the weight of {band} lies "
-            f"outside (at most {LARGEST_SHARE_OUTSIDE:.0%} is allowed); give a curve that covers the band"
+            f"{curve.source}: curve '{curve.name}' covers {span}, but {100 * share:.0f} % of the weight of {band} lies "
+            f"outside (at most {100 * LARGEST_SHARE_OUTSIDE:.0f} % is allowed); give a curve that covers the band"
         )
     return (
-        f"{curve.name} covers {span}; its end value is held for {share:.1%} of the weight of {band} with a "
+        f"{curve.name} covers {span}; its end value is held for {100 * share:.1f} % of the weight of {band} with a "
         f"relative uncertainty of {HELD_UNCERTAINTY_REL:g} there"
     )
 
@@ -170,7 +170,7 @@ def half_maximum_nm(curve: SpectralCurve) -> tuple[float, float]:
     if first == 0 or last == len(curve.values) - 1:
         raise CurveError(
             f"{curve.source}: the curve from {curve.wavelength_nm[0]:g} to {curve.wavelength_nm[-1]:g} nm does not "
-            "fall to 50% of its peak on both sides; give the whole pass band"
+            "fall to 50 % of its peak on both sides; give the whole pass band"
         )
     return _crossing_nm(curve, first, first - 1), _crossing_nm(curve, last, last + 1)
 

@@ -28,7 +28,7 @@ class AngleStatement(Model):
         description="angles whose loss stays within the tolerance with 95 % probability"
     )
     p_within_tolerance: Fraction | None = Field(
-        default=None, description="that the loss is within the tolerance; none in records of older versions"
+        default=None, description="probability that the loss is within the tolerance; none in records of older versions"
     )
 
 
@@ -44,7 +44,7 @@ class DecidingCapture(Model):
     error_rel: float = Field(
         description="simulated over captured objective, minus one; of absolute ratios without the scale of the rig"
     )
-    error_u_rel: float = Field(description="its standard uncertainty, with that of the angle")
+    error_u_rel: float = Field(description="standard uncertainty of the error, with that of the angle")
     value: float
     sd: float
 
@@ -67,10 +67,12 @@ class OtherObjective(Model):
     best_deg: AngleDeg = Field(description="where this objective has its optimum")
     loss_rel: float = Field(description="mean loss at the decided angle, relative to that optimum")
     loss_90_rel: tuple[float, float] = Field(description="its 5 % and 95 % quantiles")
-    disagrees: bool | None = Field(description="with 95 % probability beyond the tolerance; None: not to be told")
+    disagrees: bool | None = Field(
+        description="whether it exceeds the tolerance with 95 % probability; None: cannot be determined"
+    )
     cost_rel: float | None = Field(
         default=None,
-        description="what its best angle loses of what was decided on, as expected; None in older versions",
+        description="expected loss of the decided objective at the best angle of this one; None in older versions",
     )
     statement: str
 
@@ -82,14 +84,14 @@ class DecidedContact(Model):
     """
 
     sweep: str = Field(description="name of the sweep")
-    shape: str = Field(description="of the indenter")
-    position_mm: float = Field(description="of its middle along the pad, from the base")
-    across_mm: float = Field(description="of its middle from the middle line of the pad")
+    shape: str = Field(description="shape of the indenter")
+    position_mm: float = Field(description="place of the indenter's middle along the pad, from the base")
+    across_mm: float = Field(description="distance of the indenter's middle from the middle line of the pad")
     depth_mm: float
     weight_share: Fraction = Field(description="share in the average over all touches")
     best_deg: AngleDeg
     loss_rel: float = Field(description="expected, at the decided angle")
-    loss_95_rel: float = Field(description="not exceeded with 95 % probability")
+    loss_95_rel: float = Field(description="loss that is not exceeded with 95 % probability")
 
 
 class LightAngleDecision(Record):
@@ -109,8 +111,8 @@ class LightAngleDecision(Record):
     objective: str
     aim: Aim = Field(
         default="brightness",
-        description="what was decided on: brightness of the touch, or expected error of the sensed normal, whose "
-        "inverse is then the value, at places instead of touches",
+        description="what the decision is based on: the brightness of the touch; or the expected error of the "
+        "sensed normal, whose inverse is then the value, at places instead of touches",
     )
     angle_deg: AngleDeg
     angle_simulation_only_deg: AngleDeg
@@ -120,14 +122,17 @@ class LightAngleDecision(Record):
     sentence: str
     tolerance_rel: Fraction
     tolerance_deg: tuple[AngleDeg, AngleDeg] | None = Field(
-        default=None, description="between these the expected value is within the tolerance of the decided angle's"
+        default=None,
+        description="range of angles in which the expected value is within the tolerance of that of the decided angle",
     )
     criterion: Criterion = "average"
     contacts: tuple[DecidedContact, ...] = ()
     angle_average_deg: AngleDeg | None = Field(
-        default=None, description="of the least loss on average over the touches"
+        default=None, description="angle of the least loss on average over the touches"
     )
-    angle_worst_deg: AngleDeg | None = Field(default=None, description="of the least loss at the worst of the touches")
+    angle_worst_deg: AngleDeg | None = Field(
+        default=None, description="angle of the least loss at the worst of the touches"
+    )
     contact_value: Annotated[Floats, ArraySpec("<f8", ("contact", "angle"))] | None = Field(
         default=None, description="expected brightness of each touch over that at its own best angle"
     )
@@ -138,10 +143,10 @@ class LightAngleDecision(Record):
     )
     discrepancy_95_rel: tuple[float, float] | None = Field(default=None, description="its central 95 % interval")
     captures: tuple[DecidingCapture, ...] = ()
-    statement: AngleStatement = Field(description="of the real finger, with the sim-to-real error")
+    statement: AngleStatement = Field(description="statement for the real finger, with the sim-to-real error")
     statement_simulation_only: AngleStatement
     grid_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
-    mean: Curve = Field(description="of the real finger, from simulation and captures (or the prior) together")
+    mean: Curve = Field(description="curve of the real finger, from simulation and captures (or the prior) together")
     low95: Curve
     high95: Curve
     mean_simulation_only: Curve
@@ -169,7 +174,7 @@ class DesignParameter(Model):
     low: float
     high: float
     is_whole: bool = Field(default=False, description="whole numbers only, such as a number of ribs")
-    start: float = Field(description="of the design that was given")
+    start: float = Field(description="value in the design that was given")
 
 
 class EvaluatedDesign(Record):
@@ -193,7 +198,7 @@ class OptimisedDesign(Model):
     """One design of a search."""
 
     number: Annotated[int, Field(ge=1)]
-    role: DesignRole = Field(description="as given; of the screen; proposed by the emulator; what is recommended")
+    role: DesignRole = Field(description="as given; computed in the screening; proposed by the emulator; recommended")
     changes: dict[str, float] = Field(description="parameter -> its value")
     values: dict[str, float] = Field(description="objective -> its number, as computed; empty where it failed")
     failure: str = ""
@@ -202,7 +207,8 @@ class OptimisedDesign(Model):
     )
     p_front: Fraction | None = Field(
         default=None,
-        description="that no design within the limits is as good in all and better by the tolerance in one",
+        description="probability that no design within the limits is as good in all objectives and better by the "
+        "tolerance in one",
     )
     better_than_chosen: tuple[str, ...] = Field(
         default=(), description="objectives in which it is better with 97.5 % probability"
@@ -218,13 +224,15 @@ class DesignGain(Model):
     objective: str
     against: Literal["start", "best of the screen"]
     seen_rel: float = Field(description="as computed in the search, with its random numbers")
-    expected_rel: float = Field(description="by the emulator: median")
+    expected_rel: float = Field(description="prediction of the emulator: median")
     expected_95_rel: tuple[float, float] = Field(description="its central 95 % interval")
     confirmed_rel: float | None = Field(
-        default=None, description="with other seeds and contact places, which the search has not seen: mean"
+        default=None, description="mean with other seeds and contact places, which the search has not seen"
     )
     confirmed_95_rel: tuple[float, float] | None = Field(default=None, description="Student's t over these seeds")
-    shrinkage_rel: float | None = Field(default=None, description="seen less confirmed: what was luck of the search")
+    shrinkage_rel: float | None = Field(
+        default=None, description="gain in the search minus the confirmed one: what was luck of the search"
+    )
 
 
 class MainEffect(Model):
@@ -254,11 +262,13 @@ class DesignOptimum(Record):
     screen_best: Annotated[int, Field(ge=1)] = Field(description="number of the best design of the screen, as computed")
     gains: tuple[DesignGain, ...]
     regret_rel: float = Field(description="expected loss against the best design within the limits")
-    regret_95_rel: float = Field(description="loss that is not exceeded with 95 % probability, as the emulator knows")
+    regret_95_rel: float = Field(
+        description="loss that is not exceeded with 95 % probability, according to the emulator"
+    )
     unexplained_rel: dict[str, float] = Field(
         description="objective -> error of the emulator at designs left out, over their spread, of ln(value)"
     )
-    tolerance_rel: Fraction = Field(description="of p_front")
+    tolerance_rel: Fraction = Field(description="tolerance of p_front")
     effects: tuple[MainEffect, ...] = ()
     start: FingerDesign
     design: FingerDesign = Field(description="the recommended finger")
@@ -272,9 +282,9 @@ class PaintPairRow(Model):
     red: str = Field(description="paint of the red wall")
     green: str = Field(description="paint of the green wall")
     normal_error_deg: Estimate = Field(description="error of the sensed normal, mean over the pad")
-    above_best_deg: Estimate = Field(description="the same less that of the best pair, draw by draw")
+    above_best_deg: Estimate = Field(description="error minus that of the best pair, draw by draw")
     is_worse: bool = Field(description="whether the difference to the best pair is real, all pairs together at 95 %")
-    best_share: Fraction = Field(description="of the draws: where it is the best")
+    best_share: Fraction = Field(description="share of the draws in which this pair is the best")
     separation_deg: Annotated[float, Field(ge=0.0)] = Field(
         description="angle between the colours of facets tilted to opposite sides"
     )
@@ -293,7 +303,7 @@ class PaintChoice(Record):
     paints: tuple[str, ...]
     pairs: tuple[PaintPairRow, ...] = Field(min_length=2, description="best first")
     normal_error_draws_deg: Annotated[Floats, ArraySpec("<f8", ("pair", "draw"), "deg")] = Field(
-        description="in the order of the pairs; a draw is the same of all pairs"
+        description="one row of draws for each pair, in the order of the pairs; all pairs share each draw"
     )
     design: FingerDesign
     notes: tuple[str, ...] = ()
@@ -312,7 +322,7 @@ class ToleranceSide(Model):
     low95: float | None = None
     high95: float | None = None
     tried: float = Field(description="farthest distance that was evaluated")
-    ended_by: str = Field(default="", description="why no farther one was: what the design refused")
+    ended_by: str = Field(default="", description="why no farther distance was evaluated: what the design refused")
     checked_loss_rel: float | None = Field(
         default=None, description="growth of the error at the limit, with other paths, draws and noise"
     )
@@ -332,12 +342,12 @@ class ToleranceRow(Model):
     field: str
     unit: str
     nominal: float
-    given: Annotated[float, Field(gt=0.0)] = Field(description="half-range within which it was said to vary")
+    given: Annotated[float, Field(gt=0.0)] = Field(description="half-range that was given for it")
     origin: str = Field(description="where the half-range comes from")
     less: ToleranceSide
     more: ToleranceSide
-    first: VarianceShare = Field(description="share of the variance that it makes alone")
-    total: VarianceShare = Field(description="share of the variance that would be gone without it")
+    first: VarianceShare = Field(description="share of the variance that this number causes alone")
+    total: VarianceShare = Field(description="share of the variance that would vanish if this number did not vary")
     is_distinguishable: bool = Field(description="whether the total share is above what the emulator does not explain")
 
 
@@ -364,15 +374,19 @@ class FingerTolerances(Record):
     )
     together_low95: float | None = None
     together_high95: float | None = None
-    within_given_share: Fraction = Field(description="of fingers that vary as given, those within what is allowed")
+    within_given_share: Fraction = Field(
+        description="share of the fingers that stay within what is allowed when all numbers vary within the given "
+        "half-ranges"
+    )
     checked_within: Annotated[int, Field(ge=0)] = Field(
-        description="of the fingers evaluated directly at the factor, with other paths, those within what is allowed"
+        description="share of fingers within what is allowed at this factor, of fingers that were evaluated "
+        "directly with other paths"
     )
     checked_fingers: Annotated[int, Field(ge=0)]
     box_factor: Annotated[float, Field(gt=0.0)] = Field(
         description="half-ranges of the emulated box over the given ones"
     )
-    q2: float = Field(description="share of the variance that the emulator predicts of runs that are left out")
+    q2: float = Field(description="share of the variance of left-out runs that the emulator predicts")
     noise_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="standard deviation of a growth by its random numbers"
     )

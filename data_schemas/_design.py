@@ -87,7 +87,7 @@ class FingerDesign(Record):
             "sides": "laser-cut dark cloth",
             "base": "Onyx (Markforged)",
         },
-        description="what the parts are made of, in words; the numbers above are what is computed with",
+        description="what the parts are made of, in words; the program computes with the numbers above",
     )
     origin: dict[str, Origin] = Field(
         default={
@@ -251,9 +251,9 @@ _PARTS: Final = (
 class FingerIdentity(Model):
     """A finger with its indenter, without the angle of its light and the depth of the press."""
 
-    version: int = Field(default=1, description="of what is hashed; parts of two versions cannot be compared")
+    version: int = Field(default=1, description="version of what is hashed; parts of two versions cannot be compared")
     name: str
-    depth_mm: float = Field(description="of the press; another depth is another press of the same finger")
+    depth_mm: float = Field(description="depth of the press; another depth is another press of the same finger")
     parts: dict[str, str] = Field(description="part of the design -> SHA-256 of its values")
 
     def differs_in(self, other: "FingerIdentity") -> tuple[str, ...]:

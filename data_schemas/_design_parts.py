@@ -36,7 +36,7 @@ class GelPad(Model):
     length_mm: LengthMm = 70.0
     width_mm: LengthMm = 35.0
     thickness_mm: LengthMm = 6.0
-    radius_mm: LengthMm | None = Field(default=None, description="of a cylindrical pad")
+    radius_mm: LengthMm | None = Field(default=None, description="radius of a cylindrical pad")
     semi_axes_mm: tuple[LengthMm, LengthMm, LengthMm] | None = Field(
         default=None, description="a (across the pad), b (through it), c (along it) of an ellipsoidal pad"
     )
@@ -147,17 +147,19 @@ class Indenter(Model):
     """
 
     shape: Literal["cylinder", "ball", "cuboid", "mesh"] = "cylinder"
-    radius_mm: LengthMm = Field(default=10.0, description="of a cylinder or a ball")
+    radius_mm: LengthMm = Field(default=10.0, description="radius of a cylinder or a ball")
     size_mm: tuple[LengthMm, LengthMm, LengthMm] | None = Field(
-        default=None, description="of a cuboid: across the pad, along its normal, along it"
+        default=None, description="size of a cuboid: across the pad, along its normal, along the pad"
     )
-    edge_radius_mm: LengthMm = Field(default=1.0, description="of a cuboid's edges and corners")
-    file: str | None = Field(default=None, description="of a mesh: closed STL in mm; relative to the design")
+    edge_radius_mm: LengthMm = Field(default=1.0, description="radius of a cuboid's edges and corners")
+    file: str | None = Field(default=None, description="file of a mesh: closed STL in mm; relative to the design")
     depth_mm: Annotated[float, Field(ge=0.0, le=20.0, json_schema_extra={"unit": "mm"})] = Field(
         default=1.5, description=f"0 without a press, else at least {_LEAST_DEPTH_MM:g} mm"
     )
-    position_mm: PositionMm = Field(default=35.0, description="of its middle (a mesh: its origin) along the pad")
-    across_mm: PositionMm = Field(default=0.0, description="of its middle (a mesh: its origin) from the middle line")
+    position_mm: PositionMm = Field(default=35.0, description="place of its middle (a mesh: its origin) along the pad")
+    across_mm: PositionMm = Field(
+        default=0.0, description="distance of its middle (a mesh: its origin) from the middle line"
+    )
     rotation_deg: tuple[AngleDeg, AngleDeg, AngleDeg] = (0.0, 0.0, 0.0)
     friction: Annotated[float, Field(ge=0.0, le=2.0, json_schema_extra={"unit": "1"})] = Field(
         default=0.0, description="Coulomb's coefficient between indenter and coat"
@@ -254,7 +256,8 @@ class Mirror(Model):
         "with the pad's size",
     )
     tip_yz_mm: tuple[PositionMm, PositionMm] | None = Field(
-        default=None, description="the same at the pad's tip; by default -4.5, 70 for a pad of 70 x 35 mm, scaled"
+        default=None,
+        description="y and z where its line meets the pad's tip; by default -4.5, 70 for a pad of 70 x 35 mm, scaled",
     )
     overhang_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})] = Field(
         default=4.0, description="how far it reaches beyond both places"
@@ -285,7 +288,7 @@ class TactileCamera(Model):
         description="x, y, z of the pinhole; by default 0, -15, -2 for a pad of 70 x 35 mm, scaled with the pad's size",
     )
     aim_deg: Annotated[float, Field(ge=-80.0, le=80.0, json_schema_extra={"unit": "deg"})] = Field(
-        default=14.0, description="of the line of sight behind the mirror, from the pad's normal towards the tip"
+        default=14.0, description="angle of the line of sight behind the mirror, from the pad's normal towards the tip"
     )
     field_of_view_deg: Annotated[float, Field(ge=20.0, le=150.0, json_schema_extra={"unit": "deg"})] = 120.0
     width_px: Annotated[int, Field(ge=64, le=4096)] = 640
@@ -334,8 +337,10 @@ class Enclosure(Model):
 
     cloth_reflectance: Fraction = 0.04
     base_reflectance: Fraction = 0.05
-    panel_reflectance: Fraction = Field(default=0.05, description="of the light panels themselves")
-    cloth_clearance_mm: LengthMm = Field(default=8.0, description="of the cloth around finger, lights and camera")
+    panel_reflectance: Fraction = Field(default=0.05, description="reflectance of the light panels themselves")
+    cloth_clearance_mm: LengthMm = Field(
+        default=8.0, description="distance of the cloth around finger, lights and camera"
+    )
 
 
 # unit -> what a number that is 1000 times too small, too large, or 10^6 times too large may have been given in
@@ -411,13 +416,14 @@ class Skeleton(Model):
     """
 
     width_mm: SizeMm | None = Field(
-        default=None, description="of the fins; by default the mirror (pad + 2 mm), a gap of 0.5 mm and the ribs"
+        default=None,
+        description="width of the fins; by default that of the mirror (pad + 2 mm), a gap of 0.5 mm and the ribs",
     )
     tip_starts_mm: SizeMm | None = Field(
         default=None, description="z where the hollow ends and the solid tip begins; by default just past the mirror"
     )
     tip_length_mm: SizeMm = 6.0
-    base_thickness_mm: SizeMm = Field(default=6.0, description="of the base plate under the camera")
+    base_thickness_mm: SizeMm = Field(default=6.0, description="thickness of the base plate under the camera")
     front_fin_thickness_mm: WallMm = 1.6
     back_fin_thickness_mm: WallMm = 1.6
     flange_mm: WallMm = Field(
@@ -431,9 +437,11 @@ class Skeleton(Model):
     )
     rib_thickness_mm: WallMm = 1.2
     rib_width_mm: WallMm = Field(default=3.0, description="across the finger, of the rib at each side of the hollow")
-    rib_angle_deg: RibAngleDeg = Field(default=0.0, description="from the pad's normal; positive when the back is up")
+    rib_angle_deg: RibAngleDeg = Field(
+        default=0.0, description="angle from the pad's normal; positive when the rib rises towards its back"
+    )
     mirror_thickness_mm: SheetMm = 0.15
-    backing: Backing | None = Field(default=None, description="none without this table")
+    backing: Backing | None = Field(default=None, description="no backing without this table")
 
     @model_validator(mode="after")
     def _ribs_stand_apart(self) -> "Skeleton":

@@ -189,11 +189,13 @@ class Reradiation(Model):
     )
     prior: dict[str, str] = Field(description="prior of each parameter in words, with its origin")
     distinct_shapes: int = Field(ge=0, description="effective number of absorption shapes among the weighted ones")
-    rejected_share: Fraction = Field(description="share of draws replaced: they emitted more than the paint absorbs")
-    violating_share: Fraction = Field(
-        description="share of draws that emit more than is absorbed at the laser itself; elsewhere none does"
+    rejected_share: Fraction = Field(
+        description="share of draws that were replaced, because they emitted more than the paint absorbs"
     )
-    statement: str = Field(description="what the measurement fixes and what stays belief")
+    violating_share: Fraction = Field(
+        description="share of draws that emit more than is absorbed at the laser line; at other wavelengths none does"
+    )
+    statement: str = Field(description="what the measurement determines and what stays belief")
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "Reradiation":
@@ -214,9 +216,10 @@ class EmissionDetection(Model):
 
     verdict: EmissionVerdict
     statistic_sd: float = Field(
-        description="emission over its standard deviation in a sample without any, largest over many shapes"
+        description="fitted emission over the standard deviation that it has in a sample without emission; the "
+        "largest value over many shapes"
     )
-    threshold_sd: float = Field(description="what the stated share of simulated blanks exceeds")
+    threshold_sd: float = Field(description="size that the stated share of simulated blanks exceeds")
     blanks_above: Fraction = Field(description="share of simulated blanks with at least this statistic")
     blanks: int = Field(ge=1, description="number of simulated blanks: same rig and reflectance, no emission")
     false_alarm: Fraction = Field(description="share of blanks that the threshold calls emission")
@@ -266,7 +269,7 @@ class PaintWithoutEmission(Record):
         description="expected of a sample that reflects as much and emits nothing; 0 where not usable"
     )
     blank_sd: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))] = Field(
-        description="its standard deviation over noise, leaks, tolerances and calibration"
+        description="standard deviation of the blank over noise, leaks, tolerances and calibration"
     )
     warnings: tuple[str, ...] = ()
 
@@ -308,7 +311,7 @@ class Diagnostics(Model):
         "0.15; emcee: converged"
     )
     pareto_k: float | None = Field(description="shape of the weights' tail; none where it cannot be estimated")
-    effective_samples: float = Field(description="of moved draws: how many of them differ")
+    effective_samples: float = Field(description="of moved draws: how many of them are distinct")
     ln_evidence: float
     ln_evidence_sd: float
     maxima: tuple[float, ...] = Field(description="log posterior of the distinct maxima that were found, best first")
@@ -393,7 +396,9 @@ class SessionScatter(Model):
     """How the sessions of a paint that were combined differ: standard deviations between sessions, and each level."""
 
     level_rel: Estimate = Field(description="relative standard deviation of the level between sessions")
-    filter_rel: Estimate = Field(description="the same of a single filter beside the level")
+    filter_rel: Estimate = Field(
+        description="relative standard deviation of a single filter between sessions, beside that of the level"
+    )
     session_levels_rel: tuple[float, ...] = Field(
         min_length=2, description="level of each session relative to the common one, in the order given"
     )
@@ -421,10 +426,11 @@ class PaintCalibration(Record):
 
     paint_name: str
     detection: EmissionDetection | None = Field(
-        default=None, description="that there is emission, and how sure that is; none: not judged, by an older version"
+        default=None,
+        description="verdict on whether there is emission, and how sure it is; none: not judged, by an older version",
     )
     spectrum_from: str = Field(default="", description="origin of the reported spectrum; empty: the family")
-    family: str = Field(description="whose sampled parameters stand here, and with which pixels are mapped")
+    family: str = Field(description="family whose sampled parameters stand here, and with which pixels are mapped")
     family_title: str
     family_choice: str = Field(description="why this family, and how sure that is")
     discrepancy: DiscrepancySettings
@@ -450,7 +456,8 @@ class PaintCalibration(Record):
     emission_high95_simultaneous_per_nm: Curve | None = None
     emission_draws_per_nm: Annotated[Floats, ArraySpec("<f8", ("curve draw", "wavelength"), "1/nm")]
     prior_shares: dict[str, PriorShare] = Field(
-        default={}, description="of mode_nm, fwhm_nm, peak_per_nm, energy_yield, stokes_shift_nm; empty: not judged"
+        default={},
+        description="shares of mode_nm, fwhm_nm, peak_per_nm, energy_yield, stokes_shift_nm; empty: not judged",
     )
     energy_yield: Estimate = Field(description="emitted over incident energy, emission above the laser line to 780 nm")
     band_integrals: tuple[Estimate, ...] = Field(
@@ -572,10 +579,12 @@ class PaintSpread(Model):
     estimate: float = Field(description="median over the pixels")
     sd: Annotated[float, Field(ge=0.0)] = Field(description="robust standard deviation between pixels, without noise")
     high: Annotated[float, Field(ge=0.0)] = Field(
-        description="the same if the pixels' noise were 10 % less than stated"
+        description="the same spread if the pixels' noise were 10 % less than stated"
     )
     noise_share: Fraction = Field(description="share of the noise in the scatter of the pixels (variance)")
-    resolved: bool = Field(description="the paint's part exceeds what a 10 % error of the stated noise could feign")
+    resolved: bool = Field(
+        description="whether the paint's part exceeds what a 10 % error of the stated noise could imitate"
+    )
     pixels: Annotated[int, Field(ge=0)] = Field(description="pixels counted: those that the prior does not dominate")
 
 

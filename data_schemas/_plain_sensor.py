@@ -37,15 +37,16 @@ class ColouredLight(Model):
         default=0.0, description="direction of its light in the plane of the pad: 0 along +z, 90 along +x"
     )
     angle_deg: AngleDeg = Field(
-        default=40.0, description="of the panel's normal from the pad plane: 0 along the pad, 90 straight into it"
+        default=40.0, description="angle of the panel's normal from the pad plane: 0 along the pad, 90 straight into it"
     )
     turn_deg: AngleDeg = Field(
-        default=0.0, description="of the panel's normal about the axis, away from the pad's middle; its place stays"
+        default=0.0,
+        description="turn of the panel's normal about the axis, away from the pad's middle; the panel's place stays",
     )
     distance_mm: Annotated[float, Field(ge=0.0, le=1000.0, json_schema_extra={"unit": "mm"})] = Field(
-        default=14.0, description="of its centre from the axis through the pad's middle"
+        default=14.0, description="distance of its centre from the axis through the pad's middle"
     )
-    depth_mm: LengthMm = Field(default=10.0, description="of its centre below the inner face")
+    depth_mm: LengthMm = Field(default=10.0, description="depth of its centre below the inner face")
     width_mm: LengthMm = 12.0
     height_mm: LengthMm = 4.0
     power_rel: Annotated[float, Field(gt=0.0, le=100.0)] = Field(default=1.0, description="radiance along the normal")
@@ -53,7 +54,8 @@ class ColouredLight(Model):
         default=1.0, description="m of an intensity ~ cos^m of the angle from the normal; 1 is Lambertian"
     )
     peak_wavelength_nm: WavelengthNm | None = Field(
-        default=None, description="of the LED; counts with a camera.response other than 'ideal', by default 630, 525, "
+        default=None, description="peak of the LED; used with a camera.response other than 'ideal', by default 630, "
+                                  "525, "
         "465 nm by channel"
     )  # fmt: skip
     fwhm_nm: WidthNm | None = Field(default=None, description="width of its spectrum at half maximum, by default 25 nm")
@@ -82,14 +84,14 @@ class CameraBelow(Model):
     It is turned about its own pinhole: by ``tilt_deg`` up to +z (the tip), then by ``pan_deg`` to +x, then rolled.
     """
 
-    distance_mm: LengthMm = Field(default=40.0, description="of the pinhole below the inner face")
-    across_mm: PositionMm = Field(default=0.0, description="of the pinhole from the axis, along +x")
-    along_mm: PositionMm = Field(default=0.0, description="of the pinhole from the axis, along +z")
-    tilt_deg: TiltDeg = Field(default=0.0, description="of the line of sight from the pad's normal towards +z")
-    pan_deg: TiltDeg = Field(default=0.0, description="of the line of sight from the pad's normal towards +x")
-    roll_deg: AngleDeg = Field(default=0.0, description="of the picture about the line of sight")
+    distance_mm: LengthMm = Field(default=40.0, description="distance of the pinhole below the inner face")
+    across_mm: PositionMm = Field(default=0.0, description="distance of the pinhole from the axis, along +x")
+    along_mm: PositionMm = Field(default=0.0, description="distance of the pinhole from the axis, along +z")
+    tilt_deg: TiltDeg = Field(default=0.0, description="tilt of the line of sight from the pad's normal towards +z")
+    pan_deg: TiltDeg = Field(default=0.0, description="turn of the line of sight from the pad's normal towards +x")
+    roll_deg: AngleDeg = Field(default=0.0, description="turn of the picture about the line of sight")
     field_of_view_deg: Annotated[float, Field(ge=5.0, le=120.0, json_schema_extra={"unit": "deg"})] = Field(
-        default=30.0, description="over the width of the picture"
+        default=30.0, description="field of view over the width of the picture"
     )
     width_px: Annotated[int, Field(ge=8, le=4096)] = 160
     height_px: Annotated[int, Field(ge=8, le=4096)] = 160
@@ -116,7 +118,7 @@ class TranslucentLayer(Model):
     Its reflectance is that of Kubelka and Munk for the local thickness; it takes the same share of the gel everywhere.
     """
 
-    thickness_mm: LengthMm = Field(default=1.0, description="at rest, of the pad's thickness")
+    thickness_mm: LengthMm = Field(default=1.0, description="thickness at rest, as part of the pad's thickness")
     scattering_length_mm: LengthMm = Field(default=0.5, description="1 / S, S the scattering of Kubelka and Munk")
     absorption_length_mm: Annotated[float, Field(gt=0.0, le=1e6, json_schema_extra={"unit": "mm"})] = Field(
         default=100.0, description="1 / K, K the absorption of Kubelka and Munk"
@@ -153,7 +155,8 @@ class SensorCoat(Coating):
     """What the camera sees of the touched face: a blend of metal flake and diffuse paint, coloured or translucent."""
 
     diffuse_reflectance_rgb: tuple[Fraction, Fraction, Fraction] | None = Field(
-        default=None, description="of a coloured paint, per channel; without it, diffuse_reflectance in all"
+        default=None,
+        description="reflectance of a coloured paint, per channel; without it, diffuse_reflectance in all channels",
     )
     translucent: TranslucentLayer | None = Field(default=None, description="a translucent layer in place of the paint")
 
@@ -181,18 +184,20 @@ class CoatSurface(Model):
     file: str = Field(description="NPY, PNG or STL; relative to the design")
     holds: Literal["depth", "height"] = Field(
         default="depth",
-        description="of a map: how far the coat lies below its place at rest, or its height above the inner face",
+        description="what a map holds: how far the coat lies below its place at rest, or its height above the "
+        "inner face",
     )
     step_mm: Annotated[float, Field(gt=0.0, le=10.0, json_schema_extra={"unit": "mm"})] | None = Field(
-        default=None, description="of a map, between neighbours of rows and columns"
+        default=None, description="distance between neighbours of rows and columns of a map"
     )
     unit_mm: Annotated[float, Field(gt=0.0, le=1000.0, json_schema_extra={"unit": "mm"})] | None = Field(
-        default=None, description="of a map's numbers: 0.001 for micrometres; NPY 1 by default, PNG must say it"
+        default=None,
+        description="unit of a map's numbers, such as 0.001 for micrometres; by default 1 for NPY; a PNG needs it",
     )
     position_mm: PositionMm | None = Field(
-        default=None, description="of a map's middle, along the pad; default: middle"
+        default=None, description="place of a map's middle along the pad; by default the pad's middle"
     )
-    across_mm: PositionMm = Field(default=0.0, description="of a map's middle from the middle line")
+    across_mm: PositionMm = Field(default=0.0, description="distance of a map's middle from the middle line")
 
     @model_validator(mode="after")
     def _kind_of_file(self) -> "CoatSurface":
@@ -230,15 +235,15 @@ class PlainSensor(Record):
     pad: GelPad = GelPad(length_mm=20.0, width_mm=20.0, thickness_mm=4.0)
     coating: SensorCoat = SensorCoat(diffuse_share=0.8)
     walls: Literal["dark", "clear"] = Field(default="dark", description="sides of the gel: black-painted, or bare gel")
-    wall_reflectance: Fraction = Field(default=0.05, description="of dark walls")
-    box_reflectance: Fraction = Field(default=0.04, description="of the housing")
-    box_clearance_mm: LengthMm = Field(default=8.0, description="of the housing around gel, lights and camera")
-    panel_reflectance: Fraction = Field(default=0.05, description="of the lights themselves")
+    wall_reflectance: Fraction = Field(default=0.05, description="reflectance of dark walls")
+    box_reflectance: Fraction = Field(default=0.04, description="reflectance of the housing")
+    box_clearance_mm: LengthMm = Field(default=8.0, description="distance of the housing around gel, lights and camera")
+    panel_reflectance: Fraction = Field(default=0.05, description="reflectance of the lights themselves")
     lights: tuple[ColouredLight, ...] = Field(default_factory=_three_lights, min_length=1, max_length=MOST_LIGHTS)
     camera: CameraBelow = CameraBelow()
     indenter: Indenter = Indenter(shape="ball", radius_mm=4.0, depth_mm=1.0, position_mm=10.0)
     surface: CoatSurface | None = Field(default=None, description="the pressed coat, in place of the indenter")
-    source: str = Field(default="", description="in words, where the numbers that are not assumed come from")
+    source: str = Field(default="", description="where the numbers that are not assumed come from, in words")
     origin: dict[str, Origin] = Field(
         default={}, description="where a number comes from (lights.width_mm: that of all lights); assumed if not listed"
     )

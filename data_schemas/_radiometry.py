@@ -38,7 +38,8 @@ class Optics(Model):
         default=2856.0, description="colour temperature of the lamp, at which its uncertainty counts"
     )
     lamp_temperature_uncertainty_k: Annotated[float, Field(ge=0.0)] = Field(
-        default=50.0, description="its standard uncertainty; what older versions did not state is 50 K"
+        default=50.0,
+        description="standard uncertainty of the lamp's temperature; 50 K where an older version did not state it",
     )
     white_reference: WhiteReference
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
@@ -241,7 +242,8 @@ class CameraPlan(Record):
         default=16, description="further flat frames at half saturation and as many dark ones, for PRNU and DSNU"
     )
     longest_exposure_s: ExposureS = Field(
-        default=5.0, description="of any frame; the last dark frames use it to resolve the dark current"
+        default=5.0,
+        description="longest exposure of any frame; the last dark frames use it to resolve the dark current",
     )
 
 
@@ -303,7 +305,7 @@ class ChannelCharacterisation(Model):
     read_noise_e: Resolvable
     read_noise_dn: Resolvable
     black_level_dn: Estimate = Field(description="mean dark count at exposure zero")
-    dark_current_e_per_s: Resolvable = Field(description="from the mean of the dark frames")
+    dark_current_e_per_s: Resolvable = Field(description="found from the mean of the dark frames")
     saturation_dn: Estimate | None = Field(
         description="mean count where the variance is largest; its 95 % interval reaches to the exposures beside it; "
         "this and the next three are none when no exposure saturates"
@@ -324,7 +326,7 @@ class ChannelCharacterisation(Model):
     flat_nonuniformity_rel: Resolvable = Field(
         description="PRNU of EMVA 1288 without high-pass: sensor, lens, lamp and tile together"
     )
-    chi_square: float = Field(description="of the photon transfer line")
+    chi_square: float = Field(description="chi-square of the photon transfer line")
     degrees_of_freedom: int
     chi_square_p: float
     curve: PhotonTransferCurve
@@ -340,7 +342,9 @@ class CameraCharacterisation(Record):
     camera: CameraSettings = Field(description="as the rig file described it")
     filter_name: str | None
     channels: tuple[ChannelCharacterisation, ...] = Field(min_length=1)
-    light_repeatability_rel: RelativeUncertainty = Field(description="of one exposure; includes drift of the lamp")
+    light_repeatability_rel: RelativeUncertainty = Field(
+        description="relative scatter of one exposure; includes drift of the lamp"
+    )
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

@@ -222,7 +222,9 @@ class OutsideLayer(Model):
         "dead-man: the controller itself switches off when it hears nothing"
     )
     tested_on: IsoDay = Field(description="day of the last test, with the laser on")
-    test: Annotated[str, Field(min_length=10, max_length=200)] = Field(description="what was done and what was seen")
+    test: Annotated[str, Field(min_length=10, max_length=200)] = Field(
+        description="what was done in the test and what was seen"
+    )
 
 
 class LaserSettings(Model):
@@ -238,8 +240,8 @@ class LaserSettings(Model):
     )
     outside_layer: OutsideLayer | None = Field(
         default=None,
-        description="what switches it off outside the computer; lasers of class 3R and above are switched on only "
-        "with one, and the firmware behind the driver 'arduino' is one",
+        description="what switches the laser off outside the computer; lasers of class 3R and above are switched "
+        "on only with one, and the firmware behind the driver 'arduino' is one",
     )
 
     @model_validator(mode="after")

@@ -117,26 +117,28 @@ class PixelScale(Record):
     board: CharucoBoard
     square_u_rel: RelativeUncertainty = Field(description="standard uncertainty of the side of a square, as declared")
     coat_behind_board_mm: OffsetMm = Field(
-        default=0.0, description="from the printed face to the coat, away from the camera; as declared"
+        default=0.0, description="distance from the printed face to the coat, away from the camera; as declared"
     )
     coat_behind_board_u_mm: OffsetUMm = Field(default=0.0, description="standard uncertainty, as declared")
     calibration: CameraCalibration
     place: tuple[float, float, float, float, float, float] = Field(
-        description="of the board on the pad: rotation vector (rad) and translation (mm) from board to camera"
+        description="place of the board on the pad: rotation vector (rad) and translation (mm) from board to camera"
     )
     covariance: Annotated[NDArray[np.float64], ArraySpec("<f8", ("parameter", "parameter"))]
     widened_factor: Annotated[float, Field(ge=1.0, le=LARGEST_WIDENED_FACTOR)] = Field(
-        default=1.0, description="on the standard deviations of the covariance, where resampled pictures scatter more"
+        default=1.0,
+        description="factor on the standard deviations of the covariance, where resampled pictures scatter more",
     )
     corner_sd_px: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "px"})]
     degrees_of_freedom: Annotated[int, Field(ge=1)]
     pad_picture: BoardResidual
     lens_pictures: tuple[BoardResidual, ...]
-    middle: LocalScale = Field(description="at the middle of the board on the pad")
-    over_board: ScaleRange = Field(description="over the part of the picture that the board on the pad covers")
+    middle: LocalScale = Field(description="scale at the middle of the board on the pad")
+    over_board: ScaleRange = Field(description="scale over the part of the picture that the board on the pad covers")
     budget: tuple[ScaleContribution, ...]
     resampled_u_rel: RelativeUncertainty = Field(
-        description="of the mean scale at the middle, from resampled pictures and corners; beside the covariance's"
+        description="standard uncertainty of the mean scale at the middle, from resampled pictures and corners; to "
+        "compare with that of the covariance"
     )
     map_columns_px: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_column",), "px")]
     map_rows_px: Annotated[NDArray[np.float64], ArraySpec("<f8", ("map_row",), "px")]
@@ -180,22 +182,26 @@ class NormalMapRecord(Record):
     mm_per_px_u_rel: RelativeUncertainty | None = Field(
         default=None, description="relative standard uncertainty, as the captures state it; none: not known"
     )
-    encoding: Encoding = Field(description="of the captures that taught it; it senses those of the same encoding only")
+    encoding: Encoding = Field(
+        description="encoding of the captures that taught the map; it senses captures of the same encoding only"
+    )
     presses: Annotated[int, Field(ge=1)]
     held_out_explained_rel: Annotated[Floats, ArraySpec("<f8", ("split",))]
     held_out_angle_deg: Annotated[Floats, ArraySpec("<f8", ("split",), "deg")]
     held_out_depth_rms_mm: Annotated[Floats, ArraySpec("<f8", ("press",), "mm")] | None = Field(
         default=None,
-        description="of each press, error of the depth inside its circle, its mean taken out, by a map that five "
-        "sixths of the presses taught and it did not; none: not measured",
+        description="for each press, RMS error of the depth inside its circle without its mean, by a map that five "
+        "sixths of the presses taught and this one did not; none: not measured",
     )
     held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
-        default=None, description="of each press by that map, height from the rim to the middle: sensed / true - 1"
+        default=None,
+        description="for each press, by that map: sensed / true - 1 of the height from the rim to the middle",
     )
     held_out_level_mm: Annotated[Floats, ArraySpec("<f8", ("ring",), "mm")] | None = Field(
         default=None,
-        description="by those maps, mean depth 2.5 to 3.5 radii from the contact, where the gel is taken as flat, "
-        "counted from the frame of the picture; of presses with such a ring in view; none: not known",
+        description="for each press with such a ring in view, by those maps: mean depth 2.5 to 3.5 radii from the "
+        "contact, where the gel is taken as flat, relative to the border of the picture; none: not "
+        "known",
     )
     taught_by_sha256: tuple[str, ...] = Field(
         default=(), description="SHA-256 of the contact images that taught it; none: not known"
@@ -237,9 +243,11 @@ class SensedPress(Record):
         description="standard uncertainty, from that of the depth alone"
     )
     outside_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
-        description="share of the contact's pixels whose change of colour no teaching press showed"
+        description="share of the contact's pixels whose change of colour occurs in no teaching press"
     )
-    clipped_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(description="of the contact's pixels")
+    clipped_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        description="share of the contact's pixels that are clipped"
+    )
     is_of_teaching: bool | None = Field(description="whether the press taught the map; none: the map does not state it")
     notes: tuple[str, ...] = ()
 
@@ -259,15 +267,15 @@ class FittedNumber(Model):
 
     name: str = Field(description="field of the design, or of what stands beside it: picture, paint, camera, press")
     unit: str
-    prior: Estimate = Field(description="without the pictures, by the design")
+    prior: Estimate = Field(description="value before the pictures were used, from the design")
     prior_origin: str = Field(description="where the prior's width comes from")
     posterior: Estimate
     left_of_prior_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="standard deviation after over that before, of the logarithm where the number is positive"
     )
     verdict: Determined = Field(
-        description="by what is left of the prior: below a half, below nine tenths, or more; where the renders are too "
-        "noisy, the posterior is not to be relied on"
+        description="how much of the prior's width is left: below a half, below nine tenths, or more; where the "
+        "renders are too noisy, do not rely on the posterior"
     )
 
 
@@ -290,13 +298,13 @@ class SensorFit(Record):
     written_by: ClassVar[str] = "'finray simulate fit'"
 
     name: str
-    label: str = Field(description="by what the pictures were predicted")
+    label: str = Field(description="how the pictures were predicted")
     finger: FingerDesign | None = Field(default=None, description="the design that the priors are of")
-    sensor: PlainSensor | None = Field(default=None, description="the same of a classic sensor")
+    sensor: PlainSensor | None = Field(default=None, description="the classic sensor that the priors are of")
     captures: tuple[str, ...] = Field(description="names of the captures")
     numbers: tuple[FittedNumber, ...]
     draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw", "number"))] = Field(
-        description="of the posterior, columns in the order of numbers, each in its unit"
+        description="draws of the posterior, columns in the order of numbers, each in its unit"
     )
     brightness: tuple[LayerBrightness, ...]
     not_told_apart: tuple[str, ...] = Field(
@@ -304,7 +312,8 @@ class SensorFit(Record):
     )
     discrepancy_rel: Estimate = Field(description="smooth error of the model, standard deviation over the picture")
     correlation_length_rel: Annotated[float, Field(gt=0.0)] = Field(
-        description="of the smooth error, over the longer side of the pad's picture; chosen, not fitted"
+        description="correlation length of the smooth error, relative to the longer side of the pad's picture; "
+        "chosen, not fitted"
     )
     independent_rel: Estimate = Field(description="error of each block by itself, beside the known noise")
     residual_rel: Annotated[float, Field(ge=0.0)] = Field(description="rms of what is left, over the picture's mean")
@@ -312,7 +321,7 @@ class SensorFit(Record):
         description="rms by which a render at the fitted numbers differs from the emulator that was fitted; it is "
         "taken out before the last fit; none: no number needs a render of its own"
     )
-    blocks: Annotated[int, Field(ge=1)] = Field(description="of each picture and channel")
+    blocks: Annotated[int, Field(ge=1)] = Field(description="number of blocks of each picture and channel")
     trusted: bool = Field(description="the search has converged, and no number lies far outside its prior")
     notes: tuple[str, ...] = ()
 

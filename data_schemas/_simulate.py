@@ -41,7 +41,9 @@ class RenderedLight(Model):
     bands: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
     reflectance: OfWalls
     conversion: OfWalls
-    response: tuple[SpectralCurve, SpectralCurve, SpectralCurve] = Field(description="of the camera: red, green, blue")
+    response: tuple[SpectralCurve, SpectralCurve, SpectralCurve] = Field(
+        description="response of the camera: red, green, blue"
+    )
     white_balance: tuple[float, float, float] = Field(default=(1.0, 1.0, 1.0), description="gains, in camera_matrix")
 
     @model_validator(mode="after")
@@ -59,7 +61,7 @@ class KnownInputs(Model):
     """
 
     names: tuple[str, ...] = Field(description="such as 'red paint', 'green paint', 'camera response'")
-    keys: tuple[str, ...] = Field(description="of each input: the origin of its draws, for example a checksum")
+    keys: tuple[str, ...] = Field(description="for each input, the origin of its draws, for example a checksum")
     evaluations: tuple[Literal["A", "B"], ...]
     sources: tuple[str, ...] = Field(description="where the uncertainty comes from, in plain words")
     factors: Annotated[NDArray[np.float32], ArraySpec("<f4", ("input", "draw", "3", "layer"))]
@@ -74,7 +76,7 @@ class PoseResponse(Model):
     """How the contact image changes with the indenter's pose: derivatives of its layers by central differences."""
 
     names: tuple[Literal["depth_mm", "position_mm"], ...]
-    steps_mm: tuple[float, ...] = Field(description="the difference was taken over twice this")
+    steps_mm: tuple[float, ...] = Field(description="the difference was taken over twice this step")
     derivative: PoseLayers
     half_difference: PoseLayers = Field(description="half the difference of the derivatives of both halves")
 
@@ -127,7 +129,9 @@ class SimulatedPress(Record):
     camera_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "band"))] | None = None
     light_angle_deg: AngleDeg | None
     design: FingerDesign | None
-    sensor: PlainSensor | None = Field(default=None, description="of a classic sensor, which has no finger's design")
+    sensor: PlainSensor | None = Field(
+        default=None, description="design of a classic sensor, which has no finger's design"
+    )
     paints: dict[str, str] = Field(default={}, description="colour -> SHA-256 of the paint calibration")
     notes: tuple[str, ...] = ()
 
@@ -154,10 +158,10 @@ class AngleObjective(Model):
     values: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat"))]
     place_values: Annotated[Floats, ArraySpec("<f8", ("angle", "repeat", "place"))] | None = Field(
         default=None,
-        description="the same at places along the pad: what a decision prefers to brightness; None without",
+        description="values at places along the pad, which a decision prefers to brightness; None where there are none",
     )
     places_mm: Annotated[Floats, ArraySpec("<f8", ("place",), "mm")] | None = Field(
-        default=None, description="of these places, from the base"
+        default=None, description="distances of these places from the base"
     )
 
     @model_validator(mode="after")
@@ -184,13 +188,15 @@ class AngleConstraints(Model):
     """
 
     clipped_share: Annotated[Floats, ArraySpec("<f8", ("angle",), "1")] = Field(
-        description="of the pixels of the pressed coat with a channel at full scale, at that angle's exposure"
+        description="share of the pixels of the pressed coat with a channel at full scale, at that angle's exposure"
     )
     clipped_limit_share: Fraction
     exposure_rel: Annotated[Floats, ArraySpec("<f8", ("angle",), "1")] = Field(
         description="exposure time, relative to the shortest of the sweep, that brings the coat to its level"
     )
-    in_the_way: tuple[str, ...] = Field(description="per angle, what the panel passes through; empty: it fits")
+    in_the_way: tuple[str, ...] = Field(
+        description="for each angle, the parts that the panel would pass through; empty where it fits"
+    )
 
     @property
     def allowed(self) -> NDArray[np.bool_]:
@@ -277,7 +283,7 @@ class VariedPress(Model):
     change_rel: Annotated[float, Field(gt=-1.0, description="its change over its value in the design")]
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")]
     force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
-        description="along the pad's normal"
+        description="force along the pad's normal"
     )
     failure: str = Field(default="", description="why there are no forces, or why the push ended early")
 
@@ -292,10 +298,10 @@ class PressSensitivities(Model):
 
     preset: Preset
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
-        description="of the design as it is, on this mesh"
+        description="depths of the unchanged design, on this mesh"
     )
     force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
-        description="along the pad's normal, of the design as it is"
+        description="force along the pad's normal, of the unchanged design"
     )
     varied: tuple[VariedPress, ...]
 
@@ -316,8 +322,8 @@ class PressMotion(Model):
     """
 
     moves_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "mm")] = Field(
-        description="of the indenter's middle from first touch: across the finger, along the pad's outward normal, "
-        "along the finger"
+        description="moves of the indenter's middle from first touch: across the finger, along the pad's outward "
+        "normal, along the finger"
     )
     turns_deg: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "deg")] = Field(
         description="rotation vector from first touch, about the indenter's middle, in the same axes"
@@ -326,13 +332,13 @@ class PressMotion(Model):
         description="where the indenter's middle is, the point that torques are about"
     )
     torque_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "N mm")] = Field(
-        description="on the indenter, about its middle where that is at the increment"
+        description="torque on the indenter, about its middle at that increment"
     )
     patch_mm2: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm2")] = Field(
         description="area at rest of the coat that touches"
     )
     stuck_mm2: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm2")] = Field(
-        description="of the patch, what has not slipped in the increment"
+        description="part of the patch that has not slipped in the increment"
     )
     friction: Annotated[float, Field(ge=0.0, description="Coulomb's coefficient")]
     points_mm: Annotated[PerPoint, ArraySpec("<f8", ("point", "3"), "mm")] = Field(
@@ -340,13 +346,13 @@ class PressMotion(Model):
     )
     point_areas_mm2: Annotated[PerPoint, ArraySpec("<f8", ("point",), "mm2")]
     pressure_mpa: Annotated[PerPoint, ArraySpec("<f8", ("increment", "point"), "MPa")] = Field(
-        description="referred to the area at rest; 0 where the point does not touch"
+        description="pressure on the area at rest; 0 where the point does not touch"
     )
     shear_mpa: Annotated[PerPoint, ArraySpec("<f8", ("increment", "point", "3"), "MPa")] = Field(
-        description="by friction, on the indenter"
+        description="shear by friction, on the indenter"
     )
     slip_mm: Annotated[PerPoint, ArraySpec("<f8", ("increment", "point"), "mm")] = Field(
-        description="of the coat over the indenter in the increment; 0 where it sticks or does not touch"
+        description="slip of the coat over the indenter in the increment; 0 where it sticks or does not touch"
     )
 
     @model_validator(mode="after")
@@ -366,8 +372,8 @@ class PressMechanics(Record):
     preset: Preset
     mesh_excess_rel: Annotated[float, Field(ge=0.0)] | None = Field(
         default=None,
-        description="by how much this preset's force exceeds that of an infinitely fine mesh, as extrapolated for the "
-        "70 x 35 finger; None in older versions",
+        description="relative amount by which this preset's force exceeds that of an infinitely fine mesh, as "
+        "extrapolated for the 70 x 35 finger; None in older versions",
     )
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
         description="push of the indenter from first touch"
@@ -380,17 +386,22 @@ class PressMechanics(Record):
         "hold it. In records without contact_energy_n_mm, presses by the barrier also include the energy of its "
         "drive and the last friction"
     )
-    contact_energy_n_mm: PartOfEnergy | None = Field(default=None, description="of the energy, that of the contact")
+    contact_energy_n_mm: PartOfEnergy | None = Field(
+        default=None, description="part of the energy that is stored in the contact"
+    )
     friction_work_n_mm: PartOfEnergy | None = Field(
-        default=None, description="work lost to friction from first touch on; each increment's last force on its slip"
+        default=None,
+        description="work lost to friction from first touch on: in each increment, the last force times the slip",
     )
     iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
     largest_pressure_mpa: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "MPa"})] = Field(
-        description="at one point of the coat; a value of the mesh where the patch is not several elements wide"
+        description="pressure at one point of the coat; where the patch is not several elements wide, it depends "
+        "on the mesh"
     )
     unreached: str = Field(description="why the push ended early; empty when it did not")
     wanted_force_n: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "N"})] | None = Field(
-        default=None, description="of a press to a force, in place of design.indenter.depth_mm; None of one to a depth"
+        default=None,
+        description="force of a press to a force, in place of design.indenter.depth_mm; None for a press to a depth",
     )
     slip_torque_per_friction_n_mm: Torque | None = Field(
         default=None,
@@ -398,14 +409,15 @@ class PressMechanics(Record):
         "Coulomb's coefficient, by the frictionless pressures there; None with friction, or in older versions",
     )
     tipping_torque_n_mm: Torque | None = Field(
-        default=None, description="torque about the finger's long axis that the normal forces alone hold then"
+        default=None,
+        description="torque about the finger's long axis that the normal forces alone resist at that increment",
     )
     design: FingerDesign
     sensitivities: PressSensitivities | None = Field(
         default=None, description="presses of the design with one number changed; none unless asked for"
     )
     motion: PressMotion | None = Field(
-        default=None, description="of an indenter on a path, whose pushes need not rise; None of a plain press"
+        default=None, description="motion of an indenter on a path, whose pushes need not rise; None for a plain press"
     )
     notes: tuple[str, ...] = ()
 
@@ -431,11 +443,11 @@ class PressIncrement(Record):
     friction_work_n_mm: PartOfEnergy | None = None
     contact: ContactKind | None = Field(default=None, description="None in increments of older versions")
     indenter_sha256: str | None = Field(
-        default=None, description="of the STL of a mesh of the user; None without one, or in older versions"
+        default=None, description="SHA-256 of the STL of the user's mesh; None without one, or in older versions"
     )
     iterations: Annotated[NDArray[np.int64], ArraySpec("<i8", ("increment",))]
     nodes_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("node", "3"), "mm")] = Field(
-        description="of the mesh at rest, by which it is known again"
+        description="nodes of the mesh at rest, by which the mesh is recognised"
     )
     displacement_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("node", "3"), "mm")]
     modes_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("hexahedron", "3", "3"), "mm")] = Field(
@@ -478,7 +490,10 @@ class FingerSurfaces(Record):
     triangles: Annotated[NDArray[np.int64], ArraySpec("<i8", ("triangle", "3"))]
     contact_distance: Annotated[
         NDArray[np.float64], ArraySpec("<f8", ("coat vertex",), "contact half-width", allow_nan=True)
-    ] = Field(description="per vertex of the coat; the contact is where it is at most 1, NaN without contact")
+    ] = Field(
+        description="distance from the contact for each vertex of the coat; the contact is where it is at most 1, "
+        "NaN without contact"
+    )
 
     @model_validator(mode="after")
     def _counts_add_up(self) -> "FingerSurfaces":

@@ -79,10 +79,12 @@ class FluorescentRendering(_Study):
         description="norm of the difference to the baked radiance along z at equal means, over its norm"
     )
     second_order_wall_share: dict[str, float]
-    second_order_coat_share: dict[str, float] = Field(description="by band, of the light of the coat without contact")
+    second_order_coat_share: dict[str, float] = Field(
+        description="share of the light of the coat without contact, by band"
+    )
     angles_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
     wall_by_angle_rel: Annotated[Floats, ArraySpec("<f8", ("angle", "wall", "z"))] = Field(
-        description="baked radiance at other light angles; the paper's rule knows no angle"
+        description="baked radiance at other light angles; the paper's rule does not depend on the angle"
     )
 
     @model_validator(mode="after")
@@ -155,14 +157,15 @@ class LightAngleIntensity(_Study):
     probes: tuple[str, ...]
     bands: tuple[str, ...]
     probe_points_mm: Annotated[Floats, ArraySpec("<f8", ("probe", "3"), "mm")]
-    led_depth_mm: LengthMm = Field(description="of the panel's centre below the inner face")
+    led_depth_mm: LengthMm = Field(description="depth of the panel's centre below the inner face")
     angles_deg: Annotated[Floats, ArraySpec("<f8", ("angle",), "deg")]
     radiance_rel: Annotated[Floats, ArraySpec("<f8", ("mirror", "angle", "repeat", "probe", "band"))]
     elevation_deg: Annotated[Floats, ArraySpec("<f8", ("probe",), "deg")] = Field(
-        description="of the refracted path from the panel's centre to the probe: where its direct light is brightest"
+        description="elevation of the refracted path from the panel's centre to the probe: where its direct light "
+        "is brightest"
     )
     elevation_by_depth_deg: dict[str, tuple[float, ...]] = Field(
-        description="the same per probe for other depths of the panel (mm)"
+        description="the same elevation per probe for other depths of the panel (mm)"
     )
     printed_angle_deg: AngleDeg
     maxima: tuple[BrightestAngle, ...]
@@ -193,10 +196,14 @@ class StiffnessRow(Model):
     )
     tipping_torque_n_mm: float | None = Field(
         default=None,
-        description="torque about the finger's long axis that the gripping force alone holds; of designs as they are",
+        description="torque about the finger's long axis that the gripping force alone resists; of unchanged "
+        "designs only",
     )
-    grip_failure: str = Field(default="", description="why there are no torques of a design as it is; empty else")
-    failure: str = Field(default="", description="why there are no values: the changed parts do not fit, or stuck")
+    grip_failure: str = Field(default="", description="why an unchanged design has no torques; otherwise empty")
+    failure: str = Field(
+        default="",
+        description="why there are no values: the changed parts do not fit, or the press found no equilibrium",
+    )
 
 
 class StiffnessOrder(Model):
@@ -206,7 +213,9 @@ class StiffnessOrder(Model):
     stiffer: str
     softer: str
     ratio: float = Field(description="stiffer over softer, as designed")
-    smallest_ratio: float = Field(description="with the same dimension changed in both by the same share")
+    smallest_ratio: float = Field(
+        description="smallest ratio with the same dimension changed in both by the same share"
+    )
     at: str = Field(description="the change at which the ratio is smallest; empty for none")
     independent_ratio: float = Field(description="softest of the stiffer over stiffest of the softer, of all changes")
     note: str = ""
@@ -224,9 +233,10 @@ class FingerStiffness(Record):
     pad_force_n: float
     twist_deg: float
     grip_force_n: float | None = Field(
-        default=None, description="of a cylinder of 20 mm across the middle of the pad; None in older versions"
+        default=None,
+        description="force that grips a cylinder of 20 mm across the middle of the pad; None in older versions",
     )
-    share: float = Field(description="of a dimension, by which it is changed up and down")
+    share: float = Field(description="share of a dimension by which it is changed up and down")
     rows: tuple[StiffnessRow, ...]
     orders: tuple[StiffnessOrder, ...]
     notes: tuple[str, ...] = ()
@@ -314,7 +324,7 @@ class PaperStatement(Model):
     subject: str
     paper: str
     measure: str = Field(description="what is given for each stand-in")
-    ours: dict[str, str] = Field(description="by material")
+    ours: dict[str, str] = Field(description="result for each material")
     verdict: StatementVerdict
     why: str
 
@@ -391,7 +401,7 @@ class DesignStudy(Record):
         "Sobol' sample of the ranges",
     )
     count: Annotated[int, Field(ge=2, le=100_000)] | None = Field(default=None, description="points of a random study")
-    seed: Annotated[int, Field(ge=0)] = Field(default=1, description="of the sample and of the renders")
+    seed: Annotated[int, Field(ge=0)] = Field(default=1, description="seed of the sample and of the renders")
     set: dict[str, DesignValue] = Field(default={}, description="fields of the design that every point takes")
     measure: StudyMeasure = StudyMeasure()
     vary: tuple[StudyVariation, ...] = Field(min_length=1)
@@ -494,12 +504,14 @@ class DatasetPlan(Model):
     depth_mm: LengthRangeMm = Field(default=(0.3, 2.0), description="range of the push, drawn evenly")
     lights: Annotated[int, Field(ge=1, le=1000)] = Field(default=2, description="draws of the light for each press")
     light_angle_reach_deg: Annotated[float, Field(ge=0.0, le=45.0)] = Field(
-        default=5.0, description="each panel's angle is drawn evenly from the design's less and plus this"
+        default=5.0,
+        description="each panel's angle is drawn evenly between the design's angle minus this and plus this",
     )
     paints: Annotated[int, Field(ge=1, le=1000)] = Field(default=4, description="draws of the paints for each light")
     emission_ratio: Annotated[float, Field(ge=1.0, le=10.0)] = Field(
         default=1.25,
-        description="the emission of a paint without posterior is drawn between 1 / this and this times its own",
+        description="the emission of a paint without posterior is multiplied by a factor drawn between 1 / this "
+        "and this",
     )
     samples_per_pixel: Annotated[int, Field(ge=2, le=100_000, multiple_of=2)] = Field(
         default=32, description="paths per pixel of the pad; twice as many near the contact"
@@ -528,7 +540,7 @@ class DatasetSample(Model):
     light: Annotated[int, Field(ge=0)] = Field(description="number of the light's draw for this press")
     paint: Annotated[int, Field(ge=0)] = Field(description="number of the paints' draw for this light")
     indenter: Indenter = Field(description="as it was pressed; with finite elements its depth is the push reached")
-    light_angles_deg: tuple[AngleDeg, ...] = Field(description="of each panel")
+    light_angles_deg: tuple[AngleDeg, ...] = Field(description="light angle of each panel")
     emission_draws: dict[str, int] = Field(
         description="colour -> number of the draw of the paint's posterior; or empty"
     )
@@ -537,12 +549,14 @@ class DatasetSample(Model):
     )
     render_seed: Annotated[int, Field(ge=0)]
     gains: tuple[float, float, float] = Field(description="linear camera RGB was multiplied by these before encoding")
-    clipped_share: Fraction = Field(description="of the coat's pixels with contact: a channel at 255")
+    clipped_share: Fraction = Field(description="share of the coat's pixels with contact that have a channel at 255")
     render_noise_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="standard deviation of a pixel of the coat by the render, rms over channels and coat, over the mean"
     )
-    largest_depth_mm: float = Field(description="of depth.png")
-    force_n: float | None = Field(default=None, description="of the indenter along the pad's normal; finite elements")
+    largest_depth_mm: float = Field(description="largest depth in depth.png")
+    force_n: float | None = Field(
+        default=None, description="force of the indenter along the pad's normal; with finite elements only"
+    )
     slip_torque_per_friction_n_mm: float | None = Field(
         default=None, description="torque about the normal at which the contact slips, over Coulomb's coefficient"
     )
@@ -564,7 +578,7 @@ class DatasetShard(Record):
 
     number: Annotated[int, Field(ge=0)]
     key: str = Field(description="SHA-256 of what the shard is computed from; another plan gives another one")
-    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] = Field(description="of the TAR file")
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] = Field(description="SHA-256 of the TAR file")
     samples: tuple[DatasetSample, ...]
     failures: tuple[DatasetFailure, ...] = ()
     processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time that the shard took")

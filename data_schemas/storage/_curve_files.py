@@ -83,8 +83,8 @@ def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, Spec
     ):
         told = ", ".join(f"{name} {peak:g} %" for name, peak in zip(CHANNELS, peaks, strict=True))
         raise CurveError(
-            f"{path}: the channels peak at {told}; one is more than {LARGEST_CHANNEL_RATIO:g} times the others or less "
-            "than that part of them, which no colour camera has: give all three in per cent of one full scale"
+            f"{path}: the channels peak at {told}; one is more than {LARGEST_CHANNEL_RATIO:g} times larger or "
+            f"smaller than the others, which no colour camera has: give all three in per cent of one full scale"
         )
     red, green, blue = (_curve(path, name, table[:, 0], table[:, i + 1] / 100) for i, name in enumerate(CHANNELS))
     return red, green, blue
@@ -202,9 +202,9 @@ def _require_energy(path: Path, excitation_nm: Floats, emitted: Floats, emission
     worst = int(out.argmax())
     if out[worst] > LARGEST_ENERGY_OUT:
         raise CurveError(
-            f"{path}: of light at {excitation_nm[worst]:g} nm it sends out {out[worst]:.3g} times what it receives "
+            f"{path}: at {excitation_nm[worst]:g} nm it returns {out[worst]:.3g} times the light that it receives "
             f"({emitted.sum(axis=0)[worst]:.3g} by fluorescence); at most {LARGEST_ENERGY_OUT:g} is allowed, 1 and a "
-            "fifth for noise: entries are fractions per emission band; divide by 100 if they are in per cent"
+            f"fifth for noise: entries are fractions per emission band; divide by 100 if they are in per cent"
         )
 
 

@@ -300,7 +300,7 @@ def _read_noise(dark: DarkFrames, plan: CheckPlan, camera: CameraSettings) -> Ch
 
     with K the gain of the rig file (e/DN) and n differences of two counts.
     """
-    name, what = "read noise", "temporal noise of a pixel in the dark, rounding taken off"
+    name, what = "read noise", "temporal noise of a pixel in the dark, without that of rounding"
     low, high = (camera.read_noise_e * (1.0 + sign * plan.limits.read_noise_rel) for sign in (-1.0, 1.0))
     limit = f"{low:.4g} to {high:.4g} e"
     if dark.at_zero_fraction > MOST_AT_ZERO:
@@ -330,10 +330,10 @@ def judge_exposures(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ..
         ratio = rate / first[0]
         sd = abs(ratio) * math.hypot(rate_sd / rate, first[1] / first[0])
         evidence = (
-            f"{level.exposure_s:.4g} s against {facts.levels[0].exposure_s:.4g} s, {len(level.white_dn)} frames each, "
-            "dark level taken off"
+            f"{level.exposure_s:.4g} s against {facts.levels[0].exposure_s:.4g} s, {len(level.white_dn)} frames "
+            f"each, dark level subtracted"
         )
-        what = "signal per second of exposure, apart from that of the shortest of three"
+        what = "signal per second of exposure, relative to that of the shortest of three"
         name = f"exposure ratio {factor} : 1"
         results.append(
             measured(

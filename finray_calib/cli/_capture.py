@@ -213,7 +213,9 @@ def _ask_to_mend(what: str) -> bool:
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
     forget_typed_ahead()
-    sys.stderr.write(f"\n{what}\nThe lights are off. Mend it, close the box and press Enter; 'q' and Enter ends here. ")
+    sys.stderr.write(
+        f"\n{what}\nThe lights are off. Mend it, close the box and press Enter; 'q' and Enter ends the session here. "
+    )
     sys.stderr.flush()
     answer = sys.stdin.readline()
     return bool(answer) and answer.strip().lower() not in ("q", "quit")
@@ -266,7 +268,7 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
         raise CaptureError(f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; capture it again")
     say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
     if interrupted.doubt:
-        say("  all steps are metered again, as a frame did not show what was metered; frames that the repaired rig")
+        say("  all steps are metered again, because a frame differed from its metering; frames that the repaired rig")
         say("  does not repeat are set aside and taken again")
     if interrupted.kind == "camera":
         _resume_camera(folder, interrupted, attend)

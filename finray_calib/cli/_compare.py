@@ -27,8 +27,8 @@ each, and a page over all presses with an interval over presses, from three pres
 presses, one of each simulator, are ranked: 'finray compare MINE TABLE CAPTURES'.
 
 Another light angle, indenter, depth or position than the capture states is refused, and so are images that do not
-belong together (channel order, exposure, encoding, bit depth, black level). A camera that is not where the render has
-it is reported; --register moves the render accordingly.
+belong together (channel order, exposure, encoding, bit depth, black level). A camera that stands elsewhere than in the
+render is reported; --register moves the render accordingly.
 
 With --force, the force of a press by finite elements is compared with a measured one instead."""
 
@@ -80,7 +80,8 @@ def run(arguments: argparse.Namespace) -> None:
         raise CompareError("give SIMULATED and CAPTURE, or --pairs CSV: one of the two")
     if len(records) == 1:
         raise CompareError(
-            f"{records[0]}: nothing to compare it with is given; add CAPTURE, a record or a folder as SIMULATED is"
+            f"{records[0]}: the CAPTURE to compare it with is missing; add a record if SIMULATED is a record, or a "
+            f"folder if it is a folder"
         )
     inside = [folder_at(path, CompareError) for path in records]
     folders = [folder is not None for folder in inside]

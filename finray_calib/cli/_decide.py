@@ -17,13 +17,13 @@ from finray_calib.cli._run import (
 
 HELP = "decide on the light angle from sweeps at the places that are touched"
 DESCRIPTION = """\
-Decide on the angle of the blue light (light.angle_deg of the design: between the pad's plane and the direction in
-which the panel shines; 0 along the pad, 90 into it). Give one sweep for each place where the finger is touched, as
-'finray simulate sweep --positions' writes them; one sweep alone decides for its one place only. Sweeps
-by --objectives all are decided on by the expected error of the sensed normal, others by the brightness. The answer
-gives the angle with its tolerance, what is lost against the best at every place, the probability that another angle
-is better, and by how much. Photometric error reports, one for each physical capture, correct the simulated curves
-near their angles and show how sure they are elsewhere; without any, nothing is decided. The answer also names the
+Decide on the angle of the blue light (light.angle_deg of the design: between the pad's plane and the direction in which
+the panel shines; 0 along the pad, 90 into it). Give one sweep for each place where the finger is touched, as 'finray
+simulate sweep --positions' writes them; one sweep alone decides for its one place only. The decision rests on the
+expected error of the sensed normal if the sweeps were made with --objectives all, else on the brightness. The answer
+gives the angle with its tolerance, what is lost against the best at every place, the probability that another angle is
+better, and by how much. Photometric error reports, one for each physical capture, correct the simulated curves near
+their angles and show how sure they are elsewhere; without any, the angle stays undecided. The answer also names the
 capture that would help most."""
 
 

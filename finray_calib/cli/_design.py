@@ -33,10 +33,11 @@ INIT_DESCRIPTION = "Write the design of a ready-made finger or classic sensor, w
 SHOW_DESCRIPTION = """\
 Say what part of the pad the camera sees through the mirror, how many sensor pixels fall on a millimetre, and what else
 is in the picture. With --out FILE.png, draw the finger from the side and from the front, with the names of its parts
-and their sizes, and the camera's view below. With --out FILE.html, write one page with that drawing, the finger to be
-turned round in a browser, and all its numbers with where they come from.
+and their sizes, and the camera's view below. With --out FILE.html, write one page with that drawing, a finger that can
+be turned in a browser, and all its numbers with where they come from.
 
-Of a classic sensor it says the same, where its lights are, and which numbers are published; it is drawn as .png."""
+For a classic sensor the command says the same, where its lights are, and which numbers are published; the drawing is a
+.png."""
 EXPORT_DESCRIPTION = """\
 Write what a finger is printed from, in mm and in the finger's axes (x across, y along the pad's outward normal, z along
 the finger), so that the parts fit together:
@@ -65,12 +66,12 @@ PAINTS_EPILOG = """\
 example:
   finray design paints flat-70x35 --paint a.paint.json --paint b.paint.json --paint c.paint.json"""
 FILTERS_DESCRIPTION = """\
-Of a rig (TOML): choose the emission filters that give the smallest expected error of the emission spectrum of a paint,
+For a rig (TOML): choose the emission filters that give the smallest expected error of the emission spectrum of a paint,
 from a catalogue, with the rig's own laser, lamp and camera, and fit simulated paints with these and with the rig's
 filters. The filter at the laser stays; --keep CENTRE keeps another one of the rig, such as one below the laser, which
 shows what the paint absorbs under the lamp.
 
-Of a paint (JSON, written by 'finray fit'): rank the filters by how much of the variance of its spectrum each would
+For a paint (JSON, written by 'finray fit'): rank the filters by how much of the variance of its spectrum each would
 remove.
 
 A catalogue is a CSV file with the columns centre_nm, width_nm and peak_transmission (0 to 1); without one, plain
@@ -208,7 +209,7 @@ def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter,
     give(paint_name=paint.paint_name, next_filters=ranked)
     say(f"the next filter of '{paint.paint_name}', by the share of the spectrum's variance that it would remove:")
     for one in ranked[:_SHOWN_NEXT]:
-        say(f"  {one.filter.centre_nm:5g} nm, {one.filter.width_nm:g} nm wide  {one.reduction_rel:5.0%}")
+        say(f"  {one.filter.centre_nm:5g} nm, {one.filter.width_nm:g} nm wide  {100 * one.reduction_rel:4.0f} %")
 
 
 def _choose_filters(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter, ...]") -> None:

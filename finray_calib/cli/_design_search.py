@@ -47,8 +47,8 @@ Change the numbers of a finger within limits, and find the design that is best b
   twist-stiffness    stiffness against a turn of the tip
 
 A third of the evaluations screens the limits (Sobol' points); an emulator proposes the others one by one. The design of
-the best expected value is recommended, and compared with the start and with the best of the screen by other seeds and
-contact places, which the search has not seen. With several objectives (--and) the page shows the front: the best
+the best expected value is recommended, and compared with the start and with the best of the screening by other seeds
+and contact places, which the search has not seen. With several objectives (--and) the page shows the front: the best
 compromises, and which differences between them are real. 1 % of one objective then counts as 1 % of another.
 
 Each evaluation is stored as soon as it is finished: the same command continues where it was interrupted. Writes into
@@ -79,7 +79,7 @@ design with an uncertainty_rel that light depends on. Half-ranges that you do no
 last.
 
 By default each finger is calibrated as it was built. With --calibration shared all take the calibration of the finger
-as drawn, which says how well a calibration serves other fingers of the same drawing."""
+as drawn, which shows how well one calibration works for other fingers of the same drawing."""
 
 TOLERANCES_EPILOG = """\
 examples:
@@ -255,8 +255,8 @@ def _tell_optimum(optimum: "DesignOptimum") -> None:
         confirmed = ""
         if gain.confirmed_rel is not None and gain.confirmed_95_rel is not None:
             low, high = gain.confirmed_95_rel
-            confirmed = f", confirmed {gain.confirmed_rel:+.1%} ({low:+.1%} to {high:+.1%})"
-        say(f"  {gain.objective} against the {gain.against}: seen {gain.seen_rel:+.1%}{confirmed}")
+            confirmed = f", confirmed {100 * gain.confirmed_rel:+.1f} % ({100 * low:+.1f} % to {100 * high:+.1f} %)"
+        say(f"  {gain.objective} against the {gain.against}: seen {100 * gain.seen_rel:+.1f} %{confirmed}")
     front = front_rows(optimum)
     if len(optimum.objectives) > 1:
         say(f"  on the front: {len(front)} of {len(optimum.designs)} designs")

@@ -368,7 +368,7 @@ Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, 
 from which Taxim's programs render. The folder describes colour by slope and place only: the command reports how well it
 explains unseen presses.
 
-A capture request tells a lab which captures of a finger to take: a page, and plans for 'finray capture'.
+A capture request states which captures of a finger a lab should take: a page, and plans for 'finray capture'.
 
 A protocol is for any tactile sensor: a sheet to print, a table of presses, and twelve solids to print (STL) that are
 pressed beside balls, in about an hour.

@@ -128,7 +128,7 @@ def run(arguments: argparse.Namespace) -> None:
             products.add(arguments.report, _page(paint, bands, input_digests(files), budget).encode())
         write_record(paint, out, provenance(command_line(), input_digests(files), arguments.seed), products)
     if isinstance(paint, PaintWithoutEmission):
-        wrote(out, f"NO EMISSION of '{paint.paint_name}', no spectrum")
+        wrote(out, f"NO EMISSION found in '{paint.paint_name}', so there is no spectrum")
         give(paint_name=paint.paint_name, emission_found=False, energy_yield_limit=paint.detection.yield_limit)
         say(f"  {paint.detection.statement}")
         say("  is this the fluorescent sample, and was the laser on? --report PAGE shows it beside a blank")
@@ -164,11 +164,12 @@ def _say_scatter(scatter: "SessionScatter | None", files: Sequence[Path]) -> Non
     )  # fmt: skip
     for name, value in (("level", scatter.level_rel), ("single filters", scatter.filter_rel)):
         say(
-            f"  {f'between sessions, {name}':34s} {value.estimate:.1%} [{value.low95:.1%}, {value.high95:.1%}] "
+            f"  {f'between sessions, {name}':34s} {100 * value.estimate:.1f} % [{100 * value.low95:.1f} %, "
+            f"{100 * value.high95:.1f} %] "
             "(standard deviation, 95 %)"
         )
     for file, level in zip(files, scatter.session_levels_rel, strict=True):
-        say(f"    {file}: level {level:+.1%}")
+        say(f"    {file}: level {100 * level:+.1f} %")
 
 
 def _budget(
@@ -258,7 +259,7 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
     belief = ", belief: not measured" if paint.reradiation.prior_driven else ""
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
     if paint.prior_shares:
-        shares = ", ".join(f"{_LABELS[name]} {value.share:.0%}" for name, value in paint.prior_shares.items())
+        shares = ", ".join(f"{_LABELS[name]} {100 * value.share:.0f} %" for name, value in paint.prior_shares.items())
         say(f"  left of the prior's variance: {shares}")
     beside = "" if paint.spectrum_from in ("", paint.family_title) else " of the parameters beside the spectrum"
     say(f"  family{beside}: {paint.family_choice}")
@@ -342,7 +343,7 @@ def _report_map(fitted: "PaintMap") -> None:
     if fitted.unconverged_pixels:
         say(f"  warning: {fitted.unconverged_pixels} pixels did not converge")
     if fitted.worst_spots:
-        say(f"  spots whose yield departs. {spots_note(fitted)}")
+        say(f"  spots whose yield differs most from the median. {spots_note(fitted)}")
     for spot in fitted.worst_spots:
         say(f"  {spot_sentence(spot)}")
 
@@ -353,8 +354,8 @@ Fit the numbers of a sensor to a few captures of it: powers of its lights, yield
 one gain, shift, scale and blur of the picture, and the numbers of the design that --free names. DESIGN is a painted
 finger (with --paint) or a classic sensor, with the camera's size and lit as in the captures, which are presses of one
 sensor at one exposure with linear values. Each number keeps the prior that the design states ([uncertainty_rel], or
-what is usual for its [origin]); what the pictures do not determine is said. Depth and place of a press are fitted
-where its capture states their uncertainty. Beside the record a design with the fitted values is written."""
+what is usual for its [origin]); the command reports what the pictures do not determine. Depth and place of a press are
+fitted where its capture states their uncertainty. Beside the record a design with the fitted values is written."""
 _OUT_ENDING = ".sensor.json"
 
 
@@ -437,8 +438,8 @@ def _say_sensor_fit(fit: "SensorFit") -> None:
     for combination in fit.not_told_apart:
         say(f"  not distinguishable: {combination}")
     say(
-        f"  smooth error of the model {fit.discrepancy_rel.estimate:.1%}, of each block "
-        f"{fit.independent_rel.estimate:.1%}, residual {fit.residual_rel:.1%} of the picture's mean"
+        f"  smooth error of the model {100 * fit.discrepancy_rel.estimate:.1f} %, of each block "
+        f"{100 * fit.independent_rel.estimate:.1f} %, residual {100 * fit.residual_rel:.1f} % of the picture's mean"
     )
     say(f"  {'trusted' if fit.trusted else 'NOT trusted, see the notes'}")
     for note in fit.notes:
@@ -449,4 +450,5 @@ def _number_line(number: "FittedNumber") -> str:
     """Return a number before and after in one line."""
     unit = "" if number.unit == "1" else f" {number.unit}"
     told = "" if number.verdict == "determined" else f": {number.verdict.upper()}"
-    return f"{number.name:32s} {number.posterior}{unit} ({number.prior}), {number.left_of_prior_rel:.0%} left{told}"
+    left = f"{100 * number.left_of_prior_rel:.0f} % left{told}"
+    return f"{number.name:32s} {number.posterior}{unit} ({number.prior}), {left}"

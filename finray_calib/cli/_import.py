@@ -208,8 +208,8 @@ def add_ball_press_formats(formats: "argparse._SubParsersAction[argparse.Argumen
         parser = formats.add_parser(name, help=help_line, description=description)
         parser.add_argument("folder", type=Path, metavar="FOLDER", help="the calibration folder")
         taxim = name == "taxim"
-        ball = "default: 4, as of Taxim's own folders" if taxim else "needed unless the catalog gives it"
-        scale = "default: pixmm of params.json" if taxim else "needed; not px per mm"
+        ball = "default: 4, as of Taxim's own folders" if taxim else "required unless the catalog gives it"
+        scale = "default: pixmm of params.json" if taxim else "required; not px per mm"
         parser.add_argument("--ball-diameter-mm", type=float, metavar="D", help=f"of the ball ({ball})")
         parser.add_argument(
             "--mm-per-px", type=float, metavar="S", required=not taxim, help=f"side of a pixel on the gel ({scale})"
@@ -396,9 +396,9 @@ finray, by its name (--list shows them), or a file of your own. Videos give cont
 circles that are not drawn are searched for. OUT gets a capture of each press, a picture of all contacts to check
 (contacts.png), and circles.csv: correct it and give it with --circles.
 
-With --predict-from N, presses spread over the set teach a table, and each of the others gets beside its
-capture what the table predicts of it: 'finray compare OUT OUT' then scores these as a yardstick for
-simulators. Files with pickled objects are never opened."""
+With --predict-from N, presses spread over the set teach a table, and what it predicts of each other press is stored
+beside its capture: 'finray compare OUT OUT' then scores these as a yardstick for simulators. Files with pickled objects
+are never opened."""
 CAPTURE, PRESS = ".capture.json", ".press.json"
 CONTACTS, CIRCLES = "contacts.png", "circles.csv"
 
@@ -409,7 +409,7 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
         "captures", help="a folder of presses of any lab, read by a recipe", description=DESCRIPTION
     )
     parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="of the set, or a zip archive of it")
-    parser.add_argument("--recipe", metavar="NAME|FILE", help="how the folder is read; needed")
+    parser.add_argument("--recipe", metavar="NAME|FILE", help="how the folder is read; required")
     parser.add_argument("--list", action="store_true", help="list the recipes that come with finray, and stop")
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",

@@ -256,7 +256,7 @@ def _moving_bar(title: str) -> Iterator[Progress]:
         SpinnerColumn("line"),
         TextColumn("{task.description}"),
         BarColumn(bar_width=20),
-        TaskProgressColumn(),
+        TaskProgressColumn("[progress.percentage]{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
     )
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:

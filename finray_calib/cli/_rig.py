@@ -44,7 +44,7 @@ SHOW_HELP = "show what each device of a rig reports"
 SHOW_DESCRIPTION = """\
 Open each device of a rig on its own and print what it is, where the wheel stands, whether the lights are off, what
 switches them off when a process or the computer fails, one dark exposure of the camera, and the filters. Nothing moves
-and the lights stay off. A device that cannot be reached hides no other; the exit status is 2 then."""
+and the lights stay off. A device that cannot be reached does not hide the others; the exit status is 2 then."""
 
 
 PRACTICE_PAINTS = {"simulated": "red", "simulated-green": "green"}

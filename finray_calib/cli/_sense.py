@@ -61,7 +61,7 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a marker")
     parser.add_argument("--dictionary", default="DICT_4X4_50", metavar="NAME", help="of OpenCV (default: DICT_4X4_50)")
     parser.add_argument(
-        "--square-u-mm", type=float, metavar="MM", help="standard uncertainty of the side of a square; needed"
+        "--square-u-mm", type=float, metavar="MM", help="standard uncertainty of the side of a square; required"
     )
     parser.add_argument(
         "--coat-behind-mm", type=float, default=0.0, metavar="MM",
@@ -127,10 +127,10 @@ def _in_words(record: "PixelScale") -> str:
     lines = [
         f"  at column {middle.column_px:.0f}, row {middle.row_px:.0f} (middle of the board on the pad), standard "
         "uncertainty u:",
-        f"    along x  {middle.along_x_mm_per_px:.5g} mm/px, u = {middle.along_x_u_rel:.2%}",
-        f"    along y  {middle.along_y_mm_per_px:.5g} mm/px, u = {middle.along_y_u_rel:.2%}",
-        f"    mean     {middle.mean_mm_per_px:.5g} mm/px, u = {middle.mean_u_rel:.2%} "
-        f"({', '.join(f'{name} {u:.2%}' for u, name in u_middle)})",
+        f"    along x  {middle.along_x_mm_per_px:.5g} mm/px, u = {100 * middle.along_x_u_rel:.2f} %",
+        f"    along y  {middle.along_y_mm_per_px:.5g} mm/px, u = {100 * middle.along_y_u_rel:.2f} %",
+        f"    mean     {middle.mean_mm_per_px:.5g} mm/px, u = {100 * middle.mean_u_rel:.2f} % "
+        f"({', '.join(f'{name} {100 * u:.2f} %' for u, name in u_middle)})",
         f"  over the board {over.along_x_low_mm_per_px:.4g} to {over.along_x_high_mm_per_px:.4g} mm/px along x, "
         f"{over.along_y_low_mm_per_px:.4g} to {over.along_y_high_mm_per_px:.4g} mm/px along y",
         f"  in a plan: mm_per_px = {middle.mean_mm_per_px:.5g}, mm_per_px_u_rel = {middle.mean_u_rel:.2g}",
@@ -319,7 +319,7 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
     if record.held_out_depth_rms_mm is not None and record.held_out_height_error_rel is not None:
         off = float((record.held_out_height_error_rel**2).mean() ** 0.5)
         say(f"  depth inside the contact {_spread(record.held_out_depth_rms_mm, 3)} mm rms; height from rim to middle")
-        say(f"  wrong by {off:.1%} rms, {record.held_out_height_error_rel.mean():+.1%} on average")
+        say(f"  wrong by {100 * off:.1f} % rms, {100 * record.held_out_height_error_rel.mean():+.1f} % on average")
 
 
 def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path | None) -> "list[TactileCapture]":

@@ -51,15 +51,15 @@ NOTHING_KEPT = "Nothing is stored before its end: the same command begins again"
 
 RENDER_HELP = "render a painted finger or a classic sensor without and with contact, as its camera sees it"
 RENDER_DESCRIPTION = """\
-Render the contact and no-contact image of a finger with calibrated paints. Of a DESIGN the indenter is pressed in by a
-formula; of SURFACES, which 'finray simulate press' wrote, the finger has the deformed shape that they hold.
+Render the contact and no-contact image of a finger with calibrated paints. With a DESIGN the indenter is pressed in by
+a formula; with SURFACES, which 'finray simulate press' wrote, the finger has the deformed shape that they hold.
 
 Levels: b (default) the walls re-emit the blue light that reaches them; a the paper's emitter, textured by the
 distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only); c the
 reference, fluorescence traced along every path: the mean of b without its smoothing, much noisier.
 
 A DESIGN of kind = "sensor" ('finray design init gelsight-flat' writes one) is rendered as a classic sensor: coloured
-lights, no paints. Into its coat it presses its indenter, a ball, cylinder, cuboid or mesh, or takes the coat from a
+lights, no paints. Its indenter (a ball, cylinder, cuboid or mesh) is pressed into its coat, or the coat comes from a
 height map or mesh ([surface])."""
 
 SWEEP_HELP = "measure the brightness beside the indenter over the angle of the light"
@@ -247,7 +247,10 @@ def spelled_now(words: Sequence[str]) -> list[str]:
 
 def _told(now: list[str]) -> list[str]:
     """Return the words of a command after telling that they are spelled so now."""
-    warn(f"this spelling is of an earlier version and ends with the next one; type now: {shlex.join(['finray', *now])}")
+    warn(
+        f"this spelling belongs to an earlier version and will be removed in the next one; type now: "
+        f"{shlex.join(['finray', *now])}"
+    )
     return now
 
 

@@ -333,7 +333,9 @@ def _store(
         write_record(mechanics, files["mechanics"], origin, products)
     _tell(mechanics, files)
     if pressed.crossing:
-        remedy = "press with --contact barrier, or less" if pressed.motion is None else "give a path that pushes less"
+        remedy = (
+            "press with --contact barrier, or less deeply" if pressed.motion is None else "give a path that pushes less"
+        )
         warn(f"warning: {pressed.crossing}; its results from there on are not physical: {remedy}")
     if mechanics.motion is None:
         tell_few_nodes(pressed, mechanics)
@@ -394,7 +396,7 @@ def _tell_motion(mechanics: "PressMechanics", motion: "PressMotion") -> None:
     )  # fmt: skip
     for move, turn, force, torque, patch, stuck in rows:
         where = f"move {_three(move, '.2f')} mm  turn {_three(turn, '.1f')} deg"
-        share = f"{stuck / patch:4.0%} of {patch:.3g} mm2 sticks" if patch > 0.0 else "nothing touches"
+        share = f"{100 * stuck / patch:3.0f} % of {patch:.3g} mm2 sticks" if patch > 0.0 else "nothing touches"
         say(f"  {where}  force {_three(force, '.3f')}  torque {_three(torque, '.2f')}  {share}")
 
 
@@ -409,9 +411,9 @@ LARGEST_BUDGET_S = 1e6
 
 PRESS_HELP = "press the indenter into a finger by finite elements"
 PRESS_DESCRIPTION = """\
-Press the indenter of the design into the finger by finite elements, as finely as the design's [mesh] table says. Stored
-are force over push (NAME.mechanics.json), the deformed finger (NAME.surfaces.json, for 'finray simulate render'), its
-mesh (.vtu) and a picture, and each increment on the way, from which an interrupted press continues."""
+Press the indenter of the design into the finger by finite elements, as finely as the design's [mesh] table says. The
+command stores force over push (NAME.mechanics.json), the deformed finger (NAME.surfaces.json, for 'finray simulate
+render'), its mesh (.vtu) and a picture, and each increment on the way, from which an interrupted press continues."""
 
 
 def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -442,8 +444,8 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--contact", choices=["auto", "penalty", "barrier"], default="auto",
-        help="penalty (fast, no friction), barrier (friction, any indenter, contact of ribs) or auto (default: penalty "
-        "where it can)",
+        help="penalty (fast, no friction), barrier (friction, any indenter, contact of ribs) or auto (default: "
+             "penalty where it can be used)",
     )  # fmt: skip
     parser.add_argument(
         "--sensitivities", action="store_true",
@@ -452,7 +454,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--engine", choices=["auto", "calculix"], default="auto",
-        help="auto (default): the elements here; calculix: the program CalculiX",
+        help="auto (default): finray's own elements; calculix: the program CalculiX",
     )  # fmt: skip
     add_out(parser, "NAME.mechanics.json, with the others beside it")
     parser.set_defaults(run=run_press, long_work=_long_press)
@@ -512,12 +514,13 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
     if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
-            "--force presses from first touch by the penalty of the elements here; leave out --force, or --resume, "
+            "--force presses from first touch with the penalty and finray's own elements; leave out --force, or "
+            "--resume, "
             "--sensitivities, --contact barrier and --engine"
         )
     if path and (calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
-            f"{path} moves the indenter from first touch by the penalty of the elements here; leave it out, or "
+            f"{path} moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
             "--force, --resume, --sensitivities, --contact barrier and --engine"
         )
     if arguments.sensitivities and (calculix or resumes):
@@ -526,7 +529,8 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         )
     if arguments.budget is not None and (calculix or arguments.sensitivities):
         raise SimulateError(
-            "--budget is of one press by the elements here; leave it out, or --engine calculix and --sensitivities"
+            "--budget is for one press with finray's own elements; leave it out, or --engine calculix and "
+            "--sensitivities"
         )
     if calculix and resumes:
         raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
@@ -560,5 +564,5 @@ def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> Non
     if short > LARGEST_UNTOLD_REL:
         warn(
             f"warning: the coat's elements of {step_mm:g} mm are wide for this indenter and push of {push_mm:.4g} mm: "
-            f"at this push the force is some {short:.0%} too low; {remedy}"
+            f"at this push the force is some {100 * short:.0f} % too low; {remedy}"
         )

@@ -53,11 +53,10 @@ colours, and say which statements hold and why the others do not. The materials 
 the paper's eight filters, with errors of 1 % and 0.3 %, and fitted twice: by the paper's curve alone,
 and by the model of 'finray fit' with its 95 % band. Writes a record and a figure."""
 PAPER_PAINTS_EPILOG = """\
-The materials are re-radiation (Donaldson) matrices as CSV: first column emission_nm, then one column
-for each excitation wavelength in nm, values as radiance factor in the emission band; lines that start
-with # are comments. Needed are excitations from 380 to 450 nm and emission from 470 to 780 nm. Open
-ones (BSD-3-Clause): the Post-it notes of github.com/afichet/spectral-exr, the inks and textiles of
-github.com/afichet/fluorescence-rgb.
+The materials are re-radiation (Donaldson) matrices as CSV: first column emission_nm, then one column for each
+excitation wavelength in nm, values as radiance factor in the emission band; lines that start with # are comments.
+Excitations from 380 to 450 nm and emission from 470 to 780 nm are needed. Open ones (BSD-3-Clause): the Post-it notes
+of github.com/afichet/spectral-exr, the inks and textiles of github.com/afichet/fluorescence-rgb.
 
 example:
   finray study paper-paints --red ink.csv --green textile.csv --out study"""
@@ -279,10 +278,16 @@ def _tell_fluorescent(study: "FluorescentRendering") -> None:
     for d in study.differences:
         if d.state == "contact" and d.band != "led":
             name = "as printed (proportional to distance)" if d.level == "a" else "inverse square of the distance"
-            say(f"  {name:38s} {d.band:6s} {d.shape_error_rel:6.1%} off (render noise {d.noise_rel:.1%})")
+            say(
+                f"  {name:38s} {d.band:6s} {100 * d.shape_error_rel:5.1f} % off (render noise "
+                f"{100 * d.noise_rel:.1f} %)"
+            )
     for k, wall in enumerate(study.walls):
-        off = ", ".join(f"{v:.0%}" for v in study.wall_error_rel[:-1, k])
-        say(f"  {wall} wall along z: {off} off; {study.second_order_wall_share[wall]:.1%} excited by other paint")
+        off = ", ".join(f"{100 * v:.0f} %" for v in study.wall_error_rel[:-1, k])
+        say(
+            f"  {wall} wall along z: {off} off; {100 * study.second_order_wall_share[wall]:.1f} % excited by other "
+            f"paint"
+        )
     means = study.wall_by_angle_rel.mean(axis=2) / study.wall_radiance_rel[-1].mean(axis=1)
     told = ", ".join(f"{angle:g} deg {mean[0]:.2f}" for angle, mean in zip(study.angles_deg, means, strict=True))
     say(f"  red wall by light angle (the paper's rule: no change): {told}")
@@ -316,8 +321,8 @@ def _tell_light_angle(study: "LightAngleIntensity") -> None:
         for top in study.maxima:
             if top.probe == probe:
                 angle = interval_text(top.angle_deg, top.low95_deg, top.high95_deg, most_decimals=1)
-                limits = f"[{top.loss_at_printed_low95_rel:.1%}, {top.loss_at_printed_high95_rel:.1%}]"
-                lost = f"loss {top.loss_at_printed_rel:5.1%} {limits}"
+                limits = f"[{100 * top.loss_at_printed_low95_rel:.1f} %, {100 * top.loss_at_printed_high95_rel:.1f} %]"
+                lost = f"loss {100 * top.loss_at_printed_rel:4.1f} % {limits}"
                 say(f"  {top.mirror:15s}{_BANDS[top.band]:15s}{angle:>18s} deg  {lost}")
         depths = {f"{study.led_depth_mm:g}": tuple(study.elevation_deg.tolist()), **study.elevation_by_depth_deg}
         told = ", ".join(f"{_whole(depths[mm][p])} deg ({mm} mm)" for mm in sorted(depths, key=float))
@@ -367,7 +372,7 @@ def add_stiffness_study(studies: "argparse._SubParsersAction[argparse.ArgumentPa
     parser.add_argument("designs", nargs="+", metavar="DESIGN", help="finger design (TOML), or the name of a preset")
     parser.add_argument(
         "--vary", type=_percent, default=20.0, metavar="PERCENT",
-        help="change of the assumed dimensions, 0 to 50 (default 20); 0 leaves them",
+        help="change of the assumed dimensions, 0 to 50 (default 20); 0 leaves them unchanged",
     )  # fmt: skip
     add_out(parser, f"{STIFFNESS_NAME}, a folder")
     parser.set_defaults(run=run_stiffness_study)

@@ -47,7 +47,7 @@ RUN_DESCRIPTION = """\
 Change one finger as a plan (TOML) says, and compute every variant: press, images, colours, evenness, how the touch
 shows, force. Points are computed by worker processes, as many as cores and memory allow; what points share is computed
 once. Each point is stored as soon as it is finished: an interrupted study continues with the same command. A point that
-fails leaves its reason and stops no other.
+fails is stored with its reason and does not stop the others.
 
 Writes into the folder of the study: points/ (a record each), table.csv (one row a point), study.json, study.html.
 
@@ -74,7 +74,7 @@ examples:
   finray study run tilt.toml --paint red=r.json --paint green=g.json
   finray study run big.toml --scheduler tcp://10.0.0.5:8786
 
-A Dask scheduler is one whose workers see the same folders.
+The workers of a Dask scheduler must see the same folders.
 Plans that come with finray: """
 SHOW_HELP = "show the table of a design study"
 DATASET_HELP = "make a data set for learning: random presses of a finger, rendered, with depth, normals and labels"
@@ -198,7 +198,7 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     paints, files = _paints(arguments) if plan.measure.images else (StudyPaints({}, {}), [])
     out = require_place(arguments.out or Path(file_name(plan.name)))
     if out.exists() and any(out.iterdir()) and not any((out / name).is_dir() for name in ("points", "presses")):
-        raise SimulateError(f"{out}: holds something else than a design study; choose another --out")
+        raise SimulateError(f"{out}: holds something other than a design study; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
     clear_leftovers(out)
     origin = provenance(command_line(), input_digests([path, *files]), plan.seed)
@@ -251,7 +251,7 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
     paints, sources, files = _drawn_paints(arguments)
     out = require_place(arguments.out or Path(f"{file_name(plan.design.name)}-dataset"))
     if out.exists() and any(out.iterdir()) and not (out / "shards").is_dir():
-        raise SimulateError(f"{out}: holds something else than a data set; choose another --out")
+        raise SimulateError(f"{out}: holds something other than a data set; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
     clear_leftovers(out)
     read = [] if path is None else design_inputs(plan.design, path)
@@ -315,7 +315,7 @@ def _drawn_paints(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws]
 _DATASET_NOTES = (
     "no camera: no shot or read noise, no defocus, no lens beside that of the design; the render's own noise is in "
     "render_noise_rel, and is the same without and with contact where nothing moves, so a difference of the two "
-    "pictures is calmer than a camera's: add the noise of yours while training",
+    "pictures has less noise than a camera's: add the noise of yours while training",
     "no error of the model: materials, dimensions and the camera's response are those of the design in every sample, "
     "and a network trained here has not seen a real finger",
     "no wear, dirt, or other light; no more than one contact; no slip of the indenter along the pad",

@@ -116,7 +116,7 @@ def _replay(tree: "Traced") -> int:
     return 0 if outcome.agrees else NOT_AS_WRITTEN
 
 
-VERIFY_HELP = "check that a session or a folder of products is as it was written"
+VERIFY_HELP = "check that a session or a folder of products is unchanged"
 VERIFY_DESCRIPTION = """\
 Hash again every file of a folder that a record, a session or a list of checksums names. The command names files that
 are missing, were changed, or were made again after something was made from them ("stale"). In a session it also

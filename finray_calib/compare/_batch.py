@@ -264,7 +264,7 @@ class PairRow:
 
 
 def pairs_of_rows(rows: Sequence[Mapping[str, str | None]]) -> list[PairRow]:
-    """Return the pairs of a table: simulated, captured, and name, simulator, press, session, sensor if it likes.
+    """Return the pairs of a table: simulated, captured; optionally name, simulator, press, session, sensor.
 
     Raises
     ------

@@ -392,7 +392,7 @@ def _require_contact(region: Region, sums: RegionSums, weights: Floats) -> None:
     if not signal > LEAST_SIGNAL * noise:
         raise CompareError(
             f"contact changes nothing in the region '{region.name}' beyond the camera's noise; there is nothing to "
-            "explain: check that the contact image is one, that the region lies on the contact, or press deeper"
+            "explain: check that the contact image shows contact, that the region lies on the contact, or press deeper"
         )
 
 

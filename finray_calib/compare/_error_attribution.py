@@ -529,7 +529,7 @@ def _in_pixels(cause: Cause, theta: Floats, u: Floats, px: float) -> tuple[Cause
 def _advice(cause: Cause, theta: Floats, px: float) -> str:
     """Return what to do about a cause, with its size."""
     first = float(theta[0])
-    more, share = ("more", "weaker") if first > 0.0 else ("less", "stronger"), f"{abs(first):.0%}"
+    more, share = ("more", "weaker") if first > 0.0 else ("less", "stronger"), f"{100 * abs(first):.0f} %"
     if cause == "pose":
         dx, dy = px * theta
         return (
@@ -548,12 +548,14 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
     if cause == "gain":
         worst = float(theta[int(np.abs(theta).argmax())])
         return (
-            f"a channel of the contact image is {abs(np.expm1(worst)):.1%} {'brighter' if worst > 0 else 'darker'} "
+            f"a channel of the contact image is {100 * abs(np.expm1(worst)):.1f} % "
+            f"{'brighter' if worst > 0 else 'darker'} "
             "than simulated, everywhere: lock exposure and white balance, and take an image without contact just before"
         )
     if cause == "shading":
         return (
-            f"the change of light across the picture differs by up to {float(np.abs(theta).max()):.1%} from the "
+            f"the change of light across the picture differs by up to {100 * float(np.abs(theta).max()):.1f} % from "
+            f"the "
             f"simulated one: "
             "check how the lights fall off, and let them warm up"
         )

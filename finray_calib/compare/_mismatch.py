@@ -225,7 +225,7 @@ def _gain_findings(nuisances: Nuisances, repeat: Floats | None, capture: Tactile
     elif not gain.is_refused:
         text += "it was not taken out, because it may be an error of the render; "
     elif (gain.uneven > size)[channel] and size[channel] <= np.log1p(REFUSED_GAIN_REL):
-        text += f"across the picture it changes by {gain.uneven[channel]:.1%}, so it is not a gain; "
+        text += f"across the picture it changes by {100 * gain.uneven[channel]:.1f} %, so it is not a gain; "
     text += "capture both with the same exposure, gain, white balance and bit depth"
     return [Finding("refuse" if gain.is_refused else "warn", "exposure", text)]
 
@@ -253,13 +253,15 @@ def _clipped_findings(press: SimulatedPress, capture: TactileCapture, images: tu
         if not where.any() or bright[where].any(axis=1).mean() <= _TOLD_CLIPPED:
             continue
         shares = ", ".join(
-            f"{channel} {share:.1%}" for channel, share in zip(_CHANNELS, bright[where].mean(axis=0), strict=True)
+            f"{channel} {100 * share:.1f} %"
+            for channel, share in zip(_CHANNELS, bright[where].mean(axis=0), strict=True)
         )
         findings.append(
             Finding(
                 "warn",
                 "levels",
-                f"{bright[where].any(axis=1).mean():.0%} of the {name} lies at {_NEARLY:.0%} of full scale or more, "
+                f"{100 * bright[where].any(axis=1).mean():.0f} % of the {name} lies at {100 * _NEARLY:.0f} % of full "
+                f"scale or more, "
                 f"with or without contact ({shares}): clipped pixels are left out of every score, and those near "
                 f"full scale are compressed; capture with a shorter exposure",
             )
@@ -320,8 +322,9 @@ class BetterOrder:
     def __str__(self) -> str:
         """Say it with its numbers."""
         return (
-            f"{self.order} much better than as RGB (they differ by {self.differs_rel:.1%} against "
-            f"{self.differs_as_stored_rel:.1%} after one gain; their patterns correlate by {self.correlation:.2f} "
+            f"{self.order} much better than as RGB (they differ by {100 * self.differs_rel:.1f} % against "
+            f"{100 * self.differs_as_stored_rel:.1f} % after one gain; their patterns correlate by "
+            f"{self.correlation:.2f} "
             f"against {self.correlation_as_stored:.2f})"
         )
 
@@ -483,7 +486,7 @@ def _depth_findings(name: str, counts: Counts, full_scale_dn: int, bits: int) ->
             (
                 True,
                 f"{pixels[-1]} values of {name} stand at exactly {highest} DN{smaller}, none above, and full scale is "
-                f"recorded as {full_scale_dn} DN ({bits} bit): they are clipped and would pass for light; {_MEND}",
+                f"recorded as {full_scale_dn} DN ({bits} bit): they are clipped and would count as light; {_MEND}",
             )
         )
     return findings

@@ -598,7 +598,11 @@ def _origins(inputs: Inputs, capture: TactileCapture) -> dict[str, tuple[Evaluat
         found[WALLS] = ("A", "difference of the render's independent halves, with a prior")
     if inputs.drift is not None:
         scale, freedom = inputs.drift
-        origin = f"{scale:.2%}, from the repeat of the no-contact image" if freedom > 3 else f"{PRIOR_DRIFT_REL:.1%}"
+        origin = (
+            f"{100 * scale:.2f} %, from the repeat of the no-contact image"
+            if freedom > 3
+            else f"{100 * PRIOR_DRIFT_REL:.1f} %"
+        )
         found[DRIFT] = ("A" if freedom > 3 else "B", f"{origin} and what real sensors show")
     found[PIXELS] = ("A", "difference of both no-contact images at pixel scale, and of the render's halves")
     return found

@@ -347,7 +347,7 @@ def _require_same_indenter(name: str, rendered: Indenter, capture: TactileCaptur
     if abs(rendered.radius_mm / captured.radius_mm - 1.0) > _SAME_RADIUS_REL * (1.0 + 1e-9):
         raise CompareError(
             f"{name} presses a {_described(rendered)}, {capture.name} a {_described(captured)}; the radii may differ "
-            f"by at most {_SAME_RADIUS_REL:.0%}: simulate with the capture's indenter.radius_mm"
+            f"by at most {100 * _SAME_RADIUS_REL:.0f} %: simulate with the capture's indenter.radius_mm"
         )
 
 

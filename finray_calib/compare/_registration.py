@@ -127,7 +127,8 @@ def register(rendered: Floats, captured: Floats, mask: Mask | None = None) -> Re
     usable = moving_usable & fixed_usable & (True if mask is None else mask)
     if usable.mean() < LEAST_SHARE_OF_PICTURE:
         raise CompareError(
-            f"only {usable.mean():.1%} of the picture is usable on both sides, at least {LEAST_SHARE_OF_PICTURE:.0%} "
+            f"only {100 * usable.mean():.1f} % of the picture is usable on both sides, at least "
+            f"{100 * LEAST_SHARE_OF_PICTURE:.0f} % "
             "is needed to register: expose the capture so that less of it is clipped"
         )
     matrix, motion = _simplest_map(moving, fixed, usable)
@@ -239,7 +240,8 @@ def _require_trustworthy(found: Registration, side_px: int) -> None:
         reasons.append(f"it moves the render by up to {found.largest_move_px:.1f} px, {largest_px:.0f} px are allowed")
     if max(abs(found.scale_x - 1), abs(found.scale_y - 1)) > LARGEST_SCALE_CHANGE:
         reasons.append(
-            f"it changes the scale to {found.scale_x:.3f} and {found.scale_y:.3f}, {LARGEST_SCALE_CHANGE:.0%} is "
+            f"it changes the scale to {found.scale_x:.3f} and {found.scale_y:.3f}, {100 * LARGEST_SCALE_CHANGE:.0f} "
+            f"% is "
             "allowed"
         )
     if abs(found.rotation_deg) > LARGEST_ROTATION_DEG:
@@ -247,7 +249,7 @@ def _require_trustworthy(found: Registration, side_px: int) -> None:
     largest_residual_px = max(LARGEST_RESIDUAL_PX, LARGEST_RESIDUAL_OF_MOVE * found.move_px)
     if not found.residual_px <= largest_residual_px:
         reasons.append(
-            f"two halves of the picture disagree: it is known to {found.residual_px:.1f} px only, "
+            f"two halves of the picture disagree: the move is known to {found.residual_px:.1f} px only, "
             f"{largest_residual_px:.1f} px are allowed"
         )
     if reasons:

@@ -350,8 +350,9 @@ def _notes(
     notes = [
         *dict.fromkeys(note for swept in sweeps for note in swept.notes),
         f"the panel sits at x, y, z = {', '.join(f'{p:g}' for p in light.position_mm)} mm and the mirror reflects "
-        f"{sweep.design.mirror.reflectance:.0%}: the best angle depends on both and on the probe points",
-        f"scatter of one value about the curve: {max(c.noise_rel for c in decision.curves):.1%}, of render noise, "
+        f"{100 * sweep.design.mirror.reflectance:.0f} %: the best angle depends on both and on the probe points",
+        f"scatter of one value about the curve: {100 * max(c.noise_rel for c in decision.curves):.1f} %, of render "
+        f"noise, "
         "which is averaged over the repeats; the scatter of the paint draws is kept: the real paint is one of them",
     ]
     if on.aim == "normal":
@@ -383,13 +384,13 @@ def _note_on_error(captures: CaptureErrors) -> str:
     if not captures.names:
         return (
             "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
-            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are the mean over such "
-            "errors: for a finger that has one kind of them they are mostly too low, and only captures can show it"
+            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are the mean over such errors: for a "
+            f"finger with only one kind of error they are mostly too low, and only captures can show it"
         )
     compared = (
-        "relative to the no-contact image of each capture, so an error that contact and no-contact image share is "
-        "not seen; it is assumed that they see almost nothing of it with a probability of 1/2, else any share, and "
-        "they never settle the decision"
+        "relative to the no-contact image of each capture, so an error that both images share is not seen; such "
+        "captures are assumed to see almost nothing of it with a probability of 1/2, else any share of it, and they "
+        "never settle the decision"
         if captures.scale_of is None
         else "by exposure and LED current, up to one unknown scale for each rig"
     )
@@ -524,7 +525,7 @@ def decision_sentence(
     parts = [_ground(decision, captures_deg), _odds(decision, tolerance_rel)]
     if decision.verdict == "tie":
         ranges = " or ".join(f"{low:.0f} to {high:.0f} deg" for low, high in decision.risk.equivalent_deg)
-        parts.append(f"Any angle from {ranges} will do.")
+        parts.append(f"Any angle from {ranges} is suitable.")
     if decision.verdict == "undecided" and not decision.at_range_end:
         parts.append("The renders are still too noisy to choose; more repeats or samples will help.")
         if next_render is not None:

@@ -133,7 +133,7 @@ class JudgedDesigns:
     apart
         1 where a design is really worse than the chosen one, -1 where it is really better, 0 elsewhere, (N, K).
     gain_draws
-        Losses of the start and of the best of the screen less those of the chosen design, (2, draws, K).
+        Losses of the start and of the best of the screening less those of the chosen design, (2, draws, K).
     regret_draws
         Sum of the losses of the chosen design less the least one within the limits, (draws,).
     """
@@ -178,7 +178,7 @@ def judge_designs(
     inputs
         Computed designs (N, D), from 0 to 1.
     compared
-        Numbers from 0 of the start, of the best of the screen and of the chosen design.
+        Numbers from 0 of the start, of the best of the screening and of the chosen design.
     seed
         Of draws and of the designs that are compared with.
     """
@@ -212,7 +212,7 @@ def design_gains(
     judged
         By :func:`judge_designs`.
     seen
-        Computed losses of the start, the best of the screen and the chosen design, (3, K).
+        Computed losses of the start, the best of the screening and the chosen design, (3, K).
     objectives
         K of them.
     confirmed
@@ -290,7 +290,7 @@ def design_optimum(
     searched
         The designs, the chosen one last.
     confirmed
-        Losses of start, best of the screen and chosen design with other random numbers, (seed, 3, K); None: not done.
+        Losses of start, best of the screening and chosen design with other random numbers, (seed, 3, K), or None.
     seed
         Of the draws.
     notes
@@ -369,7 +369,7 @@ def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: fl
     whole = "" if len(searched.objectives) == 1 else " in all objectives together (ratios multiplied)"
     return (
         f"{build}. With 95 % probability no design within the limits is better by more "
-        f"than {100 * regret_95:.1f} %{whole}, as far as the emulator knows."
+        f"than {100 * regret_95:.1f} %{whole}, according to the emulator."
     )
 
 

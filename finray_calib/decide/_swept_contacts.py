@@ -285,7 +285,7 @@ class OtherOptimum:
         best, decided = (f"{value:.3g}" if self.unit == "1" else f"{value:.3g} {self.unit}" for value in self.values)
         return (
             f"{self.name} {verdict}: best at {self.best_deg:.0f} deg{end} with {best}, {decided} at the decided angle; "
-            f"loss {self.loss_rel:.1%} ({self.loss_low_rel:.1%} to {self.loss_high_rel:.1%})"
+            f"loss {100 * self.loss_rel:.1f} % ({100 * self.loss_low_rel:.1f} % to {100 * self.loss_high_rel:.1f} %)"
         )
 
 

@@ -1,6 +1,6 @@
-"""Speak other people's formats: every foreign import and export, one file per format.
+"""Read and write the formats of other programs: every foreign import and export, one file per format.
 
-A calibrated paint leaves as CSV, JSON, netCDF (ArviZ), SPDX, Mitsuba spectrum, reduced RGB matrix or bispectral
+A calibrated paint is exported as CSV, JSON, netCDF (ArviZ), SPDX, Mitsuba spectrum, reduced RGB matrix or bispectral
 OpenEXR, all by name from `PAINT_FORMATS`. Captures of other labs come in as folders of band images, of Raspberry Pi
 pictures, of ball presses, of 9DTact or Taxim calibrations, measured force as CSV; renders of any simulator as folders.
 Captures go out as one zip archive, renders, meshes, printable parts, board calibrations, capture requests and

@@ -215,7 +215,7 @@ class ToldCircle:
 
 
 def read_circles(path: Path) -> dict[str, ToldCircle]:
-    """Return image name -> contact circle of a CSV file (image, column_px, row_px, radius_px, and told_by if it likes).
+    """Return image name -> contact circle of a CSV file (image, column_px, row_px, radius_px, optionally told_by).
 
     Raises
     ------

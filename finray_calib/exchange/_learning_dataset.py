@@ -223,7 +223,7 @@ Or with the standard library: `tarfile` yields the files in order; the key ends 
 _ANALYTIC: Final = "analytic: the pad takes the indenter's shape at once and keeps its volume; no mechanics is solved"
 _NO_LICENCE: Final = """\
 Not stated: the samples hold nothing but what the command above computed from the design and the paints, so whoever ran
-it may say here under which licence they are given on."""
+it may say here under which licence they are passed on."""
 
 
 def dataset_card(dataset: LearningDataset, origin: Provenance, has_parquet: bool) -> bytes:

@@ -130,7 +130,7 @@ def json_text(paint: PaintCalibration, spectra: PaintSpectra, origin: Provenance
         "family_choice": paint.family_choice,
         "warnings": list(paint.warnings),
         "model": "radiance factor per nm (energy): D(out, in) = emission_per_nm(out) * absorption_rel(in) * in / "
-        "excitation_nm for out > in, else 0; reflectance is apart",
+        "excitation_nm for out > in, else 0; reflectance is listed separately",
         "emission": {
             "quantity": QUANTITY,
             "excitation_nm": spectra.laser_nm,

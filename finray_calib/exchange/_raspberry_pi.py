@@ -314,8 +314,9 @@ def _from_processed(
         for name, image in processed.items()
     }
     worst_rel = float(np.nanmax([e.typical_uncertainty_rel() for e in estimates.values()]))
-    statement = f"linear estimate from 8 bits, typical standard uncertainty {worst_rel:.1%} of the value; " + "; ".join(
-        estimates["contact"].steps
+    statement = (
+        f"linear estimate from 8 bits, typical standard uncertainty {100 * worst_rel:.1f} % of the value; "
+        + "; ".join(estimates["contact"].steps)
     )
     return _Linear(_stored({n: e.values_rel for n, e in estimates.items()}), "RGB", 16, PEDESTAL_DN, statement)
 

@@ -203,7 +203,7 @@ class CaptureContainer:
 
 
 def capture_container(place: Path) -> CaptureContainer:
-    """Return what of a folder goes into a container, after every record in it was read and found complete.
+    """Return which files of a folder go into a container, after every record in it was read and found complete.
 
     Captures and simulated presses go in with their arrays, and what belongs to all: the picture of the contacts, the
     list of circles, texts named README or LICENSE.

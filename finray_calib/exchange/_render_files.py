@@ -361,7 +361,7 @@ def _distance(
                 f"above 0, got shape {depth.shape}; positive is into the gel"
             )
         inside = depth > LEAST_DEPTH_SHARE * depth.max()
-        return outline_distance(inside), f"where {DEPTH} exceeds {LEAST_DEPTH_SHARE:.0%} of its largest depth"
+        return outline_distance(inside), f"where {DEPTH} exceeds {100 * LEAST_DEPTH_SHARE:.0f} % of its largest depth"
     if (folder / MASK).is_file():
         mask = read_picture(folder / MASK, "a mask (PNG)", ImportFormatError)
         touched: NDArray[np.bool_] = np.asarray(mask if mask.ndim == 2 else mask.max(axis=2)) > 0

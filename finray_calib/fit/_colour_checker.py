@@ -129,7 +129,9 @@ def find_colour_checker(linear_rgb: Floats, reference: Floats) -> ColourCheckerP
         if best is not None and best[0].mismatch_rel < GOOD_MISMATCH_REL:
             break
     if best is None or best[0].mismatch_rel > LARGEST_MISMATCH_REL:
-        seen = "" if best is None else f" (the colours of the best candidate differ by {best[0].mismatch_rel:.0%})"
+        seen = (
+            "" if best is None else f" (the colours of the best candidate differ by {100 * best[0].mismatch_rel:.0f} %)"
+        )
         raise RadiometryError(
             f"no ColorChecker is found in the frame of {linear_rgb.shape[0]} x {linear_rgb.shape[1]} cells{seen}: the "
             "whole chart must be in view and unshaded, its patches at least 10 cells (20 px) a side"
@@ -138,7 +140,8 @@ def find_colour_checker(linear_rgb: Floats, reference: Floats) -> ColourCheckerP
     if clipped.max() > LARGEST_CLIPPED_FRACTION:
         numbers = ", ".join(str(n + 1) for n in np.flatnonzero(clipped > LARGEST_CLIPPED_FRACTION))
         raise RadiometryError(
-            f"patches {numbers} of the ColorChecker are clipped (at most {LARGEST_CLIPPED_FRACTION:.1%} of a patch may "
+            f"patches {numbers} of the ColorChecker are clipped (at most {100 * LARGEST_CLIPPED_FRACTION:.1f} % of a "
+            f"patch may "
             "be at full scale); use a shorter exposure"
         )
     return patches
@@ -263,7 +266,8 @@ def _paint_mean(cells: Floats, session: CaptureSession) -> Floats:
     clipped = float(np.isnan(paint).any(axis=1).mean()) if len(paint) else 1.0
     if clipped > LARGEST_CLIPPED_FRACTION:
         raise RadiometryError(
-            f"the painted region is clipped in {clipped:.1%} of its cells (at most {LARGEST_CLIPPED_FRACTION:.1%} is "
+            f"the painted region is clipped in {100 * clipped:.1f} % of its cells (at most "
+            f"{100 * LARGEST_CLIPPED_FRACTION:.1f} % is "
             "allowed); use a shorter exposure"
         )
     return np.asarray(np.nanmean(paint, axis=0))
@@ -300,7 +304,8 @@ def _record(patches: ColourCheckerPatches, paint_dn: Floats, frame: Frame, passe
             f"reflectance of ColorChecker patch '{closest.patch}', the closest to the paint in room light (CIEDE2000 "
             f"{closest.delta_e:.1f}; next '{runner_up.patch}' {runner_up.delta_e:.1f}; the camera predicts the patches "
             f"themselves within {np.median(match.camera_delta_e):.1f}): used in place of a measurement, with "
-            f"{uncertainty_rel:.0%} relative standard uncertainty (+- {sd:.2f} at every wavelength); light that the "
+            f"{100 * uncertainty_rel:.0f} % relative standard uncertainty (+- {sd:.2f} at every wavelength); light "
+            f"that the "
             f"paint re-emits is part of its "
             "colour"
         ),

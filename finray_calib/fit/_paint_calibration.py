@@ -490,7 +490,9 @@ def fit_warnings(
         )
     below = float(np.median(posterior.share_below_laser))
     if below > LARGEST_SHARE_BELOW_LASER:
-        said.append(f"{below:.0%} of the fitted curve lies below the laser line, where no paint can emit; it was cut")
+        said.append(
+            f"{100 * below:.0f} % of the fitted curve lies below the laser line, where no paint can emit; it was cut"
+        )
     return tuple(said)
 
 
@@ -500,7 +502,8 @@ def energy_warnings(reported: ReportedSpectrum) -> tuple[str, ...]:
         return ()
     kept = "" if reported.conserving else "; too few are left, so all were kept"
     return (
-        f"{reported.excess_share:.0%} of the draws emit more photons than are absorbed at the laser and were left out"
+        f"{100 * reported.excess_share:.0f} % of the draws emit more photons than are absorbed at the laser and were "
+        f"left out"
         f"{kept}: the signals are brighter than energy allows; check the white reference and the laser's level",
     )
 

@@ -248,8 +248,9 @@ class AbsorptionPrior:
     def in_words(self) -> dict[str, str]:
         """Prior of each parameter with its origin."""
         return {
-            "stokes_shift_nm": f"{1 - self.wide_stokes_share:.0%} with a median of {self.stokes_median_nm:g} nm, "
-            f"{self.wide_stokes_share:.0%} of {self.wide_stokes_median_nm:g} nm (log-normal in shift + "
+            "stokes_shift_nm": f"{100 * (1 - self.wide_stokes_share):.0f} % with a median of "
+            f"{self.stokes_median_nm:g} nm, "
+            f"{100 * self.wide_stokes_share:.0f} % of {self.wide_stokes_median_nm:g} nm (log-normal in shift + "
             f"{_STOKES_OFFSET_NM:g} nm, sd {self.ln_stokes_sd:g} and {self.ln_wide_stokes_sd:g}); 142 fluorophores: "
             "95 % lie within 3 to 240 nm",
             "peak_absorbance": f"log-normal, median {self.absorbance_median_factor:g}, sd of the logarithm "

@@ -107,12 +107,12 @@ def _uncertainty(design: FingerDesign, field: str) -> tuple[float, str]:
     if field in design.uncertainty_rel:
         return design.uncertainty_rel[field], "stated by the design"
     if field.endswith("_mpa"):
-        return ASSUMED_MODULUS_REL, f"assumed: {ASSUMED_MODULUS_REL:.0%} of a modulus"
+        return ASSUMED_MODULUS_REL, f"assumed: {100 * ASSUMED_MODULUS_REL:.0f} % of a modulus"
     if field.endswith("bulk_over_shear"):
         low, high = ASSUMED_BULK_OVER_SHEAR
         return ASSUMED_BULK_REL, f"assumed: K / mu from {low:g} to {high:g}, even in its logarithm"
     if field in _SHEETS:
-        return ASSUMED_SHEET_REL, f"assumed: {ASSUMED_SHEET_REL:.0%} of a sheet"
+        return ASSUMED_SHEET_REL, f"assumed: {100 * ASSUMED_SHEET_REL:.0f} % of a sheet"
     value_mm = float(attrgetter(field)(design))
     return PRINT_LIMIT_MM / math.sqrt(3.0) / value_mm, f"assumed: printed to +-{PRINT_LIMIT_MM:g} mm"
 

@@ -329,7 +329,7 @@ class FolderCheck:
 
 
 def verify_folder(folder: Path) -> FolderCheck:
-    """Re-hash all files of a folder that a record, a session or checksums bind, and name what is not as it was.
+    """Re-hash all files of a folder that a record, a session or checksums name, and report what has changed.
 
     Raises
     ------
@@ -463,7 +463,7 @@ class Replayed:
 
 
 def replay(tree: Traced) -> Replayed:
-    """Run the command of a traced, whole record again and compare.
+    """Run the command of a traced, unchanged record again and compare.
 
     Raises
     ------

@@ -226,7 +226,8 @@ def _beyond_the_tile(steps: SessionSteps) -> tuple[str, ...]:
     if dimmest_rel >= SMALLEST_BLOCK_REL:
         return ()
     return (
-        f"the darkest of {len(blocks)} blocks of the region has {dimmest_rel:.0%} of the light of the brightest one "
+        f"the darkest of {len(blocks)} blocks of the region has {100 * dimmest_rel:.0f} % of the light of the "
+        f"brightest one "
         f"on the white tile: the region extends beyond the tile or the light, and all values are biased; correct "
         f"plan.region",
     )

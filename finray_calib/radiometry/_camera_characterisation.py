@@ -178,7 +178,8 @@ def _warnings(channels: list[ChannelCharacterisation], empty_fraction: float) ->
             )
     if empty_fraction > LARGEST_EMPTY_FRACTION:
         warnings.append(
-            f"{empty_fraction:.1%} of the dark counts are 0 (at most {LARGEST_EMPTY_FRACTION:.1%} is allowed): the "
+            f"{100 * empty_fraction:.1f} % of the dark counts are 0 (at most {100 * LARGEST_EMPTY_FRACTION:.1f} % is "
+            f"allowed): the "
             "read noise comes out too small; raise the camera's black level"
         )
     gain = np.array([c.gain_e_per_dn.estimate for c in channels])
@@ -314,8 +315,10 @@ def _used(name: ChannelName, levels: ChannelLevels, peak: int | None) -> tuple[B
         if used.sum() < FEWEST_IN_FIT:
             end = LINE_END if used is in_line else high
             raise RadiometryError(
-                f"{name} channel: {used.sum()} of {len(used)} exposures give unsaturated counts at {start:.0%} to "
-                f"{end:.0%} of saturation, at least {FEWEST_IN_FIT} are needed; {int((~clear).sum())} are saturated: "
+                f"{name} channel: {used.sum()} of {len(used)} exposures give unsaturated counts at {100 * start:.0f} "
+                f"% to "
+                f"{100 * end:.0f} % of saturation, at least {FEWEST_IN_FIT} are needed; {int((~clear).sum())} are "
+                f"saturated: "
                 "choose exposures between dark and saturation, a region that the light fills evenly, or another filter "
                 "or lamp for this channel"
             )

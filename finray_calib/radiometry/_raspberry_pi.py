@@ -584,7 +584,9 @@ def processed_signal(
     bound = 0.0 if tuning.shading is None else tuning.shading.adaptive_bound_rel
     if bound:
         variance += (bound / np.sqrt(3.0) * np.array([1.0, 0.0, 1.0]) * values) ** 2
-        steps.append(f"red and blue shading adapts within {bound:.0%}: not undone, but included in the uncertainty")
+        steps.append(
+            f"red and blue shading adapts within {100 * bound:.0f} %: not undone, but included in the uncertainty"
+        )
     lost = codes == LARGEST_CODE
     if undo_colour:
         matrix = _undoing_matrix(tuning, settings)

@@ -141,8 +141,9 @@ def _of_type(steps: dict[StepKey, StepSignal], kind: FrameType, names: tuple[str
         if np.isnan(step.signal_dn_per_s).all():
             raise RadiometryError(
                 f"{step.exposures[0].frame.file}: filter {name} is saturated in all channels and exposures ('{kind}', "
-                f"{step.saturated_fraction.min():.1%} of the region at full scale, at most "
-                f"{LARGEST_SATURATED_FRACTION:.2%} is allowed): capture again with a lower plan.target_fraction or "
+                f"{100 * step.saturated_fraction.min():.1f} % of the region at full scale, at most "
+                f"{100 * LARGEST_SATURATED_FRACTION:.2f} % is allowed): capture again with a lower "
+                f"plan.target_fraction or "
                 "a shorter exposure in plan.bracket"
             )
         found.append(step)
@@ -339,14 +340,20 @@ def refuse_other_repeat(trend: BleachingTrend, steps: SessionSteps) -> None:
     z = record.loss_per_j / record.sd_per_j
     faded = -float(np.expm1(-record.loss_per_j * record.dose_span_j))
     if z < -DISAGREEING_SD:
-        why = f"the repeat is {-z:.0f} standard deviations brighter ({-faded:.1%}), and light never brightens a paint"
+        why = (
+            f"the repeat is {-z:.0f} standard deviations brighter ({-100 * faded:.1f} %), and light never brightens a "
+            "paint"
+        )
     elif apart_sd.max() > DISAGREEING_SD:
         why = (
             f"its channels changed differently, by {apart_sd.max():.0f} standard deviations, and fading dims all "
             f"channels by the same share"
         )
     elif z > DISAGREEING_SD and faded > LARGEST_FADING:
-        why = f"the repeat is {z:.0f} standard deviations and {faded:.0%} dimmer; at most {LARGEST_FADING:.0%} fades"
+        why = (
+            f"the repeat is {z:.0f} standard deviations and {100 * faded:.0f} % dimmer, and a paint fades by at most "
+            f"{100 * LARGEST_FADING:.0f} %"
+        )
     else:
         return
     raise RadiometryError(

@@ -295,7 +295,7 @@ def _limits(batch: ComparisonBatch) -> Iterator[str]:
         _, skill = ranked[0]
         yield (
             "Skill over presses is 1 - the sum of squared errors of all presses / the sum of their squared changes by "
-            "contact, so a press counts more, the more it changes the picture."
+            "contact, so a press that changes the picture more counts more."
         )
         yield f"Its interval: {_method(skill)}."
         if skill.unit == "press":
@@ -399,7 +399,9 @@ def _difference_table(batch: ComparisonBatch) -> ReportTable:
         )
         for d in batch.differences
     ]
-    columns = ("pair", "difference in skill [95 %, all together]", "presses in which the first is better", "told apart")
+    columns = (
+        "pair", "difference in skill [95 %, all together]", "presses in which the first is better", "distinguishable",
+    )  # fmt: skip
     return one_group("Differences, press by press", columns, rows)
 
 
@@ -414,7 +416,7 @@ def _difference_sentence(d: SkillDifference) -> str:
     """Return a difference in one line."""
     ends = "no interval" if d.low95 is None or d.high95 is None else skill_text(d.estimate, d.low95, d.high95)
     shown = f"{fixed(d.estimate, 3)}, {ends}" if d.low95 is None else ends
-    return f"{d.first} less {d.second}: {shown}; better in {d.better_in} of {d.presses} presses"
+    return f"{d.first} minus {d.second}: {shown}; better in {d.better_in} of {d.presses} presses"
 
 
 def _worst_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part:
@@ -422,7 +424,7 @@ def _worst_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part:
     pictures = [_worst_picture(batch, press) for press in worst]
     rows = in_rows(pictures)
     lead = (
-        "From left to right: captured, simulated, and simulated less captured change (orange: the simulation is too "
+        "From left to right: captured, simulated, and simulated minus captured change (orange: the simulation is too "
         "bright, blue: too dark, full colour at the largest captured change)."
     )
     return Part(f"The {_count(len(worst), 'press')} of lowest skill", Content(lead, rows))

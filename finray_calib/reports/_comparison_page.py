@@ -154,7 +154,7 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
     error = report.objective_error.error_rel
     between = f"95 %: {signed_percent(error.low95)} to {signed_percent(error.high95)}"
     is_seen = not error.low95 <= 0 <= error.high95
-    reason = "its interval does not hold 0, so a difference is seen" if is_seen else "its interval holds 0"
+    reason = "its interval does not contain 0, so a difference is seen" if is_seen else "its interval holds 0"
     brightness = signed_percent(error.estimate)
     return (
         *numbers,
@@ -396,7 +396,7 @@ def causes_part(found: ErrorAttribution) -> Part:
         ]
     )
     return Part(
-        "Why is it off?",
+        "Causes of the lost skill",
         Content(
             words.causes_sentence(found),
             in_rows(pictures),

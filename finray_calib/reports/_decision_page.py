@@ -100,7 +100,7 @@ def decision_numbers(decision: LightAngleDecision) -> tuple[KeyNumber, ...]:
     """Return the few numbers that stand beside the verdict: whether, how exactly, and what may be lost."""
     claim, angle = decision.statement, decision.angle_deg
     if decision.at_range_end:
-        told = "end of the sweep: no tolerance can be promised"
+        told = "end of the sweep: no tolerance can be stated"
         return (KeyNumber("Light angle", f"{angle:.0f} deg", told, "bad", "the optimum may lie outside the sweep"),)
     tolerance, side = percent(decision.tolerance_rel), mounting_range(decision)
     light, (what, why) = verdict_light(decision), VERDICTS[decision.verdict]
@@ -315,7 +315,7 @@ def _others(decision: LightAngleDecision, sweep: LightAngleSweep) -> Part:
         other_objectives_figure(decision, sweep),
         f"The other objectives over the light angle. {sentence}",
         "Every objective relative to its best rendered angle, so that 1 is best for each. What to see: an objective "
-        "that is far below 1 at the chosen angle pays for the choice. Crossed out: angles that clip or do not fit.",
+        "that is far below 1 at the chosen angle loses by the choice. Crossed out: angles that clip or do not fit.",
     )
     told = {True: "yes", False: "no", None: "cannot be told"}
     rows = (
@@ -441,7 +441,7 @@ def decision_meaning(decision: LightAngleDecision) -> str:
     if decision.at_range_end:
         return (
             f"The best angle found, {angle}, is at the end of the sweep. The optimum may lie outside the sweep: widen "
-            "it. Until then no tolerance can be promised, and a loss is relative to the angles of this sweep only."
+            "it. Until then no tolerance can be stated, and a loss is relative to the angles of this sweep only."
         )
     if decision.verdict == "decided":
         return (
@@ -450,7 +450,7 @@ def decision_meaning(decision: LightAngleDecision) -> str:
         )
     if decision.verdict == "tie":
         return (
-            f"Any of these angles will do: {equivalent_text(decision.statement)}. Each loses at most {tolerance} "
+            f"Any of these angles is suitable: {equivalent_text(decision.statement)}. Each loses at most {tolerance} "
             "against the best angle with 95 % probability; take the one that is easiest to build."
         )
     if decision.verdict == "undecided":
@@ -493,7 +493,7 @@ def mounting_sentence(decision: LightAngleDecision) -> str:
     claim, angle = decision.statement, decision.angle_deg
     if not any(low <= angle <= high and high > low for low, high in claim.equivalent_deg):
         return (
-            f"On the drawing: {angle:.0f} deg. No tolerance can be promised: no range of angles is known to lose less "
+            f"On the drawing: {angle:.0f} deg. No tolerance can be stated: no range of angles is known to lose less "
             f"than {percent(decision.tolerance_rel)} with 95 % probability."
         )
     return (

@@ -125,7 +125,7 @@ def _draw_frame(axes: Axes, view: CameraView) -> None:
             axes.clabel(lines, fmt=f"{name} %g", fontsize=7)
     axes.grid(visible=False)
     seen = ", ".join(
-        f"{label} {view.picture_share(name):.1%}"
+        f"{label} {100 * view.picture_share(name):.1f} %"
         for name, label in (("coat", "coat"), ("red", "red wall"), ("green", "green wall"))
     )
     axes.set(
@@ -150,7 +150,7 @@ def _draw_pad(axes: Axes, view: CameraView) -> PolyCollection:
         xlim=(-pad.width_mm / 2, pad.width_mm / 2),
         ylim=(0.0, pad.length_mm),
         aspect="equal",
-        title=f"pad: {view.coat_share:.0%} of the coat is seen (grey: not)",
+        title=f"pad: {100 * view.coat_share:.0f} % of the coat is seen (grey: not)",
         xlabel="x across (mm)",
         ylabel="z along, from the base (mm)",
     )
@@ -455,7 +455,7 @@ def sensor_text(sensor: PlainSensor, places_mm: Floats) -> str:
     pad, middle = sensor.pad, sensor.pad.length_mm / 2.0
     scale = _mm_per_px(places_mm)
     lines = [
-        f"{sensor.name}: {seen.mean():.0%} of the picture shows the coat",
+        f"{sensor.name}: {100 * seen.mean():.0f} % of the picture shows the coat",
         f"  across the pad  x = {low[0]:.1f} to {high[0]:.1f} mm of {-pad.width_mm / 2:g} to {pad.width_mm / 2:g} mm",
         f"  along the pad   z = {low[1]:.1f} to {high[1]:.1f} mm of 0 to {pad.length_mm:g} mm",
         f"  a pixel is      {np.nanmedian(scale):.4f} mm in the median, {np.nanpercentile(scale, 5):.4f} to "
@@ -492,7 +492,11 @@ def _mm_per_px(places_mm: Floats) -> Floats:
 
 def _spread(sensor: PlainSensor, field: str) -> str:
     """Return the stated uncertainty of a number."""
-    return f" (standard uncertainty {sensor.uncertainty_rel[field]:.1%})" if field in sensor.uncertainty_rel else ""
+    return (
+        f" (standard uncertainty {100 * sensor.uncertainty_rel[field]:.1f} %)"
+        if field in sensor.uncertainty_rel
+        else ""
+    )
 
 
 def _numbers(sensor: PlainSensor) -> Iterator[tuple[str, str]]:
@@ -629,5 +633,5 @@ def _draw_view(axes: Axes, places_mm: Floats) -> None:
                 np.arange(columns) + 0.5, np.arange(rows) + 0.5, values, levels=levels, colors=colour, linewidths=0.9
             )
             axes.clabel(lines, fmt=f"{name} %g", fontsize=7)
-    axes.set(title=f"camera: {seen.mean():.0%} shows the coat", xlabel="column (px)", ylabel="row (px)")
+    axes.set(title=f"camera: {100 * seen.mean():.0f} % shows the coat", xlabel="column (px)", ylabel="row (px)")
     axes.grid(visible=False)

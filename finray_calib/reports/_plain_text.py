@@ -153,7 +153,7 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
 
 def _heading(report: PhotometricErrorReport, region: RegionError) -> str:
     """Return the name and size of a region."""
-    clipped = f", {region.clipped_fraction:.1%} clipped" if region.clipped_fraction > 0 else ""
+    clipped = f", {100 * region.clipped_fraction:.1f} % clipped" if region.clipped_fraction > 0 else ""
     unit = "px" if report.block_px == 1 else f"blocks of {report.block_px} x {report.block_px} px"
     return f"{region.region} ({region.factor:g} half-widths, {region.pixels} {unit}{clipped})"
 
@@ -211,7 +211,7 @@ def _lines(comparison: ForceComparison) -> Iterator[str]:
     yield f"{'':<12}relative RMS" + ("" if comparison.withheld else " [95 % of the model's own error]")
     for row in comparison.rows:
         rms = row.rms_rel
-        yield f"{row.candidate:<12}{rms.estimate:8.1%}" + _interval(rms, ".1%", "  ")
+        yield f"{row.candidate:<12}{100 * rms.estimate:7.1f} %" + _interval(rms, ".1f", "  ", 100.0, " %")
     if comparison.first_touch is None:
         yield "first touch: displacements are measured from it; it is not fitted"
     else:
@@ -227,9 +227,9 @@ def _lines(comparison: ForceComparison) -> Iterator[str]:
         effect = (
             ""
             if line.u_rel is None
-            else f"; input {line.u_rel:.1%}, d ln F / d ln x = {line.ln_force_per_ln_input:+.2f}"
+            else f"; input {100 * line.u_rel:.1f} %, d ln F / d ln x = {line.ln_force_per_ln_input:+.2f}"
         )
-        yield f"  {line.force_u_rel:6.1%}  {line.input} ({line.source}{effect})"
+        yield f"  {100 * line.force_u_rel:5.1f} %  {line.input} ({line.source}{effect})"
     yield ""
     if comparison.withheld:
         yield from wrap(f"withheld: {comparison.withheld}", WIDTH_COLUMNS, subsequent_indent="  ")
@@ -237,11 +237,11 @@ def _lines(comparison: ForceComparison) -> Iterator[str]:
         yield f"not included: {missing}"
 
 
-def _interval(value: ForceEstimate, form: str, before: str) -> str:
-    """Return the ends of an interval in brackets; nothing where they are withheld."""
+def _interval(value: ForceEstimate, form: str, before: str, scale: float = 1.0, unit: str = "") -> str:
+    """Return the ends of an interval, times a scale, in brackets; nothing where they are withheld."""
     if value.low95 is None or value.high95 is None:
         return ""
-    return f"{before}[{value.low95:{form}}, {value.high95:{form}}]"
+    return f"{before}[{scale * value.low95:{form}}, {scale * value.high95:{form}}]{unit}"
 
 
 def _third(third: ForceThird) -> str:

@@ -229,7 +229,8 @@ def calibrate_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: 
         )
     if not found.focal_u_rel <= LARGEST_FOCAL_U_REL:
         raise CompareError(
-            f"the focal length is known to {found.focal_u_rel:.0%} only, {LARGEST_FOCAL_U_REL:.0%} is allowed: the "
+            f"the focal length is known to {100 * found.focal_u_rel:.0f} % only, {100 * LARGEST_FOCAL_U_REL:.0f} % "
+            f"is allowed: the "
             f"poses of the board are too similar. Take pictures with the board tilted by 20 to 45 deg in several "
             f"directions, "
             "some reaching into the corners"

@@ -243,8 +243,8 @@ def _lessons(presses: Sequence[CalibrationPress], seed: int, degree: int) -> lis
     """Check the presses and choose their pixels."""
     if len(presses) < MINIMUM_PRESSES:
         raise CompareError(
-            f"a normal map needs at least {MINIMUM_PRESSES} ball presses, got {len(presses)}: with fewer its score on "
-            "unseen presses is a matter of luck; capture more, spread over the pad and over depths"
+            f"a normal map needs at least {MINIMUM_PRESSES} ball presses, got {len(presses)}: with fewer its score "
+            f"on unseen presses depends on chance; capture more, spread over the pad and over depths"
         )
     rng = np.random.default_rng(seed)
     shape = presses[0].contact.shape[:2]
@@ -632,12 +632,13 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
         notes.append("the uncertainty of the depth is not known: the map is of an earlier version; teach it again")
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
-            f"{shares.outside_share:.0%} of the contact's pixels change colour in a way that no teaching press did; "
+            f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no teaching "
+            f"press did; "
             f"there the map keeps its last value: teach with deeper presses, or at more places"
         )
     if shares.clipped_share > _CLIPPED_TOLD:
         notes.append(
-            f"{shares.clipped_share:.0%} of the contact's pixels are clipped and take their slope from their "
+            f"{100 * shares.clipped_share:.0f} % of the contact's pixels are clipped and take their slope from their "
             f"neighbours: use a shorter exposure"
         )
     notes.append(

@@ -200,7 +200,8 @@ def _require_known(found: ScaleDraws, pad: BoardView) -> None:
     if not u_rel <= LARGEST_U_REL:
         worst = max(found.parts_rel, key=lambda name: float(found.parts_rel[name][0].max()))
         raise CompareError(
-            f"{pad.name}: the scale is known to {u_rel:.0%} only, {LARGEST_U_REL:.0%} is allowed; most comes from "
+            f"{pad.name}: the scale is known to {100 * u_rel:.0f} % only, {100 * LARGEST_U_REL:.0f} % is allowed; "
+            f"most comes from "
             f"'{worst}'. Show more of the board, larger in the picture, and take more pictures with it turned and "
             "tilted"
         )
@@ -213,7 +214,8 @@ def _notes(
     notes = []
     if widened > 1.0:
         notes.append(
-            f"the scale scatters by {resampled_u:.2%} when pictures are drawn with replacement, {widened:.1f} times "
+            f"the scale scatters by {100 * resampled_u:.2f} % when pictures are drawn with replacement, "
+            f"{widened:.1f} times "
             "what independent corners allow: corners of a picture err together (is the board flat, are pictures "
             "sharp?). Uncertainties are widened by this factor"
         )
@@ -276,7 +278,8 @@ def patch_scale(
     if not at_middle.u_rel.max() <= LARGEST_U_REL:
         raise CompareError(
             f"{capture.name}: at column {middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, the pixel "
-            f"scale is not known to {LARGEST_U_REL:.0%}: the camera does not see the plane of the pad there, or no "
+            f"scale is not known to {100 * LARGEST_U_REL:.0f} %: the camera does not see the plane of the pad there, "
+            f"or no "
             f"picture shows the board near it. Is it of this camera? Then lay the board where the patch is"
         )
     along = _along_picture(plane_places_mm(plane, middle_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
@@ -332,7 +335,7 @@ def scale_finding(found: PatchScale, capture: TactileCapture) -> str | None:
         return None
     return (
         f"scale: {capture.name} states {capture.mm_per_px:.4g} mm per pixel, the pixel scale {measured:.4g} at the "
-        f"patch (u = {u_rel:.1%}): one of them is of another camera, place or picture size"
+        f"patch (u = {100 * u_rel:.1f} %): one of them is of another camera, place or picture size"
     )
 
 

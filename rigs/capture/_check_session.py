@@ -398,7 +398,7 @@ class _Recorder:
             self._ended = f"a light does not report whether it is off ({error})"
             return
         if on:
-            self._errors[section] = f"{on[0]}: reads back on after this section; pull its plug before you open the box"
+            self._errors[section] = f"{on[0]}: is reported on after this section; pull its plug before you open the box"
             self._ended = f"the {on[0]} is on"
 
     def _keep(self, **what: object) -> None:

@@ -224,7 +224,8 @@ class CheckedCamera:
         if not abs(raw.exposure_s / exposure_s - 1.0) <= EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
                 f"camera: {exposure_s:g} s were asked for {step.label}, it reads back {raw.exposure_s:g} s (within "
-                f"{EXPOSURE_TOLERANCE_REL:.0%} is allowed); correct shortest_exposure_s and longest_exposure_s of the "
+                f"{100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct shortest_exposure_s and "
+                f"longest_exposure_s of the "
                 "rig"
             )
 
@@ -401,7 +402,8 @@ class TactileCamera:
         elif abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
                 f"camera: {exposure_s:g} s were asked for, it reads back {raw.exposure_s:g} s (within "
-                f"{EXPOSURE_TOLERANCE_REL:.0%} is allowed); correct the exposures of the plan or the limits of the rig"
+                f"{100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct the exposures of the plan or the limits "
+                f"of the rig"
             )
         self._require_images(raw)
         require_new(raw, self._last)
@@ -530,7 +532,8 @@ def meter_exposure(
                 fails = min(fails, rung + max(rungs_up, 0) + 1)
     if fits < 0:
         raise SaturatedError(
-            f"{what}: the region is brighter than {target_fraction:.0%} of full scale ({full_scale_dn} DN) even at the "
+            f"{what}: the region is brighter than {100 * target_fraction:.0f} % of full scale ({full_scale_dn} DN) "
+            f"even at the "
             f"shortest exposure; the camera allows {ladder[0]:g} to {ladder[-1]:g} s: dim the light, close the "
             "aperture or raise target_fraction"
         )

@@ -255,7 +255,7 @@ def compare_with_last(
         )
     return FilterProof(
         verdict="confirmed",
-        text=f"the white frames repeat those of the earlier session within {np.expm1(off[worst]):.1%} behind "
+        text=f"the white frames repeat those of the earlier session within {100 * np.expm1(off[worst]):.1f} % behind "
         f"{len(common)} filters",
     )
 

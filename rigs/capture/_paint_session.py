@@ -157,7 +157,7 @@ class PaintRecorder:
         unlike = self._unlike_before(steps)
         if unlike is None:
             self._remember(steps)
-            text = f"all steps and frames give what they give after the repair, within {SAME_SHARE:.0%}"
+            text = f"all steps and frames give what they give after the repair, within {100 * SAME_SHARE:.0f} %"
             self._journal.append(AS_BEFORE_EVENT, frames=len(self._store.frames), text=text)
         else:
             self._set_aside(unlike)
@@ -337,7 +337,7 @@ class PaintRecorder:
                 raise SignalChangedError(
                     f"camera: {step.label} gives {rate:.3g} DN/s in {name}, at metering it gave {before:.3g} DN/s "
                     f"(a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light changed or something "
-                    "moved; put it right, then go on or resume: all steps are metered again"
+                    "moved; put it right, then continue or resume: all steps are metered again"
                 )
 
     def _rate(self, counts: NDArray[np.uint16], exposure_s: float) -> Rates:

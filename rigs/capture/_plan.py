@@ -78,7 +78,7 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
 def require_named(field: str, name: str) -> None:
     """Refuse an empty name of what is captured: files and records are named after it."""
     if not name.strip():
-        raise CaptureError(f"{field}: is empty; write the name that files and records shall have")
+        raise CaptureError(f"{field}: is empty; write the name that files and records should have")
 
 
 def with_repeat(steps: tuple[Step, ...], excitation_filter: str, exposures_s: Mapping[Step, float]) -> tuple[Step, ...]:
@@ -298,8 +298,8 @@ def instruction(shot: TactileShot, plan: TactilePlan, presses: tuple[PlannedPres
                 f"{plan.board.images}."
             )
         return (
-            f"Hold the ChArUco board in view, still; place {shot.place} of {plan.board.images}, each turned and tilted "
-            "otherwise."
+            f"Hold the ChArUco board in view, still; place {shot.place} of {plan.board.images}, each turned and "
+            f"tilted in a different way."
         )
     if shot.frame_type == "no contact":
         if shot.place == 0:

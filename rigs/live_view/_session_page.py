@@ -57,7 +57,7 @@ HELP: Final = (
     "Ctrl-C         end the session at once, with the lights off",
     "Ctrl-L         draw the screen anew",
     "",
-    "The session runs on when this terminal is closed. Its address, for a browser",
+    "The session continues if this terminal is closed. Its address, for a browser",
     "of this computer:",
 )
 LETTERS: Final = {
@@ -226,7 +226,7 @@ def help_screen(screen: Screen, numbers: SessionNumbers, address: str) -> list[s
     """Return the lines of the help."""
     lines = [screen.painted(" Keys of a session in finray live", REVERSE, screen.columns)]
     lines += ["  " + lights_line(screen, numbers), "", *(f"  {text}" for text in HELP), f"  {address}", ""]
-    lines += ["  Picture: the root of the counts; red (without colours: X) is at full scale.",
+    lines += ["  Picture: square root of the counts; red (without colours: X) is at full scale.",
               "  Any key goes back."]  # fmt: skip
     return [*lines, *[""] * screen.lines][: screen.lines]
 
@@ -299,7 +299,7 @@ def panel_lines(screen: Screen, numbers: SessionNumbers, height: int) -> list[st
         line(f"{duration(numbers.exposure_s)}, brightest {100 * numbers.brightest_fraction:.0f} %"
              + (" HOT" if is_hot else ""), RED if is_hot else PLAIN),
         *(line(text, style) for text, style in filter_lines(numbers)),
-        *(line(f"drift {100 * d.change_rel:+.2f}\u00b1{100 * d.uncertainty_rel:.2f}% {d.label}")
+        *(line(f"drift {100 * d.change_rel:+.2f}\u00b1{100 * d.uncertainty_rel:.2f} % {d.label}")
           for d in numbers.drifts),
         *([] if numbers.drifts else [line("drift: no reference seen twice")]),
         line(f"healed: {numbers.repeated} repeated, {numbers.retaken} retaken"),

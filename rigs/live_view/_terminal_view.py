@@ -62,7 +62,7 @@ HELP: Final = (
     "Ctrl-L         draw the screen anew",
     "q Ctrl-C       end, with the lamp off",
     "",
-    "Picture: the root of the counts; red (without colours: X) is at full scale.",
+    "Picture: square root of the counts; red (without colours: X) is at full scale.",
     "Focus: turn the lens until it no longer grows. Its best counts from the",
     "last change of region, filter, exposure or lamp.",
     "The laser is never lit in this view.",

@@ -259,7 +259,7 @@ class AlpacaClient:
         told = f"{self.name}: '{member}' fails with error {error:#x} ({_ERRORS.get(error, 'of the driver')}): {said}"
         if error == _NOT_CONNECTED:
             raise LostError(f"{told}; check the device's cable and connect it in its server")
-        raise RefusedError(f"{told}; ask for what the device can do, or repair it")
+        raise RefusedError(f"{told}; ask for something that the device can do, or repair it")
 
     def _ask_server(self, method: str, path: str, fields: str, end_s: float) -> tuple[int, bytes]:
         """Return status and body of one HTTP request."""

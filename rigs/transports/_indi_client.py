@@ -191,7 +191,7 @@ class IndiDevice:
     def refusal(self, what: str) -> RefusedError:
         """Return the error for an Alert, with what the driver says about it."""
         return RefusedError(
-            f"{self.name}: refuses to {what}{self.said()}; ask for what it can do, or repair the device"
+            f"{self.name}: refuses to {what}{self.said()}; ask for something that it can do, or repair the device"
         )
 
     def said(self) -> str:

@@ -58,7 +58,7 @@ def faults_told(listener: Callable[[Fault], None]) -> Iterator[None]:
 
 
 def tell_fault(fault: Fault) -> None:
-    """Tell a fault to whoever listens."""
+    """Report a fault to the listener, if there is one."""
     if (listener := _LISTENER.get()) is not None:
         listener(fault)
 

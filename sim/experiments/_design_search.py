@@ -478,7 +478,7 @@ def search_designs(
     failures = [one.failure for one in run.evaluated if one.failure]
     if 2 * len(failures) > len(run.evaluated):
         raise SimulateError(
-            f"most designs of the screen cannot be evaluated; give narrower limits. The first: {failures[0]}"
+            f"most designs of the screening cannot be evaluated; give narrower limits. The first: {failures[0]}"
         )
     emulators: tuple[DesignEmulator, ...] = ()
     for step in range(evaluations - len(run.evaluated) - 1):

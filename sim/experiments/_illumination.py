@@ -272,7 +272,7 @@ def doubts(radiance: Floats) -> tuple[str, ...]:
         misfit_rel = float(np.sqrt(np.mean(misfit**2)) / mean.max())
         if misfit_rel > _LARGEST_MISFIT_REL:
             notes.append(
-                f"{name}: values lie {misfit_rel:.0%} away from the smooth curve from which the maximum is read"
+                f"{name}: values lie {100 * misfit_rel:.0f} % away from the smooth curve from which the maximum is read"
             )
     return tuple(notes)
 

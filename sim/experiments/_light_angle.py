@@ -290,7 +290,7 @@ WORST_TENTH: Final = 0.9
 
 _SEEN = (
     "facets of the undeformed coat, seen through the mirror, one pixel of each colour; exposure set again at each "
-    "angle, as long as it clips less than {CLIPPED_LIMIT:.1%} of the pressed coat"
+    f"angle, as long as it clips less than {100 * CLIPPED_LIMIT:g} % of the pressed coat"
 )
 
 

@@ -219,7 +219,8 @@ def _mechanics(
             *([f"{pressed.crossing}: the results from there on are not physical"] if pressed.crossing else []),
             *_chord_note(design, preset, pressed),
             f"gel: C10 = {gel.c10_mpa:g} MPa, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
-            f"mesh: on the 70 x 35 finger this fineness gives {FORCE_EXCESS_REL[preset]:.0%} more force than an "
+            f"mesh: on the 70 x 35 finger this fineness gives {100 * FORCE_EXCESS_REL[preset]:.0f} % more force than "
+            f"an "
             "infinitely fine one, extrapolated",
             "dimensions of the skeleton are assumed unless the design's origin says otherwise; forces are unvalidated",
             *notes,
@@ -266,7 +267,7 @@ def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) ->
         return ()
     if pressed.kind != "penalty" or (touched and not short):
         return ()
-    told = f"the force is some {short:.0%} below the barrier's"
+    told = f"the force is some {100 * short:.0f} % below the barrier's"
     if not touched:
         told = "it touches no node, or has passed between them, and the force comes from the mesh, not the finger"
     return (f"between nodes the coat cuts into the indenter: {told}",)

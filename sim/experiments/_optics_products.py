@@ -311,10 +311,10 @@ class ColourSpread:
     def __str__(self) -> str:
         """Say it in one line."""
         shares, sds, ratios = (
-            [f"{v:.0%}" for v in values] for values in (self.led_share, self.sd_rel, self.ratio_sd_rel)
+            [f"{100 * v:.0f} %" for v in values] for values in (self.led_share, self.sd_rel, self.ratio_sd_rel)
         )
         return (
-            f"camera response at the LED uncertain by {self.response_uncertainty_rel:.0%}: red, "
+            f"camera response at the LED uncertain by {100 * self.response_uncertainty_rel:.0f} %: red, "
             f"green, blue hold {', '.join(shares)} LED light and are uncertain by {', '.join(sds)}; red / blue by "
             f"{ratios[0]}, green / blue by {ratios[1]}"
         )

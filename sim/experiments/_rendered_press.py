@@ -210,7 +210,7 @@ def light_record(
 def colour_notes(response: CameraResponse, bands: PaintBands) -> tuple[str, ...]:
     """Say what the colours of a press rest on."""
     cut = [
-        f"{colour} paint: {share:.1%} of the fitted emission lay below the LED's upper edge and was cut"
+        f"{colour} paint: {100 * share:.1f} % of the fitted emission lay below the LED's upper edge and was cut"
         for colour, share in bands.cut_share.items()
         if share > 0.001
     ]
@@ -272,7 +272,7 @@ def known_inputs(
         names=(*names, "camera response"),
         keys=(*keys, camera_key),
         evaluations=(*_evaluations(evaluations), "B"),
-        sources=(*sources, f"{finger.response[0].source}; at the LED stated as {at_led:.0%}"),
+        sources=(*sources, f"{finger.response[0].source}; at the LED stated as {100 * at_led:.0f} %"),
         factors=np.array([*factors, _camera_factors(finger, chains, draws, _rng(camera_key))], dtype=np.float32),
     )
 

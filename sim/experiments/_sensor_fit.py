@@ -91,8 +91,8 @@ def _require_alike(captures: Sequence[TactileCapture]) -> None:
     for capture in captures:
         if capture.encoding != "linear":
             raise SimulateError(
-                f"{capture.name}: encoding = {capture.encoding!r}; powers and yields are told from linear values only: "
-                "capture raw counts, or import the pictures with their tone curve taken out"
+                f"{capture.name}: encoding = {capture.encoding!r}; powers and yields can be fitted to linear values "
+                f"only: capture raw counts, or import the pictures with their tone curve taken out"
             )
         for name in ("layout", "bit_depth", "black_level_dn", "exposure_s"):
             if getattr(capture, name) != getattr(first, name):
@@ -277,12 +277,12 @@ def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeNumber, ..
             )
         if name.endswith("power_rel") or name.startswith("indenter."):
             raise SimulateError(
-                f"--free {name}: powers are always fitted, and presses where a capture states the uncertainty of its "
-                "depth_mm or position_mm; leave it out"
+                f"--free {name}: powers are always fitted, and so is a press whose capture states the uncertainty of "
+                f"its depth_mm or position_mm; leave it out"
             )
         stated, origin = design.uncertainty_rel.get(name), design.origin.get(name, "assumed")
         u = stated if stated else USUAL_U_REL[origin]
-        told = "design: uncertainty_rel" if stated else f"usual for a number that is {origin}: {u:.0%}"
+        told = "design: uncertainty_rel" if stated else f"usual for a number that is {origin}: {100 * u:.0f} %"
         unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "1")
         numbers.append(FreeNumber(name, value, u, True, told, "design", unit))
     return tuple(numbers)
@@ -487,7 +487,9 @@ def _combinations(numbers: Sequence[FreeNumber], theta: Floats) -> tuple[str, ..
     for size, direction in zip(np.sqrt(np.maximum(sizes, 0.0)), directions.T, strict=True):
         members = [n.name for n, weight in zip(numbers, direction, strict=True) if abs(weight) > _MEMBER]
         if size > _DETERMINED and len(members) > 1:
-            told.append(f"{', '.join(members)}: {min(size, 1.0):.0%} of the prior's width is left in a combination")
+            told.append(
+                f"{', '.join(members)}: {100 * min(size, 1.0):.0f} % of the prior's width is left in a combination"
+            )
     return tuple(told)
 
 

@@ -226,7 +226,7 @@ class FingerLayers:
         for colour in COLOURS:
             fit = self.calibrations.get(colour)
             of_fit = 0.0 if fit is None else fit.energy_yield.sd / fit.energy_yield.estimate
-            origin = f"calibration {of_fit:.0%}, batch of paint {_BATCH_U_REL:.0%} (assumed)"
+            origin = f"calibration {100 * of_fit:.0f} %, batch of paint {100 * _BATCH_U_REL:.0f} % (assumed)"
             numbers.append(_factor(f"paint.{colour}.yield_rel", float(np.hypot(of_fit, _BATCH_U_REL)), origin))
         return numbers
 

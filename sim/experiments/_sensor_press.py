@@ -137,7 +137,8 @@ def _given_coat(sensor: PlainSensor, surface: CoatSurface, folder: Path) -> Pres
         height = height_over_pad_mm(vertices[triangles], x, z, "highest")
         if np.isnan(height).any():
             raise SimulateError(
-                f"{path}: covers {np.isfinite(height).mean():.0%} of the pad; a mesh of the coat must cover all of it, "
+                f"{path}: covers {100 * np.isfinite(height).mean():.0f} % of the pad; a mesh of the coat must cover "
+                f"all of it, "
                 f"x = {x[0]:g} to {x[-1]:g} mm and z = 0 to {z[-1]:g} mm in the axes of the pad"
             )
     else:

@@ -494,7 +494,7 @@ def _sentence(
 ) -> str:
     """Say what is found."""
     sides = [(row, side.limit) for row in rows for side in (row.less, row.more) if side.limit is not None]
-    grown = f"the expected error of the normal, {nominal_deg:.2f} deg, grows by {allowed:.0%}"
+    grown = f"the expected error of the normal, {nominal_deg:.2f} deg, grows by {100 * allowed:.0f} %"
     if together is None:
         told = f"All numbers together may vary by over {factor:.2g} times the given half-ranges before {grown}"
     elif together == 0.0:
@@ -507,7 +507,7 @@ def _sentence(
     most = max(rows, key=lambda row: row.total.estimate)
     if not most.is_distinguishable:
         return f"{told}; no number's share of the variance can be distinguished from 0."
-    return f"{told}; {most.field} has the largest share of the variance ({most.total.estimate:.0%})."
+    return f"{told}; {most.field} has the largest share of the variance ({100 * most.total.estimate:.0f} %)."
 
 
 def _check(inputs: Sequence[ToleranceInput], settings: ToleranceSettings) -> None:

@@ -98,7 +98,9 @@ def chosen_contact(design: FingerDesign, wanted: ContactChoice = "auto") -> Cont
     """
     needs = _needs_of_barrier(design)
     if wanted == "penalty" and needs:
-        raise SimulateError(f"--contact penalty cannot serve {' and '.join(needs)}: use --contact barrier, or auto")
+        raise SimulateError(
+            f"--contact penalty cannot be used with {' and '.join(needs)}: use --contact barrier, or auto"
+        )
     if wanted == "penalty" or not (needs or wanted == "barrier"):
         return "penalty"
     failure = contact_library_failure()

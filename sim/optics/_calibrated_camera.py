@@ -272,7 +272,8 @@ def _require_invertible(calibration: CameraCalibration, points: Floats, bad: NDA
     if bad.any():
         column, row = points[int(np.argmax(bad)), 0]
         raise SimulateError(
-            f"{calibration.source}: the {calibration.model} distortion cannot be inverted at {bad.mean():.1%} of the "
+            f"{calibration.source}: the {calibration.model} distortion cannot be inverted at {100 * bad.mean():.1f} "
+            f"% of the "
             f"picture, for example at column {column:.0f}, row {row:.0f}: its polynomial is not monotonic there. "
             f"Calibrate "
             "with boards that reach the corners, or with fewer coefficients"

@@ -178,7 +178,8 @@ def band_mean(wavelength_nm: NDArray[np.float64], values: NDArray[np.float64], b
     outside = float(np.trapezoid(band.density_per_nm * beyond, band.wavelength_nm))
     if outside > _LARGEST_SHARE_OUTSIDE:
         raise SimulateError(
-            f"the {what} is known from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm, but {outside:.0%} of a band "
+            f"the {what} is known from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm, but {100 * outside:.0f} % "
+            f"of a band "
             f"around {band.centroid_nm:.0f} nm lies outside (20 % allowed); give the curve over a wider range"
         )
     curve = np.interp(band.wavelength_nm, wavelength_nm, values)

@@ -160,7 +160,7 @@ def _coat_values(
     if now.triangles.shape != before.triangles.shape or (now.triangles != before.triangles).any():
         raise SimulateError(
             f"the coat '{shape.label}' has {len(now.triangles)} triangles and the coat '{rest.label}' "
-            f"{len(before.triangles)}, or in another order: depths need the same mesh, deformed and at rest"
+            f"{len(before.triangles)}, or their order differs: depths need the same mesh, deformed and at rest"
         )
     corners = now.triangles[triangle]
 
@@ -388,13 +388,14 @@ class CameraView:
         ends = [mirror.apex_yz_mm + side * reach * mirror.tangent_yz for side in (-1.0, 1.0)]
         return "\n".join(
             (
-                f"{self.design.name}: the camera sees {self.coat_share:.0%} of the coat through the mirror",
+                f"{self.design.name}: the camera sees {100 * self.coat_share:.0f} % of the coat through the mirror",
                 f"  along the pad   z = {z_low:.1f} to {z_high:.1f} mm of 0 to {pad.length_mm:g} mm, "
                 f"{_range(self.px_per_mm_along)} px/mm",
                 f"  across the pad  x = {x_low:.1f} to {x_high:.1f} mm of {-half:g} to {half:g} mm, "
                 f"{_range(self.px_per_mm_across)} px/mm",
-                f"  of the picture  coat {self.picture_share('coat'):.0%}, red wall {walls[0]:.1%}, green wall "
-                f"{walls[1]:.1%}",
+                f"  of the picture  coat {100 * self.picture_share('coat'):.0f} %, red wall {100 * walls[0]:.1f} %, "
+                f"green wall "
+                f"{100 * walls[1]:.1f} %",
                 f"  camera          x, y, z = {_numbers(pose.centre_mm)} mm, {self.design.camera.aim_deg:g} deg to the "
                 f"tip ({_told(self.design, 'camera.position_mm', given is not None)})",
                 f"  mirror          y, z = {_numbers(ends[0])} to {_numbers(ends[1])} mm, radius {mirror.radius_mm:g} "

@@ -252,7 +252,7 @@ def tilt_shares(rest: FingerShape, pressed: FingerShape, tilts_deg: Floats) -> F
     if before.triangles.shape != after.triangles.shape or (before.triangles != after.triangles).any():
         raise SimulateError(
             f"the coat '{pressed.label}' has {len(after.triangles)} triangles and the coat '{rest.label}' "
-            f"{len(before.triangles)}, or in another order: tilts need the same mesh, deformed and at rest"
+            f"{len(before.triangles)}, or their order differs: tilts need the same mesh, deformed and at rest"
         )
     sides = [s.vertices_mm[s.triangles[:, 1:]] - s.vertices_mm[s.triangles[:, :1]] for s in (before, after)]
     across, tilted_across = (np.cross(side[:, 0], side[:, 1]) for side in sides)

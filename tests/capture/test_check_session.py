@@ -227,7 +227,7 @@ def test_light_that_stays_on_ends_the_check(rig, plan, monkeypatch):
         return replace(opened, lamp=Device(opened.lamp, {"lit": lit}))
 
     facts = facts_of(rig, plan, monkeypatch, change)
-    assert "lamp: reads back on after this section; pull its plug" in facts.errors["filters"]
+    assert "lamp: is reported on after this section; pull its plug" in facts.errors["filters"]
     assert facts.errors["revisits"] == facts.errors["light off"] == "not tried: the lamp is on"
     assert facts.light_off == ()
 

@@ -74,7 +74,7 @@ def test_dark_region_gets_the_longest_exposure() -> None:
 
 def test_region_too_bright_at_the_shortest_exposure_is_refused() -> None:
     with pytest.raises(
-        SaturatedError, match=r"fluorescence behind 600: .*70% of full scale \(1023 DN\).*0\.0001 to 26"
+        SaturatedError, match=r"fluorescence behind 600: .*70 % of full scale \(1023 DN\).*0\.0001 to 26"
     ):
         meter(Region(1e8))
 

@@ -167,7 +167,9 @@ def test_frame_unlike_its_metering_is_not_stored_and_is_taken_again(
 
     with open_rig(rig, Path()) as opened:
         failing = replace(opened, camera=ChangedCamera(opened.camera, dimmed))
-        with pytest.raises(CaptureError, match=r"DN/s in .* at metering it gave .* put it right, then go on or resume"):
+        with pytest.raises(
+            CaptureError, match=r"DN/s in .* at metering it gave .* put it right, then continue or resume"
+        ):
             capture(failing, rig, small, tmp_path)
         assert dark(opened)
     before = set(read_interrupted(tmp_path).frames)

@@ -715,7 +715,7 @@ def test_every_number_has_its_place_at_80_by_24(small, short):
     text = "\n".join(lines)
     assert len(lines) == 24
     for shown in ("LAMP ON", "LASER off", "TIME LEFT 3 min", "12 frames stored, 48 to take", "SIGNAL TO NOISE 88",
-                  "FILTER none, 1 of 2 done", "560 2/4", "drift -0.31\u00b10.04% tile lamp 560", "% tile laser 560",
+                  "FILTER none, 1 of 2 done", "560 2/4", "drift -0.31\u00b10.04 % tile lamp 560", " % tile laser 560",
                   "% repeat 560",
                   "0 lights lost, 0 repairs", "0 repeated, 1 retaken",
                   "a torn frame", "l LIGHT OFF"):  # fmt: skip

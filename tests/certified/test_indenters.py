@@ -112,7 +112,7 @@ def test_a_closed_file_is_an_indenter(tmp_path):
     assert volume_mm3(indenter.surface) == pytest.approx(96.0)
     assert indenter.vertices_mm()[:, 1].min() == pytest.approx(6.0)
     assert indenter.vertices_mm()[:, 0].max() == pytest.approx(5.0)
-    with pytest.raises(SimulateError, match=r'--contact penalty cannot serve indenter\.shape = "mesh"'):
+    with pytest.raises(SimulateError, match=r'--contact penalty cannot be used with indenter\.shape = "mesh"'):
         press_contact(design, None, 2.0, "penalty", folder=tmp_path)
     assert side_outline_mm(design) is None
 

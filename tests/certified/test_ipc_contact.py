@@ -156,7 +156,7 @@ def test_the_contact_is_chosen_by_what_the_design_needs():
     assert chosen_contact(plain) == "penalty"
     assert chosen_contact(plain, "barrier") == "barrier"
     assert chosen_contact(rough) == "barrier"
-    with pytest.raises(SimulateError, match=r"--contact penalty cannot serve indenter\.friction = 0\.3"):
+    with pytest.raises(SimulateError, match=r"--contact penalty cannot be used with indenter\.friction = 0\.3"):
         chosen_contact(rough, "penalty")
 
 

@@ -247,7 +247,7 @@ CASES = (
     Case(
         "curve that ends at 420 nm",
         BAD_RIG,
-        r"camera\.csv: curve 'red' covers 380 to 420 nm, but .* of filter 450 lies outside \(at most 20% is allowed\)",
+        r"camera\.csv: curve 'red' covers 380 to 420 nm, but .* of filter 450 lies outside \(at most 20 % is allowed\)",
         curve("380,1,2,3\n420,1,2,3\n"),
     ),
     Case(
@@ -360,7 +360,7 @@ CASES = (
     Case(
         "paint without a name",
         BAD_PLAN,
-        r"plan\.toml: plan\.paint_name: is empty; write the name that files and records shall have",
+        r"plan\.toml: plan\.paint_name: is empty; write the name that files and records should have",
         edited("plan.toml", 'paint_name = "red"', 'paint_name = " "'),
     ),
     Case(
@@ -429,7 +429,7 @@ CASES = (
     Case(
         "study into another folder",
         "study run {tmp}/plan.toml --out {lab}",
-        r"lab\S*: holds something else than a design study; choose another --out",
+        r"lab\S*: holds something other than a design study; choose another --out",
         file(
             "plan.toml",
             'name = "one"\ndesign = "flat-70x35"\n[[vary]]\nfield = "pad.thickness_mm"\nvalues = [5.0, 6.0]\n'
@@ -439,7 +439,7 @@ CASES = (
     Case(
         "number of filters",
         "design filters {lab}/rig.toml --number 0 --paints 0",
-        r"design: 0 filters are asked for; give 2 to 72 \(--number\): 1 that stay, and the others from the 71",
+        r"design: 0 filters are asked for; give 2 to 72 \(--number\): 1 are kept, and the others come from the 71",
     ),
     Case(
         "columns of pairs",
@@ -542,7 +542,7 @@ CASES = (
     Case(
         "friction with the penalty",
         MECHANICS + " --contact penalty",
-        r"--contact penalty cannot serve indenter\.friction = 0\.3: use --contact barrier, or auto",
+        r"--contact penalty cannot be used with indenter\.friction = 0\.3: use --contact barrier, or auto",
         design("[indenter]\nfriction = 0.3"),
     ),
     Case(
@@ -782,7 +782,7 @@ CASES = (
     Case(
         "sensor that ends at 420 nm",
         "demo --engine scalar --sensor {tmp}/camera.csv --out {tmp}/demo",
-        r"camera\.csv: curve 'red' covers 380 to 420 nm, but .* \(at most 20% is allowed\); give a curve that covers",
+        r"camera\.csv: curve 'red' covers 380 to 420 nm, but .* \(at most 20 % is allowed\); give a curve that covers",
         curve("380,1,2,3\n420,1,2,3\n"),
     ),
     Case(

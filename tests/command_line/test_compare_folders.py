@@ -138,7 +138,7 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
     ("arguments", "message"),
     [
         ("", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
-        ("{0}/simulated", "nothing to compare it with is given; add CAPTURE"),
+        ("{0}/simulated", "the CAPTURE to compare it with is missing; add a record"),
         ("{0}/simulated {0}/captured/one.capture.json", "some are folders, others are not; give two records or"),
         ("{0}/none.json {0}/none.json {0}/none.json", "none.json: is a third record, and two are compared; give one"),
         ("{0}/simulated --pairs {0}/pairs.csv", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),

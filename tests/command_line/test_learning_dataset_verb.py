@@ -119,5 +119,5 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path, monkeypatch, capsys)
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "mine.txt").write_text("keep")
     assert main(["study", "dataset", "baby-48x18", "--radius-mm", "3", "5", "--presses", "2", "--out", "notes"]) == 2
-    assert "holds something else than a data set" in capsys.readouterr().err
+    assert "holds something other than a data set" in capsys.readouterr().err
     assert (tmp_path / "notes" / "mine.txt").read_text() == "keep"

@@ -118,15 +118,18 @@ def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
     [
         (
             "--force 2",
-            "--path moves the indenter from first touch by the penalty of the elements here; leave it out, or --force",
+            "--path moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
+            "--force",
         ),
         (
             "--contact barrier",
-            "--path moves the indenter from first touch by the penalty of the elements here; leave it out, or --force",
+            "--path moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
+            "--force",
         ),
         (
             "--sensitivities",
-            "--path moves the indenter from first touch by the penalty of the elements here; leave it out, or --force",
+            "--path moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
+            "--force",
         ),
     ],
 )
@@ -259,7 +262,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
         ("", "--force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
         ("friction = 0.3", "--force 2", r"a press to a force works without friction and for indenters of simple shape"),
         ("edge_radius_mm = 1.0", "", r"indenter\.edge_radius_mm has no effect: it is of a cuboid"),
-        ("", "--budget 60 --sensitivities", r"--budget is of one press by the elements here"),
+        ("", "--budget 60 --sensitivities", r"--budget is for one press with finray's own elements"),
         ("", "--budget soon", r"--budget: 'soon' must be a processor time in s above 0 and at most"),
         (
             'shape = "cuboid"\nsize_mm = [9, 9, 9]\nradius_mm = 5',
@@ -282,7 +285,7 @@ def test_what_has_no_effect_is_refused(tmp_path: Path, tables: str, options: str
     [
         (2.0, 0.1, "touches no node of the coat, whose elements are 2 mm wide: the force of 0 N comes from the mesh"),
         # barrier: 0.428 N, 15 % more
-        (2.0, 0.5, "the force is some 15% too low; press with --contact barrier"),
+        (2.0, 0.5, "the force is some 15 % too low; press with --contact barrier"),
     ],
 )
 def test_a_force_that_rests_on_few_nodes_is_told(tmp_path, radius_mm, depth_mm, message):

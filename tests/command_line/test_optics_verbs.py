@@ -94,7 +94,7 @@ def test_an_earlier_spelling_does_the_same_and_is_stored_as_spelled_now(design, 
     told = finray(f"simulate {rest} {tmp_path}/before.press.json")
     assert told.status == 0
     assert told.err.startswith(
-        "this spelling is of an earlier version and ends with the next one; type now: finray sim"
+        "this spelling belongs to an earlier version and will be removed in the next one; type now: finray sim"
     )
     succeed(f"simulate render {rest} {tmp_path}/now.press.json")
     before, now = (read_record(tmp_path / f"{name}.press.json", SimulatedPress) for name in ("before", "now"))
@@ -133,7 +133,7 @@ def test_optics_writes_record_capture_and_images(design, paints, tmp_path):
     )
     told = succeed(run)
     assert "a.capture.json: raw counts of 10 bit" in told
-    assert "camera response at the LED uncertain by 30%" in told
+    assert "camera response at the LED uncertain by 30 %" in told
     press = read_record(tmp_path / "a.press.json", SimulatedPress)
     capture = read_record(tmp_path / "a.capture.json", TactileCapture)
     assert capture.contact.shape == (96, 128, 1)

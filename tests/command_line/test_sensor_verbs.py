@@ -34,10 +34,10 @@ def test_listed_and_written(tmp_path):
 def test_shown_with_origins_and_drawn(design, tmp_path):
     design.write_text(design.read_text() + '[uncertainty_rel]\n"pad.refractive_index" = 0.01\n')
     told = succeed(f"design show {design} --engine scalar --out {tmp_path}/view.png")
-    assert told.startswith("small sensor: 100% of the picture shows the coat")
+    assert told.startswith("small sensor: 100 % of the picture shows the coat")
     # 16 mm over 16 pixels, by the field of view
     assert "a pixel is      1.00" in told
-    assert "paper      pad.refractive_index = 1.5403 (standard uncertainty 1.0%)" in told
+    assert "paper      pad.refractive_index = 1.5403 (standard uncertainty 1.0 %)" in told
     assert "red light       at x = 0.0, y = -4.3, z = -12.6 mm from the middle, 9 x 6.3 mm" in told
     assert "Agarwal" in told
     assert cv2.imread(str(tmp_path / "view.png")).shape[1] == 1320

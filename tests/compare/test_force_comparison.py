@@ -180,7 +180,7 @@ def test_what_the_design_does_not_state_is_assumed_and_said(rng):
     found = compare_force(power_law_press(u_rel={}), measure(rng, 0.0, 0.0, NOISE_N), rng)
     source = {line.input: line.source for line in found.budget}
     u_rel = {line.input: line.u_rel for line in found.budget}
-    assert source["mechanics.gel.c10_mpa"] == "assumed: 20% of a modulus"
+    assert source["mechanics.gel.c10_mpa"] == "assumed: 20 % of a modulus"
     assert source["pad.thickness_mm"] == "assumed: printed to +-0.1 mm"
     # a rectangle of +-0.1 mm on the default pad of 6 mm
     assert u_rel["pad.thickness_mm"] == pytest.approx(0.1 / np.sqrt(3.0) / 6.0)

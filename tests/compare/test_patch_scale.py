@@ -93,7 +93,7 @@ def test_a_plane_that_is_not_seen_is_refused(scale):
     # the plane stands on edge, beyond the left border of the picture
     place = tuple(pose_of([0.0, np.pi / 2, 0.0], (-40.0, 0.0, 20.0)))
     with pytest.raises(
-        CompareError, match="at column 40, row 30, the middle of the patch, the pixel scale is not known to 5%"
+        CompareError, match="at column 40, row 30, the middle of the patch, the pixel scale is not known to 5 %"
     ):
         patch_scale(scale.model_copy(update={"place": place}), capture, simulated.distance, FACTORS)
 

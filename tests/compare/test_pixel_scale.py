@@ -230,7 +230,7 @@ def test_a_board_seen_from_the_side_is_refused():
 def test_a_scale_that_is_hardly_known_is_refused():
     rng = np.random.default_rng(16)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, 8), rng)
-    with pytest.raises(CompareError, match=r"known to 8% only, 5% is allowed; most comes from 'printed squares'"):
+    with pytest.raises(CompareError, match=r"known to 8 % only, 5 % is allowed; most comes from 'printed squares'"):
         pixel_scale(views[0], views[1:], SIZE_PX, BOARD, Declared(0.08), 1, "pinhole")
 
 

@@ -28,7 +28,7 @@ def pair(rendered=None, **captured):
             r"capture's indenter\.shape",
         ),
         ({"shape": "mesh"}, "strip presses a cylinder of radius 10 mm, capture of the strip a mesh:"),
-        ({"radius_mm": 9.0}, r"a cylinder of radius 9 mm; the radii may differ by at most 2%: .* indenter\.radius_mm"),
+        ({"radius_mm": 9.0}, r"a cylinder of radius 9 mm; the radii may differ by at most 2 %: .* indenter\.radius_mm"),
         (
             {"depth_mm": 4.0},
             r"strip is pressed 1\.5 mm deep, capture of the strip 4 mm; the depth may differ by at most 0\.05 mm: "
@@ -88,7 +88,7 @@ def test_what_a_classic_sensor_presses_in_is_compared_too():
     with pytest.raises(
         CompareError,
         match=r"a ball of radius 4 mm, .* a ball of radius 3 mm; the radii may differ "
-        r"by at most 2%",
+        r"by at most 2 %",
     ):
         require_same_conditions(simulated, capture)
     given = sensor.model_copy(update={"surface": CoatSurface(file="coat.npy", step_mm=0.1)})

@@ -283,7 +283,7 @@ def test_clipped_pixels_are_told_channel_by_channel():
     report, _ = compare_checked(press, capture.model_copy(update={"contact": clipped}), 1)
     told = next(f for f in report.findings if "of the contact patch lies at" in f)
     assert "blue 4" in told or "blue 5" in told
-    assert "red 0.0%" in told
+    assert "red 0.0 %" in told
 
 
 @pytest.mark.parametrize("brighter", [0.0, 0.05])

@@ -149,7 +149,7 @@ def test_the_budget_names_every_input_with_what_it_does_alone():
     }  # fmt: skip
     assert found["camera response"].source == "stated"
     assert found[depth].source == f"0.5 mm, as {CAPTURE.name} states"
-    assert found[DRIFT].source.startswith("1.00%, from the repeat")
+    assert found[DRIFT].source.startswith("1.00 %, from the repeat")
     # the objective is red over captured: as in the validation, but known before the capture
     t, of_exposure = np.sqrt(60.0 / 58.0), comparison.exposure.noise_sd_rel
     expected = {
@@ -185,7 +185,7 @@ def test_a_prior_is_said_to_be_one():
     lines = uncertainty_budget(comparison, inputs, EVERYWHERE, np.ones(3), CAPTURE, np.random.default_rng(5))
     drift = next(line for line in lines if line.input == DRIFT)
     assert drift.evaluation == "B"
-    assert drift.source == "0.7% and what real sensors show"
+    assert drift.source == "0.7 % and what real sensors show"
 
 
 def test_the_ring_lies_between_one_and_one_and_a_half_half_widths():

@@ -122,7 +122,7 @@ def test_captures_are_named_with_what_they_changed():
         "3 captures at 10, 40 and 70 deg are in this: the simulation is off by some 10 % at an angle. Without them the "
         "choice would be 9 deg."
     )
-    assert found.endswith("Any angle from 3 to 18 deg will do.")
+    assert found.endswith("Any angle from 3 to 18 deg is suitable.")
     found = decision_sentence(decision(20.0, validated=True), np.array([30.0]), 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found.startswith("A capture at 30 deg is in this, which is not enough to decide: the simulation is off")
     assert found.endswith("Capture next with the light at 70 deg.")

@@ -166,7 +166,7 @@ def test_no_tolerance_is_promised_where_none_is_known():
         claim = DECISION.statement.model_copy(update={"equivalent_deg": ranges})
         decision = DECISION.model_copy(update={"statement": claim})
         assert words.tolerance_text(claim, 32.0) == "none known"
-        assert "No tolerance can be promised" in words.mounting_sentence(decision)
+        assert "No tolerance can be stated" in words.mounting_sentence(decision)
     split = AngleStatement(
         p_within_5deg=0.5, expected_regret=0.01, regret_95=0.015, equivalent_deg=((10.0, 15.0), (30.0, 41.0))
     )

@@ -19,7 +19,7 @@ from tests.command_line.running import finray, succeed
 
 HOSTILE = "</script><script>alert(1)</script> & \"quoted\" 'name'"
 PICTURE = b"\x89PNG stands in"
-VIEW = "the camera sees 96% of the coat\n  along the pad 3.3 to 7.0 px/mm"
+VIEW = "the camera sees 96 % of the coat\n  along the pad 3.3 to 7.0 px/mm"
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_without_three_dimensions_or_scripts_the_drawing_serves(html):
     (image,) = page.all("img")
     assert base64.b64decode(str(image["src"]).partition(",")[2]) == PICTURE
     assert f"Drawing of the finger {HOSTILE} to scale" in str(image["alt"])
-    assert "the camera sees 96% of the coat" in page.prose
+    assert "the camera sees 96 % of the coat" in page.prose
 
 
 def test_it_can_be_used_by_keyboard_and_by_readers(html):

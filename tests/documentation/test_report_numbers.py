@@ -146,7 +146,7 @@ def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() ->
     ("verdict", "meaning"),
     [
         ("decided", "stays within 2 % with 95 % probability, and only nearby angles are as good (25 to 39 deg)"),
-        ("tie", "Any of these angles will do: 25 to 39 deg"),
+        ("tie", "Any of these angles is suitable: 25 to 39 deg"),
         ("undecided", "may lose 0.4 %. With captures the best guess is 32 deg. More angles or more repeats would help"),
         (
             "needs captures",
@@ -238,7 +238,7 @@ def test_withheld_and_identical_values_are_words() -> None:
     assert error_table(report).groups[0].rows[0][2:5] == ("0.90, none, 0.80", "withheld", "identical")
     assert error_table(report).groups[0].heading.endswith("2 % clipped")
     text = comparison_lines(report)
-    for words in ("withheld: relative RMS", "identical", "0.90 - 0.80", "2.0% clipped", "not fitted (1)"):
+    for words in ("withheld: relative RMS", "identical", "0.90 - 0.80", "2.0 % clipped", "not fitted (1)"):
         assert words in text
 
 

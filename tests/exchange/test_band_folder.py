@@ -239,7 +239,7 @@ def test_saturated_band_is_named(tmp_path):
         ("f.csv", "wavelength_nm,transmission\n500,0.1\n400,0.2\n", "wavelengths must increase"),
         ("f.csv", "wavelength_nm,transmission\n400,0\n500,90\n600,0\n", "divide by 100 if it is in per cent"),
         ("f.csv", "wavelength_nm,transmission\n400,0\n500,0\n600,0\n", "with something above 0"),
-        ("f.csv", "wavelength_nm,transmission\n400,0.2\n500,0.9\n", "does not fall to 50% of its peak"),
+        ("f.csv", "wavelength_nm,transmission\n400,0.2\n500,0.9\n", "does not fall to 50 % of its peak"),
         ("f.csv", "wavelength_nm,transmission\n0.4,0\n0.5,0.9\n0.6,0\n", "are they in nm"),
         ("q.csv", "wavelength_nm,response_percent\n450,1\n500,2\n", "of the weight of filter 450 lies outside"),
         ("q.csv", "wavelength_nm,qe\n400,1\n500,2\n", "a monochrome response needs wavelength_nm,response_percent"),

@@ -139,7 +139,7 @@ def test_a_session_gives_the_reflectance_of_the_closest_patch(room):
     # The chart on the bench and the one matched with are different measurements: a few units of the camera's error.
     assert match.camera_median_delta_e < 4.0
     assert match.patches[0].patch in match.statement
-    assert "30%" in match.statement or match.reflectance.uncertainty_rel > MATCH_UNCERTAINTY_REL
+    assert "30 %" in match.statement or match.reflectance.uncertainty_rel > MATCH_UNCERTAINTY_REL
     # corners in raw pixels: the chart lies on the right half of the 640 x 512 frame
     assert match.corners_px[:, 0].min() > 360
     assert match.corners_px[:, 0].max() < 640
@@ -167,7 +167,7 @@ def test_a_shorter_exposure_is_used_when_the_paint_is_clipped(room):
     region = session.plan.region
     bright = counts.copy()
     bright[region.row_px : region.row_px + region.height_px, region.column_px :] = 1023
-    with pytest.raises(FitError, match=r"the painted region is clipped in 100.0% of its cells"):
+    with pytest.raises(FitError, match=r"the painted region is clipped in 100.0 % of its cells"):
         colour_checker_reflectance(session, lambda frame: bright, optics)
 
 

@@ -212,7 +212,7 @@ class TestVerb:
         assert main(["fit", str(folder / "bands.json"), "--out", str(folder / "again.json")]) == 0
         said = capsys.readouterr().out
         page = (folder / "plastic.html").read_text().replace("\N{NO-BREAK SPACE}", " ")
-        assert "NO EMISSION of 'white plastic'" in said
+        assert "NO EMISSION found in 'white plastic'" in said
         for text in (said, page):
             assert re.search(r"yield below 0\.00\d+ with 95 % \(modes from 490 to 680 nm\)", text)
             assert "FWHM" not in text

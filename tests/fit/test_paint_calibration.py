@@ -157,7 +157,7 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
         "2 maxima of the posterior, modes at 606, 561 nm",
         "sampling cannot be trusted",
         "emcee disagrees",
-        "7% of the fitted curve lies below the laser line",
+        "7 % of the fitted curve lies below the laser line",
     ):
         assert any(words in line for line in said)
     fine = SimpleNamespace(
@@ -173,7 +173,7 @@ def test_a_level_that_contradicts_energy_is_told():
     """A paint that emits all that it absorbs has half of its draws cut off: no reason to warn."""
     assert energy_warnings(SimpleNamespace(excess_share=0.6, conserving=True)) == ()
     told = energy_warnings(SimpleNamespace(excess_share=0.99, conserving=False))[0]
-    assert told.startswith("99% of the draws emit more photons than are absorbed at the laser")
+    assert told.startswith("99 % of the draws emit more photons than are absorbed at the laser")
     assert "too few are left, so all were kept" in told
 
 

@@ -98,7 +98,7 @@ def test_repeat_that_says_nothing_is_ignored(case):
     [
         (np.array([1.3, 1.3, 1.3]), r"repeat is \d+ standard deviations brighter \((29|30)\.\d%\)"),
         (np.array([0.7, 1.0, 1.0]), r"its channels changed differently, by \d+ standard deviations"),
-        (np.array([0.5, 0.5, 0.5]), r"repeat is \d+ standard deviations and 50% dimmer"),
+        (np.array([0.5, 0.5, 0.5]), r"repeat is \d+ standard deviations and 50 % dimmer"),
     ],
 )
 def test_a_repeat_that_no_fading_explains_is_refused(change, message):

@@ -133,7 +133,7 @@ def test_a_matrix_that_makes_light_is_refused(tmp_path):
     assert read_donaldson_matrix(path).radiance_factor_per_nm.sum() * 10 == pytest.approx(1.39)
     rows[-1] = (490, 0.61, 0.3, 0)
     path.write_text(header + "".join(",".join(map(str, row)) + "\n" for row in rows))
-    with pytest.raises(CurveError, match=r"of light at 450 nm it sends out 1\.31 times what it receives \(1\.21 by"):
+    with pytest.raises(CurveError, match=r"at 450 nm it returns 1\.31 times the light that it receives \(1\.21 by"):
         read_donaldson_matrix(path)
 
 

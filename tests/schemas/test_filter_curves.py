@@ -68,8 +68,8 @@ def test_note_says_what_holds_where():
             triangle(),
             r"centre at 600 nm, but filter 600 has center_nm = 594\.9; they may differ by at most 5",
         ),
-        (band(fwhm_nm=40.0), triangle(), r"of the weight of filter 600 lies outside \(at most 20% is allowed\)"),
-        (band(), triangle(600.0, 601.0).model_copy(update={"values": np.array([0.5, 0.8, 0.0])}), "fall to 50%"),
+        (band(fwhm_nm=40.0), triangle(), r"of the weight of filter 600 lies outside \(at most 20 % is allowed\)"),
+        (band(), triangle(600.0, 601.0).model_copy(update={"values": np.array([0.5, 0.8, 0.0])}), "fall to 50 %"),
     ],
 )
 def test_curve_of_another_filter_is_refused(given: BandPassFilter, curve: SpectralCurve, message: str):
@@ -79,7 +79,7 @@ def test_curve_of_another_filter_is_refused(given: BandPassFilter, curve: Spectr
 
 def test_other_curves_must_cover_the_measured_band_not_the_nominal_one():
     short = SpectralCurve(name="short", wavelength_nm=np.array([300.0, 602.0]), values=np.ones(2), source="s.csv")
-    with pytest.raises(CurveError, match="32% of the weight of filter 600 lies outside"):  # (8/10)^2 / 2 of a triangle
+    with pytest.raises(CurveError, match="32 % of the weight of filter 600 lies outside"):  # (8/10)^2 / 2 of a triangle
         coverage_notes([band()], {"600": triangle()}, [short])
     assert coverage_notes([band(597.0)], {"600": triangle(587.0, 607.0)}, [short])[1].startswith("short covers")
 

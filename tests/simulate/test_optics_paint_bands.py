@@ -91,7 +91,7 @@ def test_a_paint_without_emission_above_the_led_is_refused(wavelength):
 
 def test_a_curve_that_misses_a_band_is_refused_and_a_small_gap_holds_the_end_value():
     band = led_band(LIGHT)
-    with pytest.raises(SimulateError, match="reflectance of x is known from 450 to 600 nm, but 49% of a band"):
+    with pytest.raises(SimulateError, match="reflectance of x is known from 450 to 600 nm, but 49 % of a band"):
         band_mean(np.array([450.0, 600.0]), np.array([0.2, 0.2]), band, "reflectance of x")
     value = band_mean(
         np.array([445.0, 446.0, 600.0]), np.array([0.2, 0.2, 0.2]), led_band(LightPanel(fwhm_nm=8.0)), "x"

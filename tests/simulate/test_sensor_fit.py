@@ -111,7 +111,7 @@ def test_the_record_and_the_fitted_design(hidden, tmp_path):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"encoding": "unknown"}, "told from linear values only"),
+        ({"encoding": "unknown"}, "fitted to linear values only"),
         ({"exposure_s": 0.02}, "one gain holds for all captures"),
         ({"name": "hidden"}, "given twice"),
     ],

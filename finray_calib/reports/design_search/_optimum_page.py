@@ -161,12 +161,12 @@ def _verdict(gain: DesignGain) -> str:
 
 
 def _screen_number(optimum: DesignOptimum) -> KeyNumber:
-    """Return the number that tells what the emulator is worth: the gain against the best of the screen."""
+    """Return the number that tells what the emulator is worth: the gain against the best of the screening."""
     gain = _gain(optimum, optimum.objectives[0], "best of the screen")
     count = sum(row.role == "screen" for row in optimum.designs)
     light, reason = _judged(gain)
     return KeyNumber(
-        f"Gain in {gain.objective} against the best of the screen", _best_known(gain),
+        f"Gain in {gain.objective} against the best of the screening", _best_known(gain),
         f"{_how(gain)}; a screen of {count} Sobol' points",
         "care" if light == "bad" else light, reason,
     )  # fmt: skip
@@ -340,8 +340,8 @@ def _front_picture(optimum: DesignOptimum) -> Picture:
     return drawing(
         text,
         f"The designs of the search in {' and '.join(names[:2])}. {optimum.sentence}",
-        "Each point is a design, with the 95 % interval of the emulator. What to see: whether the chosen one lies "
-        f"clear of the screen by more than the intervals.{more}",
+        "Each point is a design, with the 95 % interval of the emulator. What to see: whether the chosen one differs "
+        f"from those of the screening by more than the intervals.{more}",
     )
 
 

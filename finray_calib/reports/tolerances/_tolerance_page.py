@@ -123,7 +123,7 @@ def _bound(value: float | None, found: FingerTolerances) -> str:
 def _sections(found: FingerTolerances) -> tuple[Part, ...]:
     """Return what is found in tables and figures."""
     limits = Content(
-        lead="Distances from the drawn value, to less and to more, with 95 % intervals by the noise of evaluations.",
+        lead="Distances from the drawn value, downwards and upwards, with 95 % intervals by the noise of evaluations.",
         tables=(_limit_table(found.rows),),
         has_wide_tables=True,
     )
@@ -155,7 +155,7 @@ def _with_interval(side: ToleranceSide) -> str:
 def _limit_table(rows: Sequence[ToleranceRow]) -> ReportTable:
     """List the limits of each number alone."""
     columns = ("number", "drawn", "may be less by", "may be more by", "given half-range", "which comes from",
-               "growth at the limits, once more")  # fmt: skip
+               "growth at the limits, evaluated again")  # fmt: skip
     return one_group(
         "Limits of each number alone",
         columns,

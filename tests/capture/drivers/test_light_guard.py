@@ -424,7 +424,7 @@ class TestLightInAFile:
 
         with (
             guarded_light("laser", "indi", str(folder), lease_s=1.5) as light,
-            pytest.raises(LostError, match=r"its owner asked nothing for 1\.5 s.*confirmed off.*--resume"),
+            pytest.raises(LostError, match=r"its owner sent nothing for 1\.5 s.*confirmed off.*--resume"),
         ):
             work(light)
 
