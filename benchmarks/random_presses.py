@@ -29,7 +29,6 @@ from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
 from sim import PRESETS, preset_design
 from sim.mechanics import PressedFinger, PressSettings, press_as_designed, press_finger
 from sim.mechanics._indenters import rigid_indenter
-from sim.mechanics._rigid_bodies import FacetedBody
 from sim.surface_meshes import stl_bytes
 
 DEPTH_MM, INCREMENTS = 5.0, 5
@@ -204,7 +203,7 @@ def most_penetration_mm(design: FingerDesign, pressed: PressedFinger, folder: Pa
     coat = np.unique(pressed.mesh.surfaces["coat"])
     places = pressed.mesh.nodes_mm[coat] + pressed.displacement_mm[-1][coat]
     pose = indenter.pose(float(pressed.depth_mm[-1]))
-    distance, *_ = pose.distances(indenter.body or FacetedBody(indenter.surface), places)
+    distance, *_ = pose.distances(indenter.exact_body(), places)
     return float(-distance.min())
 
 

@@ -52,7 +52,6 @@ if TYPE_CHECKING:
         contact_forces_n,
         contact_pressure_mpa,
         frictionless_torque_n_mm,
-        left_out,
         press_finger,
         slip_torque_n_mm,
     )
@@ -99,7 +98,6 @@ __all__ = [
     "finger_materials",
     "finger_mesh",
     "frictionless_torque_n_mm",
-    "left_out",
     "mould_sizes",
     "mould_solid",
     "mould_stl",
