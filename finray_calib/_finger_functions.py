@@ -153,7 +153,7 @@ def press_finger(
     increments
         Steps of the push.
     contact
-        "penalty" (fast, no friction), "barrier" (friction, any indenter, contact of ribs) or "auto".
+        "penalty" (fast), "barrier" (contact of ribs too) or "auto": the penalty, and the barrier where ribs meet.
     budget_s
         Processor time, all threads together, after which the press ends early with the increments that it has.
     progress

@@ -240,10 +240,6 @@ def _pressed(
         settings = PressSettings(None, count, threads, budget_s=arguments.budget)
         pressed = press_to_force(design, arguments.force, settings, folder=folder, progress=progress)
         return pressed, {"wanted_force_n": arguments.force}
-    from sim.mechanics import left_out
-
-    if leaves := left_out(design, arguments.contact):
-        warn(leaves)
     return _pressed_to_depth(arguments, design, count, resume, increments, origin, progress), {}
 
 
@@ -444,8 +440,8 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--contact", choices=["auto", "penalty", "barrier"], default="auto",
-        help="penalty (fast, no friction), barrier (friction, any indenter, contact of ribs) or auto (default: "
-             "penalty where it can be used)",
+        help="penalty (fast), barrier (contact of ribs too) or auto (default: the penalty, and the barrier where ribs "
+        "meet)",
     )  # fmt: skip
     parser.add_argument(
         "--sensitivities", action="store_true",

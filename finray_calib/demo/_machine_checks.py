@@ -217,7 +217,7 @@ def check_contact() -> Found:
     try:
         version = metadata.version("ipctk")
     except metadata.PackageNotFoundError:
-        return _note("ipctk is not installed: no friction, no contact among ribs", _SIM_PACKAGES)
+        return _note("ipctk is not installed: no contact among ribs", _SIM_PACKAGES)
     library = import_module("sim.mechanics._contact_library")
     failure = library.contact_library_failure()
     if failure is not None:

@@ -35,7 +35,6 @@ from sim.mechanics import (
     contact_forces_n,
     finger_mesh,
     frictionless_torque_n_mm,
-    left_out,
     press_finger,
     press_to_force,
     slip_torque_n_mm,
@@ -272,11 +271,11 @@ def press_sensitivities(
     """
     increments = len(pressed.depth_mm)
     before = pressed
-    if contact == "auto" and pressed.kind != "unknown" and not left_out(design):
+    if contact == "auto" and pressed.kind != "unknown":
         contact = pressed.kind  # all by one contact: their differences count
     if design.mesh.preset != PRESET:
         before = press_finger(design, PressSettings(PRESET, increments, threads, contact), folder=folder)
-    start = before if chosen_contact(design, contact) == "penalty" else None
+    start = before if chosen_contact(contact) == "penalty" else None
     changes = list(_changes(design, _uncertain(design) if fields is None else fields))
     varied = []
     for done, (field, change_rel) in enumerate(changes):

@@ -117,7 +117,7 @@ def stored_press(
     _check_same_design(record, design)
     # a press that took the barrier by itself goes on with it
     went_on = record.contact == "barrier" and contact == "auto"
-    _check_same_contact(record, "barrier" if went_on else chosen_contact(design, contact), indenter_sha256)
+    _check_same_contact(record, "barrier" if went_on else chosen_contact(contact), indenter_sha256)
     return _as_press(record, _same_mesh(record, design))
 
 

@@ -194,7 +194,8 @@ Modes = tuple[FloatArray, ...]
 """Incompatible modes of each block in mm: (m, 3, 3), or (m, 0, 3) for elements that have none."""
 
 Pressures = tuple[FloatArray, ...]
-"""Pressure p of each element of each block in MPa, positive in tension: (m,), of any value where it is not held."""
+"""Pressures p of each block in MPa, positive in tension: of its elements (m, 1), of their points (m, 8), or none held
+(m, 0)."""
 
 _TOGETHER = 256  # elements of one call: their tangents (1.2 MB) stay in the cache
 
@@ -212,11 +213,12 @@ class ElementMatrices:
 class Elasticity:
     """Elastic energy of the blocks of a mesh with their materials.
 
-    Of elements with mean dilatation the pressure p is an unknown of the iteration, eliminated in the element (J. C.
-    Simo, R. L. Taylor, K. S. Pister, 1985): at the equilibrium p = K (v/V - 1). A step of u with the matrix at hand
-    leads to p^ = K (theta + dtheta), with theta = v/V - 1 and dtheta its linear change. Along the step, with p^ held,
+    Of elements with mean dilatation, and at the points of others whose K/mu is above 20, the pressure p is an unknown
+    of the iteration, eliminated in the element (J. C. Simo, R. L. Taylor, K. S. Pister, 1985): at the equilibrium
+    p = K (v/V - 1). A step of u with the matrix at hand leads to p^ = K (theta + dtheta), with theta = v/V - 1 and
+    dtheta its linear change. Along the step, with p^ held,
 
-        M = sum_e V (W_shear + p^ theta + rho/2 (theta - p^/K)^2) + other energies,  rho = min(K, 20 mu)
+        M = sum V (W_shear + p^ theta + rho/2 (theta - p^/K)^2) + other energies,  rho = min(K, 20 mu)
 
     falls where the energy, K/2 theta^2 in place of the last two, allows only steps of (mu/K)^(1/2): a step keeps the
     volume to first order, and K times the square of what it changes to second order is large. With rho = K both are
@@ -253,10 +255,17 @@ class Elasticity:
         self._solved = [np.zeros((len(c) if m else 0, 9, 25)) for c, m in zip(self.cells, mode_counts, strict=True)]
         self._mode_force = [np.zeros((len(s), 9)) for s in self._solved]
         self._energies = [np.zeros(len(c)) for c in self.cells]
-        self._swelling = [np.zeros((len(c), 0 if m else 24)) for c, m in zip(self.cells, mode_counts, strict=True)]
-        self._volume_strain = [np.zeros((len(c), 2)) for c in self.cells]
         # K and rho of each block
         self._moduli = [_volumetric_moduli_mpa(m) for m in self._materials]
+        # a tangent by the energy alone where nothing is nearly incompressible
+        held = [
+            1 if not m else 8 if law.law == OGDEN and rho < k else 0
+            for m, law, (k, rho) in zip(mode_counts, self._materials, self._moduli, strict=True)
+        ]
+        self._swelling = [
+            np.zeros((len(c), p, 24 + 3 * m)) for c, p, m in zip(self.cells, held, mode_counts, strict=True)
+        ]
+        self._volume_strain = [np.zeros((len(c), p, 2)) for c, p in zip(self.cells, held, strict=True)]
         # displacements and modes that the energies belong to
         self._evaluated: tuple[FloatArray, ...] = ()
         self.no_modes: Modes = tuple(np.zeros((len(c), m, 3)) for c, m in zip(self.cells, mode_counts, strict=True))
@@ -276,38 +285,37 @@ class Elasticity:
     @property
     def no_pressure(self) -> Pressures:
         """No pressure in any element."""
-        return tuple(np.zeros(len(c)) for c in self.cells)
+        return tuple(np.zeros(strain.shape[:2]) for strain in self._volume_strain)
 
     def pressures_mpa(self, u: FloatArray, modes: Modes) -> Pressures:
-        """Return K (v/V - 1) of each element; the pressure, where u is an equilibrium."""
+        """Return K (v/V - 1) where pressures are held; the pressure, where u is an equilibrium."""
         self.energy(u, modes)
-        return tuple(k * strain[:, 1] for (k, _), strain in zip(self._moduli, self._volume_strain, strict=True))
+        return tuple(k * strain[..., 1] for (k, _), strain in zip(self._moduli, self._volume_strain, strict=True))
 
-    def full_step_pressures_mpa(self, du: FloatArray) -> tuple[Pressures, float]:
-        """Return p^ of a step du (n, 3) from the last :meth:`matrices`, and by what M's slope lies above the energy's.
+    def full_step_pressures_mpa(self, du: FloatArray, step: Modes) -> tuple[Pressures, float]:
+        """Return p^ of a step du (n, 3) and its modes from the last :meth:`matrices`, and by what M's slope is more.
 
-        sum_e V (K - rho) dtheta^2.
+        More than the energy's, by sum V (K - rho) dtheta^2.
         """
         found, slope = [], 0.0
-        for cells, swelling, strain, (k, rho) in zip(
-            self.cells, self._swelling, self._volume_strain, self._moduli, strict=True
+        for cells, modes, swelling, strain, (k, rho) in zip(
+            self.cells, step, self._swelling, self._volume_strain, self._moduli, strict=True
         ):
             if not swelling.shape[1]:
-                found.append(np.zeros(len(cells)))
+                found.append(np.zeros(strain.shape[:2]))
                 continue
-            change = np.einsum("ei,ei->e", swelling, du[cells].reshape(-1, 24)) / strain[:, 0]
-            found.append(k * (strain[:, 1] + change))
-            slope += (k - rho) * float((strain[:, 0] * change**2).sum())
+            local = np.concatenate([du[cells].reshape(-1, 24), modes.reshape(len(cells), -1)], axis=1)
+            change = np.einsum("epi,ei->ep", swelling, local) / strain[..., 0]
+            found.append(k * (strain[..., 1] + change))
+            slope += (k - rho) * float((strain[..., 0] * change**2).sum())
         return tuple(found), slope
 
     def excess_n_mm(self, held: Pressures) -> float:
         """Return by what M lies above the energy at the last evaluation, with the pressures p^ held."""
         whole = 0.0
-        for pressure, swelling, strain, (k, rho) in zip(
-            held, self._swelling, self._volume_strain, self._moduli, strict=True
-        ):
-            if swelling.shape[1] and rho < k:
-                volume, theta = strain[:, 0], strain[:, 1]
+        for pressure, strain, (k, rho) in zip(held, self._volume_strain, self._moduli, strict=True):
+            if rho < k:
+                volume, theta = strain[..., 0], strain[..., 1]
                 soft = 0.5 * rho * (theta - pressure / k) ** 2
                 whole += float((volume * (pressure * theta + soft - 0.5 * k * theta**2)).sum())
         return whole

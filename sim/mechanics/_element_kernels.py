@@ -319,7 +319,7 @@ def hexahedron(
     law: int,
     parameters: FloatArray,
     mean_dilatation: bool,
-    held_mpa: float,
+    held_mpa: FloatArray,
     level: int,
     force: FloatArray,
     tangent: FloatArray,
@@ -340,14 +340,16 @@ def hexahedron(
         Whether the volumetric energy K/2 (v/V - 1)^2 V uses the whole element's volume (J. C. Nagtegaal, D. M. Parks,
         J. R. Rice, 1974) or that of each point.
     held_mpa
-        With the mean dilatation: pressure p that weighs the second derivative of the volume in the tangent, in place
-        of K (v/V - 1), which differs from it before the equilibrium. The force is that of K (v/V - 1).
+        Pressure p that weighs the second derivative of the volume in the tangent, in place of K (v/V - 1), which
+        differs from it before the equilibrium: of the element with the mean dilatation (1,), else of each point (8,),
+        or of none (0,), where the tangent is the energy's. The force is always that of K (v/V - 1).
     level
         0 energy only, 1 forces and tangent, 2 forces and a tangent without negative curvature.
     force, tangent
         Filled: (3 nodes,) in N, (3 nodes, 3 nodes) in N/mm.
     swelling, volume_strain
-        Filled with the mean dilatation: dv/du (24,) in mm^2, at level 0 not; V in mm^3 and v/V - 1, (2,).
+        Filled for each pressure that is held: dv/du (1, 24) or (8, 33) in mm^2, at level 0 not; V in mm^3 and v/V - 1,
+        (1, 2) or (8, 2).
     """
     nodes = displacement.shape[0]
     gradients, volume, f, jacobians = np.empty((8, nodes, 3)), np.empty(8), np.empty((8, 3, 3)), np.empty(8)
@@ -364,19 +366,23 @@ def hexahedron(
     shared = bulk * (deformed / total - 1.0)
     energy = 0.5 * shared * (deformed - total) if mean_dilatation else 0.0
     if mean_dilatation:
-        volume_strain[0], volume_strain[1] = total, deformed / total - 1.0
+        volume_strain[0, 0], volume_strain[0, 1] = total, deformed / total - 1.0
     stretch, first, second, shear, curve = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(3)
     material, spatial, work, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     rows, weighted, dilation = np.empty((72, 3 * nodes)), np.empty((72, 3 * nodes)), np.zeros(3 * nodes)
+    at_points = not mean_dilatation and len(held_mpa) > 0
     force[:] = 0.0
     for q in range(8):
         _principal_frame(f[q], stretch, material, spatial, work)
         energy += volume[q] * stretch_energy(law, parameters, stretch, first, second, curve)
         if bulk > 0.0:
-            pressure = held_mpa if mean_dilatation else bulk * (jacobians[q] - 1.0)
+            own = bulk * (jacobians[q] - 1.0)
+            pressure = held_mpa[0] if mean_dilatation else held_mpa[q] if at_points else own
             if not mean_dilatation:
-                energy += 0.5 * pressure * (jacobians[q] - 1.0) * volume[q]
+                energy += 0.5 * own * (jacobians[q] - 1.0) * volume[q]
             _add_volumetric(pressure, 0.0 if mean_dilatation else bulk, jacobians[q:], stretch, first, second)
+        if at_points:
+            volume_strain[q, 0], volume_strain[q, 1] = volume[q], jacobians[q] - 1.0
         if level == 0:
             continue
         here = rows[9 * q : 9 * q + 9]
@@ -386,6 +392,11 @@ def hexahedron(
             for r in range(3 * nodes):
                 force[r] += pull * here[i, r]
                 dilation[r] += swell * here[i, r]
+        if at_points:
+            for r in range(3 * nodes):
+                swelling[q, r] = dilation[r]
+                force[r] += (own - held_mpa[q]) * dilation[r]
+                dilation[r] = 0.0
         _shear_modes(stretch, first, second, shear)
         if level == 2:
             _without_negative(second, curve, axes, work)
@@ -396,8 +407,8 @@ def hexahedron(
         np.dot(rows.T, weighted, tangent)
         if mean_dilatation:
             for r in range(3 * nodes):
-                force[r] += (shared - held_mpa) * dilation[r]
-                swelling[r] = dilation[r]
+                force[r] += (shared - held_mpa[0]) * dilation[r]
+                swelling[0, r] = dilation[r]
                 scaled = bulk / total * dilation[r]
                 for s in range(3 * nodes):
                     tangent[r, s] += scaled * dilation[s]
@@ -463,8 +474,8 @@ def many_hexahedra(
     """Fill energies (m,), forces (m, 24) and tangents (m, 24, 24) of hexahedra (m, 8) of a mesh.
 
     With `modes` of shape (m, 3, 3) the elements have incompatible modes, which are eliminated: `solved` (m, 9, 25) and
-    `mode_force` (m, 9) are filled; with modes of shape (m, 0, 3) they use the mean dilatation, with the pressures
-    `held_mpa` (m,), and fill `swelling` (m, 24) and `volume_strain` (m, 2): see :func:`hexahedron`.
+    `mode_force` (m, 9) are filled; with modes of shape (m, 0, 3) they use the mean dilatation. The pressures `held_mpa`
+    (m, p), `swelling` (m, p, 24 or 33) and `volume_strain` (m, p, 2) are those of :func:`hexahedron`.
     """
     extra = modes.shape[1]
     nodes = 8 + extra

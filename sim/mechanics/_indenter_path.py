@@ -20,7 +20,7 @@ from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._newton import NewtonOptions, Supports
 from sim.mechanics._penalty_contact import ContactMotion, SlidingContact, SlidingTouch, penalty_mpa_per_mm
 from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, press_finger
-from sim.mechanics._rigid_bodies import FacetedBody, Pose
+from sim.mechanics._rigid_bodies import Pose
 
 FloatArray = NDArray[np.float64]
 
@@ -174,7 +174,7 @@ class _MovedIndenter(SlidingTouch):
 
     def __init__(self, design: FingerDesign, path: IndenterPath, settings: PressSettings, folder: Path) -> None:
         indenter, mesh = rigid_indenter(design, folder), finger_mesh(design, settings.preset)
-        body = FacetedBody(indenter.surface) if indenter.body is None else indenter.body
+        body = indenter.exact_body()
         self._indenter, self._path = indenter, path
         self._pad_mm = STEPS[settings.preset or design.mesh.preset].pad_mm
         eps = penalty_mpa_per_mm(design, self._pad_mm)

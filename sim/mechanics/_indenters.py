@@ -15,6 +15,7 @@ from data_schemas import FingerDesign, SimulateError, check_magnitude
 from sim.mechanics._rigid_bodies import (
     Body,
     Cylinder,
+    FacetedBody,
     Pose,
     RoundedBox,
     Sphere,
@@ -58,6 +59,10 @@ class RigidIndenter:
     body: Body | None
     surface: TriangleMesh
     touching: Pose
+
+    def exact_body(self) -> Body:
+        """Return what tells exact distances: a mesh of the user is its facets."""
+        return FacetedBody(self.surface) if self.body is None else self.body
 
     def pose(self, depth_mm: float) -> Pose:
         """Return the pose at a push from first touch."""

@@ -229,11 +229,11 @@ class _Search:
         What must fall is M of :class:`~sim.mechanics._assembly.Elasticity`, with the step's own pressures.
         """
         elasticity = self.assembly.elasticity
-        pressures, softer = elasticity.full_step_pressures_mpa(du)
+        step = elasticity.mode_step(du)
+        pressures, softer = elasticity.full_step_pressures_mpa(du, step)
         merit, rise = energy + elasticity.excess_n_mm(pressures), rise + softer
         if not moving and rise > _NOISE * abs(energy):
             return None
-        step = elasticity.mode_step(du)
         share = min(1.0, self.options.longest_step_mm / max(float(np.abs(du).max()), 1e-300))
         share *= self.assembly.max_step(state, share * du)
         noise = _NOISE * (sum(map(abs, elasticity.energy_of_blocks().values())) + abs(energy) + abs(merit))

@@ -1,6 +1,6 @@
 """Contact with a rigid body by a penalty on its signed distance: the fast path, of the coat alone.
 
-Without friction for a body that is pressed straight in; with Coulomb friction that remembers for one that moves freely.
+Without friction, or with Coulomb friction that remembers, for a body that is pressed straight in or moves freely.
 """
 
 import math
@@ -175,22 +175,20 @@ class PenaltyTouch:
         The finger's, with one more node where the indenter is one.
     contact
         Of its coat with the indenter.
-    left_out
-        What it leaves out though the design has it, in words.
     """
 
     kind: ContactKind = "penalty"
 
-    def __init__(self, mesh: FingerMesh, contact: PenaltyContact, left_out: str = "") -> None:
+    def __init__(self, mesh: FingerMesh, contact: PenaltyContact) -> None:
         self.mesh = mesh
         self._contact = contact
-        self._left_out = left_out
 
     @property
     def note(self) -> str:
         """How the surfaces touch."""
-        how = "contact by penalty: frictionless; the indenter's distance is exact; contact between ribs is not computed"
-        return f"{how}; {self._left_out}" if self._left_out else how
+        return (
+            "contact by penalty: frictionless; the indenter's distance is exact; contact between ribs is not computed"
+        )
 
     def force_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the indenter (3,)."""
@@ -224,33 +222,16 @@ class PenaltyPress(PenaltyTouch):
         At first touch.
     stiffness_mpa_per_mm
         See :func:`penalty_mpa_per_mm`.
-    left_out
-        What it leaves out though the design has it, in words.
-
-    Raises
-    ------
-    SimulateError
-        When the indenter is a mesh of the user.
     """
 
     settle = None  # nothing is lagged
 
-    def __init__(
-        self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float, left_out: str = ""
-    ) -> None:
-        if indenter.body is None:
-            raise SimulateError(
-                "the penalty cannot compute distances to an indenter from an STL: use --contact barrier, or auto"
-            )
+    def __init__(self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float) -> None:
+        body, pose = indenter.exact_body(), indenter.touching
         contact = PenaltyContact(
-            mesh.nodes_mm,
-            mesh.surfaces["coat"],
-            indenter.body,
-            indenter.touching,
-            stiffness_mpa_per_mm,
-            curvature=False,
+            mesh.nodes_mm, mesh.surfaces["coat"], body, pose, stiffness_mpa_per_mm, curvature=False
         )
-        super().__init__(mesh, contact, left_out)
+        super().__init__(mesh, contact)
         self._indenter = indenter
         self.terms: tuple[Term, ...] = (contact,)
         self._supports = Supports.at_rest(len(mesh.nodes_mm), mesh.node_sets["fixed"])
@@ -550,3 +531,29 @@ class SlidingTouch(PenaltyTouch):
     def accept(self, state: State) -> None:
         """Let the next increment begin at a state."""
         self.sliding.accept(state.u_mm)
+
+
+class SlidingPress(SlidingTouch):
+    """The coat against an indenter with friction that is placed at a depth.
+
+    Parameters
+    ----------
+    mesh, indenter, stiffness_mpa_per_mm
+        See :class:`PenaltyPress`.
+    friction_ratio
+        Coulomb's coefficient.
+    """
+
+    def __init__(
+        self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float, friction_ratio: float
+    ) -> None:
+        body, pose = indenter.exact_body(), indenter.touching
+        contact = SlidingContact(mesh.nodes_mm, mesh.surfaces["coat"], body, pose, stiffness_mpa_per_mm, friction_ratio)
+        super().__init__(mesh, contact)
+        self._indenter = indenter
+        self.terms: tuple[Term, ...] = (contact,)
+
+    def push(self, depth_mm: float) -> Supports:
+        """Place the indenter at a depth for an increment from where the last one ended, and return the supports."""
+        self.sliding.restart(self._indenter.pose(depth_mm))
+        return self.supports

@@ -1,7 +1,7 @@
 """Press an indenter into a finger: increments of the push, from first touch or from a stored press.
 
 What a press found, increment by increment, and the torque that its contact can hold. Contact is the fast penalty on
-exact distances, or the barrier with friction and contact of the ribs.
+exact distances, or the barrier with contact of the ribs; both with friction.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +22,7 @@ from sim.mechanics._indenters import rigid_indenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._mesh import FingerMesh, OwnSurfaces
 from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports
-from sim.mechanics._penalty_contact import PenaltyPress, penalty_mpa_per_mm
+from sim.mechanics._penalty_contact import PenaltyPress, SlidingPress, penalty_mpa_per_mm
 
 if TYPE_CHECKING:
     from sim.mechanics._barrier_contact import Barrier
@@ -83,52 +83,19 @@ class PressContact(Touch, Protocol):
         ...
 
 
-def chosen_contact(design: FingerDesign, wanted: ContactChoice = "auto") -> ContactKind:
-    """Return the contact of a press: the penalty where it can, the barrier for friction and meshes of the user.
-
-    Where the barrier's library does not run on this machine, "auto" takes the penalty, without the friction: see
-    :func:`left_out`.
+def chosen_contact(wanted: ContactChoice = "auto") -> ContactKind:
+    """Return the contact that a press begins with: the penalty, unless the barrier is asked for.
 
     Raises
     ------
-    SimulateError
-        When the penalty is asked for where only the barrier serves.
     MissingExtraError
-        When only the barrier serves, or it is asked for, and its library does not run here.
+        When the barrier is asked for, and its library does not run here.
     """
-    needs = _needs_of_barrier(design)
-    if wanted == "penalty" and needs:
-        raise SimulateError(
-            f"--contact penalty cannot be used with {' and '.join(needs)}: use --contact barrier, or auto"
-        )
-    if wanted == "penalty" or not (needs or wanted == "barrier"):
+    if wanted != "barrier":
         return "penalty"
-    failure = contact_library_failure()
-    if failure is None:
-        return "barrier"
-    if wanted == "auto" and design.indenter.shape != "mesh":
-        return "penalty"
-    asked = "--contact barrier" if wanted == "barrier" else " and ".join(needs)
-    raise MissingExtraError(f"{asked} needs the contact by a barrier, and {failure}")
-
-
-def left_out(design: FingerDesign, wanted: ContactChoice = "auto") -> str:
-    """Return in a sentence what the chosen contact leaves out because the barrier's library does not run here."""
-    if wanted != "auto" or not _needs_of_barrier(design) or chosen_contact(design) == "barrier":
-        return ""
-    return (
-        f"this press leaves friction out (indenter.friction = {design.indenter.friction:g}), because "
-        f"{contact_library_failure()}"
-    )
-
-
-def _needs_of_barrier(design: FingerDesign) -> list[str]:
-    """Return the fields of a design that only the barrier serves."""
-    indenter = design.indenter
-    return [
-        *([f"indenter.friction = {indenter.friction:g}"] if indenter.friction > 0.0 else []),
-        *(['indenter.shape = "mesh"'] if indenter.shape == "mesh" else []),
-    ]
+    if (failure := contact_library_failure()) is not None:
+        raise MissingExtraError(f"--contact barrier needs the contact by a barrier, and {failure}")
+    return "barrier"
 
 
 def press_contact(
@@ -160,12 +127,15 @@ def press_contact(
     Raises
     ------
     SimulateError, MissingExtraError
-        See :func:`chosen_contact` and :func:`~sim.mechanics.rigid_indenter`.
+        See :func:`~sim.mechanics.rigid_indenter` and :func:`chosen_contact`.
     """
-    kind = chosen_contact(design, wanted)
+    kind = chosen_contact(wanted)
     indenter = rigid_indenter(design, folder)
     if kind == "penalty":
-        return PenaltyPress(mesh, indenter, penalty_mpa_per_mm(design, step_mm), left_out(design, wanted))
+        stiffness = penalty_mpa_per_mm(design, step_mm)
+        if design.indenter.friction > 0.0:
+            return SlidingPress(mesh, indenter, stiffness, design.indenter.friction)
+        return PenaltyPress(mesh, indenter, stiffness)
     # here, because they cannot be imported where the library does not run
     from sim.mechanics._barrier_contact import Barrier, BarrierPress
 
@@ -439,8 +409,7 @@ class PressSettings:
     threads
         Of elements and factorisation.
     contact
-        "auto": the penalty where it can, the barrier for friction and meshes of the user, and for a press whose parts
-        pass through each other by the penalty: it begins again.
+        "auto": the penalty; a press whose parts pass through each other by it begins again with the barrier.
     budget_s
         Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
     """
@@ -469,8 +438,8 @@ def press_finger(
 ) -> PressedFinger:
     """Press the design's indenter in by its depth along the pad's normal, from first touch.
 
-    Contact by a penalty on exact distances, frictionless, where ribs do not see each other; or by a barrier with the
-    design's friction and contact of all parts. Each increment is looked at for surfaces of the finger that pass
+    Contact by a penalty on exact distances, where ribs do not see each other, or by a barrier with contact of all
+    parts; with the design's friction. Each increment is looked at for surfaces of the finger that pass
     through each other, which the result then tells. A push of 5 mm and more buckles ribs, which takes more increments.
 
     Parameters
@@ -559,7 +528,7 @@ def _prepared(
     assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), settings.threads), [*touch.terms, *ties])
     begin = None if resume is None else resumed(resume, touch.mesh, depth)
     if begin is not None:
-        touch.accept(begin[1])
+        _take_up(touch, *begin, depth)
     if start is None and resume is None:
         predict = _path_from_coarse(_first_on_coarse(design, settings, watch), touch.mesh, depth)
     else:
@@ -581,6 +550,17 @@ def _prepared(
     return touch, PressHistory(assembly, ties, touch, resume), path
 
 
+def _take_up(touch: PressContact, share: float, state: State, depth_mm: float) -> None:
+    """Let a contact go on from a stored state.
+
+    What friction remembers is not stored: the coat is taken to have come to touch and to slip on one straight way.
+    """
+    touch.push(share * depth_mm)
+    if touch.settle is not None:
+        touch.settle(state)
+    touch.accept(state)
+
+
 def _barrier_may_help(touch: PressContact) -> bool:
     """Whether parts that pass through each other can be pressed again with a contact that sees them all."""
     return touch.kind == "penalty" and contact_library_failure() is None
@@ -600,7 +580,7 @@ def _first_on_coarse(design: FingerDesign, settings: PressSettings, watch: Watch
     Further increments are extrapolated: from 3 to 4 mm the coarse path led to a slow start on the medium mesh.
     """
     preset, contact = settings.preset or design.mesh.preset, settings.contact
-    if preset == "coarse" or chosen_contact(design, contact) == "barrier":
+    if preset == "coarse" or chosen_contact(contact) == "barrier":
         return None
     first = design.indenter.model_copy(update={"depth_mm": design.indenter.depth_mm / settings.increments})
     coarse = PressSettings("coarse", 1, settings.threads, "penalty", watch.left_s)

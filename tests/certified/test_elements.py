@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from data_schemas import SimulateError
 from sim.mechanics import LinearElastic, Ogden
 from sim.mechanics._assembly import Elasticity
-from sim.mechanics._element_kernels import CORNERS, hexahedron, stretch_energy
+from sim.mechanics._element_kernels import CORNERS, OGDEN, hexahedron, stretch_energy
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._newton import NewtonOptions, Supports
 from tests.certified.blocks import assemble, press, uniaxial_stress_mpa, unit_cells
@@ -28,18 +28,19 @@ each_kernel = pytest.mark.parametrize(("element", "material"), KERNELS.values(),
 
 
 def evaluate(x, v, element, material, level=1, held_mpa=None):
-    """Energy, force and tangent, with the pressure that the displacement gives if none is held."""
+    """Energy, force and tangent, with the pressures that the displacement gives if none are held."""
     mean = element == "mean_dilatation"
-    size = 24 if mean else 33
-    force, tangent, swelling, strain = np.zeros(size), np.zeros((size, size)), np.zeros(24), np.zeros(2)
+    size, held = (24, 1) if mean else (33, 8 if material.law == OGDEN else 0)
+    force, tangent = np.zeros(size), np.zeros((size, size))
+    swelling, strain = np.zeros((held, size)), np.zeros((held, 2))
     u = v.reshape(-1, 3).copy()
 
     def energy(level, held):
         return hexahedron(x, u, material.law, material.parameters, mean, held, level, force, tangent, swelling, strain)
 
-    energy(0, 0.0)
-    own = material.bulk_modulus_mpa * strain[1]
-    return energy(level, own if held_mpa is None else held_mpa), force, tangent
+    energy(0, np.zeros(held))
+    own = material.bulk_modulus_mpa * strain[:, 1]
+    return energy(level, own if held_mpa is None else np.broadcast_to(held_mpa, held).copy()), force, tangent
 
 
 def distorted(rng, element):

@@ -20,7 +20,6 @@ from sim.mechanics import (
 )
 from sim.mechanics._colliding_surfaces import edge_edge_mm, point_triangle_mm
 from sim.mechanics._indenters import least_over_triangles, over_rectangle
-from sim.mechanics._press import press_contact
 from sim.mechanics._rigid_bodies import FacetedBody, TriangleMesh, check_closed_body, read_body, rotation_matrix
 from sim.surface_meshes import pressed_height_mm, rest_height_mm, stl_bytes, without_press
 
@@ -112,8 +111,7 @@ def test_a_closed_file_is_an_indenter(tmp_path):
     assert volume_mm3(indenter.surface) == pytest.approx(96.0)
     assert indenter.vertices_mm()[:, 1].min() == pytest.approx(6.0)
     assert indenter.vertices_mm()[:, 0].max() == pytest.approx(5.0)
-    with pytest.raises(SimulateError, match=r'--contact penalty cannot be used with indenter\.shape = "mesh"'):
-        press_contact(design, None, 2.0, "penalty", folder=tmp_path)
+    assert isinstance(indenter.exact_body(), FacetedBody)
     assert side_outline_mm(design) is None
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from data_schemas import FingerDesign, Indenter, SimulateError
+from data_schemas import SimulateError
 from sim import preset_design
-from sim.mechanics import Cylinder, PenaltyContact, Pose, PressSettings, body_mesh, chosen_contact, press_finger
+from sim.mechanics import Cylinder, PenaltyContact, Pose, PressSettings, body_mesh, press_finger
 from sim.mechanics._barrier_contact import Drive
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._newton import Supports
@@ -151,24 +151,17 @@ def test_what_is_tied_or_thin_at_rest_does_not_collide():
     assert contact.gap_mm(np.zeros_like(nodes)) == np.inf
 
 
-def test_the_contact_is_chosen_by_what_the_design_needs():
-    plain, rough = FingerDesign(), FingerDesign(indenter=Indenter(friction=0.3))
-    assert chosen_contact(plain) == "penalty"
-    assert chosen_contact(plain, "barrier") == "barrier"
-    assert chosen_contact(rough) == "barrier"
-    with pytest.raises(SimulateError, match=r"--contact penalty cannot be used with indenter\.friction = 0\.3"):
-        chosen_contact(rough, "penalty")
-
-
-def test_a_finger_pressed_with_either_contact():
+@pytest.mark.parametrize(("friction", "within"), [(0.0, 0.06), (0.8, 0.06)])
+def test_a_finger_pressed_with_either_contact(friction, within):
     design = preset_design("baby-48x18")
-    design = design.model_copy(update={"indenter": design.indenter.model_copy(update={"depth_mm": 0.5})})
+    update = {"depth_mm": 0.5, "friction": friction}
+    design = design.model_copy(update={"indenter": design.indenter.model_copy(update=update)})
     penalty, barrier = (
         press_finger(design, PressSettings("coarse", 1, contact=kind)) for kind in ("penalty", "barrier")
     )
     assert not barrier.unreached
     # both touch along chords of elements of 2 mm, h^2 / 8R = 50 um of the 500 um, at other points of them
-    assert barrier.force_n[-1, 1] == pytest.approx(penalty.force_n[-1, 1], rel=0.06)
+    assert barrier.force_n[-1, 1] == pytest.approx(penalty.force_n[-1, 1], rel=within)
     assert len(barrier.mesh.nodes_mm) == len(penalty.mesh.nodes_mm) + 1
     assert "barrier" in barrier.contact
     assert "contact between ribs is not computed" in penalty.contact

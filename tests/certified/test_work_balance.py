@@ -43,11 +43,12 @@ def test_the_work_of_sliding_is_what_friction_takes(ratio):
     assert lost[-3:] == pytest.approx(ratio * push[-3:] * steps, rel=0.1)
 
 
-def test_a_press_tells_what_is_stored_and_what_is_lost():
+@pytest.mark.parametrize("contact", ["penalty", "barrier"])
+def test_a_press_tells_what_is_stored_and_what_is_lost(contact):
     small = preset_design("baby-48x18")
     indenter = small.indenter.model_copy(update={"depth_mm": 0.2, "friction": 0.5})
-    pressed = press_finger(small.model_copy(update={"indenter": indenter}), PressSettings("coarse", 2))
-    assert pressed.kind == "barrier"
+    pressed = press_finger(small.model_copy(update={"indenter": indenter}), PressSettings("coarse", 2, contact=contact))
+    assert pressed.kind == contact
     depth, force = np.r_[0.0, pressed.depth_mm], np.r_[0.0, pressed.force_n[:, 1]]
     assert (pressed.contact_energy_n_mm > 0.0).all()
     assert (pressed.contact_energy_n_mm < 0.2 * pressed.energy_n_mm).all()

@@ -540,12 +540,6 @@ CASES = (
         r"flat-70x35: no such file; write it first: finray design init flat-70x35, then give flat-70x35\.toml",
     ),
     Case(
-        "friction with the penalty",
-        MECHANICS + " --contact penalty",
-        r"--contact penalty cannot be used with indenter\.friction = 0\.3: use --contact barrier, or auto",
-        design("[indenter]\nfriction = 0.3"),
-    ),
-    Case(
         "contact of CalculiX",
         MECHANICS + " --contact barrier --engine calculix",
         r"--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix",

@@ -186,7 +186,7 @@ def test_an_stl_that_changed_is_not_gone_on_with(tmp_path: Path) -> None:
     press = f"simulate press {tmp_path}/finger.toml"
     succeed(f"{press} --increments 1 --out {tmp_path}/first.json")
     stored = read_record(tmp_path / "first.increments" / "001.json", PressIncrement)
-    assert stored.contact == "barrier"
+    assert stored.contact == "penalty"
     assert stored.indenter_sha256 == sha256_of(tmp_path / "cube.stl")
 
     (tmp_path / "finger.toml").write_text(BABY + 'depth_mm = 0.3\nshape = "mesh"\nfile = "cube.stl"\n')

@@ -134,14 +134,12 @@ def test_a_verb_that_renders_names_the_extra_in_a_sentence(
 
 
 def test_finite_elements_go_without(absent: Path, tmp_path: Path) -> None:
-    """They take SciPy's solver and the penalty; friction is left out, said and stored."""
+    """They take SciPy's solver and the penalty, with friction."""
     (tmp_path / "rough.toml").write_text(BABY + "friction = 0.3\ndepth_mm = 0.2\n")
     done = run_plain(absent, tmp_path, "simulate press rough.toml --increments 1")
     assert done.returncode == 0, done.stderr
-    left_out = "this press leaves friction out (indenter.friction = 0.3), because ipctk is not installed"
-    assert left_out in done.stderr
     stored = next(tmp_path.glob("*.mechanics.json")).read_text()
-    assert left_out in stored
+    assert "Coulomb friction 0.3 that remembers" in stored
     done = run_plain(absent, tmp_path, "simulate press rough.toml --contact barrier --out other.press.json")
     assert done.returncode == 2
     assert "--contact barrier needs the contact by a barrier, and ipctk is not installed" in done.stderr

@@ -10,16 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import FingerDesign, Indenter, MissingExtraError, SimulateError
+from data_schemas import MissingExtraError, SimulateError
 from sim import _library_proofs as library_proofs
 from sim import proof_failure
 from sim.mechanics import _contact_library as contact_library
 from sim.mechanics import _press as press
-from sim.mechanics import chosen_contact, left_out
+from sim.mechanics import chosen_contact
 from sim.mechanics._contact_library import contact_library_failure
 from sim.optics import _renderer as variants
 
-ROUGH = FingerDesign(indenter=Indenter(friction=0.3))
 DYING = "tests.simulate.test_library_proofs"
 
 
@@ -102,35 +101,10 @@ def no_library(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_library")
-def test_without_the_library_friction_is_left_out_and_said() -> None:
-    assert chosen_contact(ROUGH) == "penalty"
-    assert left_out(ROUGH) == (
-        "this press leaves friction out (indenter.friction = 0.3), because ipctk 9 does not run here"
-    )
-    assert left_out(FingerDesign()) == left_out(ROUGH, "barrier") == ""
-
-
-@pytest.mark.usefixtures("no_library")
-@pytest.mark.parametrize(
-    ("design", "wanted", "message"),
-    [
-        (ROUGH, "barrier", "^--contact barrier needs the contact by a barrier, and ipctk 9 does not run here$"),
-        (FingerDesign(), "barrier", "^--contact barrier needs"),
-        (
-            FingerDesign(indenter=Indenter(shape="mesh", file="screw.stl")),
-            "auto",
-            '^indenter.shape = "mesh" needs the contact by a barrier, and',
-        ),
-    ],
-)
-def test_what_only_the_library_can_do_is_refused(design: FingerDesign, wanted: str, message: str) -> None:
-    with pytest.raises(MissingExtraError, match=message):
-        chosen_contact(design, wanted)
-
-
-def test_with_the_library_nothing_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(press, "contact_library_failure", lambda: None)
-    assert (chosen_contact(ROUGH), left_out(ROUGH)) == ("barrier", "")
+def test_without_the_library_only_the_barrier_is_refused() -> None:
+    assert chosen_contact() == "penalty"
+    with pytest.raises(MissingExtraError, match=r"^--contact barrier needs the contact by a barrier, and ipctk 9 does"):
+        chosen_contact("barrier")
 
 
 @pytest.mark.parametrize(
@@ -171,7 +145,7 @@ def test_on_an_emulated_processor_without_avx_libraries_die_and_a_press_goes_on(
     contact_library_failure.cache_clear()
     try:
         assert "its trial was ended by SIGILL (a compiled library uses instructions" in str(contact_library_failure())
-        assert chosen_contact(ROUGH) == "penalty"
+        assert chosen_contact() == "penalty"
         assert len(list(cache.glob("*.json"))) == 2
     finally:
         contact_library_failure.cache_clear()
