@@ -32,6 +32,14 @@ if TYPE_CHECKING:
         rank_by_draws,
     )
     from finray_calib.decide._light_angle import AngleDecision, SweptContact, decide_angle, decide_contacts
+    from finray_calib.decide._light_powers import (
+        EvenPowers,
+        LightBasis,
+        OptimalPowers,
+        PowerLimits,
+        even_powers,
+        most_even,
+    )
     from finray_calib.decide._tolerances import (
         ChaosEmulator,
         Estimates,
@@ -53,8 +61,12 @@ __all__ = [
     "DesignEmulator",
     "DesignSearch",
     "Estimates",
+    "EvenPowers",
+    "LightBasis",
     "Limit",
+    "OptimalPowers",
     "PairedRanking",
+    "PowerLimits",
     "SobolIndices",
     "SweptContact",
     "best_design",
@@ -63,12 +75,14 @@ __all__ = [
     "decide_contacts",
     "design_optimum",
     "emulator_ensemble",
+    "even_powers",
     "fit_chaos",
     "fit_emulator",
     "joint_draws",
     "limit_of_curve",
     "limit_together",
     "losses",
+    "most_even",
     "next_design",
     "paint_choice",
     "pick_freeze_indices",

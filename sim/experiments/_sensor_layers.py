@@ -211,8 +211,7 @@ class FingerLayers:
     @property
     def _lights(self) -> list[str]:
         """Paths of the panels in the design."""
-        second = ["second_light"] if self.design.second_light is not None else []
-        return ["light", *second, *(f"further_lights.{k}" for k in range(len(self.design.further_lights)))]
+        return light_paths(self.design)
 
     @property
     def layer_numbers(self) -> tuple[FreeNumber, ...]:
@@ -273,7 +272,7 @@ class FingerLayers:
         for number, press in enumerate(presses):
             renders = [
                 render_press(
-                    _with_one_panel(press, light), self.finger.paints, self.finger.renderer, settings,
+                    with_one_panel(press, light), self.finger.paints, self.finger.renderer, settings,
                     calibration=self.finger.calibration,
                 )
                 for light in range(len(self._lights))
@@ -300,7 +299,15 @@ def _finger(design: Design) -> FingerDesign:
     return design
 
 
-def _with_one_panel(design: Design, lit: int) -> FingerDesign:
+def light_paths(design: Design) -> list[str]:
+    """Return the dotted path of each light in its design, in their order."""
+    if isinstance(design, PlainSensor):
+        return [f"lights.{k}" for k in range(len(design.lights))]
+    second = ["second_light"] if design.second_light is not None else []
+    return ["light", *second, *(f"further_lights.{k}" for k in range(len(design.further_lights)))]
+
+
+def with_one_panel(design: Design, lit: int) -> FingerDesign:
     """Return the finger with all panels but one as good as out."""
     finger = _finger(design)
     if len(finger.lights) == 1:
