@@ -30,7 +30,7 @@ _LEAST_BATCHES: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class LightBasis:
-    """Brightness that each light gives to each place, at the power that it has now.
+    """Brightness that each light gives to each place of the coat, at rest and touched, at the power that it has now.
 
     Unit: the mean over the places of all lights together, for each state and camera channel by itself; the brightness
     is the mean of the channels.
@@ -38,55 +38,82 @@ class LightBasis:
     Attributes
     ----------
     of_batches
-        By independent batches of paths, (batch, light, state, place); states are without and with touch.
+        By independent batches of paths, (batch, light, row); a row is a place in a state, those at rest first.
     of_draws
-        By draws of the paints, each with the mean of the batches, (draw, light, state, place); one where nothing is
-        drawn.
+        By draws of the paints, each with the mean of the batches, (draw, light, row); one where nothing is drawn.
+    at_rest
+        How many rows are at rest.
     """
 
     of_batches: Floats
     of_draws: Floats
+    at_rest: int
 
     @classmethod
-    def balanced(cls, of_batches: Floats, of_draws: Floats | None = None) -> "LightBasis":
-        """Return the basis of camera signals (sample, light, state, place, channel) in any linear unit.
+    def balanced(
+        cls, rest: Floats, touched: Floats, drawn_rest: Floats | None = None, drawn_touched: Floats | None = None
+    ) -> "LightBasis":
+        """Return the basis of camera signals in any linear unit.
+
+        Parameters
+        ----------
+        rest, touched
+            Of each batch of paths, (batch, light, place, channel); places may differ between the two.
+        drawn_rest, drawn_touched
+            Of each draw of the paints, (draw, light, place, channel); without them nothing is drawn.
 
         Raises
         ------
         DecideError
             With fewer than three batches, or where all lights together leave a state dark.
         """
-        if len(of_batches) < _LEAST_BATCHES:
+        if len(rest) < _LEAST_BATCHES:
             raise DecideError(
                 f"a light basis needs at least {_LEAST_BATCHES} independent batches of paths to know its noise, got "
-                f"{len(of_batches)}"
+                f"{len(rest)}"
             )
-        mean = of_batches.mean(axis=0)[None]
-        drawn = mean if of_draws is None else of_draws
-        return cls(_brightness(of_batches, mean), _brightness(drawn, drawn))
+        means = [one.mean(axis=0, keepdims=True) for one in (rest, touched)]
+        drawn = [mean if given is None else given for mean, given in zip(means, (drawn_rest, drawn_touched), strict=True)]
+        batches = [_brightness(one, mean) for one, mean in zip((rest, touched), means, strict=True)]
+        draws = [_brightness(one, one) for one in drawn]
+        return cls(np.concatenate(batches, axis=2), np.concatenate(draws, axis=2), rest.shape[2])
 
     @property
     def mean(self) -> Floats:
-        """Mean of the batches, (light, state, place)."""
+        """Mean of the batches, (light, row)."""
         return np.asarray(self.of_batches.mean(axis=0))
 
     @property
     def mean_u(self) -> Floats:
-        """Standard uncertainty of the mean by the paths, (light, state, place)."""
+        """Standard uncertainty of the mean by the paths, (light, row)."""
         return np.asarray(self.of_batches.std(axis=0, ddof=1) / np.sqrt(len(self.of_batches)))
+
+    def spread(self, brightness: Floats) -> Floats:
+        """Return the covariance over the places of what the lights give, mean of the states, (light, light).
+
+        Parameters
+        ----------
+        brightness
+            (light, row).
+        """
+        states = brightness[:, : self.at_rest], brightness[:, self.at_rest :]
+        return np.asarray(np.mean([np.atleast_2d(np.cov(one, bias=True)) for one in states], axis=0))
+
+    def level(self, brightness: Floats) -> Floats:
+        """Return the mean over the places of what each light gives, mean of the states, (light,)."""
+        return np.asarray((brightness[:, : self.at_rest].mean(axis=1) + brightness[:, self.at_rest :].mean(axis=1)) / 2)
 
 
 def _brightness(signals: Floats, white: Floats) -> Floats:
-    """Return white-balanced signals (sample, light, state, place): relative to the mean of all lights of a sample."""
-    level = white.sum(axis=1).mean(axis=2)  # (sample, state, channel)
-    seen = (level > 0.0).all(axis=(0, 1))
+    """Return white-balanced signals (sample, light, place): relative to the mean of all lights of a sample."""
+    level = white.sum(axis=1).mean(axis=1)  # (sample, channel)
+    seen = (level > 0.0).all(axis=0)
     if not seen.any():
         raise DecideError(
-            "the lights together leave the coat dark: no channel of the camera sees it both at rest and touched; "
-            "check the lights and the camera's response"
+            "the lights together leave the coat dark: no channel of the camera sees it; check the lights and the "
+            "camera's response"
         )
-    balanced = signals[..., seen] / level[:, None, :, None, seen]
-    return np.asarray(balanced.mean(axis=-1))
+    return np.asarray((signals[..., seen] / level[:, None, None, seen]).mean(axis=-1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +149,7 @@ class PowerLimits:
                 f"{self.high.tolist()}"
             )
         least = float(self.share @ self.low)
-        if not 0.0 < least + self.total or least > self.total or self.total <= 0.0:
+        if not 0.0 < self.total or least > self.total:
             raise DecideError(
                 f"the lowest powers together are {least:.3g} of those now, more than the total allows "
                 f"({self.total:.3g}); lower the lower limit or raise the total"
@@ -282,19 +309,19 @@ def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: in
     rng = np.random.default_rng(seed)
     mean, batches = basis.mean, len(basis.of_batches)
     scatter = (basis.of_batches - mean) / np.sqrt(batches * (batches - 1.0))
-    noise = sum(_spread(one) for one in scatter)
+    noise = np.sum([basis.spread(one) for one in scatter], axis=0)
     now = np.ones(mean.shape[0])
-    best = most_even(_spread(mean) - noise, _level(mean), limits)
+    best = most_even(basis.spread(mean) - noise, basis.level(mean), limits)
     found = np.empty((draws, len(now)))
     variation = np.empty((2, draws))
     for d in range(draws):
         factor2 = (batches - 1.0) / rng.chisquare(batches - 1.0)
         moved = np.tensordot(rng.standard_normal(batches), scatter, axes=1) * np.sqrt(factor2)
         drawn = basis.of_draws[d % len(basis.of_draws)] + moved
-        spread, level = _spread(drawn) - (1.0 + factor2) * noise, _level(drawn)
+        spread, level = basis.spread(drawn) - (1.0 + factor2) * noise, basis.level(drawn)
         found[d] = most_even(spread, level, limits).powers
         variation[:, d] = [_variation(spread, level, powers) for powers in (now, best.powers)]
-    spread, level = _spread(mean) - noise, _level(mean)
+    spread, level = basis.spread(mean) - noise, basis.level(mean)
     return EvenPowers(
         powers=best.powers,
         variation_now=_variation(spread, level, now),
@@ -306,17 +333,6 @@ def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: in
         variation_draws=variation[1],
         brightness_rel=float(level @ best.powers / level.sum()),
     )
-
-
-def _level(brightness: Floats) -> Floats:
-    """Return the mean over states and places of each light, (light,)."""
-    return np.asarray(brightness.mean(axis=(1, 2)))
-
-
-def _spread(brightness: Floats) -> Floats:
-    """Return the covariance over the places of what the lights give, mean of the states, (light, light)."""
-    centred = (brightness - brightness.mean(axis=2, keepdims=True)).reshape(len(brightness), -1)
-    return np.asarray(centred @ centred.T / centred.shape[1])
 
 
 def _variation(spread: Floats, level: Floats, powers: Floats) -> float:

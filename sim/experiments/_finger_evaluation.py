@@ -206,17 +206,15 @@ class LitFinger:
         What a touch tilts is the mean over the facets, so that their differences, which tell the normal, do not count
         as unevenness.
         """
-        return LightBasis.balanced(*(_rest_and_touch(signals) for signals in (self.of_batches, self.of_paints)))
+        sent = self.of_batches, self.of_paints
+        rest, drawn_rest = (signals[..., 0, :] for signals in sent)
+        touched, drawn_touched = (signals[..., 1:, :].mean(axis=-2) for signals in sent)
+        return LightBasis.balanced(rest, touched, drawn_rest, drawn_touched)
 
     def evaluated(self, powers: Floats) -> FingerEvaluation:
         """Return what the finger is worth with its lights' powers times these factors, (light,)."""
         mixed = np.einsum("k,dkpfc->dpfc", powers, self.of_draws)
         return self.evaluator.judged(self.design, mixed, self.points_mm)
-
-
-def _rest_and_touch(signals: Floats) -> Floats:
-    """Return signals without tilt and the mean over tilts, (sample, light, 2, point, channel)."""
-    return np.stack([signals[..., 0, :], signals[..., 1:, :].mean(axis=-2)], axis=2)
 
 
 class FingerEvaluator:

@@ -4,7 +4,7 @@ A picture is their sum, each times a product of numbers that are told here: powe
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, Literal, Protocol
@@ -12,15 +12,18 @@ from typing import Any, Final, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
+from scipy.interpolate import RegularGridInterpolator
 
 from data_schemas import CHANNELS, FingerDesign, PaintCalibration, PlainSensor, SimulateError
-from sim.experiments import pressed_coat
+from finray_calib.decide import LightBasis
+from sim.experiments import PressedCoat, pressed_coat
 from sim.experiments._painted_finger import COLOURS, PaintedFinger
 from sim.optics import (
     BAND_NAMES,
     FIRST_CHAINS,
     PlainRender,
     PressRender,
+    Progress,
     RenderSettings,
     chain_steps,
     check_paints,
@@ -30,12 +33,19 @@ from sim.optics import (
     render_press,
     seen_places_mm,
     sensor_calibration,
+    stream_seed,
 )
 
 Floats = NDArray[np.float64]
 Design = FingerDesign | PlainSensor
 _POWER_U_REL, _BATCH_U_REL = 0.2, 0.1
 _DIM: Final = 1e-6  # power of the other lights while one is rendered
+#: Cells that the middle four fifths of a pad are cut into, about; and pixels that a mean is taken of, at least.
+_CELLS: Final = 40
+_RIM_SHARE: Final = 0.1
+_LEAST_PIXELS: Final = 12
+#: Places of presses all over a pad, as shares of its width and length.
+_OVER: Final = ((0.0, 0.0), (-0.22, -0.22), (-0.22, 0.22), (0.22, -0.22), (0.22, 0.22))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +121,7 @@ class ClassicLayers:
     samples: int = 128
 
     @property
-    def _seen(self) -> tuple[tuple[int, int], ...]:
+    def seen(self) -> tuple[tuple[int, int], ...]:
         """Light and channel of each layer."""
         colours = light_colours(self.design, self.folder)
         return tuple((int(k), int(c)) for k, c in np.argwhere(colours > 0.0))
@@ -120,7 +130,7 @@ class ClassicLayers:
     def _together(self) -> list[list[int]]:
         """Lights that are rendered at once."""
         groups: list[list[int]] = []
-        channels = {k: {c for light, c in self._seen if light == k} for k in range(len(self.design.lights))}
+        channels = {k: {c for light, c in self.seen if light == k} for k in range(len(self.design.lights))}
         for k, own in channels.items():
             free = [group for group in groups if not any(own & channels[other] for other in group)]
             if free:
@@ -137,7 +147,7 @@ class ClassicLayers:
     @property
     def layer_names(self) -> tuple[str, ...]:
         """Light and channel."""
-        return tuple(f"light {k + 1} ({self.design.lights[k].channel}), {CHANNELS[c]} channel" for k, c in self._seen)
+        return tuple(f"light {k + 1} ({self.design.lights[k].channel}), {CHANNELS[c]} channel" for k, c in self.seen)
 
     @property
     def label(self) -> str:
@@ -146,8 +156,8 @@ class ClassicLayers:
 
     def mix(self, factors: Mapping[str, float]) -> Floats:
         """Return what each channel sees of each layer."""
-        mixed = np.zeros((len(CHANNELS), len(self._seen)))
-        for layer, (k, c) in enumerate(self._seen):
+        mixed = np.zeros((len(CHANNELS), len(self.seen)))
+        for layer, (k, c) in enumerate(self.seen):
             mixed[c, layer] = factors.get(f"lights.{k}.power_rel", 1.0)
         return mixed
 
@@ -166,9 +176,116 @@ class ClassicLayers:
                     gels=(coat.rest, coat.pressed), folder=self.folder,
                 )  # fmt: skip
                 of_light |= dict.fromkeys(group, _means_and_halves(render))
-            both = np.stack([of_light[k][..., c] for k, c in self._seen], axis=2)
+            both = np.stack([of_light[k][..., c] for k, c in self.seen], axis=2)
             found += [both[:, state] for state in range(1 if found else 0, 2)]
         return Layers(np.stack(found, axis=1), np.isfinite(seen[..., 0]))
+
+
+def light_by_light(
+    scene: ClassicLayers, batches: int, progress: Progress | None = None
+) -> tuple[LightBasis, Floats]:
+    """Render each light of a classic sensor by itself, at rest and under presses all over its pad.
+
+    Parameters
+    ----------
+    scene
+        The sensor; its paths per pixel are those of a batch. Its indenter is pressed in at five places, a given
+        [surface] where it is.
+    batches
+        Independent renders, which tell the noise.
+    progress
+        Called after each batch.
+
+    Returns
+    -------
+    basis
+        At rest over cells of the middle four fifths of the pad, touched over the contact of each press.
+    places_mm
+        Middles (x, z) of the cells, then of the contacts, (row, 2).
+
+    Raises
+    ------
+    SimulateError
+        When the coat cannot be made, or the camera sees too little of the pad or no contact.
+    """
+    sensor, presses = scene.design, _presses_over(scene.design)
+    coats = [pressed_coat(press, scene.folder) for press in presses]
+    places = [
+        seen_places_mm(sensor, gel, scene.renderer, sensor_calibration(sensor, scene.folder))
+        for gel in (coats[0].rest, *(coat.pressed for coat in coats))
+    ]
+    cells = _cells(sensor, places[0])
+    contacts = [_contact(*pair) for pair in zip(coats, places[1:], strict=True)]
+    contacts_seen = [contact for contact in contacts if contact.sum() >= _LEAST_PIXELS]
+    if not contacts_seen:
+        raise SimulateError(
+            "the camera sees no contact of the indenter on the pad; check indenter.depth_mm, and where the camera looks"
+        )
+    kept = [k for k, contact in enumerate(contacts) if contact.sum() >= _LEAST_PIXELS]
+    rest, touched = [], []
+    for batch in range(batches):
+        pictures = replace(scene, seed=stream_seed(scene.seed, batch)).layers(presses).pictures[0]
+        rest.append(_of_lights(scene, [pictures[0][:, cell].mean(axis=1) for cell in cells]))
+        touched.append(_of_lights(scene, [pictures[1 + k][:, contacts[k]].mean(axis=1) for k in kept]))
+        if progress is not None:
+            progress(batch + 1, batches, f"batch {batch + 1} of all lights")
+    middles = [places[0][cell].mean(axis=0) for cell in cells] + [places[1 + k][contacts[k]].mean(axis=0) for k in kept]
+    return LightBasis.balanced(np.array(rest), np.array(touched)), np.array(middles)
+
+
+def _presses_over(sensor: PlainSensor) -> list[PlainSensor]:
+    """Return the sensor with its indenter at five places; as it is, where a coat is given."""
+    if sensor.surface is not None:
+        return [sensor]
+    pad = sensor.pad
+    return [
+        changed_numbers(
+            sensor,
+            {
+                "indenter.across_mm": across * pad.width_mm * (sensor.indenter.shape == "ball"),
+                "indenter.position_mm": (0.5 + along) * pad.length_mm,
+            },
+        )
+        for across, along in _OVER
+    ]
+
+
+def _cells(sensor: PlainSensor, seen_mm: Floats) -> list[NDArray[np.bool_]]:
+    """Return which pixels see each cell of the pad's middle, for cells that enough pixels see."""
+    pad = sensor.pad
+    x, z = np.nan_to_num(seen_mm[..., 0], nan=np.inf), np.nan_to_num(seen_mm[..., 1], nan=np.inf)
+    inside = 1.0 - 2.0 * _RIM_SHARE
+    side = inside * np.sqrt(pad.width_mm * pad.length_mm / _CELLS)
+    shape = max(round(inside * pad.width_mm / side), 1), max(round(inside * pad.length_mm / side), 1)
+    across, along = (x / pad.width_mm + 0.5 - _RIM_SHARE) / inside, (z / pad.length_mm - _RIM_SHARE) / inside
+    found = []
+    for i, j in np.ndindex(shape):
+        cell = (np.floor(across * shape[0]) == i) & (np.floor(along * shape[1]) == j)
+        if cell.sum() >= _LEAST_PIXELS:
+            found.append(cell)
+    if 2 * len(found) < np.prod(shape):
+        raise SimulateError(
+            f"the camera sees {len(found)} of {np.prod(shape)} cells of the pad by {_LEAST_PIXELS} pixels, at least "
+            "half are needed; check camera.distance_mm, camera.field_of_view_deg and the size of the picture"
+        )
+    return found
+
+
+def _contact(coat: PressedCoat, seen_mm: Floats) -> NDArray[np.bool_]:
+    """Return which pixels see the contact."""
+    at = RegularGridInterpolator((coat.rest.x_mm, coat.rest.z_mm), coat.distance, bounds_error=False)
+    on_coat = np.isfinite(seen_mm[..., 0])
+    contact = np.zeros(on_coat.shape, dtype=np.bool_)
+    contact[on_coat] = at(seen_mm[on_coat]) <= 1.0
+    return contact
+
+
+def _of_lights(scene: ClassicLayers, means: Sequence[Floats]) -> Floats:
+    """Return means of layers (place: (layer,)) as signals of lights at their powers, (light, place, channel)."""
+    signals = np.zeros((len(scene.design.lights), len(means), len(CHANNELS)))
+    for layer, (light, channel) in enumerate(scene.seen):
+        signals[light, :, channel] = [mean[layer] for mean in means]
+    return signals
 
 
 def _means_and_halves(render: PlainRender) -> Floats:
