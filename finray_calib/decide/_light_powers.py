@@ -9,14 +9,25 @@ it is concave only where lights burn in turn, each with an exposure of its own. 
 powers cost in the error of the normal is evaluated by whoever can trace it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog, nnls
+from scipy.stats import t as student_t
 
-from data_schemas import DecideError
+from data_schemas import (
+    DecideError,
+    FingerDesign,
+    LightPlaceMap,
+    LightPowerRow,
+    LightPowers,
+    NormalErrorChange,
+    PlainSensor,
+    PropagatedDraws,
+)
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +84,9 @@ class LightBasis:
                 f"{len(rest)}"
             )
         means = [one.mean(axis=0, keepdims=True) for one in (rest, touched)]
-        drawn = [mean if given is None else given for mean, given in zip(means, (drawn_rest, drawn_touched), strict=True)]
+        drawn = [
+            mean if given is None else given for mean, given in zip(means, (drawn_rest, drawn_touched), strict=True)
+        ]
         batches = [_brightness(one, mean) for one, mean in zip((rest, touched), means, strict=True)]
         draws = [_brightness(one, one) for one in drawn]
         return cls(np.concatenate(batches, axis=2), np.concatenate(draws, axis=2), rest.shape[2])
@@ -149,7 +162,7 @@ class PowerLimits:
                 f"{self.high.tolist()}"
             )
         least = float(self.share @ self.low)
-        if not 0.0 < self.total or least > self.total:
+        if self.total <= 0.0 or least > self.total:
             raise DecideError(
                 f"the lowest powers together are {least:.3g} of those now, more than the total allows "
                 f"({self.total:.3g}); lower the lower limit or raise the total"
@@ -338,3 +351,141 @@ def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: in
 def _variation(spread: Floats, level: Floats, powers: Floats) -> float:
     """Return the relative standard deviation; 0 where it is within the noise."""
     return float(np.sqrt(max(powers @ spread @ powers, 0.0)) / (level @ powers))
+
+
+@dataclass(frozen=True, slots=True)
+class PoweredLight:
+    """A light in words, where its power stands in the design, and that power."""
+
+    field: str
+    light: str
+    power_rel: float
+
+
+def error_change(now_deg: Floats, recommended_deg: Floats) -> NormalErrorChange:
+    """Return what the powers do to the error of the normal, from paired draws of paths, paints and noise, (draw,) each.
+
+    The interval is that of one more draw, Student's, since a real finger has one pair of paints and no mean of them.
+
+    Raises
+    ------
+    DecideError
+        With fewer than three draws.
+    """
+    count = len(now_deg)
+    if count < _LEAST_BATCHES:
+        raise DecideError(f"a change of the error needs at least {_LEAST_BATCHES} draws, got {count}")
+    change = recommended_deg / now_deg - 1.0
+    reach = student_t.ppf(0.975, count - 1) * change.std(ddof=1) * np.sqrt(1.0 + 1.0 / count)
+    middle = float(change.mean())
+    return NormalErrorChange(
+        now_deg=float(now_deg.mean()), recommended_deg=float(recommended_deg.mean()), change_rel=middle,
+        low95_rel=middle - float(reach), high95_rel=middle + float(reach),
+    )  # fmt: skip
+
+
+def light_powers(
+    subject: FingerDesign | PlainSensor,
+    lights: Sequence[PoweredLight],
+    basis: LightBasis,
+    limits: PowerLimits,
+    found: EvenPowers,
+    places_mm: Floats,
+    normal_error: NormalErrorChange | None = None,
+    mapped: LightPlaceMap | None = None,
+) -> LightPowers:
+    """Return powers, what they gain and what they cost as a record.
+
+    Parameters
+    ----------
+    subject
+        The finger or classic sensor as it is now.
+    lights
+        In the order of the basis.
+    basis, limits, found
+        What was solved.
+    places_mm
+        (x, z) of each row of the basis, (row, 2).
+    normal_error
+        What the powers do to it; None where it is not evaluated.
+    mapped
+        The finger over two of its numbers.
+    """
+    rows = tuple(
+        LightPowerRow(
+            field=one.field, light=one.light, now_rel=one.power_rel, least_rel=one.power_rel * limits.low[k],
+            most_rel=one.power_rel * limits.high[k], power_rel=float(one.power_rel * found.powers[k]),
+            optimum_rel=PropagatedDraws(one.power_rel * found.power_draws[:, k]).as_estimate(),
+            share_now=float(limits.share[k]),
+        )
+        for k, one in enumerate(lights)
+    )  # fmt: skip
+    is_finger = isinstance(subject, FingerDesign)
+    record = LightPowers(
+        name=f"{subject.name}, lights",
+        sentence="",
+        rows=rows,
+        total_rel=limits.total,
+        variation_now_rel=PropagatedDraws(found.variation_now_draws).as_estimate(),
+        variation_rel=PropagatedDraws(found.variation_draws).as_estimate(),
+        gain_rel=PropagatedDraws(found.gain_rel_draws).as_estimate(),
+        gap_rel=found.gap_rel,
+        brightness_rel=found.brightness_rel,
+        normal_error=normal_error,
+        at_rest=basis.at_rest,
+        places_mm=places_mm,
+        basis=basis.mean,
+        basis_u=basis.mean_u,
+        power_draws=found.power_draws,
+        map=mapped,
+        design=subject if is_finger else None,
+        sensor=None if is_finger else subject,
+        notes=_NOTES,
+    )
+    return record.model_copy(update={"sentence": powers_sentence(record)})
+
+
+_NOTES: Final = (
+    "solved: all lights burn at once, and the relative variation of the brightness is least, at rest and touched; this "
+    "is convex, so no other allowed powers are more even on this basis",
+    "not solved: powers of the most information on the normal under shot noise; they are a convex problem only where "
+    "lights burn in turn, each with an exposure of its own",
+    "intervals hold the noise of the paths and, of a finger, the draws of its paints; they do not know how far one LED "
+    "of a batch is from another, nor how far the simulation is from the real sensor",
+    "power_rel is radiance: by it the light of an LED grows with its current, not in proportion; set it by a picture",
+)
+
+
+def powers_sentence(record: LightPowers) -> str:
+    """Say which powers to set, what they gain, and what they do to the error of the normal."""
+    now, then, gain = record.variation_now_rel, record.variation_rel, record.gain_rel
+    if len(record.rows) == 1:
+        return (
+            f"There is one light, so its power changes no evenness: the brightness of the coat varies by "
+            f"{now.estimate:.0%} over the pad ({now.low95:.0%} to {now.high95:.0%})."
+        )
+    told = ", ".join(f"{row.light} at {row.power_rel:.3g}" for row in record.rows[:_MOST_NAMED])
+    more = f" and {len(record.rows) - _MOST_NAMED} more as listed" if len(record.rows) > _MOST_NAMED else ""
+    if gain.high95 <= 0.005:
+        told = f"The powers are as even as they can be within their limits: {told}{more}. The"
+    else:
+        told = f"Set {told}{more}: the"
+    less = f"{gain.estimate:.0%} less ({gain.low95:.0%} to {gain.high95:.0%})"
+    sentence = (
+        f"{told} brightness of the coat then varies by {then.estimate:.0%} over the pad in place of "
+        f"{now.estimate:.0%}, {less}, at {record.brightness_rel:.2f} times the brightness."
+    )
+    error = record.normal_error
+    if error is None:
+        return f"{sentence} What this does to the error of the normal is not evaluated for a classic sensor."
+    if error.low95_rel <= 0.0 <= error.high95_rel:
+        what = "does not change for certain"
+    else:
+        what = f"{'grows' if error.change_rel > 0.0 else 'falls'} by {abs(error.change_rel):.1%}"
+    return (
+        f"{sentence} The expected error of the sensed normal {what} ({error.low95_rel:+.1%} to "
+        f"{error.high95_rel:+.1%}), from {error.now_deg:.2f} to {error.recommended_deg:.2f} deg."
+    )
+
+
+_MOST_NAMED: Final = 6

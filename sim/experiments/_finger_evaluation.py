@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import ModuleType
 from typing import Final, TypeVar
 
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from data_schemas import CameraCalibration, FingerDesign, SimulateError
-from finray_calib.decide import LightBasis
+from data_schemas import CameraCalibration, FingerDesign, NormalErrorChange, SimulateError
+from finray_calib.decide import LightBasis, error_change
 from finray_calib.sensing import uniformity
 from sim.experiments._light_angle import (
     OTHER_TILTS_DEG,
@@ -92,6 +92,46 @@ class EvaluationSettings:
     repeats: int = 2
     draws: int = 4
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class LightMeasure:
+    """What the light of a finger is measured with.
+
+    Attributes
+    ----------
+    response
+        Tactile camera: red, green and blue curve.
+    renderer
+        A compiled variant, opened with one thread.
+    paints
+        "red" and "green".
+    sources
+        What the paints come from; part of what an evaluation is known by.
+    settings
+        Of the search; confirmations have other seeds and contact places.
+    calibration
+        Geometry of the camera; an ideal pinhole without it.
+    """
+
+    response: CameraResponse
+    renderer: ModuleType
+    paints: Mapping[str, PaintDraws]
+    sources: Mapping[str, str]
+    settings: EvaluationSettings
+    calibration: CameraCalibration | None = None
+
+    def again(self, number: int, length_mm: float) -> EvaluationSettings:
+        """Return the settings of the n-th confirmation of fingers of a pad's length: another seed, other places."""
+        if number == 0:
+            return self.settings
+        rng = np.random.default_rng([self.settings.seed, number])
+        places = np.sort(rng.uniform(0.1, 0.9, size=6)) * length_mm
+        values = asdict(self.settings) | {
+            "seed": int(rng.integers(2**31)),
+            "contact_places_mm": tuple(places.tolist()),
+        }
+        return EvaluationSettings(**values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +255,11 @@ class LitFinger:
         """Return what the finger is worth with its lights' powers times these factors, (light,)."""
         mixed = np.einsum("k,dkpfc->dpfc", powers, self.of_draws)
         return self.evaluator.judged(self.design, mixed, self.points_mm)
+
+    def error_change(self, powers: Floats) -> NormalErrorChange:
+        """Return what these factors do to the expected error of the sensed normal, by the same draws."""
+        now, then = (self.evaluated(one).error_by_place_deg.mean(axis=1) for one in (np.ones_like(powers), powers))
+        return error_change(now, then)
 
 
 class FingerEvaluator:

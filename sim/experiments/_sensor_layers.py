@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.interpolate import RegularGridInterpolator
 
-from data_schemas import CHANNELS, FingerDesign, PaintCalibration, PlainSensor, SimulateError
-from finray_calib.decide import LightBasis
+from data_schemas import CHANNELS, ColouredLight, FingerDesign, PaintCalibration, PlainSensor, SimulateError
+from finray_calib.decide import LightBasis, PoweredLight
 from sim.experiments import PressedCoat, pressed_coat
 from sim.experiments._painted_finger import COLOURS, PaintedFinger
 from sim.optics import (
@@ -44,6 +44,8 @@ _DIM: Final = 1e-6  # power of the other lights while one is rendered
 _CELLS: Final = 40
 _RIM_SHARE: Final = 0.1
 _LEAST_PIXELS: Final = 12
+#: Longer side of the pictures that cells are means of, px.
+_PICTURE_PX: Final = 96
 #: Places of presses all over a pad, as shares of its width and length.
 _OVER: Final = ((0.0, 0.0), (-0.22, -0.22), (-0.22, 0.22), (0.22, -0.22), (0.22, 0.22))
 
@@ -181,20 +183,18 @@ class ClassicLayers:
         return Layers(np.stack(found, axis=1), np.isfinite(seen[..., 0]))
 
 
-def light_by_light(
-    scene: ClassicLayers, batches: int, progress: Progress | None = None
-) -> tuple[LightBasis, Floats]:
+def light_by_light(scene: ClassicLayers, batches: int, progress: Progress | None = None) -> tuple[LightBasis, Floats]:
     """Render each light of a classic sensor by itself, at rest and under presses all over its pad.
 
     Parameters
     ----------
     scene
-        The sensor; its paths per pixel are those of a batch. Its indenter is pressed in at five places, a given
-        [surface] where it is.
+        The sensor; its paths per pixel are those of two batches, its pictures are taken smaller. Its indenter is
+        pressed in at five places, a given [surface] where it is.
     batches
-        Independent renders, which tell the noise.
+        Independent batches of paths, which tell the noise; an even number.
     progress
-        Called after each batch.
+        Called after each two batches.
 
     Returns
     -------
@@ -208,6 +208,7 @@ def light_by_light(
     SimulateError
         When the coat cannot be made, or the camera sees too little of the pad or no contact.
     """
+    scene = replace(scene, design=_smaller_picture(scene.design))
     sensor, presses = scene.design, _presses_over(scene.design)
     coats = [pressed_coat(press, scene.folder) for press in presses]
     places = [
@@ -216,21 +217,31 @@ def light_by_light(
     ]
     cells = _cells(sensor, places[0])
     contacts = [_contact(*pair) for pair in zip(coats, places[1:], strict=True)]
-    contacts_seen = [contact for contact in contacts if contact.sum() >= _LEAST_PIXELS]
-    if not contacts_seen:
+    kept = [k for k, contact in enumerate(contacts) if contact.sum() >= _LEAST_PIXELS]
+    if not kept:
         raise SimulateError(
             "the camera sees no contact of the indenter on the pad; check indenter.depth_mm, and where the camera looks"
         )
-    kept = [k for k, contact in enumerate(contacts) if contact.sum() >= _LEAST_PIXELS]
     rest, touched = [], []
-    for batch in range(batches):
-        pictures = replace(scene, seed=stream_seed(scene.seed, batch)).layers(presses).pictures[0]
-        rest.append(_of_lights(scene, [pictures[0][:, cell].mean(axis=1) for cell in cells]))
-        touched.append(_of_lights(scene, [pictures[1 + k][:, contacts[k]].mean(axis=1) for k in kept]))
+    for number in range(batches // 2):
+        mean, half = replace(scene, seed=stream_seed(scene.seed, number)).layers(presses).pictures
+        for pictures in (mean + half, mean - half):
+            rest.append(_of_lights(scene, [pictures[0][:, cell].mean(axis=1) for cell in cells]))
+            touched.append(_of_lights(scene, [pictures[1 + k][:, contacts[k]].mean(axis=1) for k in kept]))
         if progress is not None:
-            progress(batch + 1, batches, f"batch {batch + 1} of all lights")
+            progress(number + 1, batches // 2, "paths of all lights")
     middles = [places[0][cell].mean(axis=0) for cell in cells] + [places[1 + k][contacts[k]].mean(axis=0) for k in kept]
     return LightBasis.balanced(np.array(rest), np.array(touched)), np.array(middles)
+
+
+def _smaller_picture(sensor: PlainSensor) -> PlainSensor:
+    """Return the sensor with at most so many pixels as means of cells need; a calibrated lens keeps its own."""
+    camera = sensor.camera
+    factor = _PICTURE_PX / max(camera.width_px, camera.height_px)
+    if factor >= 1.0 or camera.calibration is not None:
+        return sensor
+    size = {name: max(round(factor * getattr(camera, name)), 8) for name in ("width_px", "height_px")}
+    return sensor.model_copy(update={"camera": camera.model_copy(update=size)})
 
 
 def _presses_over(sensor: PlainSensor) -> list[PlainSensor]:
@@ -422,6 +433,25 @@ def light_paths(design: Design) -> list[str]:
         return [f"lights.{k}" for k in range(len(design.lights))]
     second = ["second_light"] if design.second_light is not None else []
     return ["light", *second, *(f"further_lights.{k}" for k in range(len(design.further_lights)))]
+
+
+def powered_lights(design: Design) -> tuple[list[PoweredLight], Floats]:
+    r"""Return the lights of a design, and the share of each in the light of all, (light,).
+
+    A panel of radiance L cos^(m-1) along its normal and of area A emits :math:`2 \pi L A / (m + 1)`.
+    """
+    found = []
+    for number, (path, light) in enumerate(zip(light_paths(design), design.lights, strict=True), start=1):
+        if isinstance(light, ColouredLight):
+            words = f"light {number} ({light.channel})"
+        else:
+            x, _, z = light.position_mm
+            words = f"the panel at z = {z:.0f} mm" + (f", x = {x:.0f} mm" if x else "")
+        found.append(PoweredLight(f"{path}.power_rel", words, light.power_rel))
+    emitted = np.array(
+        [one.power_rel * one.width_mm * one.height_mm / (one.beam_exponent + 1.0) for one in design.lights]
+    )
+    return found, emitted / emitted.sum()
 
 
 def with_one_panel(design: Design, lit: int) -> FingerDesign:
