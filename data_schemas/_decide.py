@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec
+from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._design import FingerDesign
 from data_schemas._model import Estimate, Model, Record
+from data_schemas._plain_sensor import PlainSensor
 from data_schemas._units import AngleDeg, Fraction
 
 Floats = NDArray[np.float64]
@@ -400,4 +401,95 @@ class FingerTolerances(Record):
     def _one_column_a_row(self) -> "FingerTolerances":
         if self.inputs.shape != (len(self.losses_rel), len(self.rows)):
             raise ValueError(f"inputs {self.inputs.shape} for {len(self.losses_rel)} runs of {len(self.rows)} numbers")
+        return self
+
+
+class LightPowerRow(Model):
+    """One light and the power that lights the coat most evenly."""
+
+    field: str = Field(description="where its power stands in the design")
+    light: str = Field(description="which one it is, in words")
+    now_rel: Annotated[float, Field(gt=0.0)] = Field(description="power_rel of the design")
+    least_rel: Annotated[float, Field(ge=0.0)]
+    most_rel: Annotated[float, Field(gt=0.0)]
+    power_rel: Annotated[float, Field(ge=0.0)] = Field(description="recommended")
+    optimum_rel: Estimate = Field(description="the most even power by draws of paths and paints")
+    share_now: Fraction = Field(description="of the light that all lights emit now")
+
+
+class NormalErrorChange(Model):
+    """What the powers do to the expected error of the sensed normal."""
+
+    now_deg: Annotated[float, Field(gt=0.0)]
+    recommended_deg: Annotated[float, Field(gt=0.0)]
+    change_rel: float = Field(description="recommended over now, less 1; by the same draws")
+    low95_rel: float
+    high95_rel: float
+
+
+class LightPlaceMap(Model):
+    """A finger over two of its numbers, such as the angle and a place of its light, all else as designed."""
+
+    fields: tuple[str, str]
+    units: tuple[str, str]
+    first: Annotated[Floats, ArraySpec("<f8", ("first",))]
+    second: Annotated[Floats, ArraySpec("<f8", ("second",))]
+    normal_error_deg: Annotated[Floats, ArraySpec("<f8", ("first", "second"), "deg", allow_nan=True)] = Field(
+        description="expected error of the sensed normal, what is not seen counts as not tilted; none where the finger "
+        "cannot be built"
+    )
+    above_best_u_deg: Annotated[Floats, ArraySpec("<f8", ("first", "second"), "deg", allow_nan=True)] = Field(
+        description="standard uncertainty of the difference to the best, by paths, paints and noise"
+    )
+    evenness_rel: Annotated[Floats, ArraySpec("<f8", ("first", "second"), allow_nan=True)] = Field(
+        description="5 % over 95 % quantile over the pad of the luminance without contact"
+    )
+    brightness_rel: Annotated[Floats, ArraySpec("<f8", ("first", "second"), allow_nan=True)]
+
+    @model_validator(mode="after")
+    def _of_one_grid(self) -> "LightPlaceMap":
+        check_dimensions(self)
+        return self
+
+
+class LightPowers(Record):
+    """Powers of the lights by which a coat is lit most evenly, and what they cost."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray design lights'"
+    shown: ClassVar[tuple[str, ...]] = ("sentence",)
+
+    name: str
+    sentence: str
+    rows: tuple[LightPowerRow, ...] = Field(min_length=1)
+    total_rel: Annotated[float, Field(gt=0.0)] = Field(description="allowed light of all lights over that of now")
+    variation_now_rel: Estimate = Field(
+        description="standard deviation over the places of the brightness over its mean, now"
+    )
+    variation_rel: Estimate = Field(description="the same with the recommended powers")
+    gain_rel: Estimate = Field(description="by which share the variation falls")
+    gap_rel: Annotated[float, Field(ge=0.0)] = Field(
+        description="no allowed powers are more even by a larger share than this, on this basis"
+    )
+    brightness_rel: Annotated[float, Field(gt=0.0)] = Field(description="mean brightness over that of now")
+    normal_error: NormalErrorChange | None = Field(default=None, description="none where it is not evaluated")
+    at_rest: Annotated[int, Field(ge=1)] = Field(description="rows of the basis that are at rest; others are touched")
+    places_mm: Annotated[Floats, ArraySpec("<f8", ("row", "2"), "mm")] = Field(description="x, z on the pad")
+    basis: Annotated[Floats, ArraySpec("<f8", ("light", "row"))] = Field(
+        description="brightness by each light at its power of now; the mean of all together is 1 in each state"
+    )
+    basis_u: Annotated[Floats, ArraySpec("<f8", ("light", "row"))] = Field(description="standard uncertainty by paths")
+    power_draws: Annotated[Floats, ArraySpec("<f8", ("draw", "light"))] = Field(description="factors on those of now")
+    map: LightPlaceMap | None = None
+    design: FingerDesign | None = Field(default=None, description="the finger as it is now")
+    sensor: PlainSensor | None = Field(default=None, description="the classic sensor as it is now")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_row_a_light(self) -> "LightPowers":
+        if len(self.basis) != len(self.rows):
+            raise ValueError(f"a basis of {len(self.basis)} lights for {len(self.rows)} rows")
+        if (self.design is None) == (self.sensor is None):
+            raise ValueError("light powers are of a finger (design) or of a classic sensor (sensor), of one of them")
+        check_dimensions(self)
         return self

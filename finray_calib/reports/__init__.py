@@ -24,7 +24,14 @@ if TYPE_CHECKING:
         row_of,
         simulation_sentence,
     )
-    from finray_calib.reports._decision_figures import angle_figure, true_value
+    from finray_calib.reports._decision_figures import (
+        angle_figure,
+        light_map_figure,
+        light_map_sentence,
+        lights_from_the_side,
+        lit_pad_figure,
+        true_value,
+    )
     from finray_calib.reports._decision_page import (
         decision_numbers,
         decision_page,
@@ -208,7 +215,11 @@ __all__ = [
     "legend_above",
     "level_a_sentence",
     "light_angle_png",
+    "light_map_figure",
+    "light_map_sentence",
     "light_of",
+    "lights_from_the_side",
+    "lit_pad_figure",
     "methods_part",
     "model_statement",
     "mounting_picture",

@@ -1,19 +1,31 @@
-"""Figures of a decision: objective over the light angle, other objectives, and how the light is mounted. SVG text."""
+"""Figures of a decision on the light: objective over its angle, how it is mounted, powers and places. SVG text."""
 
 from collections.abc import Sequence
 from itertools import cycle
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Arc, Rectangle, Wedge
+from matplotlib.collections import PathCollection
+from matplotlib.patches import Arc, Polygon, Rectangle, Wedge
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from data_schemas import FingerDesign, LightAngleDecision, LightAngleSweep, SimulateError
+from data_schemas import (
+    ColouredLight,
+    FingerDesign,
+    LightAngleDecision,
+    LightAngleSweep,
+    LightPlaceMap,
+    LightPowers,
+    PlainSensor,
+    SimulateError,
+)
 from finray_calib.reports._finger_views import FingerOutline, draw_body, finger_outline
 from finray_calib.reports._plain_text import interval_words
 from finray_calib.reports._style import (
     BLUE,
+    CHANNELS,
     GREEN,
     INK,
     MUTED,
@@ -27,6 +39,7 @@ from finray_calib.reports._style import (
     styled,
     svg_text,
 )
+from sim.optics import PanelFrame, light_frame, panel_frame
 
 Floats = NDArray[np.float64]
 
@@ -324,3 +337,186 @@ def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_m
         write[0], write[1], f"{angle_deg:.0f} deg", va="center", weight="bold", color=INK,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
     )  # fmt: skip
+
+
+#: Two fingers of a map differ where their difference is that many standard uncertainties.
+_REAL_U: Final = 2.0
+_SIDES: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_COLOURS: Final = {"red": CHANNELS[0][2], "green": CHANNELS[1][2], "blue": CHANNELS[2][2], "white": "#d9d9d9"}
+
+
+def _frame_of(record: LightPowers, number: int) -> PanelFrame:
+    """Return where a light stands."""
+    if record.sensor is not None:
+        return light_frame(record.sensor, record.sensor.lights[number])
+    return panel_frame(_subject(record).lights[number])
+
+
+def _subject(record: LightPowers) -> FingerDesign | PlainSensor:
+    """Return whose lights they are."""
+    if record.design is not None:
+        return record.design
+    return record.sensor or PlainSensor()  # the record holds one of them
+
+
+@styled()
+def lit_pad_figure(record: LightPowers) -> str:
+    """Draw the pad from its inner side, now and with the recommended powers (SVG)."""
+    now = record.basis.sum(axis=0)
+    then = np.array([row.power_rel / row.now_rel for row in record.rows]) @ record.basis
+    shown = [_over_mean(one, record.at_rest) for one in (now, then)]
+    top = max(1.5, float(np.quantile(np.concatenate(shown), 0.98)))
+    figure = new_figure(9.5, 2.2 + 6.6 * _aspect(record))
+    drawn = []
+    for axes, title, brightness, powers in zip(
+        figure.subplots(2, 1, sharex=True), ("now", "recommended"), shown,
+        ([row.now_rel for row in record.rows], [row.power_rel for row in record.rows]), strict=True,
+    ):  # fmt: skip
+        drawn.append(_draw_lit(axes, record, brightness, top))
+        _draw_powers(axes, record, powers)
+        axes.set_title(title)
+    figure.axes[1].set_xlabel("along the pad from its base (mm)")
+    figure.colorbar(drawn[0], ax=figure.axes[:2], label="brightness over its mean", shrink=0.8)
+    return svg_text(figure)
+
+
+def _aspect(record: LightPowers) -> float:
+    """Return height over width of what one panel of the drawing shows."""
+    low, high = _extent_mm(record)
+    return float(min((high[0] - low[0]) / (high[1] - low[1]), 1.0))
+
+
+def _extent_mm(record: LightPowers) -> tuple[Floats, Floats]:
+    """Return the corners (x, z) around pad and lights."""
+    pad = _subject(record).pad
+    corners = [_corners_xz(_frame_of(record, k)) for k in range(len(record.rows))]
+    corners.append(np.array([[-pad.width_mm / 2.0, 0.0], [pad.width_mm / 2.0, pad.length_mm]]))
+    whole = np.concatenate(corners)
+    return whole.min(axis=0) - 5.0, whole.max(axis=0) + 5.0
+
+
+def _corners_xz(frame: PanelFrame) -> Floats:
+    """Return the corners (x, z) of a light, (4, 2)."""
+    corners = frame.centre_mm + _SIDES[:, :1] * frame.half_across_mm + _SIDES[:, 1:] * frame.half_along_mm
+    return np.asarray(corners[:, [0, 2]])
+
+
+def _over_mean(brightness: Floats, at_rest: int) -> Floats:
+    """Return brightness over its mean, each state by itself."""
+    states = brightness[:at_rest], brightness[at_rest:]
+    return np.concatenate([one / one.mean() for one in states])
+
+
+def _draw_lit(axes: Axes, record: LightPowers, brightness: Floats, top: float) -> PathCollection:
+    """Draw the pad and the brightness of its places, z to the right."""
+    pad = _subject(record).pad
+    axes.add_patch(
+        Rectangle((0.0, -pad.width_mm / 2.0), pad.length_mm, pad.width_mm, facecolor="#30363d", edgecolor=MUTED)
+    )
+    x, z = record.places_mm.T
+    style = {"cmap": "inferno", "vmin": 0.0, "vmax": top, "edgecolors": "white", "linewidths": 0.3}
+    rest = slice(None, record.at_rest), slice(record.at_rest, None)
+    # a finger is touched where it is looked at at rest: beside each other both can be seen
+    aside = 0.022 * pad.length_mm if np.array_equal(record.places_mm[rest[0]], record.places_mm[rest[1]]) else 0.0
+    axes.scatter(z[rest[1]] + aside, x[rest[1]], c=brightness[rest[1]], marker="^", s=42, **style)
+    seen = axes.scatter(z[rest[0]] - aside, x[rest[0]], c=brightness[rest[0]], marker="o", s=52, **style)
+    low, high = _extent_mm(record)
+    axes.set(aspect="equal", xlim=(low[1], high[1]), ylim=(low[0], high[0]), ylabel="across (mm)")
+    axes.grid(visible=False)
+    return seen
+
+
+def _draw_powers(axes: Axes, record: LightPowers, powers: Sequence[float]) -> None:
+    """Draw the lights, each with its power."""
+    middle = _subject(record).pad.length_mm / 2.0
+    for number, power in enumerate(powers):
+        light, frame = _subject(record).lights[number], _frame_of(record, number)
+        colour = _COLOURS[light.channel] if isinstance(light, ColouredLight) else BLUE
+        axes.add_patch(
+            Polygon(_corners_xz(frame)[:, ::-1], facecolor=colour, edgecolor=colour, linewidth=2.0, zorder=4)
+        )
+        z, x = frame.centre_mm[2], frame.centre_mm[0]
+        axes.annotate(
+            f"{power:.2g}", (z, x), xytext=(-8 if z < middle else 8, 0), textcoords="offset points", va="center",
+            ha="right" if z < middle else "left", color=INK, fontsize=9, fontweight="bold", zorder=6,
+            annotation_clip=False,
+        )  # fmt: skip
+
+
+@styled()
+def lights_from_the_side(record: LightPowers) -> str:
+    """Draw a finger from its side with its lights, their angles and recommended powers (SVG).
+
+    Raises
+    ------
+    SimulateError
+        When the parts of the design do not fit together.
+    """
+    design = record.design or FingerDesign()
+    finger = finger_outline(design)
+    low, high = finger.bounds_mm
+    figure = new_figure(9.5, 9.5 * (high[1] - low[1] + 20.0) / (high[2] - low[2] + 30.0))
+    axes = figure.add_subplot()
+    axes.set(xlim=(low[2] - 15.0, high[2] + 15.0), ylim=(low[1] - 10.0, high[1] + 10.0), aspect="equal")
+    axes.set_axis_off()
+    draw_body(axes, finger, rasterized=True)
+    for light, row in zip(design.lights, record.rows, strict=True):
+        frame = panel_frame(light)
+        ends = np.stack([frame.centre_mm - frame.half_along_mm, frame.centre_mm + frame.half_along_mm])
+        axes.plot(ends[:, 2], ends[:, 1], color=BLUE, linewidth=5.0, solid_capstyle="butt", zorder=5)
+        tip = frame.centre_mm + 9.0 * frame.normal
+        axes.annotate("", (tip[2], tip[1]), (frame.centre_mm[2], frame.centre_mm[1]),
+                      arrowprops={"arrowstyle": "-|>", "color": BLUE, "lw": 1.5}, zorder=5)  # fmt: skip
+        axes.annotate(
+            f"power {row.power_rel:.2g}\n{light.angle_deg:g}\N{DEGREE SIGN}", (frame.centre_mm[2], ends[:, 1].min()),
+            xytext=(0, -6), textcoords="offset points", ha="center", va="top", color=INK, fontsize=9, zorder=6,
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+        )  # fmt: skip
+    return svg_text(figure)
+
+
+def light_map_sentence(found: LightPlaceMap) -> str:
+    """Say which finger of a map senses normals best, and which others are not told apart from it."""
+    error = found.normal_error_deg
+    i, j = np.unravel_index(int(np.nanargmin(error)), error.shape)
+    alike = (error - error[i, j] <= _REAL_U * found.above_best_u_deg) & np.isfinite(error)
+    ranges = []
+    for k, (name, values, unit) in enumerate(zip(found.fields, (found.first, found.second), found.units, strict=True)):
+        inside = values[alike.any(axis=1 - k)]
+        ranges.append(f"{name} from {inside.min():g} to {inside.max():g}" + ("" if unit == "1" else f" {unit}"))
+    unbuilt = int(np.isnan(error).sum())
+    return (
+        f"Of {error.size} fingers of the map, that with {found.fields[0]} = {found.first[i]:g} and {found.fields[1]} = "
+        f"{found.second[j]:g} senses normals best: {error[i, j]:.2f} deg. Not told apart from it are "
+        f"{int(alike.sum()) - 1} others, within {' and '.join(ranges)}."
+        + (f" {unbuilt} cannot be built." if unbuilt else "")
+    )
+
+
+@styled()
+def light_map_figure(found: LightPlaceMap) -> str:
+    """Draw the error of the normal, the evenness and the brightness over two numbers of a finger (SVG)."""
+    figure = new_figure(10.5, 3.6)
+    best = np.unravel_index(int(np.nanargmin(found.normal_error_deg)), found.normal_error_deg.shape)
+    near = found.normal_error_deg - found.normal_error_deg[best] <= _REAL_U * found.above_best_u_deg
+    panels = (
+        ("error of the normal (deg)", found.normal_error_deg, "viridis_r"),
+        ("evenness", found.evenness_rel, "viridis"),
+        ("brightness over the greatest", found.brightness_rel / np.nanmax(found.brightness_rel), "viridis"),
+    )
+    for axes, (title, values, colours) in zip(figure.subplots(1, 3, sharey=True), panels, strict=True):
+        drawn = axes.pcolormesh(found.second, found.first, values, cmap=colours, shading="nearest")
+        figure.colorbar(drawn, ax=axes, shrink=0.9)
+        i, j = np.nonzero(near)
+        axes.plot(found.second[j], found.first[i], ".", color="white", markeredgecolor=INK, markersize=7)
+        axes.plot(found.second[best[1]], found.first[best[0]], "*", color="white", markeredgecolor=INK, markersize=15)
+        axes.set(title=title, xlabel=_named(found, 1))
+        axes.grid(visible=False)
+    figure.axes[0].set_ylabel(_named(found, 0))
+    return svg_text(figure)
+
+
+def _named(found: LightPlaceMap, number: int) -> str:
+    """Return the name of an axis with its unit."""
+    unit = found.units[number]
+    return found.fields[number] + ("" if unit == "1" else f" ({unit})")

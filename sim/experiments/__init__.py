@@ -17,15 +17,22 @@ if TYPE_CHECKING:
         OBJECTIVES,
         DesignEvaluations,
         DesignSpace,
-        LightMeasure,
         confirmed_losses,
         design_parameter,
         is_of_light,
+        map_axis,
+        map_designs,
         search_designs,
         usual_parameters,
     )
     from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
-    from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluation, FingerEvaluator
+    from sim.experiments._finger_evaluation import (
+        EvaluationSettings,
+        FingerEvaluation,
+        FingerEvaluator,
+        LightMeasure,
+        LitFinger,
+    )
     from sim.experiments._illumination import (
         coat_cells,
         study_fluorescent_rendering,
@@ -86,6 +93,8 @@ if TYPE_CHECKING:
         Layers,
         SensorScene,
         changed_numbers,
+        light_by_light,
+        powered_lights,
         value_at,
     )
     from sim.experiments._sensor_press import (
@@ -128,6 +137,7 @@ __all__ = [
     "FreeNumber",
     "Layers",
     "LightMeasure",
+    "LitFinger",
     "LookTruth",
     "OpticsProducts",
     "PaintDraws",
@@ -158,10 +168,14 @@ __all__ = [
     "increment_record",
     "is_of_light",
     "light_angle_sweep",
+    "light_by_light",
+    "map_axis",
+    "map_designs",
     "paint_finger",
     "paint_optics",
     "paint_pairs",
     "pose_response",
+    "powered_lights",
     "press_protocol",
     "press_record",
     "press_records",

@@ -12,19 +12,18 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import (
-    CameraCalibration,
     DesignObjective,
     DesignParameter,
     DesignRole,
     EvaluatedDesign,
     FingerDesign,
+    LightPlaceMap,
     Provenance,
     SimulateError,
 )
@@ -37,10 +36,9 @@ from sim.experiments._design_sensitivities import (
     changed_design,
     design_value,
 )
-from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluator
+from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluator, LightMeasure
 from sim.experiments._light_angle import in_the_way
 from sim.experiments._paint_choice import PaintDraws
-from sim.experiments._painted_finger import CameraResponse
 from sim.mechanics import LoadedFinger
 from sim.optics import Progress
 from sim.surface_meshes import FingerShape, rest_shape
@@ -288,44 +286,103 @@ def _of_equal_power(design: FingerDesign, start: FingerDesign, varied: set[str])
     return design.model_copy(update={"further_lights": further})
 
 
-@dataclass(frozen=True)
-class LightMeasure:
-    """What the light of a finger is measured with.
+_MOST_MAPPED: Final = 400
 
-    Attributes
-    ----------
-    response
-        Tactile camera: red, green and blue curve.
-    renderer
-        A compiled variant, opened with one thread.
-    paints
-        "red" and "green".
-    sources
-        What the paints come from; part of what an evaluation is known by.
-    settings
-        Of the search; confirmations have other seeds and contact places.
-    calibration
-        Geometry of the camera; an ideal pinhole without it.
+
+def map_axis(design: FingerDesign, text: str) -> tuple[str, Floats]:
+    """Return field and values of one axis of a map from FIELD=LOW:HIGH:STEP, both ends included.
+
+    Raises
+    ------
+    SimulateError
+        When the design has no such number, or the text states no rising steps.
     """
+    name, _, steps = text.partition("=")
+    _Field.of(name.strip()).value(design)
+    try:
+        low, high, step = (float(part) for part in steps.split(":"))
+    except ValueError:
+        low = high = step = float("nan")
+    if not (np.isfinite([low, high, step]).all() and low < high and 0.0 < step <= high - low):
+        raise SimulateError(f"--map: '{text}' must be FIELD=LOW:HIGH:STEP, such as light.angle_deg=0:75:15")
+    count = int((high - low) / step + 1e-9) + 1
+    if count > _MOST_MAPPED:
+        raise SimulateError(
+            f"--map: {name.strip()} has {count} values; at most {_MOST_MAPPED} finger designs are mapped"
+        )
+    return name.strip(), np.round(low + step * np.arange(count), _DECIMALS)
 
-    response: CameraResponse
-    renderer: ModuleType
-    paints: Mapping[str, PaintDraws]
-    sources: Mapping[str, str]
-    settings: EvaluationSettings
-    calibration: CameraCalibration | None = None
 
-    def again(self, number: int, length_mm: float) -> EvaluationSettings:
-        """Return the settings of the n-th confirmation of fingers of a pad's length: another seed, other places."""
-        if number == 0:
-            return self.settings
-        rng = np.random.default_rng([self.settings.seed, number])
-        places = np.sort(rng.uniform(0.1, 0.9, size=6)) * length_mm
-        values = asdict(self.settings) | {
-            "seed": int(rng.integers(2**31)),
-            "contact_places_mm": tuple(places.tolist()),
-        }
-        return EvaluationSettings(**values)
+def map_designs(
+    design: FingerDesign,
+    axes: Sequence[tuple[str, Floats]],
+    evaluator: FingerEvaluator,
+    paints: Mapping[str, PaintDraws],
+    progress: Progress | None = None,
+) -> LightPlaceMap:
+    """Evaluate a finger over a grid of two of its numbers, with common paths, paint draws and noise.
+
+    Surfaces and presses are made once for all fingers of one pad and mirror.
+
+    Parameters
+    ----------
+    design
+        The finger; what is on no axis stays as it is.
+    axes
+        Two, from :func:`map_axis`.
+    evaluator, paints
+        By what it is measured.
+    progress
+        Called after each finger.
+
+    Raises
+    ------
+    SimulateError
+        With more than 400 fingers, the same number twice, or when none of them can be built.
+    """
+    (first, at_first), (second, at_second) = axes
+    shape = len(at_first), len(at_second)
+    if first == second or shape[0] * shape[1] > _MOST_MAPPED:
+        raise SimulateError(
+            f"--map: {first} and {second} make {shape[0]} x {shape[1]} fingers; two different numbers and at most "
+            f"{_MOST_MAPPED} fingers can be mapped: widen the steps"
+        )
+    errors: dict[tuple[int, ...], Floats] = {}
+    values = np.full((2, *shape), np.nan)
+    refused = ""
+    for number, (i, j) in enumerate(np.ndindex(shape), start=1):
+        try:
+            finger = _Field.of(second).changed(
+                _Field.of(first).changed(design, float(at_first[i])), float(at_second[j])
+            )
+            found = evaluator.evaluate(finger, paints)
+            refused = refused or (f"the panel stands in {found.in_the_way}" if found.in_the_way else "")
+            if not found.in_the_way:
+                seen = found.seen_share * found.error_by_place_deg.mean(axis=1)
+                errors[i, j] = seen + (1.0 - found.seen_share) * found.blind_error_deg
+                values[:, i, j] = found.evenness_rel, found.brightness_rel
+        except SimulateError as error:
+            refused = refused or str(error)
+        if progress is not None:
+            progress(number, shape[0] * shape[1], f"{first} {at_first[i]:g}, {second} {at_second[j]:g}")
+    if not errors:
+        raise SimulateError(f"--map: no finger of the map can be built; the first: {refused}")
+    best = min(errors.values(), key=lambda one: float(one.mean()))
+    mean, above_u = np.full(shape, np.nan), np.full(shape, np.nan)
+    for place, error in errors.items():
+        mean[place] = error.mean()
+        # a real finger has one draw of the paints, not the mean of some
+        above_u[place] = (error - best).std(ddof=1) * np.sqrt(1.0 + 1.0 / len(error))
+    return LightPlaceMap(
+        fields=(first, second), units=(_unit_of(first), _unit_of(second)), first=at_first, second=at_second,
+        normal_error_deg=mean, above_best_u_deg=above_u, evenness_rel=values[0], brightness_rel=values[1],
+    )  # fmt: skip
+
+
+def _unit_of(name: str) -> str:
+    """Return the unit that the name of a field ends with."""
+    path = name.partition("[")[0]
+    return next((unit for unit in ("deg", "mm", "nm") if path.endswith(f"_{unit}")), "1")
 
 
 class DesignEvaluations:

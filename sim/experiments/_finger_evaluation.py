@@ -9,8 +9,8 @@ emission, camera response, exposure or contact places traces nothing again.
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from types import ModuleType
 from typing import Final, TypeVar
 
@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from data_schemas import CameraCalibration, FingerDesign, SimulateError
+from data_schemas import CameraCalibration, FingerDesign, NormalErrorChange, SimulateError
+from finray_calib.decide import LightBasis, error_change
 from finray_calib.sensing import uniformity
 from sim.experiments._light_angle import (
     OTHER_TILTS_DEG,
@@ -39,12 +40,14 @@ from sim.experiments._light_angle import (
 from sim.experiments._optics_products import tactile_sensor
 from sim.experiments._paint_choice import BareFinger, PaintDraws, PaintEmission, camera_column, camera_radiance
 from sim.experiments._painted_finger import COLOURS, CameraResponse
+from sim.experiments._sensor_layers import light_paths, with_one_panel
 from sim.optics import (
     BAND_NAMES,
     SCALAR_VARIANT,
     FacetChains,
     PaintBands,
     ProbePaths,
+    Progress,
     SeenPoints,
     facet_chains,
     paint_bands,
@@ -89,6 +92,46 @@ class EvaluationSettings:
     repeats: int = 2
     draws: int = 4
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class LightMeasure:
+    """What the light of a finger is measured with.
+
+    Attributes
+    ----------
+    response
+        Tactile camera: red, green and blue curve.
+    renderer
+        A compiled variant, opened with one thread.
+    paints
+        "red" and "green".
+    sources
+        What the paints come from; part of what an evaluation is known by.
+    settings
+        Of the search; confirmations have other seeds and contact places.
+    calibration
+        Geometry of the camera; an ideal pinhole without it.
+    """
+
+    response: CameraResponse
+    renderer: ModuleType
+    paints: Mapping[str, PaintDraws]
+    sources: Mapping[str, str]
+    settings: EvaluationSettings
+    calibration: CameraCalibration | None = None
+
+    def again(self, number: int, length_mm: float) -> EvaluationSettings:
+        """Return the settings of the n-th confirmation of fingers of a pad's length: another seed, other places."""
+        if number == 0:
+            return self.settings
+        rng = np.random.default_rng([self.settings.seed, number])
+        places = np.sort(rng.uniform(0.1, 0.9, size=6)) * length_mm
+        values = asdict(self.settings) | {
+            "seed": int(rng.integers(2**31)),
+            "contact_places_mm": tuple(places.tolist()),
+        }
+        return EvaluationSettings(**values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +187,79 @@ class FingerEvaluation:
     def error_with_unseen_deg(self) -> float:
         """Expected error over the whole grid: what the camera does not see counts as not tilted."""
         return self.seen_share * self.normal_error_deg + (1.0 - self.seen_share) * self.blind_error_deg
+
+
+@dataclass(frozen=True, slots=True)
+class _SentLight:
+    """What facets send to the camera chain by chain, and what the camera makes of each chain, draw by draw."""
+
+    light: FacetChains
+    points: SeenPoints
+    bands: PaintBands
+    drawn: Sequence[PaintEmission]
+    led: Floats
+
+    def of_draws(self) -> Floats:
+        """Return signals (draw, point, facet, 3); draw d takes batch d modulo the batches of paths."""
+        return camera_radiance(self.light.chains, self.light.radiance_rel, self.bands, self.drawn, self.led)
+
+    def of_paints(self) -> Floats:
+        """Return signals of each draw of the paints with the mean of the paths, (draw, point, facet, 3)."""
+        mean = self.light.radiance_rel.mean(axis=0, keepdims=True)
+        return camera_radiance(self.light.chains, mean, self.bands, self.drawn, self.led)
+
+    def of_batches(self) -> Floats:
+        """Return signals of each batch of paths with the mean of the paints, (batch, point, facet, 3)."""
+        batches = len(self.light.radiance_rel)
+        mean = [
+            PaintEmission(np.tile(one.camera.mean(axis=0), (batches, 1)), np.full(batches, one.gain.mean()))
+            for one in self.drawn
+        ]
+        return camera_radiance(self.light.chains, self.light.radiance_rel, self.bands, mean, self.led)
+
+
+@dataclass(frozen=True, slots=True)
+class LitFinger:
+    """A finger light by light: as light adds, other powers trace nothing again.
+
+    Attributes
+    ----------
+    evaluator, design
+        By what it was traced, and the finger with the powers that it has now.
+    points_mm
+        (x, z) on the undeformed pad, (point, 2).
+    of_batches, of_paints, of_draws
+        Camera signals in units of the panel's radiance: of each batch of paths, of each draw of the paints, and of
+        draws that each take a batch, (sample, light, point, facet, 3).
+    """
+
+    evaluator: "FingerEvaluator"
+    design: FingerDesign
+    points_mm: Floats
+    of_batches: Floats
+    of_paints: Floats
+    of_draws: Floats
+
+    def basis(self) -> LightBasis:
+        """Return the brightness that each light gives to each point: of the coat at rest, and of its tilted facets.
+
+        What a touch tilts is the mean over the facets, so that their differences, which tell the normal, do not count
+        as unevenness.
+        """
+        sent = self.of_batches, self.of_paints
+        rest, drawn_rest = (signals[..., 0, :] for signals in sent)
+        touched, drawn_touched = (signals[..., 1:, :].mean(axis=-2) for signals in sent)
+        return LightBasis.balanced(rest, touched, drawn_rest, drawn_touched)
+
+    def evaluated(self, powers: Floats) -> FingerEvaluation:
+        """Return what the finger is worth with its lights' powers times these factors, (light,)."""
+        mixed = np.einsum("k,dkpfc->dpfc", powers, self.of_draws)
+        return self.evaluator.judged(self.design, mixed, self.points_mm)
+
+    def error_change(self, powers: Floats) -> NormalErrorChange:
+        """Return what these factors do to the expected error of the sensed normal, by the same draws."""
+        now, then = (self.evaluated(one).error_by_place_deg.mean(axis=1) for one in (np.ones_like(powers), powers))
+        return error_change(now, then)
 
 
 class FingerEvaluator:
@@ -211,16 +327,50 @@ class FingerEvaluator:
             When a place lies off the pad, the panel reaches into the gel, a paint is missing or gains energy, the coat
             is black, or the camera sees less than half of the grid.
         """
+        sent = self._sent(design, paints)
+        return self.judged(design, sent.of_draws(), sent.points.places_mm, electrons_per_radiance)
+
+    def judged(
+        self, design: FingerDesign, rgb: Floats, points_mm: Floats, electrons_per_radiance: float | None = None
+    ) -> FingerEvaluation:
+        """Return what camera signals (draw, point, facet, 3) at points (x, z) of a finger are worth, (point, 2)."""
         places = self.contact_places_mm(design)
-        rgb, points = self._camera_signals(design, paints)
         shares = self._once("presses", self._presses(design, places), lambda: _mean_shares(design, places))
-        table = self._exposed(design, rgb, points.places_mm, shares, electrons_per_radiance)
+        table = self._exposed(design, rgb, points_mm, shares, electrons_per_radiance)
         rest = self._rest(design)
         blocked = self._once(
             "panel", [design.light.model_dump(mode="json"), _parts(design)], lambda: in_the_way(design.light, rest)
         )
-        seen_share = len(points.places_mm) / (POINTS_ACROSS * POINTS_ALONG)
+        seen_share = len(points_mm) / (POINTS_ACROSS * POINTS_ALONG)
         return _evaluated(design, table, rgb, places, self.settings.seed, seen_share, blocked)
+
+    def lit_apart(
+        self, design: FingerDesign, paints: Mapping[str, PaintDraws], progress: Progress | None = None
+    ) -> "LitFinger":
+        """Trace each light of a finger once, with the others as good as out.
+
+        Parameters
+        ----------
+        design, paints
+            As in :meth:`evaluate`.
+        progress
+            Called after each light.
+
+        Raises
+        ------
+        SimulateError
+            As :meth:`evaluate`.
+        """
+        names, found = light_paths(design), []
+        for number, name in enumerate(names):
+            found.append(self._sent(with_one_panel(design, number), paints))
+            if progress is not None:
+                progress(number + 1, len(names), name)
+        of_batches, of_paints, of_draws = (
+            np.stack([signals(one) for one in found], axis=1)
+            for signals in (_SentLight.of_batches, _SentLight.of_paints, _SentLight.of_draws)
+        )
+        return LitFinger(self, design, found[0].points.places_mm, of_batches, of_paints, of_draws)
 
     def error_taught_by(self, taught: FingerEvaluation, found: FingerEvaluation, design: FingerDesign) -> float:
         """Return the expected error (deg) of a finger that takes the calibration of another one.
@@ -239,8 +389,8 @@ class FingerEvaluator:
             errors_deg = held_out_errors_deg(found.table, sensor, self.settings.seed, taught.table)[0]
         return float(errors_at(found.table.places_mm, errors_deg, found.places_mm).mean())
 
-    def _camera_signals(self, design: FingerDesign, paints: Mapping[str, PaintDraws]) -> tuple[Floats, SeenPoints]:
-        """Return camera signals (draw, point, facet, 3) in units of the panel's radiance, and where they are."""
+    def _sent(self, design: FingerDesign, paints: Mapping[str, PaintDraws]) -> "_SentLight":
+        """Return what facets send to the camera, and what it makes of each draw of the paints."""
         for colour in COLOURS:
             if colour not in paints:
                 raise SimulateError(f"no paint for the {colour} wall; give --paint {colour}=FILE")
@@ -252,8 +402,7 @@ class FingerEvaluator:
             PaintEmission.drawn(paint, finger, self.settings.draws, np.random.default_rng([self.settings.seed, k]))
             for k, paint in enumerate((red, green))
         ]
-        led = camera_column(finger, bands, _LED)
-        return camera_radiance(light.chains, light.radiance_rel, bands, drawn, led), points
+        return _SentLight(light, points, bands, drawn, camera_column(finger, bands, _LED))
 
     def _light(self, design: FingerDesign, bands: PaintBands) -> tuple[FacetChains, SeenPoints]:
         """Return the light of the facets, chain by chain for conversions of 1; traced once for equal content."""

@@ -4,7 +4,7 @@ A picture is their sum, each times a product of numbers that are told here: powe
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, Literal, Protocol
@@ -12,15 +12,18 @@ from typing import Any, Final, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
+from scipy.interpolate import RegularGridInterpolator
 
-from data_schemas import CHANNELS, FingerDesign, PaintCalibration, PlainSensor, SimulateError
-from sim.experiments import pressed_coat
+from data_schemas import CHANNELS, ColouredLight, FingerDesign, PaintCalibration, PlainSensor, SimulateError
+from finray_calib.decide import LightBasis, PoweredLight
+from sim.experiments import PressedCoat, pressed_coat
 from sim.experiments._painted_finger import COLOURS, PaintedFinger
 from sim.optics import (
     BAND_NAMES,
     FIRST_CHAINS,
     PlainRender,
     PressRender,
+    Progress,
     RenderSettings,
     chain_steps,
     check_paints,
@@ -30,12 +33,21 @@ from sim.optics import (
     render_press,
     seen_places_mm,
     sensor_calibration,
+    stream_seed,
 )
 
 Floats = NDArray[np.float64]
 Design = FingerDesign | PlainSensor
 _POWER_U_REL, _BATCH_U_REL = 0.2, 0.1
 _DIM: Final = 1e-6  # power of the other lights while one is rendered
+#: Cells that the middle four fifths of a pad are cut into, about; and pixels that a mean is taken of, at least.
+_CELLS: Final = 40
+_RIM_SHARE: Final = 0.1
+_LEAST_PIXELS: Final = 12
+#: Longer side of the pictures that cells are means of, px.
+_PICTURE_PX: Final = 96
+#: Places of presses all over a pad, as shares of its width and length.
+_OVER: Final = ((0.0, 0.0), (-0.22, -0.22), (-0.22, 0.22), (0.22, -0.22), (0.22, 0.22))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +123,7 @@ class ClassicLayers:
     samples: int = 128
 
     @property
-    def _seen(self) -> tuple[tuple[int, int], ...]:
+    def seen(self) -> tuple[tuple[int, int], ...]:
         """Light and channel of each layer."""
         colours = light_colours(self.design, self.folder)
         return tuple((int(k), int(c)) for k, c in np.argwhere(colours > 0.0))
@@ -120,7 +132,7 @@ class ClassicLayers:
     def _together(self) -> list[list[int]]:
         """Lights that are rendered at once."""
         groups: list[list[int]] = []
-        channels = {k: {c for light, c in self._seen if light == k} for k in range(len(self.design.lights))}
+        channels = {k: {c for light, c in self.seen if light == k} for k in range(len(self.design.lights))}
         for k, own in channels.items():
             free = [group for group in groups if not any(own & channels[other] for other in group)]
             if free:
@@ -137,7 +149,7 @@ class ClassicLayers:
     @property
     def layer_names(self) -> tuple[str, ...]:
         """Light and channel."""
-        return tuple(f"light {k + 1} ({self.design.lights[k].channel}), {CHANNELS[c]} channel" for k, c in self._seen)
+        return tuple(f"light {k + 1} ({self.design.lights[k].channel}), {CHANNELS[c]} channel" for k, c in self.seen)
 
     @property
     def label(self) -> str:
@@ -146,8 +158,8 @@ class ClassicLayers:
 
     def mix(self, factors: Mapping[str, float]) -> Floats:
         """Return what each channel sees of each layer."""
-        mixed = np.zeros((len(CHANNELS), len(self._seen)))
-        for layer, (k, c) in enumerate(self._seen):
+        mixed = np.zeros((len(CHANNELS), len(self.seen)))
+        for layer, (k, c) in enumerate(self.seen):
             mixed[c, layer] = factors.get(f"lights.{k}.power_rel", 1.0)
         return mixed
 
@@ -166,9 +178,125 @@ class ClassicLayers:
                     gels=(coat.rest, coat.pressed), folder=self.folder,
                 )  # fmt: skip
                 of_light |= dict.fromkeys(group, _means_and_halves(render))
-            both = np.stack([of_light[k][..., c] for k, c in self._seen], axis=2)
+            both = np.stack([of_light[k][..., c] for k, c in self.seen], axis=2)
             found += [both[:, state] for state in range(1 if found else 0, 2)]
         return Layers(np.stack(found, axis=1), np.isfinite(seen[..., 0]))
+
+
+def light_by_light(scene: ClassicLayers, batches: int, progress: Progress | None = None) -> tuple[LightBasis, Floats]:
+    """Render each light of a classic sensor by itself, at rest and under presses all over its pad.
+
+    Parameters
+    ----------
+    scene
+        The sensor; its paths per pixel are those of two batches, its pictures are taken smaller. Its indenter is
+        pressed in at five places, a given [surface] where it is.
+    batches
+        Independent batches of paths, which tell the noise; an even number.
+    progress
+        Called after each two batches.
+
+    Returns
+    -------
+    basis
+        At rest over cells of the middle four fifths of the pad, touched over the contact of each press.
+    places_mm
+        Middles (x, z) of the cells, then of the contacts, (row, 2).
+
+    Raises
+    ------
+    SimulateError
+        When the coat cannot be made, or the camera sees too little of the pad or no contact.
+    """
+    scene = replace(scene, design=_smaller_picture(scene.design))
+    sensor, presses = scene.design, _presses_over(scene.design)
+    coats = [pressed_coat(press, scene.folder) for press in presses]
+    places = [
+        seen_places_mm(sensor, gel, scene.renderer, sensor_calibration(sensor, scene.folder))
+        for gel in (coats[0].rest, *(coat.pressed for coat in coats))
+    ]
+    cells = _cells(sensor, places[0])
+    contacts = [_contact(*pair) for pair in zip(coats, places[1:], strict=True)]
+    kept = [k for k, contact in enumerate(contacts) if contact.sum() >= _LEAST_PIXELS]
+    if not kept:
+        raise SimulateError(
+            "the camera sees no contact of the indenter on the pad; check indenter.depth_mm, and where the camera looks"
+        )
+    rest, touched = [], []
+    for number in range(batches // 2):
+        mean, half = replace(scene, seed=stream_seed(scene.seed, number)).layers(presses).pictures
+        for pictures in (mean + half, mean - half):
+            rest.append(_of_lights(scene, [pictures[0][:, cell].mean(axis=1) for cell in cells]))
+            touched.append(_of_lights(scene, [pictures[1 + k][:, contacts[k]].mean(axis=1) for k in kept]))
+        if progress is not None:
+            progress(number + 1, batches // 2, "paths of all lights")
+    middles = [places[0][cell].mean(axis=0) for cell in cells] + [places[1 + k][contacts[k]].mean(axis=0) for k in kept]
+    return LightBasis.balanced(np.array(rest), np.array(touched)), np.array(middles)
+
+
+def _smaller_picture(sensor: PlainSensor) -> PlainSensor:
+    """Return the sensor with at most so many pixels as means of cells need; a calibrated lens keeps its own."""
+    camera = sensor.camera
+    factor = _PICTURE_PX / max(camera.width_px, camera.height_px)
+    if factor >= 1.0 or camera.calibration is not None:
+        return sensor
+    size = {name: max(round(factor * getattr(camera, name)), 8) for name in ("width_px", "height_px")}
+    return sensor.model_copy(update={"camera": camera.model_copy(update=size)})
+
+
+def _presses_over(sensor: PlainSensor) -> list[PlainSensor]:
+    """Return the sensor with its indenter at five places; as it is, where a coat is given."""
+    if sensor.surface is not None:
+        return [sensor]
+    pad = sensor.pad
+    return [
+        changed_numbers(
+            sensor,
+            {
+                "indenter.across_mm": across * pad.width_mm * (sensor.indenter.shape == "ball"),
+                "indenter.position_mm": (0.5 + along) * pad.length_mm,
+            },
+        )
+        for across, along in _OVER
+    ]
+
+
+def _cells(sensor: PlainSensor, seen_mm: Floats) -> list[NDArray[np.bool_]]:
+    """Return which pixels see each cell of the pad's middle, for cells that enough pixels see."""
+    pad = sensor.pad
+    x, z = np.nan_to_num(seen_mm[..., 0], nan=np.inf), np.nan_to_num(seen_mm[..., 1], nan=np.inf)
+    inside = 1.0 - 2.0 * _RIM_SHARE
+    side = inside * np.sqrt(pad.width_mm * pad.length_mm / _CELLS)
+    shape = max(round(inside * pad.width_mm / side), 1), max(round(inside * pad.length_mm / side), 1)
+    across, along = (x / pad.width_mm + 0.5 - _RIM_SHARE) / inside, (z / pad.length_mm - _RIM_SHARE) / inside
+    found = []
+    for i, j in np.ndindex(shape):
+        cell = (np.floor(across * shape[0]) == i) & (np.floor(along * shape[1]) == j)
+        if cell.sum() >= _LEAST_PIXELS:
+            found.append(cell)
+    if 2 * len(found) < np.prod(shape):
+        raise SimulateError(
+            f"the camera sees {len(found)} of {np.prod(shape)} cells of the pad by {_LEAST_PIXELS} pixels, at least "
+            "half are needed; check camera.distance_mm, camera.field_of_view_deg and the size of the picture"
+        )
+    return found
+
+
+def _contact(coat: PressedCoat, seen_mm: Floats) -> NDArray[np.bool_]:
+    """Return which pixels see the contact."""
+    at = RegularGridInterpolator((coat.rest.x_mm, coat.rest.z_mm), coat.distance, bounds_error=False)
+    on_coat = np.isfinite(seen_mm[..., 0])
+    contact = np.zeros(on_coat.shape, dtype=np.bool_)
+    contact[on_coat] = at(seen_mm[on_coat]) <= 1.0
+    return contact
+
+
+def _of_lights(scene: ClassicLayers, means: Sequence[Floats]) -> Floats:
+    """Return means of layers (place: (layer,)) as signals of lights at their powers, (light, place, channel)."""
+    signals = np.zeros((len(scene.design.lights), len(means), len(CHANNELS)))
+    for layer, (light, channel) in enumerate(scene.seen):
+        signals[light, :, channel] = [mean[layer] for mean in means]
+    return signals
 
 
 def _means_and_halves(render: PlainRender) -> Floats:
@@ -211,8 +339,7 @@ class FingerLayers:
     @property
     def _lights(self) -> list[str]:
         """Paths of the panels in the design."""
-        second = ["second_light"] if self.design.second_light is not None else []
-        return ["light", *second, *(f"further_lights.{k}" for k in range(len(self.design.further_lights)))]
+        return light_paths(self.design)
 
     @property
     def layer_numbers(self) -> tuple[FreeNumber, ...]:
@@ -273,7 +400,7 @@ class FingerLayers:
         for number, press in enumerate(presses):
             renders = [
                 render_press(
-                    _with_one_panel(press, light), self.finger.paints, self.finger.renderer, settings,
+                    with_one_panel(press, light), self.finger.paints, self.finger.renderer, settings,
                     calibration=self.finger.calibration,
                 )
                 for light in range(len(self._lights))
@@ -300,7 +427,34 @@ def _finger(design: Design) -> FingerDesign:
     return design
 
 
-def _with_one_panel(design: Design, lit: int) -> FingerDesign:
+def light_paths(design: Design) -> list[str]:
+    """Return the dotted path of each light in its design, in their order."""
+    if isinstance(design, PlainSensor):
+        return [f"lights.{k}" for k in range(len(design.lights))]
+    second = ["second_light"] if design.second_light is not None else []
+    return ["light", *second, *(f"further_lights.{k}" for k in range(len(design.further_lights)))]
+
+
+def powered_lights(design: Design) -> tuple[list[PoweredLight], Floats]:
+    r"""Return the lights of a design, and the share of each in the light of all, (light,).
+
+    A panel of radiance L cos^(m-1) along its normal and of area A emits :math:`2 \pi L A / (m + 1)`.
+    """
+    found = []
+    for number, (path, light) in enumerate(zip(light_paths(design), design.lights, strict=True), start=1):
+        if isinstance(light, ColouredLight):
+            words = f"light {number} ({light.channel})"
+        else:
+            x, _, z = light.position_mm
+            words = f"the panel at z = {z:.0f} mm" + (f", x = {x:.0f} mm" if x else "")
+        found.append(PoweredLight(f"{path}.power_rel", words, light.power_rel))
+    emitted = np.array(
+        [one.power_rel * one.width_mm * one.height_mm / (one.beam_exponent + 1.0) for one in design.lights]
+    )
+    return found, emitted / emitted.sum()
+
+
+def with_one_panel(design: Design, lit: int) -> FingerDesign:
     """Return the finger with all panels but one as good as out."""
     finger = _finger(design)
     if len(finger.lights) == 1:

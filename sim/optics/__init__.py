@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     )
     from sim.optics._calibrated_camera import read_calibration
     from sim.optics._gradients import ProbeGradient, probe_gradient
-    from sim.optics._optical_layout import Window, camera_pose, panel_frame
+    from sim.optics._optical_layout import PanelFrame, Window, camera_pose, panel_frame
     from sim.optics._paint_bands import (
         BAND_NAMES,
         PaintBands,
@@ -110,6 +110,7 @@ __all__ = [
     "LoadedScene",
     "PaintBands",
     "PaintOptics",
+    "PanelFrame",
     "PixelMaps",
     "PlainRender",
     "Preference",

@@ -1,11 +1,23 @@
-"""The page of a search over designs: the recommended finger, what it gains, the front, and what each parameter does."""
+"""The pages of a search over designs, and of the powers and places of its lights.
+
+The recommended finger, what it gains, the front, and what each parameter does; lights with their powers over the pad
+that they light, and a map over two numbers of a finger.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from matplotlib.axes import Axes
 
-from data_schemas import DesignGain, DesignObjective, DesignOptimum, OptimisedDesign
+from data_schemas import (
+    DesignGain,
+    DesignObjective,
+    DesignOptimum,
+    LightPlaceMap,
+    LightPowers,
+    OptimisedDesign,
+    package_version,
+)
 from finray_calib.reports import (
     CHANNELS,
     Content,
@@ -20,6 +32,10 @@ from finray_calib.reports import (
     found_part,
     interval_text,
     legend_above,
+    light_map_figure,
+    light_map_sentence,
+    lights_from_the_side,
+    lit_pad_figure,
     methods_part,
     new_figure,
     one_group,
@@ -441,3 +457,121 @@ def _methods(optimum: DesignOptimum) -> tuple[str, ...]:
         "not the "
         f"best value seen. Objectives are: {meanings}.",
     )
+
+
+def light_powers_page(record: LightPowers, command: str, digests: Mapping[str, str]) -> str:
+    """Return the page of the most even powers of a sensor's lights (HTML); equal input gives equal text.
+
+    Parameters
+    ----------
+    record
+        The powers.
+    command
+        That made it.
+    digests
+        Input file -> SHA-256.
+    """
+    gain, error = record.gain_rel, record.normal_error
+    is_worse = error is not None and error.low95_rel > 0.0
+    light: Light = "care" if is_worse or gain.low95 <= 0.0 else "good"
+    reason = (
+        "the error of the normal grows" if is_worse else "95 % interval above zero" if light == "good" else "no gain"
+    )
+    parts = [Part("The powers", _powers_content(record))]
+    if record.design is not None:
+        parts.append(Part("The finger and its lights", _side_content(record)))
+    if record.map is not None:
+        parts.append(Part("Over two numbers of the finger", _map_content(record.map)))
+    return report_html(
+        ReportPage(
+            verb="finray design lights",
+            title=record.name,
+            lead="Light adds: each light is traced once, and the powers that light the coat most evenly are found.",
+            verdict=f"{percent(max(gain.estimate, 0.0))} less uneven" if light == "good" else "No gain for certain"
+            if not is_worse else "More even, but the sensed normal is worse",
+            light=light,
+            sentence=record.sentence,
+            picture=drawing(
+                lit_pad_figure(record), "the pad with its lights, now and with the recommended powers",
+                "The pad from its inner side, with the lights and their powers. Dots are the brightness of the coat "
+                "over its mean at rest, triangles that of touches; a good picture has one colour.",
+            ),
+            key_numbers=(
+                KeyNumber("Variation over the pad", percent(record.variation_rel.estimate),
+                          f"now {percent(record.variation_now_rel.estimate)}; {_less(record)}", light, reason),
+                KeyNumber("Brightness", f"{record.brightness_rel:.2f}", "times that of now"),
+                *_error_number(record),
+            ),
+            parts=(*parts, trust_part((), record.notes)),
+            command=command,
+            origin=files_table(digests, package_version()),
+            summary=record.model_dump(
+                mode="json",
+                exclude={"provenance", "design", "sensor", "basis", "basis_u", "power_draws", "places_mm", "map"},
+            ),
+        )
+    )  # fmt: skip
+
+
+def _less(record: LightPowers) -> str:
+    """Say by how much the variation falls."""
+    gain = record.gain_rel
+    return f"{percent(gain.low95)} to {percent(gain.high95)} less (95 %)"
+
+
+def _error_number(record: LightPowers) -> Iterator[KeyNumber]:
+    """Yield what happens to the error of the normal, where it is evaluated."""
+    error = record.normal_error
+    if error is not None:
+        yield KeyNumber(
+            "Expected error of the sensed normal", f"{error.recommended_deg:.2f} deg",
+            f"now {error.now_deg:.2f} deg; change {signed_percent(error.low95_rel)} to "
+            f"{signed_percent(error.high95_rel)} (95 %, by the same draws)",
+            "good" if error.high95_rel < 0.0 else "bad" if error.low95_rel > 0.0 else "care",
+            "falls" if error.high95_rel < 0.0 else "grows" if error.low95_rel > 0.0 else "no difference is shown",
+        )  # fmt: skip
+
+
+def _powers_content(record: LightPowers) -> Content:
+    """List the powers, and say how it is known that there are none better."""
+    rows = [
+        (row.light, row.field, f"{row.now_rel:.3g}", f"{row.power_rel:.3g}",
+         f"{row.optimum_rel.low95:.3g} to {row.optimum_rel.high95:.3g}", f"{row.least_rel:.3g} to {row.most_rel:.3g}",
+         percent(row.share_now))
+        for row in record.rows
+    ]  # fmt: skip
+    columns = (
+        "light",
+        "field of the design",
+        "now",
+        "recommended",
+        "optimum, 95 %",
+        "allowed",
+        "share of the light now",
+    )
+    return Content(
+        f"The design file beside this page has these powers. No allowed powers are more even by a share of more than "
+        f"{max(record.gap_rel, 1e-12):.0e} on this basis (bound by the gradient). All lights together emit at most "
+        f"{record.total_rel:.3g} times what they do now.",
+        tables=(one_group("Powers (radiance along the normal, relative)", columns, rows),),
+        has_wide_tables=True,
+    )
+
+
+def _side_content(record: LightPowers) -> Content:
+    """Show the finger from its side."""
+    return Content(
+        "The finger cut along its middle; a panel's angle is that of its normal (arrow) from the plane of the pad.",
+        picture_rows=((drawing(lights_from_the_side(record), "the finger from its side with its lights",
+                               "Panels with their normals and recommended powers."),),),
+    )  # fmt: skip
+
+
+def _map_content(found: LightPlaceMap) -> Content:
+    """Show a map."""
+    return Content(
+        light_map_sentence(found),
+        picture_rows=((drawing(light_map_figure(found), "error of the normal, evenness and brightness over two numbers",
+                               "Star: least error of the sensed normal. Dots: not told apart from it (two standard "
+                               "uncertainties). White: cannot be built. All else is as designed, powers as now."),),),
+    )  # fmt: skip
