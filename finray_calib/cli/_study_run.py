@@ -103,7 +103,7 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
         "run",
         help=RUN_HELP,
         description=RUN_DESCRIPTION,
-        epilog=RUN_EPILOG + "pad-shapes, finger-family, ribs, light-over-pad",
+        epilog=RUN_EPILOG + "pad-shapes, finger-family, ribs, light-over-pad,\neveryday-objects",
     )
     run.add_argument("plan", metavar="PLAN", help="plan (TOML), or the name of one that comes with finray")
     add_paint(run)
@@ -191,18 +191,27 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     """Run a study; store its table, its result and its page."""
     from data_schemas import SimulateError, StudyResult, StudyRow, provenance
     from data_schemas.storage import clear_leftovers
-    from sim.studies import StudyPaints, StudyTask, read_plan, run_study, study_points
+    from sim.studies import (
+        STUDY_FOLDERS,
+        StudyPaints,
+        StudyTask,
+        design_folder,
+        read_plan,
+        run_study,
+        study_points,
+    )
 
     plan, path = read_plan(arguments.plan)
     points = study_points(plan, path)
     paints, files = _paints(arguments) if plan.measure.images else (StudyPaints({}, {}), [])
     out = require_place(arguments.out or Path(file_name(plan.name)))
-    if out.exists() and any(out.iterdir()) and not any((out / name).is_dir() for name in ("points", "presses")):
+    if out.exists() and any(out.iterdir()) and not any((out / name).is_dir() for name in STUDY_FOLDERS):
         raise SimulateError(f"{out}: holds something else than a design study; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
     clear_leftovers(out)
     origin = provenance(command_line(), input_digests([path, *files]), plan.seed)
-    task = StudyTask(plan, paints, arguments.engine, out.absolute(), path.parent.absolute(), origin)
+    folder = design_folder(path, points, out)
+    task = StudyTask(plan, paints, arguments.engine, out.absolute(), folder, origin)
     with progress_bar(f"study {plan.name}") as progress:
         found, failures = run_study(task, points, arguments.workers, arguments.scheduler, progress)
     if not found:
