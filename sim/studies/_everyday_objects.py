@@ -1,8 +1,8 @@
 """Everyday objects as closed bodies for a press: chip, pecan, edge of a tape, spoon's handle, broccoli, can.
 
-They stand for what the paper's fingers grasp. The paper gives no sizes; those here are usual ones, assumed. Only the side
-that touches matters to a rigid indenter: each body is a height over an outline, closed by a plain cone on its far side.
-It looks along -y, its lowest point at y = 0 unless a pad would meet another one first.
+They stand for what the paper's fingers grasp. The paper gives no sizes; those here are usual ones, assumed. Only the
+side that touches matters to a rigid indenter: each body is a height over an outline, closed by a cone on its far side.
+It looks along -y; depths count from where it first touches the pad.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -34,7 +34,9 @@ def everyday_objects() -> dict[str, bytes]:
         "broccoli": ("buds of 3.5 mm radius on a dome of 24 mm", _ellipse(19.0, 19.0), _buds(24.0, 3.5)),
         "can": ("diameter 66 mm", _rectangle(32.0, 24.0), _cylinder(33.0)),
     }
-    return {f"{name}.stl": _body(outline, height, f"{name}: {what}") for name, (what, outline, height) in outlines.items()}
+    return {
+        f"{name}.stl": _body(outline, height, f"{name}: {what}") for name, (what, outline, height) in outlines.items()
+    }
 
 
 def write_everyday_objects(names: Iterable[str], folder: Path) -> None:

@@ -219,6 +219,7 @@ def design_folder(path: Path, points: Sequence[PlannedPoint], out: Path) -> Path
     write_everyday_objects({point.design.indenter.file or "" for point in points} - {""}, folder)
     return folder
 
+
 _OPTICAL_PARTS: Final = (
     "name",
     "coating",
