@@ -1,5 +1,6 @@
-"""``finray design optimise``, ``tolerances`` and ``assess``: the best numbers of a finger, how far they may be off, and
-light angle, tolerances and stiffness of a finger by one command.
+"""``finray design optimise``, ``tolerances`` and ``assess``: the best numbers of a finger, and how far they may be off.
+
+``assess`` finds light angle, tolerances and stiffness of a finger by one command.
 """
 
 import argparse
@@ -376,9 +377,10 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"), ".json")
     page = new_page_beside(out)
     paint_paths = both_paint_files(arguments)
+    paints = _paint_draws(paint_paths, arguments.paints_as_given)
     settings = ToleranceSettings(arguments.allowed, arguments.runs, arguments.seed)
     with naming(SimulateError, arguments.design):
-        record = _tolerances(arguments, design, folder, settings)
+        record = _tolerances(arguments, design, folder, paints, settings)
     inputs = input_digests([*files, *paint_paths.values()])
     with ProductSet(out) as products:
         products.add(page, tolerance_page(record, command_line(), inputs).encode())
@@ -398,20 +400,23 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
 
 
 def _tolerances(
-    arguments: argparse.Namespace, design: "FingerDesign", folder: Path, settings: "ToleranceSettings"
+    arguments: argparse.Namespace,
+    design: "FingerDesign",
+    folder: Path,
+    paints: "dict[str, PaintDraws]",
+    settings: "ToleranceSettings",
 ) -> "FingerTolerances":
     """Return the tolerances of a finger."""
     from sim.experiments import FingerError, study_tolerances, tolerance_inputs
 
-    paint_paths = both_paint_files(arguments)
-    paints = _paint_draws(paint_paths, arguments.paints_as_given)
     varied = tolerance_inputs(design, paints, dict(arguments.vary))
     evaluators = _evaluators(design, folder, arguments)
     error = FingerError(evaluators, design, paints, arguments.calibration)
     with progress_bar(f"tolerances of {design.name}") as progress:
         found = study_tolerances(error, design, paints, varied, settings, progress)
-    inputs = input_digests(paint_paths.values())
-    digests = {colour: inputs[str(path)] for colour, path in paint_paths.items()}
+    files = both_paint_files(arguments)
+    inputs = input_digests(files.values())
+    digests = {colour: inputs[file.as_posix()] for colour, file in files.items()}
     places = [float(place) for place in evaluators(arguments.seed).contact_places_mm(design)]
     return found.record(design, digests, varied, settings, places, arguments.calibration)
 
@@ -477,7 +482,7 @@ def run_assess(arguments: argparse.Namespace) -> None:
     """Decide on the light of a finger, then find the tolerances and the stiffness of the finger with that light."""
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import ProductSet, write_bytes, write_record
-    from finray_calib.reports import assessment_page, decision_page
+    from finray_calib.reports import assessment_page, decision_page, finger_outline
     from finray_calib.reports.tolerances import tolerance_page
     from sim import design_toml, given_design, with_pad_size
     from sim.experiments import ToleranceSettings
@@ -486,6 +491,7 @@ def run_assess(arguments: argparse.Namespace) -> None:
     design = design if arguments.pad is None else with_pad_size(design, *arguments.pad)
     paint_paths = both_paint_files(arguments)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.assessed"))
+    paints = _paint_draws(paint_paths, arguments.paints_as_given)  # what is wrong with them is told before any work
     inputs = input_digests([*files, *paint_paths.values()])
     origin = provenance(command_line(), inputs, arguments.seed)
     arguments.samples = 256 if arguments.quick else 1024
@@ -498,6 +504,7 @@ def run_assess(arguments: argparse.Namespace) -> None:
             write_record(record, out / f"{name}.json", origin, products)
 
     with naming(SimulateError, arguments.design):
+        finger_outline(design, folder)  # parts that do not fit are told before any work
         decision, sweeps = _decided(arguments, design, folder, paint_paths)
         for place_mm, sweep in sweeps.items():
             store(f"{place_mm:04.1f}mm.sweep", sweep)
@@ -505,7 +512,7 @@ def run_assess(arguments: argparse.Namespace) -> None:
         light = design.light.model_copy(update={"angle_deg": decision.angle_deg})
         design = design.model_copy(update={"light": light})
         write_bytes(out / "finger.toml", design_toml(design).encode())
-        tolerances = _tolerances(arguments, design, folder, settings)
+        tolerances = _tolerances(arguments, design, folder, paints, settings)
         store("tolerances", tolerances, tolerance_page(tolerances, command_line(), inputs))
         stiffness = _stiffness(arguments, design)
         store("finger-stiffness", stiffness)

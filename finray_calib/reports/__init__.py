@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         verdict_sentence,
         verdict_words,
     )
-    from finray_calib.reports._design_study_page import design_study_page, study_text
+    from finray_calib.reports._design_study_page import design_study_page, study_pictures_webp, study_text
     from finray_calib.reports._finger_page import assessment_page, finger_page, stiffness_rows
     from finray_calib.reports._finger_pictures import (
         finger_page_png,
@@ -250,6 +250,7 @@ __all__ = [
     "spots_note",
     "spread_sentence",
     "stiffness_rows",
+    "study_pictures_webp",
     "study_text",
     "styled",
     "svg_text",

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from statistics import NormalDist
 
+import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
@@ -28,13 +29,15 @@ from finray_calib.reports._page import (
     trust_part,
 )
 from finray_calib.reports._plain_text import NO_VALUE, interval_text
-from finray_calib.reports._style import BLUE, CHANNELS, HAIRLINE, INK, MUTED, new_figure, styled, svg_text
+from finray_calib.reports._style import BLUE, CHANNELS, HAIRLINE, INK, MUTED, new_figure, png_bytes, styled, svg_text
 
 MOST_PICTURES = 60
 """Points whose pictures the page shows; the records hold all."""
 
 _LARGEST_SIDE_PX = 200
 _PANELS_IN_A_ROW = 2
+_PICTURES_IN_A_ROW = 4
+_WEBP_QUALITY = 85
 _WHITE_PERCENTILE = 95.0  # brighter are the walls and, at some angles, the panel itself
 _SHOWN = ("vividness", "variation_rel", "touch_rel", "brightness_rel", "force_n", "seen_area_mm2")
 """Metrics with a panel of their own, and the order in which a sentence is made of them."""
@@ -198,11 +201,54 @@ def _sections(result: StudyResult, points: Sequence[StudyPoint]) -> Iterator[Par
     ))  # fmt: skip
 
 
-def _pictures(points: Sequence[StudyPoint]) -> Content:
-    """Show each point without and with contact, all balanced alike."""
+def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
+    """Return one picture (WebP) of all points, each without contact above with contact; None without images.
+
+    All are balanced alike, as on the page. The name of a point is what it changes; below it stand its numbers.
+    """
+    shown = [point for point in points if point.contact is not None and point.no_contact is not None][:MOST_PICTURES]
+    if not shown:
+        return None
+    white, columns = _common_white(shown), min(len(shown), _PICTURES_IN_A_ROW)
+    rows = -(-len(shown) // columns)
+    with styled():
+        figure = new_figure(2.5 * columns, 4.3 * rows)
+        for k, point in enumerate(shown):
+            row, column = divmod(k, columns)
+            for below, image in enumerate((point.no_contact, point.contact)):
+                axes = figure.add_subplot(2 * rows, columns, (2 * row + below) * columns + column + 1)
+                axes.imshow(to_display(_small(image), white, True), interpolation="bicubic")
+                axes.set_axis_off()
+                text = _caption(point).replace("; ", "\n") if below else _names(point)
+                axes.set_title(text, fontsize=6 if below else 8, y=-0.42 if below else 1.0, loc="left", color=INK)
+        png = png_bytes(figure)
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    return bytes(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])[1])
+
+
+def _names(point: StudyPoint) -> str:
+    """Return what a point changes, a value a line."""
+    return "\n".join(map(_short, point.changes.values()))
+
+
+def _common_white(points: Sequence[StudyPoint]) -> NDArray[np.float64]:
+    """Return the white of all pictures."""
     pixels = np.concatenate([p.no_contact.reshape(-1, 3) for p in points if p.no_contact is not None])
     white = np.percentile(pixels, _WHITE_PERCENTILE, axis=0).astype(np.float64)
-    white = np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
+    return np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
+
+
+def _small(image: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return an image by blocks, at most about 200 px in size."""
+    step = max(1, max(image.shape[:2]) // _LARGEST_SIDE_PX)
+    rows, columns = (size // step * step for size in image.shape[:2])
+    blocks = image[:rows, :columns].reshape(rows // step, step, columns // step, step, 3)
+    return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float64)
+
+
+def _pictures(points: Sequence[StudyPoint]) -> Content:
+    """Show each point without and with contact, all balanced alike."""
+    white = _common_white(points)
     rows: list[tuple[Picture, ...]] = []
     pictures = [
         raster(_pair(point, white), f"Point {point.number}, {_words(point.changes)}.",
@@ -233,10 +279,7 @@ def _pair(point: StudyPoint, white: NDArray[np.float64]) -> ByteImage:
     """Return both images of a point side by side, small."""
     sides = []
     for image in (image for image in (point.no_contact, point.contact) if image is not None):
-        step = max(1, max(image.shape[:2]) // _LARGEST_SIDE_PX)
-        rows, columns = (size // step * step for size in image.shape[:2])
-        blocks = image[:rows, :columns].reshape(rows // step, step, columns // step, step, 3)
-        sides.append(to_display(blocks.mean(axis=(1, 3)), white, True))
+        sides.append(to_display(_small(image), white, True))
     gap = np.full((sides[0].shape[0], 4, 3), 255, dtype=np.uint8)
     return np.concatenate([sides[0], gap, sides[1]], axis=1)
 

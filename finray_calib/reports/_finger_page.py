@@ -345,9 +345,7 @@ _STIFFNESSES: Final = (
 
 
 def stiffness_rows(study: FingerStiffness) -> tuple[tuple[str, str, str, str], ...]:
-    """Return of the first finger of a study each stiffness: name, value, range over assumed dimensions, and what moves
-    it most.
-    """
+    """Return of a study's first finger each stiffness: name, value, range over assumptions, what moves it most."""
     drawn, rows = study.rows[0], []
     for name, field, unit in _STIFFNESSES:
         value = getattr(drawn, field)
@@ -386,9 +384,10 @@ def assessment_page(
     rows = stiffness_rows(stiffness)
     design, factor = tolerances.design, tolerances.together_factor
     times = f"over {tolerances.box_factor:.2g}" if factor is None else f"{factor:.2g}"
-    band = decision.tolerance_deg
+    band, words = decision.tolerance_deg, verdict_words(decision).capitalize()
+    length_mm, width_mm = design.pad.length_mm, design.pad.width_mm
     parts = (
-        _assessed("Light angle", f"{decision.headline} {verdict_words(decision).capitalize()}.", "light-angle-decision.html"),
+        _assessed("Light angle", f"{decision.headline} {words}.", "light-angle-decision.html"),
         _assessed("Tolerances", tolerances.sentence, "tolerances.html"),
         Part("Stiffness", Content(
             "By finite elements, against small loads. Records: finger-stiffness.json.",
@@ -401,7 +400,7 @@ def assessment_page(
         ReportPage(
             verb="finray design assess",
             title=design.name,
-            lead=f"A finger with a pad of {design.pad.length_mm:g} x {design.pad.width_mm:g} mm: where to put the light, "
+            lead=f"A finger with a pad of {length_mm:g} x {width_mm:g} mm: where to put the light, "
             "how closely to build it, and how stiff it is.",
             verdict=f"Light at {decision.angle_deg:.0f} deg",
             light=verdict_light(decision),
@@ -426,8 +425,8 @@ def assessment_page(
 
 
 _ASSESSED_LIMIT: Final = (
-    "Tolerances and stiffness are simulated, of assumed dimensions of the skeleton; no finger of this drawing was built "
-    "or loaded. The range of a stiffness changes one dimension at a time and is no confidence interval."
+    "Tolerances and stiffness are simulated, of assumed dimensions of the skeleton; no finger of this drawing was "
+    "built or loaded. The range of a stiffness changes one dimension at a time and is no confidence interval."
 )
 
 
