@@ -359,9 +359,6 @@ class StudyVariation(Model):
             raise ValueError(f"vary {self.field}: give values, or low and high of a random study")
         if not self.values and (self.low is None or self.high is None or self.low >= self.high):
             raise ValueError(f"vary {self.field}: low and high are both needed, low below high")
-        twice = [value for value in self.values if self.values.count(value) > 1]
-        if twice:
-            raise ValueError(f"vary {self.field}: {twice[0]!r} is listed twice in its values; list each once")
         return self
 
 
@@ -422,7 +419,21 @@ class DesignStudy(Record):
             raise ValueError(f'vary {ranged[0]}: low and high need combine = "random"; give values')
         if self.combine == "together" and len({len(variation.values) for variation in self.vary}) > 1:
             raise ValueError('combine = "together": all lists of values must be of one length')
+        self._require_different_points()
         return self
+
+    def _require_different_points(self) -> None:
+        """Refuse points that would be computed twice."""
+        if self.combine == "together":
+            points = list(zip(*(variation.values for variation in self.vary), strict=True))
+            repeated = [point for point in points if points.count(point) > 1]
+            if repeated:
+                raise ValueError(f"vary: {list(repeated[0])} is listed twice, value by value; list each point once")
+            return
+        for variation in self.vary:
+            twice = [value for value in variation.values if variation.values.count(value) > 1]
+            if twice:
+                raise ValueError(f"vary {variation.field}: {twice[0]!r} is listed twice in its values; list each once")
 
 
 class StudyMetric(Model):

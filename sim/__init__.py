@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         read_sensor,
         sensor_inputs,
         sensor_toml,
+        with_pad_size,
     )
     from sim._library_proofs import is_installed, proof_failure
 else:
@@ -45,4 +46,5 @@ __all__ = [
     "read_sensor",
     "sensor_inputs",
     "sensor_toml",
+    "with_pad_size",
 ]

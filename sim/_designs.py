@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from data_schemas import (
     Backing,
@@ -35,6 +35,7 @@ from data_schemas import (
     SimulateError,
     Skeleton,
     TranslucentLayer,
+    explain,
 )
 from data_schemas.storage import read_toml, read_toml_tables
 
@@ -170,6 +171,33 @@ def given_design(path: Path) -> tuple[FingerDesign, list[Path], Path]:
             f"{path}: is a ready-made classic sensor; a finger is needed: {', '.join(PRESETS)}, or a file"
         )
     return read_design(path), [path], path.parent
+
+
+def with_pad_size(design: FingerDesign, length_mm: float, width_mm: float) -> FingerDesign:
+    """Return a finger with a pad of another size; panels, tip and backing move with its length, as do the ready-made.
+
+    Mirror and camera follow the pad where the design leaves them to it; the indenter goes to its middle.
+    """
+    tables = design.model_dump(mode="python", exclude={"provenance"})
+    share = min(1.0, length_mm / _NOMINAL_LENGTH_MM) / min(1.0, design.pad.length_mm / _NOMINAL_LENGTH_MM)
+    stretch = length_mm / design.pad.length_mm
+    tables["pad"] |= {"length_mm": length_mm, "width_mm": width_mm}
+    tables["indenter"]["position_mm"] = length_mm / 2.0
+    for panel in (tables["light"], tables["second_light"], *tables["further_lights"]):
+        if panel is not None:
+            x, y, z = panel["position_mm"]
+            along = z * share if z < design.pad.length_mm / 2.0 else length_mm + (z - design.pad.length_mm) * share
+            panel |= {"position_mm": (x * share, y * share, along)}
+            panel |= {name: panel[name] * share for name in ("width_mm", "height_mm")}
+    for table, field in ((tables["skeleton"], "tip_starts_mm"), (tables["skeleton"]["backing"] or {}, "to_z_mm")):
+        if table.get(field) is not None:
+            table[field] *= stretch
+    tables["name"] = f"{design.name}-pad-{length_mm:g}x{width_mm:g}"
+    tables["origin"] = {field: where for field, where in design.origin.items() if field not in _PAD_SIZE}
+    try:
+        return FingerDesign.model_validate(tables)
+    except ValidationError as error:
+        raise SimulateError(f"--pad {length_mm:g}x{width_mm:g}: {explain(error, FingerDesign)}") from None
 
 
 _FINGER_HEAD = """\

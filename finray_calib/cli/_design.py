@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._design_search import add_lights, add_optimise, add_tolerances
+from finray_calib.cli._design_search import add_assess, add_lights, add_optimise, add_tolerances
 from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_engine,
@@ -93,6 +93,7 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     _add_export(actions)
     _add_paints(actions)
     add_tolerances(actions)
+    add_assess(actions)
     add_optimise(actions)
     add_lights(actions)
     _add_filters(actions)

@@ -1,4 +1,7 @@
-"""``finray design optimise``, ``tolerances``, ``lights``: the best numbers of a sensor, and how far they may be off."""
+"""``finray design optimise``, ``tolerances``, ``lights``, ``assess``: the best numbers of a sensor and their limits.
+
+``assess`` finds light angle, tolerances and stiffness of a finger by one command.
+"""
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,14 +36,18 @@ if TYPE_CHECKING:
         DesignObjective,
         DesignOptimum,
         FingerDesign,
+        FingerStiffness,
         FingerTolerances,
+        LightAngleDecision,
+        LightAngleSweep,
         LightPlaceMap,
         LightPowers,
         PlainSensor,
         Provenance,
+        Record,
     )
     from finray_calib.decide import LightBasis
-    from sim.experiments import FingerEvaluator, LightMeasure, LitFinger, PaintDraws
+    from sim.experiments import FingerEvaluator, LightMeasure, LitFinger, PaintDraws, ToleranceSettings
     from sim.optics import Progress
 
 OPTIMISE_HELP = "search the numbers of a finger, within limits, for the best design by your objectives"
@@ -95,6 +102,55 @@ examples:
   finray design tolerances flat-70x35 --paint red=red.paint.json --paint green=green.paint.json
   finray design tolerances finger.toml --paint red=r.json --paint green=g.json --vary light.angle_deg=1 \\
       --vary camera.position_mm.z=0.2 --calibration shared"""
+
+ASSESS_HELP = "light angle, tolerances and stiffness of a finger, also one with another size of pad, by one command"
+ASSESS_DESCRIPTION = """\
+Find what a designer asks of a finger first:
+
+  light angle  sweeps at five places of the pad, and the decision on them by the error of the sensed normal
+  tolerances   of the finger with that light: how far it may vary before the error has grown by a tenth
+  stiffness    against forces at tip and pad and a twist, also with each assumed dimension changed by 20 %
+
+--pad gives the pad another size: mirror and camera follow it, panels, tip and backing move with its length.
+The folder then holds the finger with the chosen light (TOML), the records and pages of 'finray decide' and 'finray
+design tolerances', the table of 'finray study finger-stiffness', and one page with the numbers of all.
+
+--quick takes fewer paths and fingers, and leaves the assumed dimensions of the skeleton: a first look in a third of the
+time. Everything is simulated: no finger was built."""
+ASSESS_EPILOG = """\
+examples:
+  finray design assess flat-70x35 --pad 60x30 --paint red=red.paint.json --paint green=green.paint.json
+  finray design assess finger.toml --paint red=r.json --paint green=g.json --quick"""
+_ANGLES_DEG = tuple(float(angle) for angle in range(-30, 121, 10))
+_PLACES_REL = (0.12, 0.3, 0.5, 0.7, 0.88)
+_PERCENT_CHANGE = 0.2
+
+
+def add_assess(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register ``finray design assess``."""
+    assess = actions.add_parser("assess", help=ASSESS_HELP, description=ASSESS_DESCRIPTION, epilog=ASSESS_EPILOG)
+    assess.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
+    assess.add_argument("--pad", type=_pad_size, metavar="LENGTHxWIDTH", help="another size of the pad, mm, such as "
+                        "60x30")  # fmt: skip
+    add_paint(assess)
+    add_paints_as_given(assess)
+    assess.add_argument("--quick", action="store_true", help="fewer paths and fingers, for a first look")
+    add_engine(assess, is_scalar_enough=False)
+    assess.add_argument("--out", type=Path, metavar="DIR", help="default: NAME.assessed; must be new")
+    add_seed(assess)
+    assess.set_defaults(run=run_assess, vary=[], places_mm=[], calibration="own")
+
+
+def _pad_size(text: str) -> tuple[float, float]:
+    """Parse LENGTHxWIDTH."""
+    length, _, width = text.partition("x")
+    try:
+        size = float(length), float(width)
+    except ValueError:
+        size = (0.0, 0.0)
+    if not all(0.0 < side < float("inf") for side in size):
+        raise argparse.ArgumentTypeError(f"{text!r} must be LENGTHxWIDTH of the pad in mm, such as 60x30")
+    return size
 
 
 LIGHTS_HELP = "powers of the lights for an even coat; a map over the angle and the place of a light"
@@ -508,7 +564,7 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.reports.tolerances import tolerance_page
     from sim import given_design
-    from sim.experiments import FingerError, ToleranceSettings, study_tolerances, tolerance_inputs
+    from sim.experiments import ToleranceSettings
 
     design, files, folder = given_design(arguments.design)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"), ".json")
@@ -517,15 +573,8 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     paints = _paint_draws(paint_paths, arguments.paints_as_given)
     settings = ToleranceSettings(arguments.allowed, arguments.runs, arguments.seed)
     with naming(SimulateError, arguments.design):
-        varied = tolerance_inputs(design, paints, dict(arguments.vary))
-        evaluators = _evaluators(design, folder, arguments)
-        error = FingerError(evaluators, design, paints, arguments.calibration)
-        with progress_bar(f"tolerances of {design.name}") as progress:
-            found = study_tolerances(error, design, paints, varied, settings, progress)
+        record = _tolerances(arguments, design, folder, paints, settings)
     inputs = input_digests([*files, *paint_paths.values()])
-    digests = {colour: inputs[str(path)] for colour, path in paint_paths.items()}
-    places = [float(place) for place in evaluators(arguments.seed).contact_places_mm(design)]
-    record = found.record(design, digests, varied, settings, places, arguments.calibration)
     with ProductSet(out) as products:
         products.add(page, tolerance_page(record, command_line(), inputs).encode())
         write_record(record, out, provenance(command_line(), inputs, arguments.seed), products)
@@ -541,6 +590,28 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
         calibration=record.calibration,
     )  # fmt: skip
     look_at(page)
+
+
+def _tolerances(
+    arguments: argparse.Namespace,
+    design: "FingerDesign",
+    folder: Path,
+    paints: "dict[str, PaintDraws]",
+    settings: "ToleranceSettings",
+) -> "FingerTolerances":
+    """Return the tolerances of a finger."""
+    from sim.experiments import FingerError, study_tolerances, tolerance_inputs
+
+    varied = tolerance_inputs(design, paints, dict(arguments.vary))
+    evaluators = _evaluators(design, folder, arguments)
+    error = FingerError(evaluators, design, paints, arguments.calibration)
+    with progress_bar(f"tolerances of {design.name}") as progress:
+        found = study_tolerances(error, design, paints, varied, settings, progress)
+    files = both_paint_files(arguments)
+    inputs = input_digests(files.values())
+    digests = {colour: inputs[file.as_posix()] for colour, file in files.items()}
+    places = [float(place) for place in evaluators(arguments.seed).contact_places_mm(design)]
+    return found.record(design, digests, varied, settings, places, arguments.calibration)
 
 
 def _paint_draws(files: "Mapping[str, Path]", as_given: bool) -> "dict[str, PaintDraws]":
@@ -598,3 +669,109 @@ def _tolerance_table(record: "FingerTolerances") -> "Iterator[str]":
     widths = [max(len(line[k]) for line in (head, *rows)) for k in range(len(head))]
     for line in (head, *rows):
         yield "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+
+
+def run_assess(arguments: argparse.Namespace) -> None:
+    """Decide on the light of a finger, then find the tolerances and the stiffness of the finger with that light."""
+    from data_schemas import SimulateError, provenance
+    from data_schemas.storage import ProductSet, write_bytes, write_record
+    from finray_calib.reports import assessment_page, decision_page, finger_outline
+    from finray_calib.reports.tolerances import tolerance_page
+    from sim import design_toml, given_design, with_pad_size
+    from sim.experiments import ToleranceSettings
+
+    design, files, folder = given_design(arguments.design)
+    design = design if arguments.pad is None else with_pad_size(design, *arguments.pad)
+    paint_paths = both_paint_files(arguments)
+    out = require_new(arguments.out or Path(f"{file_name(design.name)}.assessed"))
+    paints = _paint_draws(paint_paths, arguments.paints_as_given)  # what is wrong with them is told before any work
+    inputs = input_digests([*files, *paint_paths.values()])
+    origin = provenance(command_line(), inputs, arguments.seed)
+    arguments.samples = 256 if arguments.quick else 1024
+    settings = ToleranceSettings(runs=96 if arguments.quick else 128, seed=arguments.seed)
+
+    def store(name: str, record: "Record", page: str = "") -> None:
+        with ProductSet(out / f"{name}.json") as products:
+            if page:
+                products.add(out / f"{name}.html", page.encode())
+            write_record(record, out / f"{name}.json", origin, products)
+
+    with naming(SimulateError, arguments.design):
+        finger_outline(design, folder)  # parts that do not fit are told before any work
+        decision, sweeps = _decided(arguments, design, folder, paint_paths)
+        for place_mm, sweep in sweeps.items():
+            store(f"{place_mm:04.1f}mm.sweep", sweep)
+        store("light-angle-decision", decision, decision_page(decision, [*sweeps.values()], command_line(), inputs))
+        light = design.light.model_copy(update={"angle_deg": decision.angle_deg})
+        design = design.model_copy(update={"light": light})
+        write_bytes(out / "finger.toml", design_toml(design).encode())
+        tolerances = _tolerances(arguments, design, folder, paints, settings)
+        store("tolerances", tolerances, tolerance_page(tolerances, command_line(), inputs))
+        stiffness = _stiffness(arguments, design)
+        store("finger-stiffness", stiffness)
+    page = assessment_page(decision, tolerances, stiffness, command_line(), inputs)
+    write_bytes(out / "assessment.html", page.encode())
+    _tell_assessment(decision, tolerances, stiffness)
+    wrote(out, "finger.toml with the light that was chosen, records and pages of each part")
+    look_at(out / "assessment.html")
+
+
+def _decided(
+    arguments: argparse.Namespace, design: "FingerDesign", folder: Path, paints: "Mapping[str, Path]"
+) -> "tuple[LightAngleDecision, dict[float, LightAngleSweep]]":
+    """Sweep at five places of the pad, and decide."""
+    from finray_calib import sweep_light_angle
+    from finray_calib.decide import decide
+
+    sweeps = {}
+    for number, share in enumerate(_PLACES_REL):
+        place_mm = round(share * design.pad.length_mm, 1)
+        with progress_bar(f"light at {place_mm:g} mm, place {number + 1} of {len(_PLACES_REL)}") as progress:
+            sweeps[place_mm] = sweep_light_angle(
+                _with_whole_paths(design, folder), _ANGLES_DEG, red=paints["red"], green=paints["green"],
+                seed=arguments.seed, progress=progress, samples=2000 if arguments.quick else 4000,
+                engine=arguments.engine, paints_as_given=arguments.paints_as_given, all_objectives=number == 0,
+                position_mm=place_mm,
+            )  # fmt: skip
+    return decide([*sweeps.values()], [], arguments.seed), sweeps
+
+
+def _with_whole_paths(design: "FingerDesign", folder: Path) -> "FingerDesign":
+    """Return a design whose files are found from anywhere."""
+    camera = {name: str((folder / file).absolute()) for name in ("calibration", "response")
+              if (file := getattr(design.camera, name)) is not None}  # fmt: skip
+    file = design.indenter.file
+    indenter = {} if file is None else {"file": str((folder / file).absolute())}
+    parts = {
+        "camera": design.camera.model_copy(update=camera),
+        "indenter": design.indenter.model_copy(update=indenter),
+    }
+    return design.model_copy(update=parts)
+
+
+def _stiffness(arguments: argparse.Namespace, design: "FingerDesign") -> "FingerStiffness":
+    """Load the finger, and with its assumed dimensions changed."""
+    from finray_calib.spectra import machine_threads
+    from sim.experiments import study_finger_stiffness
+
+    with progress_bar(f"stiffness of {design.name}") as progress:
+        share = 0.0 if arguments.quick else _PERCENT_CHANGE
+        return study_finger_stiffness([design], share, machine_threads(), progress)
+
+
+def _tell_assessment(
+    decision: "LightAngleDecision", tolerances: "FingerTolerances", stiffness: "FingerStiffness"
+) -> None:
+    """Tell what was found."""
+    from finray_calib.reports import stiffness_rows
+
+    say(f"Light: {decision.headline}")
+    say(f"Tolerances: {tolerances.sentence}")
+    for name, value, limits, _ in stiffness_rows(stiffness):
+        say(f"Stiffness, {name}: {value}{limits and f' ({limits})'}")
+    give(
+        angle_deg=decision.angle_deg, tolerance_deg=decision.tolerance_deg, verdict=decision.verdict,
+        headline=decision.headline, sentence=tolerances.sentence, rows=tolerances.rows,
+        together_factor=tolerances.together_factor, within_given_share=tolerances.within_given_share,
+        stiffness=stiffness.rows,
+    )  # fmt: skip

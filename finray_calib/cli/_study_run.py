@@ -49,7 +49,8 @@ shows, force. Points are computed by worker processes, as many as cores and memo
 once. Each point is stored as soon as it is finished: an interrupted study continues with the same command. A point that
 fails is stored with its reason and does not stop the others.
 
-Writes into the folder of the study: points/ (a record each), table.csv (one row a point), study.json, study.html.
+Writes into the folder of the study: points/ (a record each), table.csv (one row a point), study.json, study.html,
+pictures.webp (all pictures in one).
 
 A plan names its finger, what is set, what varies and what is computed:
 
@@ -94,7 +95,7 @@ examples:
   finray study dataset finger.toml --presses 1000 --paint red=r.json --paint green=g.json --out presses
   finray study dataset finger.toml --presses 200 --press "finite elements" --shape ball --shape cylinder"""
 DATASET_NAME, INDEX_NAME, CARD_NAME, PLACES_NAME = "dataset.json", "index.csv", "README.md", "places_mm.npy"
-TABLE_NAME, RESULT_NAME, PAGE_NAME = "table.csv", "study.json", "study.html"
+TABLE_NAME, RESULT_NAME, PAGE_NAME, PICTURES_NAME = "table.csv", "study.json", "study.html", "pictures.webp"
 
 
 def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -103,7 +104,7 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
         "run",
         help=RUN_HELP,
         description=RUN_DESCRIPTION,
-        epilog=RUN_EPILOG + "pad-shapes, finger-family, ribs, light-over-pad",
+        epilog=RUN_EPILOG + "pad-shapes, finger-family, ribs, light-over-pad,\neveryday-objects",
     )
     run.add_argument("plan", metavar="PLAN", help="plan (TOML), or the name of one that comes with finray")
     add_paint(run)
@@ -191,18 +192,27 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     """Run a study; store its table, its result and its page."""
     from data_schemas import SimulateError, StudyResult, StudyRow, provenance
     from data_schemas.storage import clear_leftovers
-    from sim.studies import StudyPaints, StudyTask, read_plan, run_study, study_points
+    from sim.studies import (
+        STUDY_FOLDERS,
+        StudyPaints,
+        StudyTask,
+        design_folder,
+        read_plan,
+        run_study,
+        study_points,
+    )
 
     plan, path = read_plan(arguments.plan)
     points = study_points(plan, path)
     paints, files = _paints(arguments) if plan.measure.images else (StudyPaints({}, {}), [])
     out = require_place(arguments.out or Path(file_name(plan.name)))
-    if out.exists() and any(out.iterdir()) and not any((out / name).is_dir() for name in ("points", "presses")):
+    if out.exists() and any(out.iterdir()) and not any((out / name).is_dir() for name in STUDY_FOLDERS):
         raise SimulateError(f"{out}: holds something other than a design study; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
     clear_leftovers(out)
     origin = provenance(command_line(), input_digests([path, *files]), plan.seed)
-    task = StudyTask(plan, paints, arguments.engine, out.absolute(), path.parent.absolute(), origin)
+    folder = design_folder(path, points, out)
+    task = StudyTask(plan, paints, arguments.engine, out.absolute(), folder, origin)
     with progress_bar(f"study {plan.name}") as progress:
         found, failures = run_study(task, points, arguments.workers, arguments.scheduler, progress)
     if not found:
@@ -437,15 +447,18 @@ def stand_in_paints() -> "tuple[dict[str, PaintOptics], dict[str, str]]":
 def _store(out: Path, result: "StudyResult", points: "Sequence[StudyPoint]", origin: "Provenance") -> None:
     """Store table, page and result together, in place of those of an earlier run of the same study."""
     from data_schemas.storage import ProductSet, write_record
-    from finray_calib.reports import design_study_page
+    from finray_calib.reports import design_study_page, study_pictures_webp
 
-    names = (RESULT_NAME, TABLE_NAME, PAGE_NAME)
+    names = (RESULT_NAME, TABLE_NAME, PAGE_NAME, PICTURES_NAME)
     for name in names:  # made again from the points, which are what is kept
         (out / name).unlink(missing_ok=True)
     page = design_study_page(result, points, origin.command, origin.input_sha256, origin.package_version)
+    pictures = study_pictures_webp(points)
     with ProductSet(out / RESULT_NAME) as products:
         products.add(out / TABLE_NAME, table_csv(result).encode())
         products.add(out / PAGE_NAME, page.encode())
+        if pictures is not None:
+            products.add(out / PICTURES_NAME, pictures)
         write_record(result, out / RESULT_NAME, origin, products)
 
 

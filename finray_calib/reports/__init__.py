@@ -43,8 +43,8 @@ if TYPE_CHECKING:
         verdict_sentence,
         verdict_words,
     )
-    from finray_calib.reports._design_study_page import design_study_page, study_text
-    from finray_calib.reports._finger_page import finger_page
+    from finray_calib.reports._design_study_page import design_study_page, study_pictures_webp, study_text
+    from finray_calib.reports._finger_page import assessment_page, finger_page, stiffness_rows
     from finray_calib.reports._finger_pictures import (
         finger_page_png,
         indenter_path_png,
@@ -166,6 +166,7 @@ __all__ = [
     "ReportPage",
     "ReportTable",
     "angle_figure",
+    "assessment_page",
     "batch_lines",
     "batch_page",
     "certificate_of",
@@ -259,6 +260,8 @@ __all__ = [
     "spot_sentence",
     "spots_note",
     "spread_sentence",
+    "stiffness_rows",
+    "study_pictures_webp",
     "study_text",
     "styled",
     "svg_text",

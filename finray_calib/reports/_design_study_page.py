@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from statistics import NormalDist
 
+import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
@@ -28,16 +29,24 @@ from finray_calib.reports._page import (
     trust_part,
 )
 from finray_calib.reports._plain_text import NO_VALUE, interval_text
-from finray_calib.reports._style import BLUE, HAIRLINE, INK, MUTED, new_figure, styled, svg_text
+from finray_calib.reports._style import BLUE, CHANNELS, HAIRLINE, INK, MUTED, new_figure, png_bytes, styled, svg_text
 
 MOST_PICTURES = 60
 """Points whose pictures the page shows; the records hold all."""
 
 _LARGEST_SIDE_PX = 200
 _PANELS_IN_A_ROW = 2
+_PICTURES_IN_A_ROW = 4
+_WEBP_QUALITY = 85
 _WHITE_PERCENTILE = 95.0  # brighter are the walls and, at some angles, the panel itself
 _SHOWN = ("vividness", "variation_rel", "touch_rel", "brightness_rel", "force_n", "seen_area_mm2")
 """Metrics with a panel of their own, and the order in which a sentence is made of them."""
+
+_SHARES = tuple((f"{name}_share", marker, colour) for name, marker, colour in CHANNELS)
+"""Metrics of one panel, the share of the coat where each light leads, with their markers and colours."""
+_IN_CAPTIONS = ("variation_rel", "vividness", "touch_rel", "force_n")
+_MOST_NAMED_POINTS = 12
+_LONGEST_POINT_NAME = 22
 
 _BEST: Mapping[str, tuple[str, bool]] = {
     "vividness": ("The colours are most vivid", True),
@@ -192,75 +201,171 @@ def _sections(result: StudyResult, points: Sequence[StudyPoint]) -> Iterator[Par
     ))  # fmt: skip
 
 
-def _pictures(points: Sequence[StudyPoint]) -> Content:
-    """Show each point without and with contact, all balanced alike."""
+def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
+    """Return one picture (WebP) of all points, each without contact above with contact; None without images.
+
+    All are balanced alike, as on the page. The name of a point is what it changes; below it stand its numbers.
+    """
+    shown = [point for point in points if point.contact is not None and point.no_contact is not None][:MOST_PICTURES]
+    if not shown:
+        return None
+    white, columns = _common_white(shown), min(len(shown), _PICTURES_IN_A_ROW)
+    rows = -(-len(shown) // columns)
+    with styled():
+        figure = new_figure(2.5 * columns, 4.3 * rows)
+        for k, point in enumerate(shown):
+            row, column = divmod(k, columns)
+            for below, image in enumerate((point.no_contact, point.contact)):
+                axes = figure.add_subplot(2 * rows, columns, (2 * row + below) * columns + column + 1)
+                axes.imshow(to_display(_small(image), white, True), interpolation="bicubic")
+                axes.set_axis_off()
+                text = _caption(point).replace("; ", "\n") if below else _names(point)
+                axes.set_title(text, fontsize=6 if below else 8, y=-0.42 if below else 1.0, loc="left", color=INK)
+        png = png_bytes(figure)
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    return bytes(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])[1])
+
+
+def _names(point: StudyPoint) -> str:
+    """Return what a point changes, a value a line."""
+    return "\n".join(map(_short, point.changes.values()))
+
+
+def _common_white(points: Sequence[StudyPoint]) -> NDArray[np.float64]:
+    """Return the white of all pictures."""
     pixels = np.concatenate([p.no_contact.reshape(-1, 3) for p in points if p.no_contact is not None])
     white = np.percentile(pixels, _WHITE_PERCENTILE, axis=0).astype(np.float64)
-    white = np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
+    return np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
+
+
+def _small(image: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return an image by blocks, at most about 200 px in size."""
+    step = max(1, max(image.shape[:2]) // _LARGEST_SIDE_PX)
+    rows, columns = (size // step * step for size in image.shape[:2])
+    blocks = image[:rows, :columns].reshape(rows // step, step, columns // step, step, 3)
+    return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float64)
+
+
+def _pictures(points: Sequence[StudyPoint]) -> Content:
+    """Show each point without and with contact, all balanced alike."""
+    white = _common_white(points)
     rows: list[tuple[Picture, ...]] = []
     pictures = [
         raster(_pair(point, white), f"Point {point.number}, {_words(point.changes)}.",
-               f"{point.number}: {_words(point.changes)}. Left without contact, right with it.")
+               f"{point.number}: {_words(point.changes)}. {_caption(point)}")
         for point in points
     ]  # fmt: skip
     for start in range(0, len(pictures), 3):
         rows.append(tuple(pictures[start : start + 3]))
     lead = (
-        "What the camera sees; each channel is balanced for the screen, in the same way in all pictures. Base of the "
-        "finger at the "
-        "left, tip at the right."
+        "What the camera sees: left without contact, right with it. Each channel is balanced for the screen, in the "
+        "same way in all pictures. Base of the finger at the left, tip at the right; red paint on one wall, green on "
+        "the other, blue light from the base. Below each picture: the share of the coat where each light leads, and "
+        "how even, how vivid, and how much changed by the touch it is ('What the metrics are', below, says how)."
     )
     return Content(lead, tuple(rows))
+
+
+def _caption(point: StudyPoint) -> str:
+    """Return the numbers of a point in a line."""
+    found = {metric.name: metric for metric in point.metrics}
+    shares = [found[name].value for name, _, _ in _SHARES if name in found]
+    parts = [f"Red, green, blue lead {', '.join(f'{100.0 * share:.0f}' for share in shares)} %"] if shares else []
+    parts += [f"{name} {_value(found[name])}" for name in _IN_CAPTIONS if name in found]
+    return f"{'; '.join(parts)}."
 
 
 def _pair(point: StudyPoint, white: NDArray[np.float64]) -> ByteImage:
     """Return both images of a point side by side, small."""
     sides = []
     for image in (image for image in (point.no_contact, point.contact) if image is not None):
-        step = max(1, max(image.shape[:2]) // _LARGEST_SIDE_PX)
-        rows, columns = (size // step * step for size in image.shape[:2])
-        blocks = image[:rows, :columns].reshape(rows // step, step, columns // step, step, 3)
-        sides.append(to_display(blocks.mean(axis=(1, 3)), white, True))
+        sides.append(to_display(_small(image), white, True))
     gap = np.full((sides[0].shape[0], 4, 3), 255, dtype=np.uint8)
     return np.concatenate([sides[0], gap, sides[1]], axis=1)
 
 
 def _curves(result: StudyResult, names: Sequence[str]) -> str:
-    """Draw each metric over the points."""
-    columns = min(len(names), _PANELS_IN_A_ROW)
-    rows = -(-len(names) // max(columns, 1))
+    """Draw each metric over the points, and the shares of the coat that each light leads in one panel."""
+    has_shares = all(name in _metric_names(result) for name, _, _ in _SHARES)
+    panels = len(names) + has_shares
+    columns = min(panels, _PANELS_IN_A_ROW)
+    rows = -(-panels // max(columns, 1))
     with styled():
         figure = new_figure(3.3 * max(columns, 1), 2.5 * max(rows, 1))
         for k, name in enumerate(names):
             _panel(figure.add_subplot(rows, columns, k + 1), result, name)
+        if has_shares:
+            _shares_panel(figure.add_subplot(rows, columns, panels), result)
         return svg_text(figure)
 
 
 def _panel(axes: Axes, result: StudyResult, name: str) -> None:
     """Draw one metric: over the values of the last field where they are numbers, a line for each of the others."""
-    axes.set_title(name, fontsize=9, loc="left", color=INK)
-    axes.grid(axis="y", color=HAIRLINE)
-    last = result.varied[-1]
+    _begin_panel(axes, result, name)
+    last, is_number = result.varied[-1], _is_over_numbers(result)
     lines: dict[str, list[tuple[float, StudyMetric]]] = {}
-    is_number = all(isinstance(row.changes[last], int | float) for row in result.points)
     for row in result.points:
         metric = _found(row, name)
         if metric is not None:
             others = {f: v for f, v in row.changes.items() if f != last} if is_number else {}
-            x = float(row.changes[last]) if is_number else float(row.number)
-            lines.setdefault(_words(others), []).append((x, metric))
+            lines.setdefault(_words(others), []).append((_place(result, row), metric))
     for number, (words, found) in enumerate(lines.items()):
         found.sort(key=lambda pair: pair[0])
-        places, values = [pair[0] for pair in found], [pair[1].value for pair in found]
-        below = [m.value - (m.value if m.low95 is None else m.low95) for _, m in found]
-        above = [(m.value if m.high95 is None else m.high95) - m.value for _, m in found]
         shade = (BLUE, INK, MUTED)[number % 3]
         style = ("-", "--", ":", "-.")[number // 3 % 4] if is_number else "none"
-        axes.errorbar(places, values, [np.maximum(below, 0.0), np.maximum(above, 0.0)], fmt="o", ms=3, color=shade,
-                      linestyle=style, linewidth=1, label=words)  # fmt: skip
-    axes.set_xlabel(last if is_number else "point")
+        _draw_metrics(axes, found, "o", shade, style, words)
     if len(lines) > 1 and len(lines) <= 6:
         axes.legend(fontsize=6)
+
+
+def _shares_panel(axes: Axes, result: StudyResult) -> None:
+    """Draw which share of the coat each light leads, at each point."""
+    _begin_panel(axes, result, "share of the coat where each light leads")
+    for number, (name, marker, colour) in enumerate(_SHARES):
+        aside = 0.0 if _is_over_numbers(result) else 0.15 * (number - 1)
+        found = [(_place(result, row) + aside, metric) for row in result.points if (metric := _found(row, name))]
+        _draw_metrics(axes, found, marker, colour, "none", name.removesuffix("_share"))
+    axes.set_ylim(bottom=0.0)
+    axes.legend(fontsize=6, ncols=3)
+
+
+def _draw_metrics(
+    axes: Axes, found: Sequence[tuple[float, StudyMetric]], marker: str, colour: str, style: str, label: str
+) -> None:
+    """Draw metrics with their limits at places along the axis."""
+    places, values = [pair[0] for pair in found], [pair[1].value for pair in found]
+    below = [m.value - (m.value if m.low95 is None else m.low95) for _, m in found]
+    above = [(m.value if m.high95 is None else m.high95) - m.value for _, m in found]
+    axes.errorbar(places, values, [np.maximum(below, 0.0), np.maximum(above, 0.0)], fmt=marker, ms=3, color=colour,
+                  linestyle=style, linewidth=1, label=label)  # fmt: skip
+
+
+def _begin_panel(axes: Axes, result: StudyResult, title: str) -> None:
+    """Set title and horizontal axis: the last field, or the points by what they change where that is short."""
+    axes.set_title(title, fontsize=9, loc="left", color=INK)
+    axes.grid(axis="y", color=HAIRLINE)
+    if _is_over_numbers(result):
+        axes.set_xlabel(result.varied[-1])
+        return
+    names = [", ".join(map(_short, row.changes.values())) for row in result.points]
+    if len(names) > _MOST_NAMED_POINTS or max(map(len, names)) > _LONGEST_POINT_NAME:
+        axes.set_xlabel("point")
+        return
+    axes.set_xticks([row.number for row in result.points], names, rotation=35, ha="right", rotation_mode="anchor")
+
+
+def _is_over_numbers(result: StudyResult) -> bool:
+    """Return whether the points lie along an axis, that of the last field, at least two on a line."""
+    *others, last = result.varied
+    lines = {str([row.changes[field] for field in others]) for row in result.points}
+    is_line = len(lines) < len(result.points) or len(result.points) == 1
+    return is_line and all(isinstance(row.changes[last], int | float) for row in result.points)
+
+
+def _place(result: StudyResult, row: StudyRow) -> float:
+    """Return where a point lies along the axis."""
+    value = row.changes[result.varied[-1]]
+    return float(value) if _is_over_numbers(result) else float(row.number)
 
 
 def _effects(result: StudyResult, names: Sequence[str]) -> ReportTable:

@@ -1,10 +1,12 @@
 """One page about a finger's design: the finger to be turned round, its drawing, its parts and all its numbers.
 
+And one with what was found of a finger: light angle, tolerances and stiffness.
+
 A browser draws the parts: triangles, the edges that are seen as lines, colours and names.
 """
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -12,9 +14,23 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import FingerDesign
+from data_schemas import FingerDesign, FingerStiffness, FingerTolerances, LightAngleDecision, package_version
+from finray_calib.reports._decision_page import limits as decision_limits
+from finray_calib.reports._decision_page import verdict_light, verdict_words
 from finray_calib.reports._finger_views import PART_COLOURS
-from finray_calib.reports._page import ReportTable, TableGroup, one_group, render_page
+from finray_calib.reports._page import (
+    Content,
+    KeyNumber,
+    Part,
+    ReportPage,
+    ReportTable,
+    TableGroup,
+    files_table,
+    one_group,
+    render_page,
+    report_html,
+    trust_part,
+)
 from finray_calib.reports._plain_text import NO_VALUE
 from finray_calib.reports._style import BLUE, GREEN, INK, MUTED, SKY, VERMILLION
 from sim.mechanics import SkeletonLayout, body_mesh, pad_mesh, rigid_indenter, skeleton_layout, skeleton_mesh
@@ -318,3 +334,102 @@ def _text(value: Any) -> str:
     if isinstance(value, tuple | list):
         return ", ".join(_text(one) for one in value)
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+_STIFFNESSES: Final = (
+    ("bending at the tip", "bending_n_per_mm", "N/mm"),
+    ("sideways at the tip", "sideways_n_per_mm", "N/mm"),
+    ("under the middle of the pad", "pad_n_per_mm", "N/mm"),
+    ("twist of the tip", "twist_n_mm_per_deg", "N mm/deg"),
+)
+
+
+def stiffness_rows(study: FingerStiffness) -> tuple[tuple[str, str, str, str], ...]:
+    """Return of a study's first finger each stiffness: name, value, range over assumptions, what moves it most."""
+    drawn, rows = study.rows[0], []
+    for name, field, unit in _STIFFNESSES:
+        value = getattr(drawn, field)
+        if value is None:
+            rows.append((name, NO_VALUE, "", ""))
+            continue
+        changed = [(getattr(row, field), row) for row in study.rows
+                   if row.design == drawn.design and row.changed and getattr(row, field) is not None]  # fmt: skip
+        limits = most = ""
+        if changed:
+            found = [other for other, _ in changed]
+            limits = f"{min(found):.3g} to {max(found):.3g} with one assumed dimension {study.share:.0%} off"
+            most = max(changed, key=lambda pair: abs(pair[0] - value))[1].changed
+        rows.append((name, f"{value:.3g} {unit}", limits, most))
+    return tuple(rows)
+
+
+def assessment_page(
+    decision: LightAngleDecision,
+    tolerances: FingerTolerances,
+    stiffness: FingerStiffness,
+    command: str,
+    digests: Mapping[str, str],
+) -> str:
+    """Return one page (HTML) with the light angle, the tolerances and the stiffness of a finger.
+
+    Parameters
+    ----------
+    decision, tolerances, stiffness
+        What was found; tolerances and stiffness of the finger with the light that was decided on.
+    command
+        That made them.
+    digests
+        Input file -> SHA-256.
+    """
+    rows = stiffness_rows(stiffness)
+    design, factor = tolerances.design, tolerances.together_factor
+    times = f"over {tolerances.box_factor:.2g}" if factor is None else f"{factor:.2g}"
+    band, words = decision.tolerance_deg, verdict_words(decision).capitalize()
+    length_mm, width_mm = design.pad.length_mm, design.pad.width_mm
+    parts = (
+        _assessed("Light angle", f"{decision.headline} {words}.", "light-angle-decision.html"),
+        _assessed("Tolerances", tolerances.sentence, "tolerances.html"),
+        Part("Stiffness", Content(
+            "By finite elements, against small loads. Records: finger-stiffness.json.",
+            tables=(one_group("Stiffness of the finger", ("load", "stiffness", "range", "moved most by"), rows,
+                              is_words=True),),
+        )),
+        trust_part((*decision_limits(decision), _ASSESSED_LIMIT), tolerances.notes),
+    )  # fmt: skip
+    return report_html(
+        ReportPage(
+            verb="finray design assess",
+            title=design.name,
+            lead=f"A finger with a pad of {length_mm:g} x {width_mm:g} mm: where to put the light, "
+            "how closely to build it, and how stiff it is.",
+            verdict=f"Light at {decision.angle_deg:.0f} deg",
+            light=verdict_light(decision),
+            sentence=decision.headline,
+            picture=None,
+            key_numbers=(
+                KeyNumber("Light angle", f"{decision.angle_deg:.0f} deg",
+                          "" if band is None else f"{band[0]:.0f} to {band[1]:.0f} deg lose little"),
+                KeyNumber("All half-ranges times", times, "95 % of fingers stay within a tenth more error"),
+                KeyNumber("Stiffness under the pad", rows[2][1], rows[2][2]),
+            ),
+            parts=parts,
+            command=command,
+            origin=files_table(digests, package_version()),
+            summary={
+                "angle_deg": decision.angle_deg,
+                "together_factor": factor,
+                "stiffness": stiffness.rows[0].model_dump(mode="json"),
+            },
+        )
+    )  # fmt: skip
+
+
+_ASSESSED_LIMIT: Final = (
+    "Tolerances and stiffness are simulated, of assumed dimensions of the skeleton; no finger of this drawing was "
+    "built or loaded. The range of a stiffness changes one dimension at a time and is no confidence interval."
+)
+
+
+def _assessed(title: str, sentence: str, file: str) -> Part:
+    """Return a section that tells a result and names its own page."""
+    return Part(title, Content(sentence, remarks=(f"All of it: {file}, beside this page.",)))

@@ -100,6 +100,7 @@ if TYPE_CHECKING:
     from sim.experiments._sensor_press import (
         BallPresses,
         PressedCoat,
+        imprinted_shapes,
         pressed_coat,
         render_ball_presses,
         render_finger_presses,
@@ -165,6 +166,7 @@ __all__ = [
     "fit_sensor",
     "fitted_design",
     "hidden_design",
+    "imprinted_shapes",
     "increment_record",
     "is_of_light",
     "light_angle_sweep",

@@ -34,14 +34,17 @@ from sim.optics import (
     stream_seed,
 )
 from sim.surface_meshes import (
+    FingerShape,
     check_analytic_press,
     contact_distance,
     contact_half_width_mm,
+    gel_faces,
     height_over_pad_mm,
     imprinted_height_mm,
     pressed_height_mm,
     read_height_map,
     rest_height_mm,
+    rest_shape,
 )
 
 Floats = NDArray[np.float64]
@@ -99,10 +102,7 @@ def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
         return _given_coat(sensor, sensor.surface, folder)
     design = sensor.pressed_pad()
     indenter = design.indenter
-    by_formula = indenter.shape == "ball" or (
-        indenter.shape == "cylinder" and indenter.across_mm == 0.0 and not any(indenter.rotation_deg)
-    )
-    if by_formula or indenter.depth_mm == 0.0:
+    if _is_by_formula(indenter):
         check_analytic_press(design)
         rest, pressed = (analytic_gel(sensor, state) for state in (False, True))
         distance = contact_distance(design, rest.x_mm[:, None], rest.z_mm[None, :])
@@ -110,19 +110,66 @@ def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
     return _imprint(sensor, folder)
 
 
+def _is_by_formula(indenter: Indenter) -> bool:
+    """Return whether the analytic press knows this indenter, or there is none."""
+    is_straight = indenter.across_mm == 0.0 and not any(indenter.rotation_deg)
+    return indenter.depth_mm == 0.0 or indenter.shape == "ball" or (indenter.shape == "cylinder" and is_straight)
+
+
 def _imprint(sensor: PlainSensor, folder: Path) -> PressedCoat:
     """Press a rigid body of any shape in."""
     design = sensor.pressed_pad()
     rest = analytic_gel(sensor, False)
+    pressed, distance = _imprinted(design, rest, folder)
+    files = () if design.indenter.file is None else (folder / design.indenter.file,)
+    return PressedCoat(rest, pressed, distance, f"imprint of a {design.indenter.shape}", files)
+
+
+def _imprinted(design: FingerDesign, rest: GelHeight, folder: Path) -> tuple[GelHeight, Floats]:
+    """Return the coat with the body of a design in it, and the distance from the contact's middle."""
     body = rigid_indenter(design, folder)
     vertices = body.vertices_mm(-design.indenter.depth_mm)
     tool = height_over_pad_mm(vertices[body.surface.triangles], rest.x_mm, rest.z_mm, "lowest")
     _require_gel(np.where(np.isnan(tool), np.inf, tool), "indenter.depth_mm presses it in so far that it")
-    height = imprinted_height_mm(rest.height_mm, tool, rest.x_mm, rest.z_mm, sensor.pad.thickness_mm)
-    pressed = replace(rest, height_mm=height)
-    distance = _equal_circle(np.nan_to_num(tool, nan=np.inf) < rest.height_mm, rest)
-    files = () if design.indenter.file is None else (folder / design.indenter.file,)
-    return PressedCoat(rest, pressed, distance, f"imprint of a {design.indenter.shape}", files)
+    height = imprinted_height_mm(rest.height_mm, tool, rest.x_mm, rest.z_mm, design.pad.thickness_mm)
+    return replace(rest, height_mm=height), _equal_circle(np.nan_to_num(tool, nan=np.inf) < rest.height_mm, rest)
+
+
+_IMPRINT_STEP_MM = 0.2
+
+
+def imprinted_shapes(design: FingerDesign, folder: Path = Path()) -> tuple[FingerShape, FingerShape] | None:
+    """Return a finger without and with the imprint of a body that the analytic press does not know; None if it does.
+
+    As :func:`sim.surface_meshes.imprinted_height_mm`: the body's own shape with a bulge around it, no mechanics. The
+    finger does not bend, and the depth counts from first touch. A contact's distance is that from its middle in radii
+    of the circle of its area.
+
+    Parameters
+    ----------
+    design
+        Finger and indenter.
+    folder
+        Where the indenter's file is.
+
+    Raises
+    ------
+    SimulateError
+        The indenter cannot be read, does not meet the pad, or goes through it.
+    """
+    if _is_by_formula(design.indenter):
+        return None
+    pad = design.pad
+    x = np.linspace(-pad.width_mm / 2.0, pad.width_mm / 2.0, int(np.ceil(pad.width_mm / _IMPRINT_STEP_MM)) + 1)
+    z = np.linspace(0.0, pad.length_mm, int(np.ceil(pad.length_mm / _IMPRINT_STEP_MM)) + 1)
+    gel = GelHeight(x, z, rest_height_mm(design, x[:, None], z[None, :]))
+    pressed, distance = _imprinted(design, gel, folder)
+    mirror = rest_shape(design).surfaces["mirror"]
+    label = f"imprint of a {design.indenter.shape}, no mechanics"
+    return (
+        FingerShape({**gel_faces(x, gel.height_mm, z), "mirror": mirror}, np.full(distance.size, np.nan), "at rest"),
+        FingerShape({**gel_faces(x, pressed.height_mm, z), "mirror": mirror}, distance.ravel(), label),
+    )
 
 
 def _given_coat(sensor: PlainSensor, surface: CoatSurface, folder: Path) -> PressedCoat:

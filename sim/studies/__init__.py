@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     from sim.studies._engine import run_study
     from sim.studies._point import (
         SHIPPED_PLANS,
+        STUDY_FOLDERS,
         PlannedPoint,
         StudyPaints,
         StudyTask,
+        design_folder,
         point_file,
         read_plan,
         study_points,
@@ -37,11 +39,13 @@ else:
 
 __all__ = [
     "SHIPPED_PLANS",
+    "STUDY_FOLDERS",
     "DatasetTask",
     "PlannedPoint",
     "PlannedShard",
     "StudyPaints",
     "StudyTask",
+    "design_folder",
     "drawn_light",
     "drawn_press",
     "pixel_places_mm",

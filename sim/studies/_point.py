@@ -34,10 +34,10 @@ from data_schemas import (
     StudyPoint,
     explain,
 )
-from data_schemas.storage import ProductSet, clear_leftovers, read_record, read_toml, write_record
+from data_schemas.storage import ProductSet, clear_leftovers, read_bytes, read_record, read_toml, write_record
 from finray_calib.compare import srgb_to_lab
 from sim import PRESETS, preset_design, read_design
-from sim.experiments import camera_rgb, coat_cells, paint_finger, press_records
+from sim.experiments import camera_rgb, coat_cells, imprinted_shapes, paint_finger, press_records
 from sim.mechanics import PressSettings, press_as_designed
 from sim.optics import (
     BAND_NAMES,
@@ -50,6 +50,7 @@ from sim.optics import (
     render_press,
     stream_seed,
 )
+from sim.studies._everyday_objects import write_everyday_objects
 from sim.surface_meshes import restore_shapes
 
 _PLANS: Final = Path(__file__).parent / "plans"
@@ -90,7 +91,8 @@ def read_plan(name_or_path: str | Path) -> tuple[DesignStudy, Path]:
         There is neither a file nor a shipped plan of this name, or the file is no plan.
     """
     path = Path(name_or_path)
-    if not path.exists() and str(name_or_path) in SHIPPED_PLANS:
+    # the folder of an earlier run of a shipped plan has its name
+    if not path.is_file() and str(name_or_path) in SHIPPED_PLANS:
         path = _PLANS / f"{name_or_path}.toml"
     if not path.exists():
         raise RecordError(
@@ -201,6 +203,22 @@ def _words(changes: Mapping[str, DesignValue]) -> str:
 
 POINTS: Final = "points"
 PRESSES: Final = "presses"
+OBJECTS: Final = "objects"
+STUDY_FOLDERS: Final = (POINTS, PRESSES, OBJECTS)
+"""Folders by which a study's own folder is known."""
+
+
+def design_folder(path: Path, points: Sequence[PlannedPoint], out: Path) -> Path:
+    """Return where relative paths in a study's designs start: beside its plan.
+
+    The objects that a shipped plan presses in are written into the folder of the study first.
+    """
+    if path.parent != _PLANS:
+        return path.parent.absolute()
+    folder = out.absolute() / OBJECTS
+    write_everyday_objects({point.design.indenter.file or "" for point in points} - {""}, folder)
+    return folder
+
 
 _OPTICAL_PARTS: Final = (
     "name",
@@ -262,6 +280,7 @@ def point_key(task: StudyTask, point: PlannedPoint) -> str:
     return _sha256(
         {
             "design": point.design.model_dump(mode="json", exclude={"provenance"}),
+            **_indenter_digest(task, point.design),
             "measure": task.plan.measure.model_dump(mode="json"),
             "seed": point.seed,
             "paints": dict(task.paints.sources) if task.plan.measure.images else {},
@@ -274,8 +293,17 @@ def press_file(task: StudyTask, design: FingerDesign) -> Path | None:
     if task.plan.measure.press == "analytic":
         return None
     known = design.model_dump(mode="json", exclude=set(_OPTICAL_PARTS))
-    digest = _sha256({"design": known, "increments": task.plan.measure.increments})
+    increments = task.plan.measure.increments
+    digest = _sha256({"design": known, **_indenter_digest(task, design), "increments": increments})
     return task.folder / PRESSES / f"{digest[:16]}.surfaces.json"
+
+
+def _indenter_digest(task: StudyTask, design: FingerDesign) -> dict[str, str]:
+    """Return the SHA-256 of an indenter's file, whose name may stay while its content changes; nothing without one."""
+    if design.indenter.file is None:
+        return {}
+    content = read_bytes(task.design_folder / design.indenter.file, "the indenter's STL file (indenter.file)")
+    return {"indenter": hashlib.sha256(content).hexdigest()}
 
 
 def compute_press(task: StudyTask, design: FingerDesign) -> None:
@@ -357,7 +385,7 @@ def _rendered(
         indenter = design.indenter.model_copy(update={"depth_mm": surfaces.push_mm})
         design = design.model_copy(update={"indenter": indenter})
     finger = paint_finger(design, task.paints.optics, task.design_folder, renderer)
-    shapes = None if surfaces is None else restore_shapes(surfaces)
+    shapes = imprinted_shapes(design, task.design_folder) if surfaces is None else restore_shapes(surfaces)
     renders: list[PressRender] = [
         render_press(
             design,

@@ -1,12 +1,16 @@
-"""``finray design tolerances``: limits of a finger with their page, and what is refused."""
+"""``finray design tolerances`` and ``design assess``: what they find, store and show, and what is refused."""
 
 from html import unescape
 from pathlib import Path
 
 import pytest
 
-from data_schemas import FingerTolerances
+from data_schemas import FingerStiffness, FingerTolerances, LightAngleDecision
 from data_schemas.storage import read_record
+from finray_calib.cli import _design_search
+from sim import preset_design, read_design, with_pad_size
+from sim.mechanics import STEPS
+from sim.mechanics._finger_mesh import MeshSteps
 from tests.command_line.running import finray, load, succeed
 
 FINGER = 'preset = "flat-70x35"\nname = "coarse finger"\n[camera]\nwidth_px = 64\nheight_px = 48\n'
@@ -57,3 +61,67 @@ def test_what_cannot_vary_is_refused(paints: Path, tmp_path: Path) -> None:
     assert only_red.status == 2
     assert "no paint for the green wall" in only_red.err
     assert not (tmp_path / "found.json").exists()
+
+
+@pytest.mark.renderer
+@pytest.mark.timeout(3600)
+def test_one_command_gives_light_tolerances_and_stiffness_of_a_new_pad(
+    paints: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # half as fine as coarse, two places, six angles, two numbers: the same steps on a small task
+    monkeypatch.setitem(STEPS, "coarse", MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0))
+    monkeypatch.setattr(_design_search, "_PLACES_REL", (0.3, 0.7))
+    monkeypatch.setattr(_design_search, "_ANGLES_DEG", (0.0, 15.0, 30.0, 45.0, 60.0, 75.0))
+    whole = _design_search._tolerances
+
+    def of_two_numbers(arguments, design, folder, draws, settings):
+        arguments.vary, arguments.samples = [(field, 0.0) for field in LEFT_OUT], 32
+        return whole(arguments, design, folder, draws, settings)
+
+    monkeypatch.setattr(_design_search, "_tolerances", of_two_numbers)
+    (tmp_path / "finger.toml").write_text(FINGER)
+    files = f"--paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
+    out = tmp_path / "found"
+    said = succeed(f"design assess {tmp_path}/finger.toml --pad 60x30 {files} --quick --out {out}")
+    decision = read_record(out / "light-angle-decision.json", LightAngleDecision)
+    tolerances = read_record(out / "tolerances.json", FingerTolerances)
+    stiffness = read_record(out / "finger-stiffness.json", FingerStiffness)
+    finger = read_design(out / "finger.toml")
+    assert (finger.pad.length_mm, finger.pad.width_mm) == (60.0, 30.0)
+    assert finger.light.angle_deg == tolerances.design.light.angle_deg == decision.angle_deg
+    assert stiffness.designs[0].pad == finger.pad
+    assert decision.headline in said
+    assert tolerances.sentence in said
+    assert f"under the middle of the pad: {stiffness.rows[0].pad_n_per_mm:.3g} N/mm" in said
+    assert said.endswith(f"look at: {out}/assessment.html\n")
+    page = " ".join(unescape((out / "assessment.html").read_text()).split())
+    assert f"Light at {decision.angle_deg:.0f} deg" in page
+    assert tolerances.sentence in page
+
+
+def test_a_pad_of_another_size_moves_what_depends_on_it() -> None:
+    small = with_pad_size(preset_design("flat-70x35-two-lights"), 35.0, 20.0)
+    assert small.light.position_mm == (0.0, -5.0, -0.5)
+    assert small.second_light is not None
+    assert small.second_light.position_mm == (0.0, -2.0, 35.5)  # 1 mm beyond the tip of the 70 mm pad
+    assert small.indenter.position_mm == 17.5
+    assert small.skeleton.backing is not None
+    assert small.skeleton.backing.to_z_mm == 30.0
+    assert "pad.length_mm" not in small.origin
+    same = with_pad_size(preset_design("flat-70x35"), 70.0, 35.0)
+    assert same.light == preset_design("flat-70x35").light
+
+
+def test_a_pad_that_no_finger_has_is_refused_before_any_work(paints: Path, tmp_path: Path) -> None:
+    files = f"--paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
+    for given, words in (
+        ("--pad 60", "must be LENGTHxWIDTH"),
+        ("--pad 60x-3", "must be LENGTHxWIDTH"),
+        ("--pad 60x500", "pad.width_mm: 500 mm is outside 5 to 300 mm"),
+        ("", "existed"),
+    ):
+        (tmp_path / "existed").mkdir(exist_ok=True)
+        outcome = finray(f"design assess flat-70x35 {given} {files} --out {tmp_path}/{'found' if given else 'existed'}")
+        assert outcome.status == 2
+        assert words in outcome.err
+    assert not (tmp_path / "found").exists()

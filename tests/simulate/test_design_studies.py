@@ -12,10 +12,14 @@ import pytest
 from data_schemas import RecordError, SimulateError, StudyPoint, provenance
 from data_schemas.storage import write_record
 from data_schemas.storage._whole_files import part_name
+from sim import preset_design
+from sim.experiments import imprinted_shapes
+from sim.mechanics._rigid_bodies import read_body
 from sim.studies import (
     SHIPPED_PLANS,
     StudyPaints,
     StudyTask,
+    design_folder,
     point_file,
     read_plan,
     run_dataset,
@@ -23,7 +27,9 @@ from sim.studies import (
     study_points,
 )
 from sim.studies._engine import _client, _each, _Steps
+from sim.studies._everyday_objects import everyday_objects
 from sim.studies._point import _metrics, _root_of_products, _Seen, point_key, press_file, vividness
+from sim.surface_meshes import pressed_height_mm
 
 HEAD = 'name = "a study"\n'
 
@@ -105,6 +111,10 @@ def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text
         ('[[vary]]\nfield = "seed"\n', r"vary seed: give values, or low and high of a random study"),
         ('[[vary]]\nfield = "seed"\nlow = 2.0\nhigh = 1.0\n', r"low and high are both needed, low below high"),
         (vary("seed", [1, 1]), r"vary seed: 1 is listed twice in its values"),
+        (
+            'combine = "together"\n' + vary("seed", [1, 2, 1]) + vary("light.angle_deg", [5.0, 5.0, 5.0]),
+            r"vary: \[1, 5\.0\] is listed twice, value by value",
+        ),
         (vary("seed", [1]) + vary("seed", [2]), r"seed is given twice; vary it or set it, once"),
         ("[set]\nseed = 3\n" + vary("seed", [1]), r"seed is given twice"),
         ("count = 4\n" + vary("seed", [1]), r'count goes with combine = "random", and only with it'),
@@ -128,6 +138,65 @@ def test_a_plan_that_is_not_there_names_those_that_come_with_the_package():
 def test_every_shipped_plan_makes_points(name):
     points = study_points(*read_plan(name))
     assert len(points) == len({str(point.changes) for point in points}) >= 6
+
+
+def test_a_value_may_come_again_in_another_point_of_together(tmp_path):
+    text = 'combine = "together"\n' + vary("light.angle_deg", [0.0, 0.0]) + vary("indenter.depth_mm", [1.0, 2.0])
+    assert [p.design.indenter.depth_mm for p in points_of(tmp_path, text)] == [1.0, 2.0]
+
+
+def test_the_folder_of_a_shipped_study_does_not_hide_its_plan(tmp_path, monkeypatch):
+    """The same command continues a study, whose folder has the name of the plan."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pad-shapes" / "points").mkdir(parents=True)
+    plan, path = read_plan("pad-shapes")
+    assert plan.name == "pad-shapes"
+    assert path.is_file()
+
+
+# everyday objects
+
+
+def test_everyday_objects_are_the_same_closed_bodies_each_time(tmp_path):
+    objects = everyday_objects()
+    assert objects == everyday_objects()
+    plan, path = read_plan("everyday-objects")
+    points = study_points(plan, path)
+    folder = design_folder(path, points, tmp_path)
+    assert sorted(objects) == sorted(file.name for file in folder.iterdir())
+    for point in points:
+        read_body(folder / point.design.indenter.file)  # refuses what is open, twisted or inside out
+        rest, pressed = imprinted_shapes(point.design, folder)
+        depth = (rest.surfaces["coat"].vertices_mm - pressed.surfaces["coat"].vertices_mm)[:, 1]
+        # the grid of 0.2 mm may miss the lowest place; the smooth minimum rounds by 0.15 ln 2 at most
+        assert depth.max() == pytest.approx(point.design.indenter.depth_mm, abs=0.03)
+        assert (pressed.contact_distance <= 1.0).any()
+
+
+def test_the_imprint_of_a_can_is_the_analytic_press_of_its_cylinder(tmp_path):
+    (tmp_path / "can.stl").write_bytes(everyday_objects()["can.stl"])
+    design = preset_design("flat-70x35")
+    can = design.indenter.model_copy(update={"shape": "mesh", "file": "can.stl", "depth_mm": 1.2})
+    cylinder = design.indenter.model_copy(update={"radius_mm": 33.0, "depth_mm": 1.2})
+    assert imprinted_shapes(design.model_copy(update={"indenter": cylinder})) is None
+    _, pressed = imprinted_shapes(design.model_copy(update={"indenter": can}), tmp_path)
+    x, y, z = pressed.surfaces["coat"].vertices_mm.T
+    analytic = pressed_height_mm(design.model_copy(update={"indenter": cylinder}), np.unique(x), np.unique(z))
+    off = np.abs(y.reshape(analytic.shape) - analytic)
+    # the rim of the contact is found to a step of the grid (0.2 mm), at a slope of 0.27
+    assert off.max() < 0.06
+    assert off.mean() < 0.01
+
+
+def test_another_content_of_an_indenter_s_file_is_another_point(tmp_path):
+    text = '[set]\n"indenter.shape" = "mesh"\n' + vary("indenter.file", ["it.stl"])
+    keys = set()
+    for press in ("analytic", "finite elements"):
+        for content in (b"one", b"two"):
+            (tmp_path / "it.stl").write_bytes(content)
+            task, (point,) = study_of(tmp_path, f'[measure]\npress = "{press}"\n' + text)
+            keys |= {point_key(task, point), press_file(task, point.design)}
+    assert len(keys - {None}) == 6
 
 
 # metrics
