@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._curves import SpectralCurve
 from data_schemas._design import FingerDesign
-from data_schemas._design_parts import Indenter
+from data_schemas._design_parts import LEAST_DEPTH_MM, Indenter
 from data_schemas._fit import Reradiation, SamplingMethod
 from data_schemas._model import Estimate, Model, Record
 from data_schemas._units import AngleDeg, Fraction, LengthMm, PositionMm, WavelengthNm
@@ -525,6 +525,11 @@ class DatasetPlan(Model):
             low, high = getattr(self, name)
             if low > high:
                 raise ValueError(f"{name}: the range runs from {low:g} to {high:g} mm; give the smaller one first")
+        if self.depth_mm[0] < LEAST_DEPTH_MM:
+            raise ValueError(
+                f"depth_mm: the range begins at {self.depth_mm[0]:g} mm, less than the {LEAST_DEPTH_MM:g} mm that the "
+                "finest mesh resolves; are these numbers in metres? Give them in mm"
+            )
         return self
 
 
