@@ -658,7 +658,7 @@ CASES = (
     Case(
         "cuboid in micrometres",
         MECHANICS,
-        r"'indenter\.size_mm \(entry 1\)' \(in mm\): .* less than or equal to 1000, got 50000\.0; is it in mm\?",
+        r"'indenter\.size_mm \(entry 1\)' \(in mm\): must be at most 1000, got 50000\.0; is it in mm\?",
         design('[indenter]\nshape = "cuboid"\nsize_mm = [50000.0, 15.0, 15.0]'),
     ),
     Case(
@@ -775,7 +775,7 @@ CASES = (
     Case(
         "angle out of range",
         BAD_FINGER,
-        r"finger\.toml: 'light\.angle_deg' \(in deg\): .* less than or equal to 180, got 500; is it in deg\?",
+        r"finger\.toml: 'light\.angle_deg' \(in deg\): must be at most 180, got 500; is it in deg\?",
         edited("finger.toml", "[camera]", "[light]\nangle_deg = 500\n[camera]"),
     ),
     Case(
