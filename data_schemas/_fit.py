@@ -303,7 +303,7 @@ class ChainCheck(Model):
 
 
 class Diagnostics(Model):
-    """Whether the draws deserve trust."""
+    """Whether the draws can be trusted."""
 
     method: SamplingMethod
     trusted: bool = Field(

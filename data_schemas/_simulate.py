@@ -428,7 +428,7 @@ class PressMechanics(Record):
 
 
 class PressIncrement(Record):
-    """The state of a finger at one increment of a press, from which the press can go on."""
+    """The state of a finger at one increment of a press, from which the press can continue."""
 
     schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray simulate press'"

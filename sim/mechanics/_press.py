@@ -84,7 +84,7 @@ class PressContact(Touch, Protocol):
 
 
 def chosen_contact(design: FingerDesign, wanted: ContactChoice = "auto") -> ContactKind:
-    """Return the contact of a press: the penalty where it can, the barrier for friction and meshes of the user.
+    """Return the contact of a press: the penalty where it can be used, the barrier for friction and meshes of the user.
 
     Where the barrier's library does not run on this machine, "auto" takes the penalty, without the friction: see
     :func:`left_out`.
@@ -439,7 +439,7 @@ class PressSettings:
     threads
         Of elements and factorisation.
     contact
-        "auto": the penalty where it can, the barrier for friction and meshes of the user, and for a press whose parts
+        "auto": the penalty where it can be used, the barrier for friction and meshes of the user, and for a press whose parts
         pass through each other by the penalty: it begins again.
     budget_s
         Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
