@@ -44,7 +44,7 @@ def sha256_of(path: Path) -> str:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a new file so that it is either complete or absent: part file, fsync, link to its name, fsync of the folder.
+    """Write a new file so that it is complete or absent: part file, fsync, link to its name, fsync of the folder.
 
     Raises
     ------

@@ -439,8 +439,8 @@ class PressSettings:
     threads
         Of elements and factorisation.
     contact
-        "auto": the penalty where it can be used, the barrier for friction and meshes of the user, and for a press whose parts
-        pass through each other by the penalty: it begins again.
+        "auto": the penalty where it can be used, the barrier for friction and meshes of the user, and for a press whose
+        parts pass through each other by the penalty: it begins again.
     budget_s
         Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
     """

@@ -566,7 +566,7 @@ CASES = (
     Case(
         "NaN in a record",
         "decide {tmp}/sweep.json",
-        r"sweep\.json: cannot be read as JSON \(NaN is no number; missing values are null\)",
+        r"sweep\.json: cannot be read as JSON \(NaN is not a number; write null for a missing value\)",
         edited("sweep.json", "0.0,", "NaN,"),
     ),
     # simulate
