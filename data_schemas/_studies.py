@@ -98,7 +98,9 @@ class Uniformity(Model):
 
     lights: str
     channel: str = Field(description="a band, or R, G, B of the camera")
-    variation_rel: float = Field(description="standard deviation over the coat by area, over the mean; noise taken out")
+    variation_rel: float = Field(
+        description="standard deviation over the area of the coat, relative to the mean; without noise"
+    )
     middle_variation_rel: float = Field(description="the same over the middle 70 % of the length")
     min_to_max_ratio: float = Field(description="darkest to brightest along z, means over the width")
     noise_rel: float = Field(description="render noise of one cell of the coat, over the mean")
@@ -370,7 +372,8 @@ class StudyMeasure(Model):
 
     press: Literal["analytic", "finite elements"] = Field(
         default="analytic",
-        description="how the indenter is pressed in: the pad takes its shape at once, or finite elements with force",
+        description="how the indenter is pressed in: by a formula, where the pad takes its shape at once, or by "
+        "finite elements, which also give the force",
     )
     increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="steps of the push")
     images: bool = Field(default=True, description="whether the press is rendered; without, only mechanics is computed")
@@ -496,7 +499,9 @@ class DatasetPlan(Model):
 
     design: FingerDesign
     press: Literal["analytic", "finite elements"] = Field(
-        default="analytic", description="the pad takes the indenter's shape at once, or finite elements with force"
+        default="analytic",
+        description="how the indenter is pressed in: by a formula, where the pad takes its shape at once, or by "
+        "finite elements, which also give the force",
     )
     increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="steps of a push by finite elements")
     shapes: tuple[Literal["ball", "cylinder"], ...] = Field(default=("ball",), min_length=1)
