@@ -404,7 +404,7 @@ class SimulatorScore(Model):
 
 
 class SkillDifference(Model):
-    """Skill of one simulator less that of another on the same presses.
+    """Skill of one simulator minus that of another on the same presses.
 
     Intervals of all differences of a batch hold together with 95 % (Bonferroni).
     """

@@ -237,7 +237,7 @@ class DesignGain(Model):
 
 
 class MainEffect(Model):
-    """How an objective goes with one parameter, averaged over all others within their limits, by the emulator."""
+    """How an objective changes with one parameter, averaged over all others within their limits, by the emulator."""
 
     objective: str
     parameter: str
@@ -278,7 +278,7 @@ class DesignOptimum(Record):
 
 
 class PaintPairRow(Model):
-    """How well a finger would tell normals with one paint on each wall."""
+    """How well a finger would sense normals with one paint on each wall."""
 
     red: str = Field(description="paint of the red wall")
     green: str = Field(description="paint of the green wall")

@@ -110,7 +110,7 @@ class GelPad(Model):
 
 
 # below it not even a fine mesh has a patch
-_LEAST_DEPTH_MM = 0.02
+LEAST_DEPTH_MM = 0.02
 
 
 LARGEST_MOVE_MM = 200.0
@@ -154,7 +154,7 @@ class Indenter(Model):
     edge_radius_mm: LengthMm = Field(default=1.0, description="radius of a cuboid's edges and corners")
     file: str | None = Field(default=None, description="file of a mesh: closed STL in mm; relative to the design")
     depth_mm: Annotated[float, Field(ge=0.0, le=20.0, json_schema_extra={"unit": "mm"})] = Field(
-        default=1.5, description=f"0 without a press, else at least {_LEAST_DEPTH_MM:g} mm"
+        default=1.5, description=f"0 without a press, else at least {LEAST_DEPTH_MM:g} mm"
     )
     position_mm: PositionMm = Field(default=35.0, description="place of its middle (a mesh: its origin) along the pad")
     across_mm: PositionMm = Field(
@@ -183,9 +183,9 @@ class Indenter(Model):
             if (getattr(self, name) is not None) != (self.shape == shape):
                 state = "missing" if self.shape == shape else f"given for a {self.shape}"
                 raise ValueError(f'{name} is {state}; it belongs to shape = "{shape}" and only to that')
-        if 0.0 < self.depth_mm < _LEAST_DEPTH_MM:
+        if 0.0 < self.depth_mm < LEAST_DEPTH_MM:
             raise ValueError(
-                f"depth_mm = {self.depth_mm:g} mm is less than the {_LEAST_DEPTH_MM:g} mm that the finest mesh "
+                f"depth_mm = {self.depth_mm:g} mm is less than the {LEAST_DEPTH_MM:g} mm that the finest mesh "
                 f"resolves;"
                 f" it looks like a number in metres: write {1e3 * self.depth_mm:g}"
             )

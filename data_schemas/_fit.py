@@ -303,7 +303,7 @@ class ChainCheck(Model):
 
 
 class Diagnostics(Model):
-    """Whether the draws deserve trust."""
+    """Whether the draws can be trusted."""
 
     method: SamplingMethod
     trusted: bool = Field(
@@ -646,7 +646,9 @@ class PaintMap(Record):
     block_mode_sd_nm: BlockMapNm
     block_energy_yield: BlockMap
     block_energy_yield_sd: BlockMap
-    worst_spots: tuple[PaintSpot, ...] = Field(description="blocks whose yield departs most, worst first")
+    worst_spots: tuple[PaintSpot, ...] = Field(
+        description="blocks whose yield differs most from the median, worst first"
+    )
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> "PaintMap":

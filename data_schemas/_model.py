@@ -181,7 +181,15 @@ PLAIN = {
     "string_type": "must be text in quotes",
     "bool_type": "must be true or false",
     "too_short": "must have more entries, at least {min_length}",
+    "too_long": "must have fewer entries, at most {max_length}",
     "string_too_short": "must not be empty",
+    "greater_than": "must be above {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be below {lt}",
+    "less_than_equal": "must be at most {le}",
+    "multiple_of": "must be a multiple of {multiple_of}",
+    "literal_error": "must be {expected}",
+    "finite_number": "must be a finite number",
 }
 """Kind of fault -> what it is in words that need no programming language."""
 PURE_NUMBER = re.compile(r"1( \(.*\))?")
@@ -219,7 +227,10 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
     if fault["type"] == "missing":
         return f"'{field}': is missing and must be given"
     if fault["type"] in PLAIN:
-        message = PLAIN[fault["type"]].format_map(fault.get("ctx", {}))
+        bounds = fault.get("ctx", {})
+        message = PLAIN[fault["type"]].format_map(
+            {name: f"{bound:g}" if isinstance(bound, float) else bound for name, bound in bounds.items()}
+        )
     unit = _unit_at(model, location)
     if unit is not None and PURE_NUMBER.fullmatch(unit):
         unit = None

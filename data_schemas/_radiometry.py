@@ -35,7 +35,7 @@ class Optics(Model):
     laser: LaserSettings
     lamp: SpectralCurve
     lamp_temperature_k: Annotated[float, Field(gt=0.0)] = Field(
-        default=2856.0, description="colour temperature of the lamp, at which its uncertainty counts"
+        default=2856.0, description="colour temperature of the lamp, for which its uncertainty is stated"
     )
     lamp_temperature_uncertainty_k: Annotated[float, Field(ge=0.0)] = Field(
         default=50.0,
@@ -85,7 +85,7 @@ class TiltRatio(Model):
     tilt_deg: AngleDeg
     cosine_factor: float
     sd: Annotated[float, Field(ge=0.0)]
-    diffuse: bool = Field(description="1 lies within two standard deviations")
+    diffuse: bool = Field(description="whether 1 lies within two standard deviations")
 
 
 class BandSignals(Record):

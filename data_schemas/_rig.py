@@ -97,7 +97,8 @@ DriverName = Annotated[
     AfterValidator(_driver_name),
     Field(
         json_schema_extra={"pattern": f"^{DRIVER_NAME}$"},
-        description="of finray-calib or of a package that is installed beside it; 'finray doctor' lists these",
+        description="driver of finray-calib or of a package that is installed beside it; 'finray doctor' lists those "
+        "of packages",
     ),
 ]
 NO_ADDRESS = ("simulated", "manual")

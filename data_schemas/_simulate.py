@@ -120,7 +120,7 @@ class SimulatedPress(Record):
     )
     contact_half_difference: Layers | None = None
     layer_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "layer"))] | None = Field(
-        default=None, description="from layers (chains, or bands without them) to the RGB of the images"
+        default=None, description="matrix from layers (chains, or bands without them) to the RGB of the images"
     )
     known_inputs: KnownInputs | None = None
     pose_response: PoseResponse | None = None
@@ -428,7 +428,7 @@ class PressMechanics(Record):
 
 
 class PressIncrement(Record):
-    """The state of a finger at one increment of a press, from which the press can go on."""
+    """The state of a finger at one increment of a press, from which the press can continue."""
 
     schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray simulate press'"

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._curves import SpectralCurve
 from data_schemas._design import FingerDesign
-from data_schemas._design_parts import Indenter
+from data_schemas._design_parts import LEAST_DEPTH_MM, Indenter
 from data_schemas._fit import Reradiation, SamplingMethod
 from data_schemas._model import Estimate, Model, Record
 from data_schemas._units import AngleDeg, Fraction, LengthMm, PositionMm, WavelengthNm
@@ -98,7 +98,9 @@ class Uniformity(Model):
 
     lights: str
     channel: str = Field(description="a band, or R, G, B of the camera")
-    variation_rel: float = Field(description="standard deviation over the coat by area, over the mean; noise taken out")
+    variation_rel: float = Field(
+        description="standard deviation over the area of the coat, relative to the mean; without noise"
+    )
     middle_variation_rel: float = Field(description="the same over the middle 70 % of the length")
     min_to_max_ratio: float = Field(description="darkest to brightest along z, means over the width")
     noise_rel: float = Field(description="render noise of one cell of the coat, over the mean")
@@ -367,7 +369,8 @@ class StudyMeasure(Model):
 
     press: Literal["analytic", "finite elements"] = Field(
         default="analytic",
-        description="how the indenter is pressed in: the pad takes its shape at once, or finite elements with force",
+        description="how the indenter is pressed in: by a formula, where the pad takes its shape at once, or by "
+        "finite elements, which also give the force",
     )
     increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="steps of the push")
     images: bool = Field(default=True, description="whether the press is rendered; without, only mechanics is computed")
@@ -507,7 +510,9 @@ class DatasetPlan(Model):
 
     design: FingerDesign
     press: Literal["analytic", "finite elements"] = Field(
-        default="analytic", description="the pad takes the indenter's shape at once, or finite elements with force"
+        default="analytic",
+        description="how the indenter is pressed in: by a formula, where the pad takes its shape at once, or by "
+        "finite elements, which also give the force",
     )
     increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="steps of a push by finite elements")
     shapes: tuple[Literal["ball", "cylinder"], ...] = Field(default=("ball",), min_length=1)
@@ -536,6 +541,11 @@ class DatasetPlan(Model):
             low, high = getattr(self, name)
             if low > high:
                 raise ValueError(f"{name}: the range runs from {low:g} to {high:g} mm; give the smaller one first")
+        if self.depth_mm[0] < LEAST_DEPTH_MM:
+            raise ValueError(
+                f"depth_mm: the range begins at {self.depth_mm[0]:g} mm, less than the {LEAST_DEPTH_MM:g} mm that the "
+                "finest mesh resolves; are these numbers in metres? Give them in mm"
+            )
         return self
 
 

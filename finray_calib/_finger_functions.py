@@ -492,7 +492,9 @@ def recolour_press(
     from sim.experiments import paint_optics, recoloured
 
     if (red is None) != (green is None):
-        raise SimulateError("give both red and green, an unchanged one again; or neither, for the press's own paints")
+        raise SimulateError(
+            "give both red and green (repeat one that does not change), or neither to keep the paints of the press"
+        )
     if red is None and camera is None and white_balance is None:
         raise SimulateError("no change is asked for: give red and green, camera or white_balance")
     rendered, files = given(press, SimulatedPress)

@@ -409,7 +409,7 @@ def _has_ended(pid: int, within_s: float = 0.0) -> bool:
 
 @contextlib.contextmanager
 def stopping_together(children: Sequence[Child]) -> Iterator[None]:
-    """Let Ctrl-Z stop children, too, and ``fg`` let them go on: each is in a process group of its own.
+    """Let Ctrl-Z stop children, too, and ``fg`` let them continue: each is in a process group of its own.
 
     Parameters
     ----------

@@ -579,7 +579,7 @@ def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _refuse_constant(word: str) -> Any:
-    raise ValueError(f"{word} is no number; missing values are null")
+    raise ValueError(f"{word} is not a number; write null for a missing value")
 
 
 def _finite(word: str) -> float:

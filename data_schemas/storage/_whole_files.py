@@ -44,7 +44,7 @@ def sha256_of(path: Path) -> str:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a new file so that it is either whole or absent: part file, fsync, link to its name, fsync of the folder.
+    """Write a new file so that it is complete or absent: part file, fsync, link to its name, fsync of the folder.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def write_whole(path: Path, fill: Callable[[int], None]) -> None:
 
 
 def write_zip(path: Path, files: Iterable[tuple[str, bytes]]) -> None:
-    """Write a new zip archive that is whole or absent; the same files give the same bytes.
+    """Write a new zip archive that is complete or absent; the same files give the same bytes.
 
     Files are stored as they are, pictures and arrays hardly shrink, in the order of `files`, all with the earliest date
     that the format has and none of their owner.

@@ -86,6 +86,9 @@ def run(arguments: argparse.Namespace) -> None:
     inside = [folder_at(path, CompareError) for path in records]
     folders = [folder is not None for folder in inside]
     if any(folders) and not all(folders):
+        for path, is_folder in zip(records, folders, strict=True):
+            if not is_folder and not path.exists():
+                raise CompareError(f"{path}: no such file or folder; give two records or folders")
         raise CompareError(
             f"{' and '.join(str(path) for path in records)}: some are folders, others are not; give two records or "
             "folders"

@@ -45,8 +45,9 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )  # fmt: skip
     parser.add_argument(
         "--aim", choices=["brightness", "normal"],
-        help="decide on the brightness of the touches, or on the expected error of the sensed normal, which sweeps by "
-        "--objectives all hold (default: the latter where it is there, without reports and weights)",
+        help="decide on the brightness of the touches, or on the expected error of the sensed normal, which sweeps "
+             "with --objectives all hold (default: the latter, if the sweeps hold it and neither reports nor weights "
+             "are given)",
     )  # fmt: skip
     parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",

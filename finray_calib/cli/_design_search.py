@@ -23,8 +23,8 @@ from finray_calib.cli._run import (
     new_page_beside,
     open_engine,
     paint_files,
+    require_folder,
     require_new,
-    require_place,
 )
 from finray_calib.cli._study_run import calibrated_paints, stand_in_paints
 
@@ -406,7 +406,7 @@ def run_optimise(arguments: argparse.Namespace) -> None:
     parameters = parameters or usual_parameters(design, objectives)
     if len({one.field for one in parameters}) < len(parameters):
         raise SimulateError("--within: a field is given twice; give each once")
-    out = require_place(arguments.out or Path(f"{file_name(design.name)}.optimised"))
+    out = require_folder(arguments.out or Path(f"{file_name(design.name)}.optimised"))
     light: LightMeasure | None = None
     paints: list[Path] = []
     if any(is_of_light(one) for one in objectives):

@@ -230,6 +230,13 @@ def require_place(path: Path) -> Path:
     return path
 
 
+def require_folder(path: Path) -> Path:
+    """Return `path` if it is a folder, or one can be made there."""
+    if path.exists() and not path.is_dir():
+        raise RecordError(f"{path}: is a file, where a folder is written; choose another --out")
+    return require_place(path)
+
+
 def input_digests(paths: Iterable[Path]) -> dict[str, str]:
     """Return path as given -> SHA-256 of the bytes that were read; names alone collide (red/paint.json, green/...)."""
     from data_schemas import digest_of_input

@@ -218,7 +218,7 @@ RENAMED = {("study", "normal-map"): ("sense", "teach"), ("study", "pixel-scale")
 
 
 def spelled_now(words: Sequence[str]) -> list[str]:
-    """Return the words of a command as they are spelled now, and tell them where they are spelled as before.
+    """Return the words of a command as they are spelled now, and report them where they are spelled as before.
 
     Before, ``finray simulate DESIGN`` did the three jobs by its options ``--only mechanics``, ``--only optics`` and
     ``--angles``, and teaching and the pixels' scale were studies.

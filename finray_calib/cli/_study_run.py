@@ -21,7 +21,7 @@ from finray_calib.cli._run import (
     file_name,
     input_digests,
     paint_files,
-    require_place,
+    require_folder,
 )
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     plan, path = read_plan(arguments.plan)
     points = study_points(plan, path)
     paints, files = _paints(arguments) if plan.measure.images else (StudyPaints({}, {}), [])
-    out = require_place(arguments.out or Path(file_name(plan.name)))
+    out = require_folder(arguments.out or Path(file_name(plan.name)))
     if out.exists() and any(out.iterdir()) and not any((out / name).is_dir() for name in STUDY_FOLDERS):
         raise SimulateError(f"{out}: holds something other than a design study; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
@@ -259,7 +259,7 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
     plan, path = _dataset_plan(arguments)
     shards = planned_shards(plan, arguments.presses)
     paints, sources, files = _drawn_paints(arguments)
-    out = require_place(arguments.out or Path(f"{file_name(plan.design.name)}-dataset"))
+    out = require_folder(arguments.out or Path(f"{file_name(plan.design.name)}-dataset"))
     if out.exists() and any(out.iterdir()) and not (out / "shards").is_dir():
         raise SimulateError(f"{out}: holds something other than a data set; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
@@ -482,9 +482,11 @@ def _three(metric: "StudyMetric | None") -> tuple[float | None, float | None, fl
 
 def show_study(arguments: argparse.Namespace) -> None:
     """Show the table of a study."""
-    from data_schemas import StudyResult
+    from data_schemas import RecordError, StudyResult
     from data_schemas.storage import read_record
 
+    if not (arguments.study / RESULT_NAME).exists():
+        raise RecordError(f"{arguments.study}: holds no {RESULT_NAME}; give the folder that 'finray study run' wrote")
     _tell(read_record(arguments.study / RESULT_NAME, StudyResult))
     if (arguments.study / PAGE_NAME).exists():
         look_at(arguments.study / PAGE_NAME)

@@ -86,7 +86,7 @@ def press_pictures(
     press: SimulatedPress,
     capture: TactileCapture,
 ) -> PressPictures:
-    """Return the small pictures of a press: captured, simulated, simulated change less captured change."""
+    """Return the small pictures of a press: captured, simulated, simulated change minus captured change."""
     factors = tuple(region.factor for region in report.regions)
     shown, changes = touch_pictures(press, capture, factors), touch_changes(press, capture, factors)
     left = changes.simulated - changes.captured

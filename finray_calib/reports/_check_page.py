@@ -47,7 +47,7 @@ _SENTENCES: Final[dict[CheckVerdict, str]] = {
     "PASS": "Every check passed.",
     "UNDECIDED": "No check failed; some could not be decided.",
     "ERROR": "Some checks could not be carried out.",
-    "FAIL": "The rig does not keep within its limits.",
+    "FAIL": "The rig exceeds its limits.",
 }
 _LIGHTS: Final[dict[str, Light]] = {
     "PASS": "good", "IN CONTROL": "good", "UNDECIDED": "care", "ERROR": "bad", "FAIL": "bad", "OUT OF CONTROL": "bad",

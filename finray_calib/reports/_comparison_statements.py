@@ -614,7 +614,7 @@ def causes_table(found: ErrorAttribution) -> ReportTable:
     ]
     rest = (
         ("saturation", "pixels that are nearly clipped in the simulation", found.saturation_skill),
-        ("noise", "of the capture, as neighbours show it", found.noise_skill),
+        ("noise", "of the capture, estimated from neighbouring pixels", found.noise_skill),
         ("remainder", "not explained by any of these", found.remainder_skill),
         ("sum", "1 - skill", found.skill_lost),
     )

@@ -389,7 +389,7 @@ def absorption_table(paint: FittedPaint) -> ReportTable:
     rows = [
         (f"Stokes shift from the last absorption maximum ({origin})", estimate_text(absorption.stokes_shift_nm, "nm")),
         ("excitation lights measured", lights or "none"),
-        ("draws replaced, they emitted more than absorbed", percent(absorption.rejected_share)),
+        ("draws replaced, because they emitted more than was absorbed", percent(absorption.rejected_share)),
         ("draws that emit more than is absorbed at the laser", percent(absorption.violating_share)),
         *(
             (f"prior of {name.removesuffix('_nm').replace('_', ' ')}", words)

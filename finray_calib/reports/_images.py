@@ -34,7 +34,7 @@ CLIPPED_GREYS = (225, 140)
 
 
 def display_white(image: NDArray[np.floating]) -> FloatImage:
-    """Return the value of each channel that a display shall show as white, (3,): a high percentile.
+    """Return the value of each channel that a display should show as white, (3,): a high percentile.
 
     Parameters
     ----------

@@ -259,7 +259,7 @@ T = TypeVar("T")
 
 
 class IndiClient(IndiDevice):
-    """One device of an INDI server; a lost connection is told once, and the next call connects again.
+    """One device of an INDI server; a lost connection is reported once, and the next call connects again.
 
     Attributes
     ----------

@@ -49,7 +49,7 @@ _LISTENER: ContextVar[Callable[[Fault], None] | None] = ContextVar("listener to 
 
 @contextmanager
 def faults_told(listener: Callable[[Fault], None]) -> Iterator[None]:
-    """Call `listener` with every fault after which something is repeated, for a ``with`` block."""
+    """Call `listener` with every fault after which an exchange is repeated, for a ``with`` block."""
     token = _LISTENER.set(listener)
     try:
         yield

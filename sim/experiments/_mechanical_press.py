@@ -72,7 +72,7 @@ def press_records(
 def increment_record(
     design: FingerDesign, pressed: PressedFinger, preset: Preset | None = None, indenter_sha256: str | None = None
 ) -> PressIncrement:
-    """Return the last increment of a press as a record to go on from; with the digest of a mesh indenter's STL."""
+    """Return the last increment of a press as a record to continue from; with the digest of a mesh indenter's STL."""
     return PressIncrement(
         preset=preset or design.mesh.preset,
         depth_mm=pressed.depth_mm,
@@ -96,7 +96,7 @@ def stored_press(
     contact: ContactChoice = "auto",
     indenter_sha256: str | None = None,
 ) -> PressedFinger:
-    """Return a stored increment as a press of a design, which may push deeper, to go on from.
+    """Return a stored increment as a press of a design, which may push deeper, to continue from.
 
     What an increment of an older version does not tell (its contact, the digest of the STL) is taken as the same.
 

@@ -228,7 +228,7 @@ LARGEST_ANGLE_DEG = 180.0
 
 
 def hidden_design(design: FingerDesign, light_error_deg: float = 3.0) -> FingerDesign:
-    """Return the finger as it was really built: the light a little off, the coating rougher and more diffuse.
+    """Return the finger as it was really built: the light at another angle, the coating rougher and more diffuse.
 
     Roughness and diffuse share grow by a tenth, at most to 1; an angle beyond 180 deg is the same one less 360 deg.
     """

@@ -179,7 +179,7 @@ def paint_pairs(
     paths: ProbePaths | None = None,
     progress: Progress | None = None,
 ) -> PaintedPairs:
-    """Measure how well the finger would tell normals with each ordered pair of paints.
+    """Measure how well the finger would sense normals with each ordered pair of paints.
 
     Every pair sees the same paths, the same noise of the camera and the same draws of a paint, so that differences are
     surer than values. Draw d takes repeat d modulo the repeats of the paths.

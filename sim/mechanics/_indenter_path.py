@@ -30,7 +30,7 @@ _AT_A_CORNER = 1e-9  # of an increment
 
 @dataclass(frozen=True, slots=True)
 class IndenterPath:
-    """A polyline of poses from first touch, where the move and the turn are nought.
+    """A polyline of poses from first touch, where the move and the turn are zero.
 
     Between two poses moves and rotation vectors change linearly. The turn is about the indenter's own middle (a mesh:
     its origin), after the move.

@@ -114,7 +114,9 @@ def fluorescent_bands(
             raise SimulateError(f"paint {name}: the band matrix must be 3 x 3 numbers >= 0, got {matrix}")
         gain = float(matrix.sum(axis=0).max())
         if gain > 1.0 + _ENERGY_TOLERANCE:
-            raise SimulateError(f"paint {name} returns {gain:.3f} of the energy of one band; a column may sum to 1")
+            raise SimulateError(
+                f"paint {name} returns {gain:.3f} of the energy of one band; a column may sum to at most 1"
+            )
     paints = painted_bsdfs(scene, list(matrices))
     carrier = BandCarrier(list(matrices.values()) or [np.eye(3)])
     return fluorescent_integrator(carrier, paints, max_depth, roulette_depth, panels)

@@ -311,7 +311,7 @@ def test_command_captures_by_the_kind_of_the_plan(files: Path) -> None:
     [
         ('"camera"', '"tactil"', "'kind' is 'tactil'; it must be one of 'paint', 'camera'"),
         ('"532"', '"533"', "plan.toml: plan.filter_name: the rig has no filter '533'"),
-        ("repeats = 0", "levels = 9", "'levels': input should be greater than or equal to 10, got 9"),
+        ("repeats = 0", "levels = 9", "'levels': must be at least 10, got 9"),
         ("repeats = 0", "repeat = 0", "'repeat': unknown key; did you mean 'repeats'?"),
         ("repeats = 0", "repeats 0", "cannot be read as TOML"),
     ],

@@ -122,8 +122,8 @@ def test_the_way_back_without_friction_ends_where_it_began():
         ("push_mm,turn_y_deg\n1,ten\n", "line 2, column turn_y_deg"),
         ("push_mm,along_mm\n1\n", "line 2: has 1 columns"),
         ("push_mm,increments\n1,2.5\n", "line 2: 'increments': must be a whole number, got 2.5"),
-        ("push_mm,increments\n1,0\n", "line 2: 'increments': input should be greater than or equal to 1, got 0"),
-        ("push_mm\n1\n900\n", r"line 3: 'push_mm' \(in mm\): input should be less than or equal to 200, got 900"),
+        ("push_mm,increments\n1,0\n", "line 2: 'increments': must be at least 1, got 0"),
+        ("push_mm\n1\n900\n", r"line 3: 'push_mm' \(in mm\): must be at most 200, got 900"),
         ("push_mm\nnan\n", "no finite number"),
     ],
 )

@@ -115,6 +115,10 @@ SIMULATE = "simulate render {lab}/finger.toml --paint red={paints}/red/paint.jso
 BOTH = SIMULATE + " --paint green={paints}/green/paint.json"
 SWEEP = BOTH.replace("simulate render", "simulate sweep")
 BAD_FINGER = BOTH.replace("{lab}", "{tmp}")
+STUDY = (
+    'name = "one"\ndesign = "flat-70x35"\n[[vary]]\nfield = "pad.thickness_mm"\nvalues = [5.0, 6.0]\n'
+    '[measure]\npress = "finite elements"\nimages = false\n'
+)
 NEW = "'pip install -U finray-calib'"
 
 CASES = (
@@ -141,7 +145,7 @@ CASES = (
     Case(
         "wrong unit",
         BAD_RIG,
-        r"filters \(entry 1\)\.center_nm' \(in nm\): .* greater than or equal to 200, got 0\.405; is it in nm\?",
+        r"filters \(entry 1\)\.center_nm' \(in nm\): must be at least 200, got 0\.405; is it in nm\?",
         edited("rig.toml", "center_nm = 405.0", "center_nm = 0.405"),
     ),
     Case(
@@ -330,7 +334,9 @@ CASES = (
         r"lab\S*: is a folder or a zip archive; 'finray verify' checks folders\. Here give the path",
     ),
     Case("record for a folder", "verify {lab}/bands.json", r"bands\.json: is a file; 'finray trace' checks a record"),
-    Case("study that is none", "study show {lab}", r"study\.json: no such file; give the path of a stored record"),
+    Case(
+        "study that is none", "study show {lab}", r"holds no study\.json; give the folder that 'finray study run' wrote"
+    ),
     Case(
         "rig for a record",
         "fit {lab}/rig.toml",
@@ -366,7 +372,7 @@ CASES = (
     Case(
         "reflectance in per cent",
         BAD_RIG,
-        r"'white_reference\.reflectance': input should be less than or equal to 1, got 98\.0$",
+        r"'white_reference\.reflectance': must be at most 1, got 98\.0$",
         edited("rig.toml", "\nreflectance = 0.98", "\nreflectance = 98.0"),
     ),
     Case(
@@ -430,11 +436,97 @@ CASES = (
         "study into another folder",
         "study run {tmp}/plan.toml --out {lab}",
         r"lab\S*: holds something other than a design study; choose another --out",
-        file(
+        file("plan.toml", STUDY),
+    ),
+    Case(
+        "study into a file",
+        "study run {tmp}/plan.toml --out {lab}/bands.json",
+        r"bands\.json: is a file, where a folder is written; choose another --out",
+        file("plan.toml", STUDY),
+    ),
+    Case(
+        "study of no folder",
+        "study show {tmp}/nothing",
+        r"nothing: holds no study\.json; give the folder that 'finray study run' wrote",
+    ),
+    Case(
+        "depths of a data set in metres",
+        "study dataset flat-70x35 --depth-mm 0.0003 0.002 --out {tmp}/set",
+        r"depth_mm: the range begins at 0\.0003 mm, less than the 0\.02 mm .* in metres\? Give them in mm",
+    ),
+    Case(
+        "three filters of a tilt",
+        BAD_PLAN,
+        r"plan\.toml: 'second_tilt_filters': must have fewer entries, at most 2",
+        edited(
             "plan.toml",
-            'name = "one"\ndesign = "flat-70x35"\n[[vary]]\nfield = "pad.thickness_mm"\nvalues = [5.0, 6.0]\n'
-            '[measure]\npress = "finite elements"\nimages = false\n',
+            "[region]",
+            'second_tilt_deg = 30.0\nsecond_tilt_filters = ["560", "600", "630"]\n[region]',
         ),
+    ),
+    Case(
+        "bracket that is brighter than metered",
+        BAD_PLAN,
+        r"plan\.toml: 'bracket \(entry 1\)': must be at most 1, got 4\.0",
+        edited("plan.toml", "bracket = [1.0, 0.25]", "bracket = [4.0, 1.0]"),
+    ),
+    Case(
+        "key in another language",
+        BAD_PLAN,
+        r"plan\.toml: 'zielhelligkeit': unknown key; .*known keys are bracket",
+        edited("plan.toml", "target_fraction", "zielhelligkeit"),
+    ),
+    Case(
+        "semicolon at the end of a line",
+        BAD_PLAN,
+        r"plan\.toml: cannot be read as TOML .*; correct the line 'paint_name = \"red\";'",
+        edited("plan.toml", 'paint_name = "red"', 'paint_name = "red";'),
+    ),
+    Case(
+        "practice fault without its unit",
+        BAD_RIG,
+        r"'simulated\.practice_fault': the size of 'stray light' is a number .* 'stray light, 10 DN/s'",
+        edited("rig.toml", "[simulated]", '[simulated]\npractice_fault = "stray light, 10"'),
+    ),
+    Case(
+        "history of no folder",
+        "history {tmp}/sessions",
+        r"sessions: no such folder; give a folder whose folders were written by 'finray capture'",
+    ),
+    Case(
+        "folder that is missing beside one that is not",
+        "compare {tmp}/nowhere {lab} --out {tmp}/c",
+        r"nowhere: no such file or folder; give two records or folders",
+    ),
+    Case(
+        "name that is not ASCII",
+        "fit {tmp}/gr\u00fcne.json",
+        "gr\u00fcne\\.json: no such file; give the path of a stored",
+    ),
+    Case(
+        "page for its record",
+        "fit {lab}/report.html",
+        r"report\.html: cannot be read as JSON .*, or is it no JSON file",
+    ),
+    Case(
+        "channel of a colour that a sensor lacks",
+        "design show {tmp}/sensor.toml",
+        r"'lights \(entry 1\)\.channel': must be 'red', 'green', 'blue' or 'white', got 'purple'",
+        file(
+            "sensor.toml",
+            'kind = "sensor"\npreset = "digit"\nname = "x"\n[[lights]]\nchannel = "purple"\ndistance_mm = 10.0\n'
+            "depth_mm = 5.0\nazimuth_deg = 0.0\n",
+        ),
+    ),
+    Case(
+        "limits with a unit",
+        "design optimise {lab}/finger.toml --for softness --within pad.thickness_mm=4mm:8mm",
+        r"--within: 'pad\.thickness_mm=4mm:8mm' must be FIELD=LOW:HIGH, such as light\.angle_deg=0:60",
+    ),
+    Case(
+        "squares with a comma",
+        "sense scale a.png --pad b.png --squares 7,5 --square-mm 3 --marker-mm 2 --square-u-mm 0.01",
+        r"--squares 7,5: must be two whole numbers such as 7x5",
     ),
     Case(
         "number of filters",
@@ -474,7 +566,7 @@ CASES = (
     Case(
         "NaN in a record",
         "decide {tmp}/sweep.json",
-        r"sweep\.json: cannot be read as JSON \(NaN is no number; missing values are null\)",
+        r"sweep\.json: cannot be read as JSON \(NaN is not a number; write null for a missing value\)",
         edited("sweep.json", "0.0,", "NaN,"),
     ),
     # simulate
@@ -560,7 +652,7 @@ CASES = (
     Case(
         "cuboid in micrometres",
         MECHANICS,
-        r"'indenter\.size_mm \(entry 1\)' \(in mm\): .* less than or equal to 1000, got 50000\.0; is it in mm\?",
+        r"'indenter\.size_mm \(entry 1\)' \(in mm\): must be at most 1000, got 50000\.0; is it in mm\?",
         design('[indenter]\nshape = "cuboid"\nsize_mm = [50000.0, 15.0, 15.0]'),
     ),
     Case(
@@ -677,7 +769,7 @@ CASES = (
     Case(
         "angle out of range",
         BAD_FINGER,
-        r"finger\.toml: 'light\.angle_deg' \(in deg\): .* less than or equal to 180, got 500; is it in deg\?",
+        r"finger\.toml: 'light\.angle_deg' \(in deg\): must be at most 180, got 500; is it in deg\?",
         edited("finger.toml", "[camera]", "[light]\nangle_deg = 500\n[camera]"),
     ),
     Case(

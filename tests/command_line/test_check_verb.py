@@ -88,7 +88,7 @@ def test_the_folder_is_named_after_the_check(lab: Path, plan: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('kind = "check"', 'kind = "paint"', r"check\.toml: 'kind': input should be 'check'"),
+        ('kind = "check"', 'kind = "paint"', r"check\.toml: 'kind': must be 'check'"),
         ("wheel_moves", "weel_moves", r"'weel_moves': unknown key; did you mean 'wheel_moves'\?"),
         ("revisit_rel", "revisit", r"'limits\.revisit': unknown key; did you mean 'revisit_rel'\?"),
         ("revisits = 2", 'filters = ["999"]', r"check\.toml: plan\.filters: the rig has no filter '999'"),
@@ -97,9 +97,9 @@ def test_the_folder_is_named_after_the_check(lab: Path, plan: Path, tmp_path: Pa
         (
             "revisits = 2",
             "exposure_rounds = 3",
-            r"'exposure_rounds': input should be greater than or equal to 4, got 3",
+            r"'exposure_rounds': must be at least 4, got 3",
         ),
-        ("revisit_rel = 0.05", "light_off_s = 0", r"'limits\.light_off_s' \(in s\): input should be greater than 0"),
+        ("revisit_rel = 0.05", "light_off_s = 0", r"'limits\.light_off_s' \(in s\): must be above 0"),
         ("row_px = ", "row_px = 9", r"check\.toml: plan\.region: row_px = \d+ .* outside the frame"),
     ],
 )

@@ -100,7 +100,7 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
         ),
         (
             "--pad {0}/board-0.png --squares 7x5 --square-mm 0 --marker-mm 2 --square-u-mm 0.003",
-            "'square_mm' .in mm.: input should be greater than 0",
+            "'square_mm' .in mm.: must be above 0",
         ),
         (
             "--pad {0}/board-0.png --squares 7x5 --square-mm 0.003 --marker-mm 0.0022 --square-u-mm 0.000003",

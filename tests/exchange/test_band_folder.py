@@ -145,7 +145,7 @@ def test_measured_curves_are_read(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "kind", "message"),
     [
-        ('encoding = "linear"', 'encoding = "srgb"', RecordError, "'camera.encoding': input should be 'linear'"),
+        ('encoding = "linear"', 'encoding = "srgb"', RecordError, "'camera.encoding': must be 'linear'"),
         ('layout = "RGB"', 'layout = "RGBA"', RecordError, "'camera.layout'"),
         ('"450"\nregion', '"451"\nregion', RecordError, "excitation_filter '451' is none of the filters"),
         ('name = "500"', 'name = "450"', RecordError, "'450' is listed twice"),

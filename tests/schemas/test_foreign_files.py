@@ -102,7 +102,7 @@ def test_digests_may_be_asked_from_many_threads(tmp_path):
     [
         (b'{"a": 1, "a": 2}', "the key 'a' occurs twice"),
         (b'{"b": {"a": 1, "c": 0, "a": 1}}', "the key 'a' occurs twice"),
-        (b"[NaN]", "NaN is no number; missing values are null"),
+        (b"[NaN]", "NaN is not a number; write null for a missing value"),
         (b"[-Infinity]", "-Infinity is no number"),
         (b"[1e400]", "the number 1e400 is too large"),
         (b"[" + b"9" * 5000 + b"]", "the whole number 9+ is too large"),

@@ -285,7 +285,7 @@ class TestFilesPeopleWrite:
             tmp_path,
             'name = "r"\n[filter_wheel]\n[[filter_wheel.filters]]\nslot = 1\nname = "405"\ncenter_nm = 0.405\n',
         )
-        with pytest.raises(RecordError, match=r"center_nm' \(in nm\): input should be greater than or equal to 200"):
+        with pytest.raises(RecordError, match=r"center_nm' \(in nm\): must be at least 200"):
             read_toml(path, RigFile)
 
     def test_file_without_end(self):
@@ -326,7 +326,7 @@ class TestFilesPeopleWrite:
             ("[indenter]\nacross_mm = 20.0\n", "must lie on the pad"),
             ("[indenter]\nposition_mm = 90.0\n", "must lie on the pad"),
             ("[camera]\nwidth_px = 641\n", "must be even"),
-            ("[mirror]\nreflectance = 88.0\n", r"mirror.reflectance': input should be less than or equal to 1"),
+            ("[mirror]\nreflectance = 88.0\n", r"mirror.reflectance': must be at most 1"),
             (
                 '[origin]\n"pad.lenght_mm" = "measured"\n',
                 r"'origin': 'pad\.lenght_mm' is no field of the design; did you mean pad\.length_mm",

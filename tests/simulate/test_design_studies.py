@@ -92,7 +92,7 @@ def test_what_a_point_changes_is_no_longer_the_paper_s(tmp_path):
         (vary("second_light.angle_deg", [1.0]), r"is no field of this finger, which has no \[second_light\]"),
         (
             vary("pad.length_mm", [-3.0]),
-            r"point 1 \(pad\.length_mm = -3\.0\): 'pad\.length_mm' \(in mm\): input should be",
+            r"point 1 \(pad\.length_mm = -3\.0\): 'pad\.length_mm' \(in mm\): must be",
         ),
         (vary("preset", ["flat"]), r"there is no preset design 'flat'; there are flat-70x35"),
         (vary("preset", [3]), r"preset = 3 must be the name of a ready-made finger"),
