@@ -6,8 +6,8 @@ is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newto
 `press_finger` pushes the indenter of a design to a depth, `press_to_force` to a force; both return a `PressedFinger`.
 `press_along` moves it along a path of poses (press, slide, twist, roll, release) with friction that remembers where the
 coat sticks; `press_as_designed` does what the design says. Contact is a penalty on exact distances (fast) or a barrier
-that never lets surfaces cross, both with friction. `LoadedFinger` bends and twists a finger without an indenter. Lengths in mm, forces in N, stresses in MPa. It knows no light: mechanics and optics meet in the
-studies.
+that never lets surfaces cross, both with friction. `LoadedFinger` bends and twists a finger without an indenter.
+Lengths in mm, forces in N, stresses in MPa. It knows no light: mechanics and optics meet in the studies.
 
 The design leads: the shape of the pad and the constants of the materials are those of `FingerDesign` (`GelPad`,
 `MechanicalMaterials`). A rigid shape that presses is a distance with its derivatives, in `_rigid_bodies.py`.
