@@ -10,6 +10,7 @@ import itertools
 import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import Any, Final, Protocol, TypeVar
 
@@ -219,8 +220,15 @@ def _ended(
             ended.add(future)
         if not running:
             return
-        future = next(ended)
-        point, error = running.pop(future.key), future.exception()
+        try:
+            future = next(ended)
+            error = future.exception()
+        except CancelledError as lost:  # Dask cancels what it has given to a scheduler that is gone
+            raise SimulateError(
+                "the Dask scheduler went away in the middle; what is finished is kept: start the scheduler and its "
+                "workers again, and give the same command, which goes on with what is missing"
+            ) from lost
+        point = running.pop(future.key)
         if error is None:
             yield point, future.result(), False
         else:

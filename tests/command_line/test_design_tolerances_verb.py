@@ -1,13 +1,16 @@
 """``finray design tolerances`` and ``design assess``: what they find, store and show, and what is refused."""
 
+import argparse
 from html import unescape
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from data_schemas import FingerStiffness, FingerTolerances, LightAngleDecision
 from data_schemas.storage import read_record
 from finray_calib.cli import _design_search
+from finray_calib.cli._design_search import _tolerances
 from sim import preset_design, read_design, with_pad_size
 from sim.mechanics import STEPS
 from sim.mechanics._finger_mesh import MeshSteps
@@ -72,11 +75,10 @@ def test_one_command_gives_light_tolerances_and_stiffness_of_a_new_pad(
     monkeypatch.setitem(STEPS, "coarse", MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0))
     monkeypatch.setattr(_design_search, "_PLACES_REL", (0.3, 0.7))
     monkeypatch.setattr(_design_search, "_ANGLES_DEG", (0.0, 15.0, 30.0, 45.0, 60.0, 75.0))
-    whole = _design_search._tolerances
 
-    def of_two_numbers(arguments, design, folder, draws, settings):
+    def of_two_numbers(arguments: argparse.Namespace, *given: Any) -> FingerTolerances:
         arguments.vary, arguments.samples = [(field, 0.0) for field in LEFT_OUT], 32
-        return whole(arguments, design, folder, draws, settings)
+        return _tolerances(arguments, *given)
 
     monkeypatch.setattr(_design_search, "_tolerances", of_two_numbers)
     (tmp_path / "finger.toml").write_text(FINGER)

@@ -1,6 +1,10 @@
 """Design studies: the points of a plan, the metrics of images, what points share, and workers that fail and die."""
 
 import os
+import socket
+import subprocess
+import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,11 +30,12 @@ from sim.studies import (
     run_study,
     study_points,
 )
-from sim.studies._engine import _client, _each, _Steps
+from sim.studies._engine import _client, _each, _Steps, each_computed
 from sim.studies._everyday_objects import everyday_objects
-from sim.studies._point import _metrics, _root_of_products, _Seen, point_key, press_file, vividness
+from sim.studies._point import _metrics, _root_of_products, _Seen, point_key, press_file, stored_point, vividness
 from sim.surface_meshes import pressed_height_mm
 
+ROOT = Path(__file__).resolve().parents[2]
 HEAD = 'name = "a study"\n'
 
 
@@ -328,6 +333,120 @@ def test_a_scheduler_that_does_not_answer_is_told(tmp_path):
     task, points = study_of(tmp_path, vary("light.angle_deg", [0.0]))
     with pytest.raises(SimulateError, match=r"--scheduler tcp://127\.0\.0\.1:1: no Dask scheduler answers there"):
         run_study(task, points, scheduler="tcp://127.0.0.1:1")
+
+
+class Server:
+    """A Dask scheduler with a worker, on a port of its own, killed as a power cut does."""
+
+    def __init__(self, port):
+        self.address = f"tcp://127.0.0.1:{port}"
+        dask = str(Path(sys.executable).with_name("dask"))
+        common = {"env": {**os.environ, "PYTHONPATH": str(ROOT)}, "stderr": subprocess.DEVNULL}
+        self.processes = [
+            subprocess.Popen([dask, *words.split(), "--no-dashboard"], **common)
+            for words in (
+                f"scheduler --host 127.0.0.1 --port {port}",
+                f"worker {self.address} --host 127.0.0.1 --nthreads 1 --nworkers 1 --no-nanny",
+            )
+        ]
+        self._wait(port)
+
+    def _wait(self, port):
+        """Return once the scheduler listens: a busy machine takes its time to import it."""
+        deadline = time.monotonic() + 300.0
+        while time.monotonic() < deadline:
+            with socket.socket() as asking:
+                if asking.connect_ex(("127.0.0.1", port)) == 0:
+                    return
+            time.sleep(0.2)
+        self.kill()
+        raise TimeoutError(self.address)
+
+    def kill(self):
+        for process in self.processes:
+            process.kill()
+            process.wait()
+
+
+def free_port():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        return taken.getsockname()[1]
+
+
+def slowly(folder, point):
+    """Add a mark to the file of a point, after a while."""
+    time.sleep(0.5)
+    with (Path(folder) / f"{point.number}").open("a") as file:
+        file.write("x")
+
+
+@pytest.mark.timeout(1200)
+def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path):
+    """The same command goes on with what is missing once the scheduler runs again."""
+    _, points = study_of(tmp_path, vary("seed", [0, 1, 2, 3, 4, 5]))
+    folder = tmp_path / "marks"
+    folder.mkdir()
+    server = Server(free_port())
+    try:
+        ended = each_computed(slowly, str(folder), points, "point ", (None, server.address))
+        next(ended)
+        server.kill()
+        with pytest.raises(SimulateError, match="the Dask scheduler went away in the middle; what is finished is kept"):
+            list(ended)
+        done = {path.name for path in folder.iterdir()}
+        assert 1 <= len(done) < 6
+        server = Server(free_port())
+        missing = [point for point in points if f"{point.number}" not in done]
+        again = [p.number for p, _ in each_computed(slowly, str(folder), missing, "point ", (None, server.address))]
+        assert again == [point.number for point in missing]
+    finally:
+        server.kill()
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 7)}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
+def test_a_full_disk_loses_nothing_that_is_finished(tmp_path):
+    """What did not fit is told, leaves no part behind, and is computed once there is room."""
+    disk = tmp_path / "out"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "none", str(disk)], check=False).returncode:
+        pytest.skip("this machine mounts no small disk")
+    try:
+        task, points = study_of(tmp_path, vary("seed", [0, 1, 2]))
+        (disk / "filler").write_bytes(b"0" * 150_000)
+        reasons = {}
+        with _client(1, None) as client:
+            reasons |= {p.number: r for p, r in _each(client, stored_big_point, task, points, _Steps(3, None), "")}
+            full = [number for number, reason in reasons.items() if reason is not None]
+            assert full
+            assert all("No space left on device" in reasons[number] for number in full)
+            kept = {path: path.read_bytes() for path in (disk / "points").glob("*.json")}
+            assert len(kept) == 3 - len(full)
+            assert not [path for path in (disk / "points").iterdir() if path.name.startswith(".")]
+            (disk / "filler").unlink()
+            left = [point for point in points if stored_point(task, point) is None]
+            assert [p.number for p in left] == full
+            ended = [r for _, r in _each(client, stored_big_point, task, left, _Steps(len(left), None), "")]
+        assert ended == [None] * len(full)
+        assert all(path.read_bytes() == content for path, content in kept.items())
+        assert all(stored_point(task, point) is not None for point in points)
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def stored_big_point(task, point):
+    """Store the record of a point, of 40 kB that cannot be made smaller; return why not."""
+    image = np.random.default_rng(point.seed).random((60, 58, 3)).astype(np.float32)
+    record = StudyPoint(
+        study="a study", number=point.number, key=point_key(task, point), changes=point.changes, design=point.design,
+        metrics=(), contact=image, processor_s=1.0,
+    )  # fmt: skip
+    try:
+        write_record(record, point_file(task.folder, point.number), task.origin)
+    except RecordError as error:
+        return str(error)
+    return None
 
 
 @pytest.mark.parametrize(("run", "kept"), [(run_dataset, "shards"), (run_study, "points"), (run_study, "presses")])
