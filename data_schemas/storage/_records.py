@@ -431,6 +431,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("AcceptanceReport", 5): _as_it_is,
     # how sessions that were combined differ; none: one session, or not known
     ("PaintCalibration", 7): _as_it_is,
+    # metrics of other packages; none: not asked for
+    ("PhotometricErrorReport", 4): _as_it_is,
     # a shape or a law of another package, with its parameters; none: one of our own
     ("FingerDesign", 3): _as_it_is,
     ("PlainSensor", 3): _as_it_is,
