@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         to_capture,
         worst_pairs,
     )
-    from finray_calib.compare._candidate_errors import Metric, check_metric
+    from finray_calib.compare._candidate_errors import METRICS, Metric, check_metric
     from finray_calib.compare._comparison_record import (
         NO_DRIFT,
         CheckOptions,
@@ -49,6 +49,7 @@ else:
 
 __all__ = [
     "DILATED",
+    "METRICS",
     "NO_DRIFT",
     "CheckOptions",
     "Metric",

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
     from finray_calib.exchange._recipe_captures import RecipeCaptures, read_by_recipe
     from finray_calib.exchange._record_formats import (
+        IMPORT_FORMATS,
         CaptureContainer,
         ImportFormat,
         capture_by_package,
@@ -61,6 +62,7 @@ else:
 __all__ = [
     "DATA_PACK",
     "FEWEST_PRESSES",
+    "IMPORT_FORMATS",
     "PAINT_FORMATS",
     "PARAMETERS",
     "BandFolder",
