@@ -146,6 +146,17 @@ class FingerDesign(Record):
         second = () if self.second_light is None else (self.second_light,)
         return (self.light, *second, *self.further_lights)
 
+    def packaged_parts(self) -> tuple[str, ...]:
+        """Return what other packages bring: ``mechanics.gel.law = "yeoh" of my-rubbers 0.1``."""
+        gel, skeleton = self.mechanics.gel, self.mechanics.skeleton
+        named = (
+            ("pad.shape", self.pad.shape, self.pad.package),
+            ("indenter.shape", self.indenter.shape, self.indenter.package),
+            ("mechanics.gel.law", gel.law, gel.package),
+            ("mechanics.skeleton.law", skeleton.law, skeleton.package),
+        )
+        return tuple(f'{field} = "{name}" of {package}' for field, name, package in named if package is not None)
+
     @model_validator(mode="after")
     def _pad_on_the_fin(self) -> "FingerDesign":
         width, ribs = self.skeleton.width_mm, self.skeleton.rib_width_mm
