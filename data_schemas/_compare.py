@@ -176,6 +176,27 @@ class SensingError(Model):
     )
 
 
+class MetricRow(Model):
+    """One candidate by a metric of another package."""
+
+    candidate: Literal["do nothing", "simulation", "floor"]
+    value: Interval = Field(
+        description="of the simulation over draws of its uncertain inputs, where there are; else without width"
+    )
+
+
+class PackagedMetric(Model):
+    """A metric that another package brings, over the headline region."""
+
+    name: str
+    package: str = Field(description="that brings it, with its version")
+    unit: str = Field(description="1: a pure number")
+    better: Literal["higher", "lower"]
+    words: str = Field(description="what it is, in the words of its package")
+    draws: Annotated[int, Field(ge=0)] = Field(description="of the inputs, behind the simulation's interval; 0: none")
+    rows: tuple[MetricRow, ...]
+
+
 class RegionExtent(Model):
     """How far a region reaches on the pad, along the rows and the columns of the picture at the patch's middle."""
 
@@ -293,7 +314,7 @@ class PhotometricErrorReport(Record):
     with a repeat) a score may lie above it; elsewhere a score above it is not meaningful.
     """
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray compare'"
     shown: ClassVar[tuple[str, ...]] = (
         "simulated", "captured", "headline_skill", "headline_region", "exposure_factor", "values",
@@ -353,6 +374,9 @@ class PhotometricErrorReport(Record):
     error_map: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), allow_nan=True)]
     withheld: tuple[str, ...] = Field(default=(), description="figures that are not given, and why")
     notes: tuple[str, ...] = ()
+    packaged_metrics: tuple[PackagedMetric, ...] = Field(
+        default=(), description="of other packages, as they were asked for"
+    )
 
 
 class ComparedPair(Model):

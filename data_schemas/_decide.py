@@ -181,7 +181,7 @@ class DesignParameter(Model):
 class EvaluatedDesign(Record):
     """What one design is worth; kept so that a search that was interrupted continues."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray design optimise'"
     shown: ClassVar[tuple[str, ...]] = ("values", "failure")
 
@@ -250,7 +250,7 @@ class MainEffect(Model):
 class DesignOptimum(Record):
     """The best design found within limits, what it gains and trades, and how much better another could be."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray design optimise'"
     shown: ClassVar[tuple[str, ...]] = ("sentence",)
 
@@ -295,7 +295,7 @@ class PaintPairRow(Model):
 class PaintChoice(Record):
     """Pairs of paints ranked for one finger by the error of the sensed normal, before anything is moulded."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray design paints'"
     shown: ClassVar[tuple[str, ...]] = ("sentence",)
 
@@ -355,7 +355,7 @@ class ToleranceRow(Model):
 class FingerTolerances(Record):
     """How far a finger may vary before its sensed normals are too much worse, alone and together."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray design tolerances'"
     shown: ClassVar[tuple[str, ...]] = ("sentence",)
 

@@ -58,7 +58,7 @@ MOST_FURTHER_LIGHTS: Final = 46
 class FingerDesign(Record):
     """Everything the simulation needs to know of a finger apart from the paints."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
 
     name: str = "fin-ray-70x35"
     pad: GelPad = GelPad(film=Film())
@@ -145,6 +145,17 @@ class FingerDesign(Record):
         """The panels of the finger."""
         second = () if self.second_light is None else (self.second_light,)
         return (self.light, *second, *self.further_lights)
+
+    def packaged_parts(self) -> tuple[str, ...]:
+        """Return what other packages bring: ``mechanics.gel.law = "yeoh" of my-rubbers 0.1``."""
+        gel, skeleton = self.mechanics.gel, self.mechanics.skeleton
+        named = (
+            ("pad.shape", self.pad.shape, self.pad.package),
+            ("indenter.shape", self.indenter.shape, self.indenter.package),
+            ("mechanics.gel.law", gel.law, gel.package),
+            ("mechanics.skeleton.law", skeleton.law, skeleton.package),
+        )
+        return tuple(f'{field} = "{name}" of {package}' for field, name, package in named if package is not None)
 
     @model_validator(mode="after")
     def _pad_on_the_fin(self) -> "FingerDesign":
@@ -265,8 +276,8 @@ class FingerIdentity(Model):
 def finger_identity(design: FingerDesign) -> FingerIdentity:
     """Return which finger a design describes; names, origins, materials in words and meshes do not count.
 
-    All values count, those at their default too. Files count by their name: an STL of an indenter that was changed and
-    kept its name is not noticed.
+    All values count, those at their default too, but for what only parts of other packages have. Files count by their
+    name: an STL of an indenter that was changed and kept its name is not noticed.
     """
     parts = {}
     for name in _PARTS:
@@ -277,5 +288,13 @@ def finger_identity(design: FingerDesign) -> FingerIdentity:
             given = None if part is None else part.model_dump(mode="json")
         if isinstance(given, dict):
             given = {key: value for key, value in given.items() if key not in _LEFT_OUT.get(name, set())}
-        parts[name] = hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+        parts[name] = hashlib.sha256(json.dumps(_without_packages(given), sort_keys=True).encode()).hexdigest()
     return FingerIdentity(version=VERSION, name=design.name, depth_mm=design.indenter.depth_mm, parts=parts)
+
+
+def _without_packages(given: Any) -> Any:
+    """Leave out the fields of other packages' parts where there are none: such a finger is the one it was before."""
+    if isinstance(given, dict):
+        empty = {key for key in ("law", "parameters", "package") if not given.get(key)}
+        return {key: _without_packages(value) for key, value in given.items() if key not in empty}
+    return given

@@ -5,16 +5,51 @@ materials and fineness of the mesh.
 """
 
 import math
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field, model_validator
 
 from data_schemas._model import Model
+from data_schemas._plug_ins import (
+    INDENTER_SHAPES,
+    MATERIALS,
+    PAD_SHAPES,
+    PackagedPad,
+    PackageName,
+    Parameters,
+    PlugIn,
+    PlugInKind,
+    find_plug_in,
+    held_plug_in,
+)
 from data_schemas._units import AngleDeg, Fraction, LengthMm, PositionMm, RelativeUncertainty, WavelengthNm, WidthNm
+from data_schemas.errors import FinrayError
 
 RefractiveIndex = Annotated[float, Field(ge=1.0, le=2.5)]
+
+
+class FromPackage(Model):
+    """What another package may bring: its parameters, and which package that is."""
+
+    parameters: Parameters = Field(default={})
+    package: PackageName = None
+
+    def _hold_package(self, kind: PlugInKind, name: str | None, ours: Iterable[str]) -> None:
+        """Look up who brings a name that is not ours, unless a record or a design says it already."""
+        if name is None or name in ours or self.package is not None:
+            return
+        try:
+            object.__setattr__(self, "package", find_plug_in(kind, name, ours).source)
+        except FinrayError as error:
+            raise ValueError(str(error)) from None
+
+    def _idle_here(self, name: str) -> dict[str, str]:
+        """Return the fields that only what another package brings has."""
+        why = f'it is of what another package brings, not of "{name}"; leave it out'
+        return dict.fromkeys(("parameters", "package"), why)
 
 
 class Film(Model):
@@ -24,15 +59,19 @@ class Film(Model):
     refractive_index: RefractiveIndex = 1.65
 
 
-class GelPad(Model):
+PAD_SHAPE_NAMES: Final = ("flat", "cylindrical", "ellipsoidal")
+
+
+class GelPad(FromPackage):
     """A gel pad; sizes are always length x width, the thickness is that of the crown in the middle.
 
     Shapes of the coated face: flat; cylindrical with its axis along the pad; a section of an ellipsoid with its
-    centre under the middle of the pad. Another shape is one more case of :meth:`drop_mm`, the height function
-    that mesh and optics take, and of its curvature below; the mould's STEP file has a case of its own.
+    centre under the middle of the pad; or one that another package brings (:class:`PadShape`). Another shape of our own
+    is one more case of :meth:`drop_mm`, the height function that mesh and optics take, and of its curvature below; the
+    mould's STEP file has a case of its own.
     """
 
-    shape: Literal["flat", "cylindrical", "ellipsoidal"] = "flat"
+    shape: str = Field(default="flat", description=f"{', '.join(PAD_SHAPE_NAMES)}, or one that a package brings")
     length_mm: LengthMm = 70.0
     width_mm: LengthMm = 35.0
     thickness_mm: LengthMm = 6.0
@@ -48,6 +87,7 @@ class GelPad(Model):
 
     @model_validator(mode="after")
     def _shape_is_complete(self) -> "GelPad":
+        self._hold_package(PAD_SHAPES, self.shape, PAD_SHAPE_NAMES)
         needs = {"cylindrical": "radius_mm", "ellipsoidal": "semi_axes_mm"}
         for shape, name in needs.items():
             if (getattr(self, name) is not None) != (self.shape == shape):
@@ -65,6 +105,8 @@ class GelPad(Model):
                     f"semi_axes_mm: an ellipsoid of {a:g} mm across and {c:g} mm along does not cover the corners of a "
                     f"pad of {self.length_mm:g} x {self.width_mm:g} mm; needs (width/2a)^2 + (length/2c)^2 < 1"
                 )
+        if self.shape not in PAD_SHAPE_NAMES:
+            return self._checked_outside()
         edge_mm = self.thickness_mm - self.drop_mm(half_width, half_length)
         if edge_mm <= 0.0:
             raise ValueError(
@@ -73,12 +115,39 @@ class GelPad(Model):
             )
         return self
 
+    def _checked_outside(self) -> "GelPad":
+        """Return the pad after a check of the shape that a package brings, where that package is installed here."""
+        try:
+            shape = PackagedPad(held_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
+        except FinrayError:  # a record of elsewhere is read all the same; who computes with it is told
+            return self
+        try:
+            shape.check(self.length_mm, self.width_mm, self.thickness_mm, self.parameters)
+        except FinrayError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def _outside(self) -> "PackagedPad":
+        """Return the shape that a package brings."""
+        return PackagedPad(held_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
+
+    def idle_fields(self) -> dict[str, str]:
+        """Return what only shapes of other packages have."""
+        return super().idle_fields() | (self._idle_here(self.shape) if self.shape in PAD_SHAPE_NAMES else {})
+
     def drop_mm(self, x_mm: ArrayLike, z_from_middle_mm: ArrayLike) -> Any:
         """Return how far the undeformed coated face lies below its crown, shape of the broadcast arguments.
 
         Cylinder: r - sqrt(r^2 - x^2). Ellipsoid: b (1 - sqrt(1 - (x/a)^2 - (z/c)^2)). Inside the pad only.
+
+        Raises
+        ------
+        SimulateError
+            The shape is one of another package, which is not installed, of another version, or fails.
         """
         x, z = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(z_from_middle_mm, dtype=np.float64))
+        if self.shape not in PAD_SHAPE_NAMES:
+            return self._outside().drop_mm(x, z, self.parameters)
         if self.radius_mm is not None:
             return self.radius_mm - np.sqrt(self.radius_mm**2 - x**2)
         if self.semi_axes_mm is not None:
@@ -93,6 +162,8 @@ class GelPad(Model):
         corner.
         """
         half_width, half_length = self.width_mm / 2.0, self.length_mm / 2.0
+        if self.shape not in PAD_SHAPE_NAMES:
+            return self._outside().most_curvature_per_mm(half_width, half_length, self.parameters)
         if self.radius_mm is not None:
             return float(self.radius_mm**2 / (self.radius_mm**2 - half_width**2) ** 1.5)
         if self.semi_axes_mm is not None:
@@ -139,14 +210,19 @@ class PathPose(Model):
     )
 
 
-class Indenter(Model):
+INDENTER_SHAPE_NAMES: Final = ("cylinder", "ball", "cuboid", "mesh")
+
+
+class Indenter(FromPackage):
     """A rigid body that is pressed in from the coat, along the pad's normal, from where it first touches.
 
-    A cylinder without ends (its axis across the pad, along x), a ball, a cuboid with rounded edges, or a closed
-    triangle mesh in its own axes. ``rotation_deg`` turns it about x, then y, then z.
+    A cylinder without ends (its axis across the pad, along x), a ball, a cuboid with rounded edges, a closed triangle
+    mesh in its own axes, or a body that another package brings. ``rotation_deg`` turns it about x, then y, then z.
     """
 
-    shape: Literal["cylinder", "ball", "cuboid", "mesh"] = "cylinder"
+    shape: str = Field(
+        default="cylinder", description=f"{', '.join(INDENTER_SHAPE_NAMES)}, or one that a package brings"
+    )
     radius_mm: LengthMm = Field(default=10.0, description="radius of a cylinder or a ball")
     size_mm: tuple[LengthMm, LengthMm, LengthMm] | None = Field(
         default=None, description="size of a cuboid: across the pad, along its normal, along the pad"
@@ -179,6 +255,7 @@ class Indenter(Model):
 
     @model_validator(mode="after")
     def _shape_is_complete(self) -> "Indenter":
+        self._hold_package(INDENTER_SHAPES, self.shape, INDENTER_SHAPE_NAMES)
         for shape, name in (("cuboid", "size_mm"), ("mesh", "file")):
             if (getattr(self, name) is not None) != (self.shape == shape):
                 state = "missing" if self.shape == shape else f"given for a {self.shape}"
@@ -196,10 +273,32 @@ class Indenter(Model):
             )
         return self
 
+    @property
+    def is_packaged(self) -> bool:
+        """Whether another package brings its shape."""
+        return self.shape not in INDENTER_SHAPE_NAMES
+
+    @property
+    def pose_shape(self) -> Literal["cylinder", "ball", "cuboid", "mesh"]:
+        """Its shape as captures tell it, which know a body of any other shape as a mesh."""
+        known: dict[str, Literal["cylinder", "ball", "cuboid", "mesh"]]
+        known = {"cylinder": "cylinder", "ball": "ball", "cuboid": "cuboid"}
+        return known.get(self.shape, "mesh")
+
+    def plug_in(self) -> PlugIn:
+        """Return who brings its shape, where that is no shape of ours.
+
+        Raises
+        ------
+        SimulateError
+            No package does, or one of another version than the design holds.
+        """
+        return held_plug_in(INDENTER_SHAPES, self.shape, self.package, INDENTER_SHAPE_NAMES)
+
     def idle_fields(self) -> dict[str, str]:
         """Return the sizes of other shapes."""
         of_shapes = {"radius_mm": ("cylinder", "ball"), "edge_radius_mm": ("cuboid",)}
-        return {
+        return ({} if self.is_packaged else self._idle_here(self.shape)) | {
             name: f'it is of a {" or a ".join(shapes)}, not of shape = "{self.shape}"; leave it out, or change shape'
             for name, shapes in of_shapes.items()
             if self.shape not in shapes
@@ -464,7 +563,38 @@ class Skeleton(Model):
         }
 
 
-class OgdenSolid(Model):
+class Rubber(FromPackage):
+    """A nearly incompressible solid, whose law of strain energy another package may bring.
+
+    ``law`` then names it, and ``parameters`` its constants; the constants of our own law have no effect.
+    """
+
+    law: str | None = Field(default=None, description="of another package, by its name; none: the law of this table")
+
+    @model_validator(mode="after")
+    def _law_is_installed(self) -> "Rubber":
+        self._hold_package(MATERIALS, self.law, ())
+        return self
+
+    def plug_in(self) -> PlugIn:
+        """Return who brings its law, where that is not our own.
+
+        Raises
+        ------
+        SimulateError
+            No package does, or one of another version than the design holds.
+        """
+        return held_plug_in(MATERIALS, str(self.law), self.package)
+
+    def idle_fields(self) -> dict[str, str]:
+        """Return the constants of our own law where another one holds, or what only other laws have."""
+        if self.law is None:
+            return self._idle_here("its own law")
+        own = set(type(self).model_fields) - set(Rubber.model_fields) - {"bulk_over_shear"}
+        return dict.fromkeys(sorted(own), f'it is of our own law, not of law = "{self.law}"; leave it out')
+
+
+class OgdenSolid(Rubber):
     """Ogden rubber: energy sum of 2 mu_i / alpha_i^2 (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3), mu0 = sum of mu_i.
 
     Constants of the form mu_i / alpha_i (...) become these by mu_i alpha_i / 2. The paper prints that other form, with
@@ -494,7 +624,7 @@ class OgdenSolid(Model):
         return self
 
 
-class NeoHookeSolid(Model):
+class NeoHookeSolid(Rubber):
     """Neo-Hookean rubber: energy C10 (I1 - 3), initial shear modulus 2 C10."""
 
     c10_mpa: SoftMpa = 0.1333

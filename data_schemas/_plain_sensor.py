@@ -229,7 +229,7 @@ class PlainSensor(Record):
     The gel's index is that at 589 nm in all channels: over the visible range it differs by 0.01.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
 
     name: str = "plain-20x20"
     pad: GelPad = GelPad(length_mm=20.0, width_mm=20.0, thickness_mm=4.0)

@@ -97,7 +97,7 @@ class SimulatedPress(Record):
     with ``rendered_light``; all its other images are those of ``shown_light``.
     """
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray simulate render'"
 
     name: str
@@ -237,7 +237,7 @@ class LightAngleSweep(Record):
     change the ranking of angles.
     """
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray simulate sweep'"
 
     name: str
@@ -364,7 +364,7 @@ class PressMotion(Model):
 class PressMechanics(Record):
     """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray simulate press'"
 
     name: str
@@ -430,7 +430,7 @@ class PressMechanics(Record):
 class PressIncrement(Record):
     """The state of a finger at one increment of a press, from which the press can continue."""
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray simulate press'"
 
     preset: Preset

@@ -56,7 +56,7 @@ class LevelDifference(Model):
 class FluorescentRendering(_Study):
     """The paper's emitter (level a, by the distance from the light) beside baked walls (level b)."""
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray study fluorescent-rendering'"
 
     levels: tuple[str, ...]
@@ -109,7 +109,7 @@ class Uniformity(Model):
 class TwoLights(_Study):
     """One panel at the base against panels at base and tip."""
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray study two-lights'"
 
     lights: tuple[str, ...]
@@ -152,7 +152,7 @@ class BrightestAngle(Model):
 class LightAngleIntensity(_Study):
     """Brightness beside the indenter over the angle of the panel, with and without the mirror."""
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray study light-angle'"
 
     mirrors: tuple[str, ...]
@@ -226,7 +226,7 @@ class StiffnessOrder(Model):
 class FingerStiffness(Record):
     """Stiffnesses of some designs, and of each with its assumed dimensions changed one at a time."""
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray study finger-stiffness'"
 
     label: str
@@ -456,7 +456,7 @@ Image = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"), 
 class StudyPoint(Record):
     """What a design study found at one point."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray study run'"
     shown: ClassVar[tuple[str, ...]] = ("study", "number", "changes", "metrics")
 
@@ -593,7 +593,7 @@ class DatasetFailure(Model):
 class DatasetShard(Record):
     """What one shard of a data set holds; it is stored together with the shard."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray study dataset'"
     shown: ClassVar[tuple[str, ...]] = ("number", "key")
 
@@ -616,7 +616,7 @@ class DatasetShardRow(Model):
 class LearningDataset(Record):
     """A data set of presses for learning: its plan, its shards, and what it does not hold."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray study dataset'"
     shown: ClassVar[tuple[str, ...]] = ("name", "samples", "split_presses")
 

@@ -18,6 +18,7 @@ BESIDE = {
     "files-that-are-read.md": "Files that are read: formats, limits, what is refused, how it was tried",
     "rooms.md": "Rooms of the code and what they import",
     "practice-faults.md": "Faults of the rig without devices, to practise on",
+    "extend-finray.md": "Extend finray from a package of your own: eight kinds, a protocol and a contract each",
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
     "published-fin-ray.md": "A published Fin Ray finger, pressed: force and direction against measured ones",
     "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
-from importlib import import_module, metadata
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
@@ -25,12 +24,14 @@ from data_schemas import (
     NO_ADDRESS,
     CameraSettings,
     FilterWheelSettings,
-    FinrayError,
     LampSettings,
     LaserSettings,
+    PlugIn,
+    PlugInKind,
     RefusedError,
     RigFile,
     TactileRig,
+    plug_ins,
 )
 from rigs._protocols import CallThread, Camera, FilterWheel, Light, NoAnswerError, Operator, missing_members
 from rigs.light_guard import LEASE_S, GuardedLight, guarded_light
@@ -49,6 +50,10 @@ _NAMES: Final = {"raspberry_pi": "picamera2", "image_folder": "folder"}
 """Files whose driver has another name; that of the others is the file's, with hyphens."""
 OURS: Final = "finray-calib"
 HOW_TO: Final = "docs/how-to/write-a-driver.md"
+_KINDS: Final[dict[Kind, PlugInKind]] = {
+    kind: PlugInKind(f"{kind}: driver", f"finray_calib.{folder}", _FUNCTIONS[kind], RefusedError, HOW_TO)
+    for kind, folder in _FOLDERS.items()
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +82,11 @@ class Driver:
         return self.package == OURS
 
     @property
+    def plug_in(self) -> PlugIn:
+        """The same as what a package brings."""
+        return PlugIn(_KINDS[self.kind], self.name, self.module, self.package, self.version)
+
+    @property
     def label(self) -> str:
         """Its name, with the package where it is not ours: ``grbl (finray-grbl-wheel 0.1)``."""
         return self.name if self.is_ours else f"{self.name} ({self.package} {self.version})"
@@ -85,15 +95,21 @@ class Driver:
 @cache
 def offered(kind: Kind) -> dict[str, tuple[Driver, ...]]:
     """Return the drivers of a kind by name; several of one name where packages offer the same."""
+    table = _ours(kind)
+    for one in plug_ins(_KINDS[kind]):
+        driver = Driver(kind, one.name, one.module, one.package, one.version)
+        table[one.name] = (*table.get(one.name, ()), driver)
+    return table
+
+
+def _ours(kind: Kind) -> dict[str, tuple[Driver, ...]]:
+    """Return the drivers of finray-calib by name."""
     folder = _FOLDERS[kind]
     table: dict[str, tuple[Driver, ...]] = {"simulated": (Driver(kind, "simulated", "rigs.simulated"),)}
     for file in iter_modules([str(Path(__file__).with_name(folder))]):
         if not file.name.startswith("_"):
             name = _NAMES.get(file.name, file.name.replace("_", "-"))
             table[name] = (Driver(kind, name, f"rigs.{folder}.{file.name}"),)
-    for entry in metadata.entry_points(group=f"finray_calib.{folder}"):
-        package, version = ("", "") if entry.dist is None else (entry.dist.name, entry.dist.version)
-        table[entry.name] = (*table.get(entry.name, ()), Driver(kind, entry.name, entry.value, package, version))
     return table
 
 
@@ -130,20 +146,7 @@ def driver_module(driver: Driver) -> ModuleType:
     RefusedError
         It cannot be imported, or lacks something.
     """
-    try:
-        module = import_module(driver.module)
-    except FinrayError:
-        raise
-    except Exception as error:  # whatever a module does when it is imported
-        raise RefusedError(
-            f"{_of(driver)} cannot be imported ({type(error).__name__}: {error}); {_update(driver)}"
-        ) from error
-    lacking = [name for name in _FUNCTIONS[driver.kind] if not hasattr(module, name)]
-    if lacking:
-        raise RefusedError(
-            f"{_of(driver)} lacks {' and '.join(lacking)} in its module {driver.module}; {_update(driver)}"
-        )
-    return module
+    return driver.plug_in.load()
 
 
 def rig_drivers(rig: RigFile | TactileRig) -> tuple[Driver, ...]:
@@ -178,14 +181,6 @@ def driver_notes(rig: RigFile | TactileRig) -> tuple[str, ...]:
     return tuple(dict.fromkeys(others))
 
 
-def _of(driver: Driver) -> str:
-    return f"{driver.kind}: driver '{driver.name}' of package {driver.package} {driver.version}".rstrip()
-
-
-def _update(driver: Driver) -> str:
-    return f"update it (pip install --upgrade {driver.package}), or tell its author ({HOW_TO})"
-
-
 Device = TypeVar("Device")
 
 
@@ -194,18 +189,11 @@ def _opened(
     driver: Driver, opening: Callable[[ModuleType], AbstractContextManager[Device]], protocol: type
 ) -> Iterator[Device]:
     """Open a device for a ``with`` block, and refuse one that lacks a part of its protocol."""
-    module = driver_module(driver)
+    module, plug_in = driver_module(driver), driver.plug_in
     with ExitStack() as stack:
-        try:
-            device = stack.enter_context(opening(module))
-        except (FinrayError, OSError):
-            raise
-        except Exception as error:  # a mistake of the driver's author is not its user's
-            raise RefusedError(
-                f"{_of(driver)} fails when it opens ({type(error).__name__}: {error}); {_update(driver)}"
-            ) from error
+        device = plug_in.call(lambda: stack.enter_context(opening(module)), when=" when it opens")
         if lacking := missing_members(device, protocol):
-            raise RefusedError(f"{_of(driver)} opens a device that lacks {', '.join(lacking)}; {_update(driver)}")
+            raise plug_in.refusal(f"opens a device that lacks {', '.join(lacking)}")
         yield device
 
 

@@ -257,6 +257,9 @@ _NO_PATH: Final = """\
 """
 
 
+_OF_PACKAGES: Final = ("parameters", "package")
+
+
 def _table_lines(
     name: str, part: BaseModel, idle: Collection[str], *, in_list: bool = False, with_words: bool = True
 ) -> Iterator[str]:
@@ -265,7 +268,8 @@ def _table_lines(
         return
     yield f"\n[[{name}]]\n" if in_list else f"\n[{name}]\n"
     inner: list[tuple[str, BaseModel, bool]] = []
-    for field, info in type(part).model_fields.items():
+    fields = type(part).model_fields.items()
+    for field, info in sorted(fields, key=lambda one: one[0] in _OF_PACKAGES):
         value = getattr(part, field)
         if isinstance(value, BaseModel):
             inner.append((f"{name}.{field}", value, False))
@@ -274,6 +278,8 @@ def _table_lines(
             inner += [(f"{name}.{field}", pose, True) for pose in value]
             if not value and f"{name}.{field}" not in idle:
                 yield _NO_PATH
+            continue
+        if field in _OF_PACKAGES and not value:
             continue
         for line in textwrap.wrap(info.description or "", 116) if with_words else ():
             yield f"# {line}\n"
@@ -291,6 +297,8 @@ def _toml_value(value: object) -> str:
     """Return a TOML value: text, number or list of numbers."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_toml_value(key)} = {_toml_value(one)}" for key, one in value.items()) + " }"
     if isinstance(value, tuple):
         return "[" + ", ".join(_toml_value(v) for v in value) + "]"
     return repr(value)

@@ -431,6 +431,27 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("AcceptanceReport", 5): _as_it_is,
     # how sessions that were combined differ; none: one session, or not known
     ("PaintCalibration", 7): _as_it_is,
+    # metrics of other packages; none: not asked for
+    ("PhotometricErrorReport", 4): _as_it_is,
+    # a shape or a law of another package, with its parameters; none: one of our own
+    ("FingerDesign", 3): _as_it_is,
+    ("PlainSensor", 3): _as_it_is,
+    ("FingerStiffness", 4): _as_it_is,
+    ("PressIncrement", 4): _as_it_is,
+    ("PressMechanics", 5): _as_it_is,
+    ("SensorFit", 1): _as_it_is,
+    ("SimulatedPress", 4): _as_it_is,
+    ("LightAngleSweep", 4): _as_it_is,
+    ("FluorescentRendering", 4): _as_it_is,
+    ("TwoLights", 4): _as_it_is,
+    ("LightAngleIntensity", 4): _as_it_is,
+    ("StudyPoint", 3): _as_it_is,
+    ("FingerTolerances", 2): _as_it_is,
+    ("PaintChoice", 2): _as_it_is,
+    ("EvaluatedDesign", 2): _as_it_is,
+    ("DesignOptimum", 2): _as_it_is,
+    ("DatasetShard", 2): _as_it_is,
+    ("LearningDataset", 2): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

@@ -60,6 +60,10 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         "--scale", type=Path, metavar="FILE",
         help="also give the scale and the sizes of patch and halo in mm, by what 'finray sense scale' wrote",
     )  # fmt: skip
+    parser.add_argument(
+        "--metric", action="append", default=[], metavar="NAME",
+        help="also give a metric that an installed package brings, of a pair; may be repeated",
+    )  # fmt: skip
     add_force(parser)
     add_out(parser, "photometric-error.json, with --force force-comparison.json; with folders photometric-errors")
     add_seed(parser)
@@ -102,6 +106,10 @@ def run(arguments: argparse.Namespace) -> None:
         records = [folder or path for folder, path in zip(inside, records, strict=True)]
         arguments.simulated, arguments.capture = records[:-1], records[-1]
     if arguments.pairs is not None or folders[0]:
+        if arguments.metric:
+            raise CompareError(
+                "--metric is of one press and one capture, and folders or --pairs are given; leave it out"
+            )
         compare_folders(arguments)
     else:
         _compare_one(arguments.simulated[0], arguments)
@@ -121,7 +129,9 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
     maps = [] if arguments.normal_map is None else [arguments.normal_map]
     normal_map = read_record(maps[0], NormalMapRecord) if maps else None
     scale = None if arguments.scale is None else read_record(arguments.scale, PixelScale)
-    options = CheckOptions(arguments.register, arguments.despite_mismatch, normal_map, scale)
+    options = CheckOptions(
+        arguments.register, arguments.despite_mismatch, normal_map, scale, tuple(dict.fromkeys(arguments.metric))
+    )
     with naming(CompareError, simulated, arguments.capture):
         report, shown = compare_checked(press, capture, arguments.seed, options)
     inputs = input_digests([simulated, arguments.capture, *maps, *([arguments.scale] if arguments.scale else [])])
@@ -133,7 +143,10 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
         say(f"{finding}\n")
     wrote(out, "the comparison")
     wrote(page, "its page, to be read in a browser or printed")
-    give(headline_skill=report.headline_skill, headline_region=report.headline_region, findings=report.findings)
+    give(
+        headline_skill=report.headline_skill, headline_region=report.headline_region, findings=report.findings,
+        packaged_metrics=report.packaged_metrics,
+    )  # fmt: skip
     go_on_with("finray decide SWEEP --photometric-error", out)
     look_at(page)
 
@@ -168,8 +181,10 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
         raise CompareError(
             "--force compares one record with a CSV: give NAME.mechanics.json, no CAPTURE and no --pairs"
         )
-    if arguments.register or arguments.despite_mismatch or arguments.normal_map is not None:
-        raise CompareError("--force: --register, --despite-mismatch and --normal-map belong to images; leave them out")
+    if arguments.register or arguments.despite_mismatch or arguments.normal_map is not None or arguments.metric:
+        raise CompareError(
+            "--force: --register, --despite-mismatch, --normal-map and --metric belong to images; leave them out"
+        )
 
     import numpy as np
 

@@ -7,7 +7,8 @@ Of render S, capture D and no-contact image B, all in linear light,
 with pixels p, channels c, their weights w and one exposure factor k: 1 explains the whole contact signal, 0 is doing
 nothing. Noise of render and camera is taken out of the squares, and every number has an interval from what paints,
 camera, pose and light leave open. Images that do not belong together are refused before anything is compared. Every
-metric is a field of `ErrorRow`, computed for one candidate in one region by `_candidate_errors.py`.
+metric of ours is a field of `ErrorRow`, computed for one candidate in one region by `_candidate_errors.py`; a package
+outside the tree may bring others (`Metric`).
 """
 
 from typing import TYPE_CHECKING
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
         to_capture,
         worst_pairs,
     )
+    from finray_calib.compare._candidate_errors import METRICS, Metric, check_metric
     from finray_calib.compare._comparison_record import (
         NO_DRIFT,
         CheckOptions,
@@ -47,12 +49,15 @@ else:
 
 __all__ = [
     "DILATED",
+    "METRICS",
     "NO_DRIFT",
     "CheckOptions",
+    "Metric",
     "PairRow",
     "PressTable",
     "Region",
     "capture_noise",
+    "check_metric",
     "ciede2000",
     "compare_checked",
     "compare_press",

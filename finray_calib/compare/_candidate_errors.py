@@ -1,16 +1,30 @@
 """How far each candidate image is from the captured one: the table of every region, and the error in sensing space.
 
 With the error of the colour alone, red and green as shares of all light, which points at paints and LED. In sensing
-space one normal map is applied to every candidate and to the capture.
+space one normal map is applied to every candidate and to the capture. Metrics of other packages stand beside ours.
 """
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CompareError, ErrorRow, Interval, NormalMapRecord, RegionError, SensingRow, TactileCapture
+from data_schemas import (
+    CompareError,
+    ErrorRow,
+    Interval,
+    MetricRow,
+    NormalMapRecord,
+    PackagedMetric,
+    PlugIn,
+    PlugInKind,
+    RegionError,
+    SensingRow,
+    TactileCapture,
+    find_plug_in,
+    numbers_of,
+)
 from data_schemas import SensingError as SensingRecord
 from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._displayed_images import ShownCandidate
@@ -395,3 +409,151 @@ def _sensed_interval(best: float, draws: list[float]) -> Interval:
     """Return the interval of some draws; the value itself where there are none."""
     low, high = ends(np.array(draws)) if draws else (best, best)
     return Interval(estimate=float(np.median(draws)) if draws else best, low95=float(low), high95=float(high))
+
+
+METRICS: Final = PlugInKind(
+    "metric", "finray_calib.metrics", ("value(candidate, captured, no_contact, region)", "UNIT", "BETTER", "WORDS"),
+    CompareError,
+)  # fmt: skip
+METRIC_DRAWS = SENSED_DRAWS
+
+
+class Metric(Protocol):
+    """What the module of a metric has: how far a candidate image is from the captured one, as one number.
+
+    Attributes
+    ----------
+    UNIT
+        Of the number; "1" for a pure number.
+    BETTER
+        "higher" or "lower".
+    WORDS
+        What it is, in a few words without a full stop.
+    """
+
+    UNIT: str
+    BETTER: Literal["higher", "lower"]
+    WORDS: str
+
+    def value(self, candidate: Floats, captured: Floats, no_contact: Floats, region: Bools) -> float:
+        """Return the number for one candidate.
+
+        Parameters
+        ----------
+        candidate
+            Contact image (H, W, 3) that stands in for the captured one: the render at the capture's level, the image
+            without contact, or a repeat; in DN above black.
+        captured, no_contact
+            Captured images (H, W, 3), in DN above black.
+        region
+            Pixels (H, W) of the headline region that are usable.
+        """
+        ...
+
+
+def packaged_metric(
+    name: str, comparison: Comparison, candidates: dict[str, Floats], conditioned: Drawn | None
+) -> PackagedMetric:
+    """Return a metric of another package for every candidate, over the headline region.
+
+    Parameters
+    ----------
+    name
+        The metric's, as its entry point has it.
+    comparison
+        Both sides.
+    candidates
+        Name -> image (H, W, 3) at the level of the capture.
+    conditioned
+        Draws of the inputs, for the interval of the simulation; without them an interval has no width.
+
+    Raises
+    ------
+    CompareError
+        No package or several bring it; its module cannot be imported, lacks something or fails; what it returns is no
+        finite number; or it depends on the order in which it is asked.
+    """
+    plug_in = find_plug_in(METRICS, name)
+    metric: Any = plug_in.load()
+    _check_words(plug_in, metric)
+    found = {which: _metric_value(plug_in, metric, image, comparison) for which, image in candidates.items()}
+    if _metric_value(plug_in, metric, candidates["simulation"], comparison) != found["simulation"]:
+        raise plug_in.refusal("gives two values for the same images, so that a comparison could not be made again")
+    renders = [] if conditioned is None else _drawn_renders(comparison, conditioned)
+    spread = [_metric_value(plug_in, metric, image, comparison) for image, _ in renders]
+    return PackagedMetric(
+        name=name, package=plug_in.source, unit=metric.UNIT, better=metric.BETTER, words=metric.WORDS,
+        draws=len(spread),
+        rows=tuple(
+            MetricRow.model_validate(
+                {"candidate": which, "value": _sensed_interval(value, spread if which == "simulation" else [])}
+            )
+            for which, value in found.items()
+        ),
+    )  # fmt: skip
+
+
+def _check_words(plug_in: PlugIn, metric: Any) -> None:
+    """Refuse a metric that does not say what its number is."""
+    for attribute in ("UNIT", "WORDS"):
+        told = getattr(metric, attribute)
+        if not isinstance(told, str) or not told.strip():
+            raise plug_in.refusal(f"has {attribute} = {told!r}, where a text is needed")
+    if metric.BETTER not in ("higher", "lower"):
+        raise plug_in.refusal(f'has BETTER = {metric.BETTER!r}, where "higher" or "lower" is needed')
+
+
+def _metric_value(plug_in: PlugIn, metric: Any, candidate: Floats, comparison: Comparison) -> float:
+    """Return the number of one candidate; the metric has copies, so that it can change nothing."""
+    captured = comparison.captured
+    images = [np.array(image, dtype=np.float64) for image in (candidate, captured.contact, captured.no_contact)]
+    given = plug_in.call(lambda: metric.value(*images, comparison.used[-1].copy()))
+    return float(numbers_of(plug_in, "value", given, ()))
+
+
+def check_metric(metric: Metric, rows: int = 48, columns: int = 64) -> None:
+    """Check that a metric keeps its contract, as a comparison does that uses it: for the tests of its package.
+
+    It says unit, direction and words; its number is finite, the same each time, does not depend on pixels outside the
+    region, changes none of the images, and is better for the captured image itself than for doing nothing; on made-up
+    images of a round touch, whose values are 100 to 400 DN.
+
+    Parameters
+    ----------
+    metric
+        The module, or an object with its function and attributes.
+    rows, columns
+        Size of the images.
+
+    Raises
+    ------
+    CompareError
+        It does not; the message says what is wrong.
+    """
+    plug_in = PlugIn(METRICS, getattr(metric, "__name__", type(metric).__name__), "", "this package")
+    _check_words(plug_in, metric)
+    row, column = np.mgrid[:rows, :columns]
+    distance = np.hypot(row - rows / 2.0, column - columns / 2.0) / (min(rows, columns) / 6.0)
+    noise = np.random.default_rng(0).normal(0.0, 1.0, (rows, columns, 3))
+    rest = 200.0 + noise + row[..., None]
+    touched = rest + 100.0 * np.exp(-(distance**2))[..., None] * np.array([1.0, -0.5, 0.2])
+    region = distance <= 2.0
+
+    def value(candidate: Floats) -> float:
+        images = [candidate.copy(), touched.copy(), rest.copy()]
+        given = plug_in.call(lambda: metric.value(*images, region.copy()))
+        if any((a != b).any() for a, b in zip(images, (candidate, touched, rest), strict=True)):
+            raise plug_in.refusal("changes the images that it is given")
+        return float(numbers_of(plug_in, "value", given, ()))
+
+    perfect, nothing = value(touched), value(rest)
+    beside = np.where(region[..., None], touched, 0.5 * touched)
+    if value(touched) != perfect:
+        raise plug_in.refusal("gives two values for the same images")
+    if value(beside) != perfect:
+        raise plug_in.refusal("depends on pixels outside the region")
+    if (perfect > nothing) != (metric.BETTER == "higher"):
+        raise plug_in.refusal(
+            f"is {perfect:.4g} for the captured image itself and {nothing:.4g} for doing nothing, and says that "
+            f"{metric.BETTER} is better"
+        )

@@ -26,7 +26,7 @@ from data_schemas import (
     ValidationCell,
     finger_identity,
 )
-from finray_calib.compare._candidate_errors import region_records, sensing_record
+from finray_calib.compare._candidate_errors import packaged_metric, region_records, sensing_record
 from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison, quiet_comparison
 from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate, full_frame_ssim, shown_candidates
 from finray_calib.compare._error_attribution import attribute_error
@@ -82,12 +82,15 @@ class CheckOptions:
         Of the capture's sensor, for the error in sensing space.
     pixel_scale : PixelScale or None
         Of the capture's camera, for the sizes of patch and halo in mm; it takes the place of what the capture states.
+    metrics : tuple of str
+        Names of metrics that other packages bring, which stand beside ours.
     """
 
     registered: bool = False
     despite_mismatch: bool = False
     normal_map: NormalMapRecord | None = None
     pixel_scale: PixelScale | None = None
+    metrics: tuple[str, ...] = ()
 
 
 def compare_checked(
@@ -120,7 +123,8 @@ def compare_checked(
     if chosen.pixel_scale is not None:
         scaled = with_measured_scale(capture, chosen.pixel_scale)
     estimated = estimated if compared is press else None
-    report = _report(compared, scaled, seed, chosen.normal_map, prepare_images(compared, scaled, estimated))
+    prepared = prepare_images(compared, scaled, estimated)
+    report = _report(compared, scaled, seed, chosen.normal_map, prepared, chosen.metrics)
     if chosen.pixel_scale is not None:
         scale = patch_scale(chosen.pixel_scale, capture, compared.distance, FACTORS)
         other = scale_finding(scale, capture)
@@ -217,7 +221,7 @@ def compare_press(
 
 def _report(
     press: SimulatedPress, capture: TactileCapture, seed: int, normal_map: NormalMapRecord | None,
-    prepared: PreparedImages,
+    prepared: PreparedImages, metrics: tuple[str, ...] = (),
 ) -> PhotometricErrorReport:  # fmt: skip
     """Return the report of prepared images."""
     linear, rng = capture.encoding == "linear", generator_of(capture, seed)
@@ -229,6 +233,7 @@ def _report(
     records = region_records(comparison, draws, candidates, images.clipped, capture, conditioned)
     headline = next(row for row in records[-1].rows if row.candidate == "simulation")
     statements = _statements(comparison, images.distance, capture, draws, rng)
+    images_by_name = {name: candidate.image for name, candidate in candidates.items()}
     exposure = None if draws.propagated is None else draws.propagated.draws["exposure"]
     attributed = partial(attribute_error, comparison, images.distance, images.block_px, full_scale_dn(capture))
     red, green, blue = (float(w) for w in comparison.channel_weights)
@@ -259,6 +264,7 @@ def _report(
         withheld=withheld(press, capture, draws.propagated is not None, statements.objective is not None),
         findings=(OWN_NOISE,) if prepared.holds_noise_of_render else (),
         notes=notes_of(press, capture, images.block_px, nuisances),
+        packaged_metrics=tuple(packaged_metric(name, comparison, images_by_name, conditioned) for name in metrics),
     )
 
 

@@ -337,7 +337,7 @@ def _require_same_light(press: SimulatedPress, capture: TactileCapture) -> None:
 def _require_same_indenter(name: str, rendered: Indenter, capture: TactileCapture) -> None:
     """Refuse another shape or size; a capture states no size of cuboids and meshes."""
     captured = capture.indenter
-    if rendered.shape != captured.shape:
+    if rendered.pose_shape != captured.shape:
         raise CompareError(
             f"{name} presses a {_described(rendered)}, {capture.name} a {_described(captured)}: simulate with the "
             "capture's indenter.shape and size, or correct the indenter of the capture's record"

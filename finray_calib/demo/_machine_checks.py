@@ -325,11 +325,22 @@ def check_serial_ports() -> Found:
 
 
 def check_drivers() -> Found:
-    """Look at the drivers that other packages bring: each must be importable, have its functions and one name."""
+    """Look at what other packages bring, drivers and others: each must be importable, whole and of one name."""
+    from data_schemas import INDENTER_SHAPES, MATERIALS, PAD_SHAPES, find_plug_in, plug_ins
+    from finray_calib.compare import METRICS
+    from finray_calib.exchange import IMPORT_FORMATS
     from rigs import driver_module, drivers_of_other_packages, find_driver
 
     others = drivers_of_other_packages()
+    parts = [
+        one for kind in (IMPORT_FORMATS, MATERIALS, INDENTER_SHAPES, PAD_SHAPES, METRICS) for one in plug_ins(kind)
+    ]
     wrong = []
+    for part in parts:
+        try:
+            find_plug_in(part.kind, part.name).load()
+        except FinrayError as error:
+            wrong.append(str(error))
     for driver in others:
         try:
             driver_module(find_driver(driver.kind, driver.name))
@@ -338,7 +349,8 @@ def check_drivers() -> Found:
     if wrong:
         found, _, mend = wrong[0].partition("; ")
         return _note(found, mend)
-    named = ", ".join(f"{driver.kind} {driver.label}" for driver in others)
+    drivers = [f"{driver.kind} {driver.label}" for driver in others]
+    named = ", ".join([*drivers, *(f"{part.kind.noun} {part.name} ({part.source})" for part in parts)])
     return _good(named or "those of finray-calib; no other package brings one")
 
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from finray_calib.exchange._learning_dataset import dataset_card, index_csv, index_parquet, read_shard
     from finray_calib.exchange._mesh_files import PrintFormat, printable_parts, vtu_bytes
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
-    from finray_calib.exchange._package_formats import ImportFormat, capture_by_package
     from finray_calib.exchange._paint_formats import (
         PAINT_FORMATS,
         ExportOptions,
@@ -41,7 +40,15 @@ if TYPE_CHECKING:
     )
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
     from finray_calib.exchange._recipe_captures import RecipeCaptures, read_by_recipe
-    from finray_calib.exchange._record_formats import CaptureContainer, capture_container, junit_xml, record_dataset
+    from finray_calib.exchange._record_formats import (
+        IMPORT_FORMATS,
+        CaptureContainer,
+        ImportFormat,
+        capture_by_package,
+        capture_container,
+        junit_xml,
+        record_dataset,
+    )
     from finray_calib.exchange._render_files import (
         press_request,
         read_renders,
@@ -55,6 +62,7 @@ else:
 __all__ = [
     "DATA_PACK",
     "FEWEST_PRESSES",
+    "IMPORT_FORMATS",
     "PAINT_FORMATS",
     "PARAMETERS",
     "BandFolder",

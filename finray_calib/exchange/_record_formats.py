@@ -1,8 +1,9 @@
-"""Records as other programs take them: an xarray Dataset of any, JUnit XML of a check, one zip archive of captures.
+"""Records as other programs take and bring them: an xarray Dataset, JUnit XML of a check, a zip archive of captures.
 
 A Dataset has named dimensions, coordinates and units. An acceptance report becomes one test case for each check, for
 continuous-integration servers. The layout of an archive of captures is a standard that others can write without this
-program: docs/reference/tactile-captures.md.
+program: docs/reference/tactile-captures.md. A package outside the tree may bring a format of captures: an entry point
+of the group ``finray_calib.import_formats``, whose module has ``read_capture(folder)`` (:class:`ImportFormat`).
 """
 
 import hashlib
@@ -11,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, get_args
+from typing import TYPE_CHECKING, Any, Final, Protocol, get_args
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
@@ -21,14 +22,17 @@ from data_schemas import (
     ArraySpec,
     CheckResult,
     CheckVerdict,
+    ImportFormatError,
     MissingExtraError,
+    PlugInKind,
     Provenance,
     Record,
     RecordError,
     SimulatedPress,
     TactileCapture,
+    find_plug_in,
 )
-from data_schemas.storage import MANIFEST_NAME, files_in, folder_at, read_bytes, read_json, read_record
+from data_schemas.storage import MANIFEST_NAME, digest_as_read, files_in, folder_at, read_bytes, read_json, read_record
 from finray_calib.acceptance import value_text
 
 if TYPE_CHECKING:
@@ -244,3 +248,53 @@ def _arrays(records: Sequence[Path]) -> Iterator[Path]:
         array_file = read_json(path).get("array_file")
         if array_file is not None:
             yield path.with_name(str(array_file["file"]))
+
+
+IMPORT_FORMATS: Final = PlugInKind(
+    "format",
+    "finray_calib.import_formats",
+    ("read_capture(folder)",),
+    ImportFormatError,
+    "docs/how-to/import-captures.md",
+)
+
+
+class ImportFormat(Protocol):
+    """What the module of a format has."""
+
+    def read_capture(self, folder: Path) -> TactileCapture:
+        """Return the capture of one press from a folder, whose files are read by :mod:`data_schemas.storage`."""
+        ...
+
+
+def capture_by_package(name: str, folder: Path) -> TactileCapture:
+    """Read a capture by a format of another package.
+
+    Parameters
+    ----------
+    name
+        The format's, as its entry point has it.
+    folder
+        Of one press.
+
+    Raises
+    ------
+    ImportFormatError
+        No package, or several, offer the format; its module cannot be imported, lacks ``read_capture`` or fails; what
+        it returns is no capture, or is of no file that was read by :mod:`data_schemas.storage`.
+    """
+    plug_in = find_plug_in(IMPORT_FORMATS, name)
+    if not folder.is_dir():
+        raise ImportFormatError(f"{folder}: no such folder; give the folder of one press")
+    module: Any = plug_in.load()
+    capture = plug_in.call(lambda: module.read_capture(folder), f"{folder}: ")
+    if not isinstance(capture, TactileCapture):
+        raise plug_in.refusal(
+            f"returns a {type(capture).__name__}, where a data_schemas.TactileCapture is needed", f"{folder}: "
+        )
+    if not any(digest_as_read(file) is not None for file in folder.rglob("*")):
+        raise plug_in.refusal(
+            "read no file of it by data_schemas.storage (read_bytes, read_npy, tiff_image), so that the record could "
+            "not name what it was made from", f"{folder}: ",
+        )  # fmt: skip
+    return capture

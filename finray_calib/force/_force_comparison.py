@@ -97,6 +97,7 @@ def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
         missing=(
             *(f"{v.field}: its press failed ({v.failure})" for v in varied if len(v.depth_mm) < 2),
             *(f"{field}: stated by the design, but no press was computed with it changed" for field in sorted(stated)),
+            *(f"the parameters of {part}, whose uncertainty is not known" for part in press.design.packaged_parts()),
             *(() if varied else ("materials and dimensions: 'finray simulate press --sensitivities'",)),
         ),
     )

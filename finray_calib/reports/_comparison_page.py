@@ -32,6 +32,7 @@ from finray_calib.reports._comparison_statements import (
     budget_table,
     headline,
     metric_table,
+    packaged_metric_table,
     row_of,
     sensing_table,
     tone_table,
@@ -249,13 +250,14 @@ def _sensed(sensing: SensingError) -> Part:
 
 def _metrics(report: PhotometricErrorReport) -> Part:
     """Show every metric of every region."""
+    others = (packaged_metric_table(report.packaged_metrics),) if report.packaged_metrics else ()
     return Part(
         "All metrics",
         Content(
             lead="Every number stands beside doing nothing (the untouched image in place of the simulation) and the "
             "floor (a second capture without contact in place of the first). A metric that rates doing nothing nearly "
             f"as good as the simulation cannot distinguish them. Square brackets: {_BRACKETS[interval_name(report)]}.",
-            tables=tuple(metric_table(report, region) for region in report.regions),
+            tables=(*(metric_table(report, region) for region in report.regions), *others),
             remarks=(f"SSIM: {report.ssim_settings}.",),
             has_wide_tables=True,
         ),

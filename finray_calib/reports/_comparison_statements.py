@@ -14,6 +14,7 @@ from data_schemas import (
     ErrorRow,
     FittedToneCurve,
     Interval,
+    PackagedMetric,
     PhotometricErrorReport,
     RecordError,
     RegionError,
@@ -29,6 +30,7 @@ from finray_calib.reports._plain_text import (
     fixed,
     interval_name,
     interval_text,
+    metric_value,
     percent,
     signed_percent,
     significant,
@@ -349,6 +351,17 @@ def metric_table(report: PhotometricErrorReport, region: RegionError) -> ReportT
         row = ("SSIM of the whole frame", *shown, "higher; says little")
         groups[-1] = TableGroup(paper.heading, (*paper.rows, row))
     return ReportTable(_sentence(region_heading(report, region)), _METRIC_COLUMNS, tuple(g for g in groups if g.rows))
+
+
+def packaged_metric_table(metrics: tuple[PackagedMetric, ...]) -> ReportTable:
+    """List the metrics that other packages bring, for the three candidates."""
+    groups = []
+    for metric in metrics:
+        shown = {row.candidate: metric_value(row, metric) for row in metric.rows}
+        values = [shown.get(name, NO_VALUE) for name in _CANDIDATES]
+        over = f", interval over {metric.draws} draws of the inputs" if metric.draws else ", without an interval"
+        groups.append(TableGroup(metric.package, ((f"{metric.name}: {metric.words}{over}", *values, metric.better),)))
+    return ReportTable("Metrics that other packages bring", _METRIC_COLUMNS, tuple(groups))
 
 
 def tone_table(curve: FittedToneCurve) -> ReportTable:

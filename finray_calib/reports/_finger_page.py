@@ -248,6 +248,11 @@ def _part_table(design: FingerDesign, layout: SkeletonLayout, parts: tuple[Scene
 _SKELETON_SIZES = ("front_fin_thickness_mm", "back_fin_thickness_mm", "rib_count", "rib_thickness_mm", "rib_width_mm")
 
 
+_INDENTER_SIZE = {
+    **dict.fromkeys(("cylinder", "ball"), "indenter.radius_mm"), "cuboid": "indenter.size_mm", "mesh": "indenter.file",
+}  # fmt: skip
+
+
 def _what(design: FingerDesign, layout: SkeletonLayout, name: str) -> tuple[str, tuple[str, ...]]:
     """Return what a part is, and the fields of the design that its size rests on."""
     pad, skeleton, indenter = design.pad, design.skeleton, design.indenter
@@ -279,7 +284,7 @@ def _what(design: FingerDesign, layout: SkeletonLayout, name: str) -> tuple[str,
         ),
         "indenter": (
             f"{indenter.shape}, pushed in by {indenter.depth_mm:g} mm (shown where it first touches)",
-            ({"cuboid": "indenter.size_mm", "mesh": "indenter.file"}.get(indenter.shape, "indenter.radius_mm"),),
+            (_INDENTER_SIZE.get(indenter.shape, "indenter.parameters"),),
         ),
     }
     if name in known:

@@ -272,6 +272,8 @@ def _indenter_size(design: FingerDesign) -> str:
     if indenter.size_mm is not None:
         x, y, z = indenter.size_mm
         return f"{indenter.shape} {z:g} long, {x:g} wide, {y:g} high"
+    if indenter.is_packaged:
+        return f"{indenter.shape} of {indenter.package}"
     return f"{indenter.shape} {indenter.file}" if indenter.file else f"{indenter.shape}, radius {indenter.radius_mm:g}"
 
 

@@ -17,6 +17,8 @@ from data_schemas import (
     ForceComparison,
     ForceEstimate,
     ForceThird,
+    MetricRow,
+    PackagedMetric,
     PhotometricErrorReport,
     RegionError,
 )
@@ -146,9 +148,22 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
         lines.append(
             "in brackets: over pixels of this press, no 95 % interval; three presses give one (compare folders)"
         )
+    for metric in report.packaged_metrics:
+        shown = "; ".join(f"{row.candidate} {metric_value(row, metric)}" for row in metric.rows)
+        told = f"{metric.name} of {metric.package} ({metric.words}; {metric.better} is better): {shown}"
+        lines += wrap(told, WIDTH_COLUMNS, subsequent_indent="  ")
     for reason in report.withheld:
         lines += wrap(f"withheld: {reason}", WIDTH_COLUMNS, subsequent_indent="  ")
     return "\n".join(lines) + "\n"
+
+
+def metric_value(row: MetricRow, metric: PackagedMetric) -> str:
+    """Return the value of a metric of another package with its interval, where it has one, and its unit."""
+    value = row.value
+    text = f"{value.estimate:.4g}"
+    if value.low95 < value.high95:
+        text += f" [{value.low95:.4g}, {value.high95:.4g}]"
+    return text if metric.unit == "1" else f"{text} {metric.unit}"
 
 
 def _heading(report: PhotometricErrorReport, region: RegionError) -> str:

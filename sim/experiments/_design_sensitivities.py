@@ -318,9 +318,9 @@ def _uncertain(design: FingerDesign) -> tuple[str, ...]:
 
 def _changes(design: FingerDesign, fields: Sequence[str]) -> Iterator[tuple[str, float]]:
     """Yield field and relative change of every number that the design has."""
-    nodes = len(finger_mesh(design, PRESET).nodes_mm)
+    nodes, idle = len(finger_mesh(design, PRESET).nodes_mm), design.idle_fields()
     for field in fields:
-        unused = field.startswith("mechanics.onyx.") and design.skeleton.backing is None
+        unused = field in idle or (field.startswith("mechanics.onyx.") and design.skeleton.backing is None)
         if unused or not isinstance(design_value(design, field), float | tuple):
             continue
         material = field.startswith("mechanics.")

@@ -13,6 +13,7 @@ from data_schemas import (
     PressMechanics,
     PressMotion,
     PressSensitivities,
+    Rubber,
     SimulateError,
 )
 from sim.mechanics import (
@@ -218,7 +219,8 @@ def _mechanics(
             pressed.contact,
             *([f"{pressed.crossing}: the results from there on are not physical"] if pressed.crossing else []),
             *_chord_note(design, preset, pressed),
-            f"gel: C10 = {gel.c10_mpa:g} MPa, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
+            f"gel: {_law(gel)}, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
+            *([f"skeleton: {_law(design.mechanics.skeleton)}"] if design.mechanics.skeleton.law is not None else []),
             f"mesh: on the 70 x 35 finger this fineness gives {100 * FORCE_EXCESS_REL[preset]:.0f} % more force than "
             f"an "
             "infinitely fine one, extrapolated",
@@ -226,6 +228,14 @@ def _mechanics(
             *notes,
         ),
     )
+
+
+def _law(solid: Rubber) -> str:
+    """Return a rubber's law in words; of another package, with its constants."""
+    if solid.law is None:
+        return f"C10 = {getattr(solid, 'c10_mpa'):g} MPa"  # noqa: B009
+    constants = ", ".join(f"{name} = {value:g}" for name, value in solid.parameters.items())
+    return f"law {solid.law} of {solid.package} ({constants or 'no parameters'}), whose uncertainty is not known"
 
 
 def _what_was_done(pressed: PressedFinger) -> str:

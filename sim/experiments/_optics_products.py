@@ -165,8 +165,8 @@ def camera_capture(
         exposure_s=EXPOSURE_S,
         light_angle_deg=light_angle_deg,
         indenter=IndenterPose(
-            shape=indenter.shape,
-            radius_mm=indenter.radius_mm,
+            shape=indenter.pose_shape,
+            radius_mm=None if indenter.is_packaged else indenter.radius_mm,
             depth_mm=indenter.depth_mm,
             position_mm=indenter.position_mm,
         ),

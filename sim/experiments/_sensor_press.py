@@ -128,6 +128,7 @@ def _imprint(sensor: PlainSensor, folder: Path) -> PressedCoat:
 def _imprinted(design: FingerDesign, rest: GelHeight, folder: Path) -> tuple[GelHeight, Floats]:
     """Return the coat with the body of a design in it, and the distance from the contact's middle."""
     body = rigid_indenter(design, folder)
+    body.check_surface()
     vertices = body.vertices_mm(-design.indenter.depth_mm)
     tool = height_over_pad_mm(vertices[body.surface.triangles], rest.x_mm, rest.z_mm, "lowest")
     _require_gel(np.where(np.isnan(tool), np.inf, tool), "indenter.depth_mm presses it in so far that it")

@@ -28,9 +28,22 @@ if TYPE_CHECKING:
         pad_mesh,
     )
     from sim.mechanics._indenter_path import IndenterPath, moved_pose, press_along, press_as_designed, read_path
-    from sim.mechanics._indenters import rigid_indenter, side_outline_mm
+    from sim.mechanics._indenters import (
+        IndenterShape,
+        ShapeBody,
+        check_indenter_shape,
+        rigid_indenter,
+        side_outline_mm,
+    )
     from sim.mechanics._loads import LoadedFinger, press_to_force
-    from sim.mechanics._materials import LinearElastic, Material, Ogden
+    from sim.mechanics._materials import (
+        LinearElastic,
+        Material,
+        MaterialLaw,
+        Ogden,
+        PackagedMaterial,
+        check_material_law,
+    )
     from sim.mechanics._mesh import Block, FingerMesh
     from sim.mechanics._penalty_contact import (
         QUAD_CORNERS,
@@ -72,21 +85,27 @@ __all__ = [
     "Cylinder",
     "FingerMesh",
     "IndenterPath",
+    "IndenterShape",
     "LinearElastic",
     "LoadedFinger",
     "Material",
+    "MaterialLaw",
     "Ogden",
+    "PackagedMaterial",
     "Part",
     "PenaltyContact",
     "Pose",
     "PressSettings",
     "PressedFinger",
     "RoundedBox",
+    "ShapeBody",
     "SkeletonLayout",
     "SlidingContact",
     "Sphere",
     "back_curve_mm",
     "body_mesh",
+    "check_indenter_shape",
+    "check_material_law",
     "check_no_path",
     "chord_shortfall_rel",
     "chosen_contact",

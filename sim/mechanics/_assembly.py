@@ -15,8 +15,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from data_schemas import SimulateError
-from sim.mechanics._element_kernels import OGDEN, compiled, many_hexahedra
-from sim.mechanics._materials import Material
+from sim.mechanics._element_kernels import ST_VENANT_KIRCHHOFF, compiled, many_hexahedra, many_stretches
+from sim.mechanics._materials import Material, PackagedMaterial
 from sim.mechanics._mesh import Block, FingerMesh
 
 FloatArray = NDArray[np.float64]
@@ -386,13 +386,19 @@ class Elasticity:
         self, u: FloatArray, modes: FloatArray, held: FloatArray, level: int, out: ElementMatrices
     ) -> None:
         block, part, material = out.block, out.elements, self._materials[out.block]
+        cells = self.cells[block][part]
+        parameters = material.parameters
+        if isinstance(material, PackagedMaterial):
+            stretches = np.empty((len(cells), 8, 3))
+            many_stretches(self._nodes, u, cells, modes[part], stretches)
+            parameters = material.rows(stretches)
         many_hexahedra(
             self._nodes,
             u,
-            self.cells[block][part],
+            cells,
             modes[part],
             material.law,
-            material.parameters,
+            parameters,
             held[part],
             level,
             self._energies[block][part],
@@ -421,7 +427,7 @@ def _material_of(block: Block, materials: Mapping[str, Material]) -> Material:
             f"block {block.name} is of material {block.material}, which is not among {', '.join(sorted(materials))}"
         )
     material = materials[block.material]
-    if block.element == "mean_dilatation" and material.law != OGDEN:
+    if block.element == "mean_dilatation" and material.law == ST_VENANT_KIRCHHOFF:
         raise SimulateError(
             f"block {block.name} asks for mean dilatation with the linear elastic material {block.material}; that "
             "element is for Ogden and neo-Hookean materials: use incompatible_modes"

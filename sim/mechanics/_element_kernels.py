@@ -11,6 +11,8 @@ Elastic Deformations, 1984, section 6.1.4; B. Smith et al., ACM Trans. Graph. 38
 A tangent without negative curvature follows by setting negative values of these modes to zero.
 
 Laws take a row of parameters: ST_VENANT_KIRCHHOFF (bulk = 0, lambda, mu in MPa), OGDEN (bulk, mu_1, alpha_1, ...).
+GIVEN is a law that another package brings: its energies were computed beforehand, at the stretches of
+:func:`many_stretches`, and its row holds, of each element, the bulk modulus and of each point psi, psi_i, psi_ij.
 
 Numba enters the mechanics here only. It renews a cached function when its own file changes, not when a function that
 it calls does: a compiled function therefore calls only compiled functions of its own file.
@@ -42,6 +44,10 @@ FloatArray = NDArray[np.float64]
 
 ST_VENANT_KIRCHHOFF: Final = 0
 OGDEN: Final = 1
+GIVEN: Final = 2
+GIVEN_OF_POINT: Final = 13
+"""Numbers of a point of a given law: psi, three psi_i, nine psi_ij."""
+GIVEN_OF_ELEMENT: Final = 1 + 8 * GIVEN_OF_POINT
 
 CORNERS: Final = np.array(
     [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], np.float64
@@ -128,6 +134,12 @@ def stretch_energy(
         for j in range(3):
             second[i, j] = 0.0
     energy = 0.0
+    if law == GIVEN:
+        for i in range(3):
+            first[i] = parameters[2 + i]
+            for j in range(3):
+                second[i, j] = parameters[5 + 3 * i + j]
+        return float(parameters[1])
     if law == ST_VENANT_KIRCHHOFF:
         lame, shear = parameters[1], parameters[2]
         trace = 0.5 * ((stretch[0] ** 2 - 1.0) + (stretch[1] ** 2 - 1.0) + (stretch[2] ** 2 - 1.0))
@@ -374,7 +386,8 @@ def hexahedron(
     force[:] = 0.0
     for q in range(8):
         _principal_frame(f[q], stretch, material, spatial, work)
-        energy += volume[q] * stretch_energy(law, parameters, stretch, first, second, curve)
+        row = parameters[GIVEN_OF_POINT * q :] if law == GIVEN else parameters
+        energy += volume[q] * stretch_energy(law, row, stretch, first, second, curve)
         if bulk > 0.0:
             own = bulk * (jacobians[q] - 1.0)
             pressure = held_mpa[0] if mean_dilatation else held_mpa[q] if at_points else own
@@ -494,7 +507,7 @@ def many_hexahedra(
             here,
             displacement,
             law,
-            parameters,
+            parameters[GIVEN_OF_ELEMENT * e :] if law == GIVEN else parameters,
             extra == 0,
             held_mpa[e],
             level,
@@ -513,3 +526,31 @@ def many_hexahedra(
         _condense(whole, whole_force, work, solved[e], condensed)
         force[e] = condensed[:24, 24]
         tangent[e] = condensed[:24, :24]
+
+
+@compiled
+def many_stretches(
+    x: FloatArray, u: FloatArray, corners: NDArray[np.int64], modes: FloatArray, stretches: FloatArray
+) -> None:
+    """Fill the principal stretches (m, 8, 3) at the points of hexahedra (m, 8), as :func:`hexahedron` finds them.
+
+    Of an element that is inside out, at rest or now, they are 1: its energy is infinite whatever they are.
+    """
+    nodes = 8 + modes.shape[1]
+    here, displacement = np.empty((8, 3)), np.empty((nodes, 3))
+    gradients, volume, f = np.empty((8, nodes, 3)), np.empty(8), np.empty((3, 3))
+    material, spatial, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for e in range(len(corners)):
+        for a in range(8):
+            for i in range(3):
+                here[a, i] = x[corners[e, a], i]
+                displacement[a, i] = u[corners[e, a], i]
+        for a in range(8, nodes):
+            for i in range(3):
+                displacement[a, i] = modes[e, a - 8, i]
+        stretches[e] = 1.0
+        if not reference_gradients(here, gradients, volume):
+            continue
+        for q in range(8):
+            if _deformation(gradients[q], displacement, f) > 0.0:
+                _principal_frame(f, stretches[e, q], material, spatial, work)

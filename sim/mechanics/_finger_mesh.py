@@ -11,8 +11,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from data_schemas import ElasticSolid, FingerDesign, NeoHookeSolid, OgdenSolid, Preset, SimulateError
-from sim.mechanics._materials import LinearElastic, Ogden, check_stability, neo_hooke
+from data_schemas import FingerDesign, Preset, SimulateError
+from sim.mechanics._indenters import touch_radius_mm
+from sim.mechanics._materials import Material, material_of
 from sim.mechanics._mesh import Block, CornerGrading, FingerMesh, Tie, divided, hexahedra_on_grid, quads_of_layer
 from sim.mechanics._penalty_contact import node_blocks, quad_shapes
 from sim.mechanics._skeleton import BOND_MM, skeleton_mesh
@@ -270,28 +271,20 @@ def pad_mesh(design: FingerDesign, step_mm: float, layer_mm: float) -> FingerMes
 _TIE_MODULI_TIMES_STEP = 100.0
 
 
-def finger_materials(design: FingerDesign) -> dict[str, Ogden | LinearElastic]:
+def finger_materials(design: FingerDesign) -> dict[str, Material]:
     """Return the engine's materials by the names that the mesh's blocks give.
 
     Raises
     ------
     SimulateError
-        When a rubber's constants make it unstable.
+        When a rubber's constants make it unstable, or a law of another package cannot be had.
     """
-    found: dict[str, Ogden | LinearElastic] = {}
+    found: dict[str, Material] = {}
     for name in type(design.mechanics).model_fields:
-        solid = getattr(design.mechanics, name)
-        if isinstance(solid, OgdenSolid):
-            rubber = Ogden(solid.mu_mpa, solid.alpha, solid.bulk_over_shear)
-            try:
-                check_stability(rubber)
-            except SimulateError as unstable:
-                raise SimulateError(f"mechanics.{name}: {unstable}") from unstable
-            found[name] = rubber
-        elif isinstance(solid, NeoHookeSolid):
-            found[name] = neo_hooke(solid.c10_mpa, solid.bulk_over_shear)
-        elif isinstance(solid, ElasticSolid):
-            found[name] = LinearElastic(solid.youngs_modulus_mpa, solid.poisson_ratio)
+        try:
+            found[name] = material_of(getattr(design.mechanics, name))
+        except SimulateError as fault:
+            raise SimulateError(f"mechanics.{name}: {fault}") from fault
     return found
 
 
@@ -314,7 +307,8 @@ def chord_shortfall_rel(design: FingerDesign, preset: Preset, depth_mm: float) -
     by up to the chord's height h^2 / (8 R), which is lost from the push. The factor is that of ten presses of balls
     (2 to 8 mm) and a cylinder (10 mm) on the coarse 70 x 35 finger, h^2 / (8 R d) from 0.1 to 0.8, whose shortfalls of
     3 to 33 % it meets within 5 points, with the middle over an edge of the mesh. Over the middle of a face a third more
-    is missing (43 % in place of 33 %), over a sampling point nothing (3 %). Cuboids touch with faces: 0.
+    is missing (43 % in place of 33 %), over a sampling point nothing (3 %). Cuboids touch with faces: 0. Of a body of
+    another package, R is its least radius of curvature where it first touches.
 
     Parameters
     ----------
@@ -325,7 +319,8 @@ def chord_shortfall_rel(design: FingerDesign, preset: Preset, depth_mm: float) -
     depth_mm
         Push from first touch.
     """
-    if design.indenter.shape not in ("cylinder", "ball") or depth_mm <= 0.0:
+    radius_mm = touch_radius_mm(design) if depth_mm > 0.0 else None
+    if radius_mm is None:
         return 0.0
-    chord_mm = STEPS[preset].pad_mm ** 2 / (8.0 * design.indenter.radius_mm)
+    chord_mm = STEPS[preset].pad_mm ** 2 / (8.0 * radius_mm)
     return float(min(1.0, _SHORTFALL * chord_mm / depth_mm))

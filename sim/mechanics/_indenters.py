@@ -5,16 +5,28 @@ A body of triangles comes to touch where its height over the curved face is leas
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from data_schemas import FingerDesign, SimulateError, check_magnitude
+from data_schemas import (
+    INDENTER_SHAPES,
+    FingerDesign,
+    Indenter,
+    PlugIn,
+    SimulateError,
+    check_magnitude,
+    numbers_of,
+)
 from sim.mechanics._rigid_bodies import (
     Body,
     Cylinder,
+    Distances,
     FacetedBody,
     Pose,
     RoundedBox,
@@ -23,6 +35,7 @@ from sim.mechanics._rigid_bodies import (
     body_mesh,
     read_body,
     rotation_matrix,
+    sphere_facets,
 )
 from sim.surface_meshes import rest_height_mm
 
@@ -31,6 +44,7 @@ FloatArray = NDArray[np.float64]
 CHORD_MM = 0.004
 """By how much the facets of round bodies lie inside them at most."""
 
+_MOST_OFF_MM = 0.02  # half a per cent of a push of 4 mm
 _RADII_MM = (0.25, 1000.0)
 _SIZES_MM = (0.5, 300.0)
 _EDGE_RADII_MM = (0.01, 150.0)
@@ -54,11 +68,30 @@ class RigidIndenter:
         Its triangles in its own axes.
     touching
         Its pose where it first touches the undeformed coat.
+    surface_off_mm
+        By how much the triangles of a body of another package miss it; where a body of ours has facets, they lie at
+        most :data:`CHORD_MM` inside it.
     """
 
     body: Body | None
     surface: TriangleMesh
     touching: Pose
+    surface_off_mm: float = 0.0
+
+    def check_surface(self) -> None:
+        """Refuse triangles that miss their body by more than a contact on them, or an imprint of them, may.
+
+        Raises
+        ------
+        SimulateError
+            They do: the body has sharp edges.
+        """
+        if self.surface_off_mm > _MOST_OFF_MM:
+            raise SimulateError(
+                f"indenter.shape: triangles of this body miss it by {self.surface_off_mm:.2g} mm, because it has sharp "
+                f"edges, and at most {_MOST_OFF_MM:g} mm is allowed where triangles are needed; press by finite "
+                "elements with --contact penalty, which takes exact distances, or round its edges"
+            )
 
     def exact_body(self) -> Body:
         """Return what tells exact distances: a mesh of the user is its facets."""
@@ -96,10 +129,213 @@ def rigid_indenter(design: FingerDesign, folder: Path = Path()) -> RigidIndenter
     if wanted.shape == "mesh":
         surface = read_body(folder / str(wanted.file))
         return RigidIndenter(None, surface, _touch_of_mesh(design, surface, rotation))
+    if wanted.is_packaged:
+        packaged = _packaged_body(wanted)
+        touching = _touch_of_body(design, packaged, rotation)
+        return RigidIndenter(packaged, packaged.surface, touching, packaged.surface_off_mm)
     _check_sizes(design)
     body = _body(design)
     half_length = design.pad.length_mm + design.pad.width_mm
     return RigidIndenter(body, body_mesh(body, CHORD_MM, half_length), _touch_of_body(design, body, rotation))
+
+
+class ShapeBody(Protocol):
+    """What a shape of another package returns: a rigid body in its own axes, by its signed distance.
+
+    A closed body of 0.5 to 300 mm from its origin, which lies inside, and which every ray from there leaves once. y is
+    up: the body is pressed down along -y, x lies across the pad and z along it.
+    """
+
+    def distances(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return signed distance (m,) in mm, negative inside, and its gradient (m, 3) at points (m, 3) in mm.
+
+        The gradient is the distance's own and of length 1 near the surface; away from it the distance may be less than
+        the true one and never more. It is asked some hundred times in a press, for all points of the coat together.
+        """
+        ...
+
+
+class IndenterShape(Protocol):
+    """What the module of an indenter's shape has."""
+
+    def body(self, **parameters: float) -> ShapeBody:
+        """Return the body for the design's ``indenter.parameters``."""
+        ...
+
+
+_NEAR_SHARE = 0.02  # of the body's size: how near to its surface the check looks
+_CHECKED_RAYS = 400
+_ALONG_RAY = 120
+_STEP_MM = 1e-5
+_MISS = 1e-4  # of a gradient of length 1; central differences miss by 1e-9, next to an edge of rounding by 1e-5
+_FEW = 0.02  # of the points may lie on edges, where the gradient jumps
+_FINEST_PARTS = 5
+_HALVINGS = 50
+
+
+class PackagedBody:
+    """A body of another package: its distances, checked each time, and triangles that are made of them.
+
+    Parameters
+    ----------
+    plug_in
+        Who brings it.
+    body
+        What its module returned.
+
+    Raises
+    ------
+    SimulateError
+        The body does not keep the contract of :class:`ShapeBody`.
+    """
+
+    def __init__(self, plug_in: PlugIn, body: ShapeBody) -> None:
+        self._plug_in, self._body = plug_in, body
+        if not callable(getattr(body, "distances", None)):
+            raise plug_in.refusal(f"returns a {type(body).__name__} as its body, which lacks distances(points_mm)")
+        rays = np.random.default_rng(0).standard_normal((_CHECKED_RAYS, 3))
+        self._check(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        self.surface, self.surface_off_mm = self._facets()
+
+    def distances(self, points_mm: FloatArray) -> Distances:
+        """Return distance and gradient; the second derivative, which no press uses, is given as nought."""
+        distance, gradient = self._given(points_mm)
+        return distance, gradient, np.zeros((len(points_mm), 3, 3))
+
+    def _given(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        given: Any = self._plug_in.call(lambda: self._body.distances(points_mm), "indenter: ")
+        if not isinstance(given, tuple) or len(given) != 2:
+            raise self._plug_in.refusal("returns no tuple of distance and gradient from distances", "indenter: ")
+        count = len(points_mm)
+        distance = numbers_of(self._plug_in, "distances", given[0], (count,), "indenter: ")
+        return distance, numbers_of(self._plug_in, "gradients", given[1], (count, 3), "indenter: ")
+
+    def local_radius_mm(self, place_mm: FloatArray) -> float:
+        """Return the least radius of curvature at a place (3,) on the surface, by differences of the normal."""
+        steps = _NEAR_SHARE * np.eye(3)
+        ahead, behind = self._given(place_mm + steps)[1], self._given(place_mm - steps)[1]
+        bend = float(np.abs(np.linalg.eigvals((ahead - behind) / (2.0 * _NEAR_SHARE))).max())
+        return 1.0 / max(bend, 1e-12)
+
+    def _radii_mm(self, rays: FloatArray) -> FloatArray:
+        """Return how far from the origin rays (m, 3) leave the body, by halving."""
+        low, high = np.zeros(len(rays)), np.full(len(rays), _SIZES_MM[1])
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2.0
+            inside = self._given(middle[:, None] * rays)[0] < 0.0
+            low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+        return (low + high) / 2.0
+
+    def _check(self, rays: FloatArray) -> None:
+        """Refuse a body that is not closed, not seen whole from its origin, or whose gradient is not its own."""
+        ends = self._given(np.concatenate([1e-3 * rays[:1], _SIZES_MM[1] * rays]))[0]
+        if ends[0] >= 0.0 or ends[1:].min() <= 0.0:
+            raise self._plug_in.refusal(
+                f"is no closed body about its origin within {_SIZES_MM[1]:g} mm: its distance must be below 0 at the "
+                f"origin and above 0 at {_SIZES_MM[1]:g} mm, and is {ends[0]:.3g} and {ends[1:].min():.3g} mm"
+            )
+        radii = self._radii_mm(rays)
+        size = float(radii.max())
+        if size < _SIZES_MM[0]:
+            raise self._plug_in.refusal(f"is a body of {size:.3g} mm; it must be {_SIZES_MM[0]:g} mm at least")
+        share = np.linspace(0.0, 1.05 * size, _ALONG_RAY + 1)[1:]
+        beyond = share[None, :] > radii[:, None] + 1e-6
+        away = np.abs(share[None, :] - radii[:, None]) > 1e-3
+        outside = self._given((share[None, :, None] * rays[:, None, :]).reshape(-1, 3))[0].reshape(beyond.shape) > 0.0
+        if twice := int(((outside != beyond) & away).any(axis=1).sum()):
+            raise self._plug_in.refusal(
+                f"is not seen whole from its origin: {twice} of {len(rays)} rays leave the body more than once; move "
+                'its origin, or press its STL as indenter.shape = "mesh"'
+            )
+        self._check_gradient(rays, radii, size)
+
+    def _check_gradient(self, rays: FloatArray, radii: FloatArray, size_mm: float) -> None:
+        off = np.random.default_rng(1).uniform(-1.0, 1.0, len(rays)) * _NEAR_SHARE
+        near, far = (radii + off * np.minimum(radii, 1.0))[:, None] * rays, (radii + size_mm)[:, None] * rays
+        points = np.concatenate([near, far])
+        _, gradient = self._given(points)
+        steps = _STEP_MM * np.eye(3)
+        ways = [self._given(points + step)[0] - self._given(points - step)[0] for step in steps]
+        missed = np.abs(np.stack(ways, axis=1) / (2.0 * _STEP_MM) - gradient).max(axis=1)
+        length = np.linalg.norm(gradient, axis=1)
+        lengths_off = np.concatenate([np.abs(length[: len(near)] - 1.0), np.maximum(length[len(near) :] - 1.0, 0.0)])
+        for fault, wrong in (
+            ("gives a gradient that is not its distance's", missed),
+            (
+                "gives a distance that is none: its gradient is not of length 1 near the surface, or longer off it",
+                lengths_off,
+            ),
+        ):
+            if float((wrong > _MISS).mean()) > _FEW:
+                worst = int(wrong.argmax())
+                x, y, z = points[worst]
+                raise self._plug_in.refusal(f"{fault}: off by {wrong[worst]:.3g} at ({x:.3g}, {y:.3g}, {z:.3g}) mm")
+
+    def _facets(self) -> tuple[TriangleMesh, float]:
+        """Return triangles with corners on the body, as many as needed or as serve, and by how much they miss it."""
+        for parts in range(_FINEST_PARTS + 1):
+            sphere = sphere_facets(0.04 / 4.0**parts)
+            rays = sphere.vertices_mm / np.linalg.norm(sphere.vertices_mm, axis=1, keepdims=True)
+            mesh = TriangleMesh(self._radii_mm(rays)[:, None] * rays, sphere.triangles)
+            corners = mesh.vertices_mm[mesh.triangles]
+            middles = np.concatenate(
+                [corners.mean(axis=1), (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3) / 2.0]
+            )
+            off = float(np.abs(self._given(middles)[0]).max())
+            if off <= CHORD_MM:
+                break
+        return mesh, off
+
+
+@lru_cache(maxsize=8)
+def _checked_body(plug_in: PlugIn, module: ModuleType, parameters: tuple[tuple[str, float], ...]) -> PackagedBody:
+    """Return the body that a package gives for some parameters."""
+    plug_in.check_parameters(module.body, dict(parameters), 0)
+    return PackagedBody(plug_in, plug_in.call(lambda: module.body(**dict(parameters)), "indenter: "))
+
+
+def _packaged_body(wanted: Indenter) -> PackagedBody:
+    """Return the body of a shape that another package brings."""
+    plug_in = wanted.plug_in()
+    return _checked_body(plug_in, plug_in.load(), tuple(wanted.parameters.items()))
+
+
+def check_indenter_shape(shape: IndenterShape, **parameters: float) -> None:
+    """Check that a shape keeps its contract, as a press does that uses it: for the tests of its package.
+
+    Its body is closed about its origin, of 0.5 to 300 mm, and every one of 400 rays from there leaves it once; the
+    gradient is the distance's own, of length 1 near the surface and not above that a body's size away, but for up to
+    2 % of the points, which may lie on edges.
+
+    Parameters
+    ----------
+    shape
+        The module, or an object with its function.
+    **parameters
+        As the design's ``indenter.parameters`` gives them.
+
+    Raises
+    ------
+    SimulateError
+        It does not; the message says what is wrong, and where.
+    """
+    plug_in = PlugIn(INDENTER_SHAPES, getattr(shape, "__name__", type(shape).__name__), "", "this package")
+    plug_in.check_parameters(shape.body, parameters, 0)
+    PackagedBody(plug_in, plug_in.call(lambda: shape.body(**parameters)))
+
+
+def touch_radius_mm(design: FingerDesign) -> float | None:
+    """Return the least radius of curvature where the indenter first touches; none of cuboids and meshes."""
+    wanted = design.indenter
+    if not wanted.is_packaged:
+        return wanted.radius_mm if wanted.shape in ("cylinder", "ball") else None
+    indenter = rigid_indenter(design)
+    body, pose = indenter.body, indenter.touching
+    if not isinstance(body, PackagedBody):
+        return None
+    grid = _at(design, _coat_grid(design))
+    nearest = grid[int(pose.distances(body, grid)[0].argmin())]
+    return body.local_radius_mm((nearest - np.array(pose.position_mm)) @ pose.rotation)
 
 
 def side_outline_mm(design: FingerDesign, depth_mm: float = 0.0, folder: Path | None = None) -> FloatArray | None:
@@ -110,7 +346,10 @@ def side_outline_mm(design: FingerDesign, depth_mm: float = 0.0, folder: Path | 
     if design.indenter.shape == "mesh" and folder is None:
         return None
     indenter = rigid_indenter(design, folder or Path())
-    shown = indenter.surface if indenter.body is None else body_mesh(indenter.body, CHORD_MM, design.pad.width_mm / 2.0)
+    if indenter.body is None or isinstance(indenter.body, PackagedBody):
+        shown = indenter.surface
+    else:
+        shown = body_mesh(indenter.body, CHORD_MM, design.pad.width_mm / 2.0)
     pose = indenter.pose(depth_mm)
     points = (shown.vertices_mm @ pose.rotation.T + np.array(pose.position_mm))[:, [2, 1]]
     return np.asarray(points[ConvexHull(points).vertices])
@@ -159,6 +398,8 @@ def _touch_of_body(design: FingerDesign, body: Body, rotation: FloatArray) -> Po
     wanted, pad = design.indenter, design.pad
     grid = _coat_grid(design)
     reach = wanted.radius_mm if wanted.size_mm is None else float(np.linalg.norm(wanted.size_mm))
+    if isinstance(body, PackagedBody):
+        reach = float(np.linalg.norm(body.surface.vertices_mm, axis=1).max())
     y = start = pad.thickness_mm + reach + _START_ABOVE * (pad.length_mm + pad.width_mm)
     for _ in range(_MOST_STEPS):
         pose = Pose((wanted.across_mm, y, wanted.position_mm), rotation)

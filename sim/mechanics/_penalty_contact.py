@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from data_schemas import ContactKind, FingerDesign, SimulateError
 from sim.mechanics._assembly import State, Term
 from sim.mechanics._indenters import RigidIndenter
+from sim.mechanics._materials import material_of
 from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import Supports
 from sim.mechanics._rigid_bodies import Body, Pose
@@ -163,7 +164,7 @@ _CONTACT_MODULI_PER_STEP = 100.0
 
 def penalty_mpa_per_mm(design: FingerDesign, step_mm: float) -> float:
     """Return the stiffness of a penalty on a coat with elements of this size."""
-    return _CONTACT_MODULI_PER_STEP * (2.0 * design.mechanics.gel.c10_mpa) / step_mm
+    return _CONTACT_MODULI_PER_STEP * material_of(design.mechanics.gel).shear_modulus_mpa / step_mm
 
 
 class PenaltyTouch:

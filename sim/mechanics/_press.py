@@ -20,6 +20,7 @@ from sim.mechanics._finger_mesh import STEPS, TiedNodes, finger_materials, finge
 from sim.mechanics._increments import CoarserPath, Increment, Load, Watch, load_increments
 from sim.mechanics._indenters import rigid_indenter
 from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._materials import material_of
 from sim.mechanics._mesh import FingerMesh, OwnSurfaces
 from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports
 from sim.mechanics._penalty_contact import PenaltyPress, SlidingPress, penalty_mpa_per_mm
@@ -139,7 +140,8 @@ def press_contact(
     # here, because they cannot be imported where the library does not run
     from sim.mechanics._barrier_contact import Barrier, BarrierPress
 
-    chosen = barrier or Barrier(stiffness_mpa=2.0 * design.mechanics.gel.c10_mpa)
+    indenter.check_surface()
+    chosen = barrier or Barrier(stiffness_mpa=material_of(design.mechanics.gel).shear_modulus_mpa)
     return BarrierPress(design, mesh, indenter, replace(chosen, friction_ratio=design.indenter.friction), threads)
 
 

@@ -63,6 +63,9 @@ class MouldSizes:
             )
 
 
+_BENT_TO = ("flat", "cylindrical")  # of these pads a sheet takes the shape; of another package's it is not known
+
+
 def mould_sizes(design: FingerDesign, lining_mm: float | None = None) -> MouldSizes:
     """Return the sizes of a pad's mould: a rim on which the film's flange lies, a lining where a sheet can be bent.
 
@@ -71,10 +74,11 @@ def mould_sizes(design: FingerDesign, lining_mm: float | None = None) -> MouldSi
     design
         Finger.
     lining_mm
-        Thickness of the sheet on the bottom; by default 0.1 mm, and none in an ellipsoidal mould.
+        Thickness of the sheet on the bottom; by default 0.1 mm, and none in an ellipsoidal mould or that of another
+        package.
     """
     if lining_mm is None:
-        lining_mm = 0.0 if design.pad.shape == "ellipsoidal" else LINING_MM
+        lining_mm = LINING_MM if design.pad.shape in _BENT_TO else 0.0
     return MouldSizes(max(_WALL_MM, design.skeleton.flange_mm + _BEYOND_FLANGE_MM), _WALL_MM, lining_mm)
 
 
@@ -105,6 +109,11 @@ def mould_solid(design: FingerDesign, sizes: MouldSizes) -> Solid:
     SimulateError
         When an ellipsoidal mould is to be lined.
     """
+    if design.pad.package is not None:
+        raise SimulateError(
+            f'pad.shape = "{design.pad.shape}" is one of {design.pad.package}, which the exact faces of a STEP file do '
+            "not know; write the mould as STL"
+        )
     pad = _lined(design.pad, sizes.lining_mm)
     half, middle, wall = pad.width_mm / 2.0, pad.length_mm / 2.0, sizes.wall_mm
     # rings of four corners: rim outside, underside, rim inside, bottom of the cavity
@@ -127,9 +136,9 @@ def _lined(pad: GelPad, lining_mm: float) -> GelPad:
     """Return the pad together with the sheet under its coat: its face moved outward along its normal."""
     if not lining_mm:
         return pad
-    if pad.shape == "ellipsoidal":
+    if pad.shape not in _BENT_TO:
         raise SimulateError(
-            f"lining_mm = {lining_mm:g}: a sheet cannot be bent to the ellipsoidal pad of pad.shape; leave it out"
+            f"lining_mm = {lining_mm:g}: a sheet cannot be bent to the {pad.shape} pad of pad.shape; leave it out"
         )
     radius = None if pad.radius_mm is None else pad.radius_mm + lining_mm
     return pad.model_copy(update={"thickness_mm": pad.thickness_mm + lining_mm, "radius_mm": radius})

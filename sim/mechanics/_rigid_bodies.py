@@ -337,6 +337,11 @@ def body_mesh(body: Body, chord_mm: float, half_length_mm: float) -> TriangleMes
     return _rounded_box_facets(half, edge, chord_mm)
 
 
+def sphere_facets(chord_share: float) -> TriangleMesh:
+    """Return facets of a sphere of radius 1 mm about the origin, whose middles lie so much inside it at most."""
+    return _rounded_box_facets(np.ones(3), 1.0, chord_share)
+
+
 def _parts(radius_mm: float, angle: float, chord_mm: float) -> int:
     """Return into how many facets an arc must be divided: chord = R (1 - cos(step / 2))."""
     return max(2, math.ceil(angle / (2.0 * math.acos(1.0 - min(chord_mm / radius_mm, 0.5)))))

@@ -164,6 +164,11 @@ def deck_materials(materials: Mapping[str, Material], dialect: Dialect) -> DeckM
         if isinstance(material, LinearElastic):
             lines += ["*ELASTIC", _numbers(material.youngs_modulus_mpa, material.poisson_ratio)]
             continue
+        if not isinstance(material, Ogden):
+            raise SimulateError(
+                f"mechanics.{name}: {material.name} is a law of another package, which a deck cannot hold; take law "
+                "out of the design, or press without --engine calculix"
+            )
         d1 = 2.0 / material.bulk_modulus_mpa
         if material.alpha == (2.0,):
             lines += ["*HYPERELASTIC, NEO HOOKE", _numbers(material.mu_mpa[0] / 2.0, d1)]
@@ -550,11 +555,12 @@ def finger_push(design: FingerDesign, preset: Preset, increments: int) -> Push:
     depth_mm = design.indenter.depth_mm
     if depth_mm <= 0.0:
         raise SimulateError(f"indenter.depth_mm = {depth_mm:g} mm: a press needs a depth above 0 mm")
-    indenter = None if design.indenter.shape == "mesh" else rigid_indenter(design)
+    other = design.indenter.is_packaged or design.indenter.shape == "mesh"
+    indenter = None if other else rigid_indenter(design)
     if indenter is None or indenter.body is None:
         raise SimulateError(
-            'indenter.shape = "mesh": a deck holds a cylinder, a ball or a cuboid; press an STL without '
-            "--engine calculix"
+            f'indenter.shape = "{design.indenter.shape}": a deck holds a cylinder, a ball or a cuboid; press another '
+            "body without --engine calculix"
         )
     tilt_deg = float(np.degrees(np.arccos(np.clip(indenter.touching.rotation[1, 1], -1.0, 1.0))))
     if design.indenter.shape != "ball" and tilt_deg > _STEEPEST_DEG:

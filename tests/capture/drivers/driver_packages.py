@@ -1,10 +1,11 @@
-"""Packages of drivers outside finray-calib, as an installation leaves them: modules beside a ``.dist-info`` folder."""
+"""Packages outside finray-calib, as an installation leaves them: modules beside a ``.dist-info`` folder."""
 
 import sys
 from pathlib import Path
 
 import pytest
 
+from data_schemas import plug_ins
 from rigs import offered
 
 ROOT = Path(__file__).parents[3]
@@ -22,6 +23,13 @@ def install(site: Path, package: str, entry_points: dict[str, dict[str, str]], *
         f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in names.items()) for group, names in entry_points.items()
     ]
     (folder / "entry_points.txt").write_text("\n".join(lines), encoding="utf-8")
+    _look_again()
+
+
+def _look_again() -> None:
+    """Forget which packages there were."""
+    plug_ins.cache_clear()
+    offered.cache_clear()
 
 
 @pytest.fixture
@@ -32,9 +40,9 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Path":
     monkeypatch.syspath_prepend(folder)
     monkeypatch.setenv("PYTHONPATH", f"{folder}:{ROOT}")
     before = set(sys.modules)
-    offered.cache_clear()
+    _look_again()
     yield folder
-    offered.cache_clear()
+    _look_again()
     for name in set(sys.modules) - before:
         if str(getattr(sys.modules[name], "__file__", "")).startswith(str(folder)):
             del sys.modules[name]
