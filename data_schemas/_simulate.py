@@ -287,8 +287,22 @@ class VariedPress(Model):
         return self
 
 
+class ForceSlope(Model):
+    """Derivative of a press's force by one number of its design, at each increment."""
+
+    field: str = Field(description="dotted path of the number in the design; of a list, all its numbers together")
+    ln_force_per_ln_number: Annotated[PerIncrement, ArraySpec("<f8", ("increment",))] = Field(
+        description="d ln F / d ln x, of the force along the pad's normal"
+    )
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "ForceSlope":
+        check_dimensions(self)
+        return self
+
+
 class PressSensitivities(Model):
-    """How the force of a press depends on numbers of the design, changed one at a time."""
+    """How the force of a press depends on numbers of the design: by derivatives, or by presses with one changed."""
 
     preset: Preset
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
@@ -297,11 +311,21 @@ class PressSensitivities(Model):
     force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
         description="along the pad's normal, of the design as it is"
     )
-    varied: tuple[VariedPress, ...]
+    varied: tuple[VariedPress, ...] = Field(
+        description="whole presses with a number changed: of numbers that have no derivative, and in older versions of "
+        "all"
+    )
+    slopes: tuple[ForceSlope, ...] = ()
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "PressSensitivities":
         check_dimensions(self)
+        for slope in self.slopes:
+            if len(slope.ln_force_per_ln_number) != len(self.depth_mm):
+                raise ValueError(
+                    f"{slope.field} has {len(slope.ln_force_per_ln_number)} derivatives, the press has "
+                    f"{len(self.depth_mm)} increments"
+                )
         return self
 
 
@@ -358,7 +382,7 @@ class PressMotion(Model):
 class PressMechanics(Record):
     """Force against push of one finger under a rigid indenter; the surfaces stand in a record of their own."""
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray simulate press'"
 
     name: str
@@ -402,7 +426,7 @@ class PressMechanics(Record):
     )
     design: FingerDesign
     sensitivities: PressSensitivities | None = Field(
-        default=None, description="presses of the design with one number changed; none unless asked for"
+        default=None, description="of the force to numbers of the design; none unless asked for"
     )
     motion: PressMotion | None = Field(
         default=None, description="of an indenter on a path, whose pushes need not rise; None of a plain press"

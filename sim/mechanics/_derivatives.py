@@ -24,11 +24,12 @@ from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, State, Term, add_forces
 from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_mesh, finger_ties
 from sim.mechanics._increments import with_own_modes
+from sim.mechanics._indenters import rigid_indenter
 from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
 from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import Supports, find_equilibrium
-from sim.mechanics._penalty_contact import PenaltyContact
-from sim.mechanics._press import PressedFinger, PressSettings, press_contact
+from sim.mechanics._penalty_contact import PenaltyContact, PenaltyPress, penalty_mpa_per_mm
+from sim.mechanics._press import PressedFinger, PressSettings
 
 FloatArray = NDArray[np.float64]
 
@@ -93,6 +94,13 @@ class StableEquilibrium:
         The equilibrium.
     solver
         Factorises.
+    push
+        How the supports move with the push d, du/dd (n, 3) of them; none: they rest.
+
+    Attributes
+    ----------
+    follow
+        du/dd of all nodes (n, 3). With it dF/dq = dR/dq . du/dd, of the force F = dPi/dd that pushes.
 
     Raises
     ------
@@ -100,13 +108,24 @@ class StableEquilibrium:
         When it is about to snap.
     """
 
-    def __init__(self, assembly: Assembly, supports: Supports, state: State, solver: SymmetricSolver) -> None:
+    def __init__(
+        self,
+        assembly: Assembly,
+        supports: Supports,
+        state: State,
+        solver: SymmetricSolver,
+        push: FloatArray | None = None,
+    ) -> None:
         assembly.assemble(state, project=False)
         self._fixed, self._solver = supports.fixed, solver
+        pulled = None if push is None else assembly.matrix.times(push.ravel()).reshape(-1, 3)
         assembly.matrix.constrain(supports.fixed.ravel())
         solver.factorise(assembly.matrix.upper(), assembly.matrix.version)
         if not solver.definite:
             raise NoEquilibriumError(_UNSTABLE)
+        self.follow = np.zeros_like(state.u_mm)
+        if push is not None and pulled is not None:
+            self.follow = np.where(self._fixed, push, self.moved_mm(pulled))
 
     def moved_mm(self, forces_n: FloatArray) -> FloatArray:
         """Return du/dq (n, 3) of dR/dq (n, 3)."""
@@ -125,13 +144,13 @@ def residual_and_energy(elasticity: Elasticity, state: State) -> tuple[FloatArra
 class _Side:
     """A changed design: the parts of its energy that the change reaches."""
 
-    def __init__(
-        self, design: FingerDesign, before: FingerDesign, mesh: FingerMesh, settings: PressSettings, folder: Path
-    ) -> None:
+    def __init__(self, design: FingerDesign, base: "_Base", settings: PressSettings, folder: Path) -> None:
+        before, mesh = base.design, base.mesh
         steps = STEPS[settings.preset or before.mesh.preset]
-        own = finger_mesh(design, settings.preset)
+        same_shape = design.model_copy(update={"mechanics": before.mechanics}) == before
+        own = mesh if same_shape else finger_mesh(design, settings.preset)
         _require_same_hexahedra(own, mesh)
-        moved = (own.nodes_mm != mesh.nodes_mm[: len(own.nodes_mm)]).any(axis=1)
+        moved = (own.nodes_mm != mesh.nodes_mm).any(axis=1)
         materials, old = finger_materials(design), finger_materials(before)
         self._blocks = [
             k for k, b in enumerate(own.blocks)
@@ -142,7 +161,8 @@ class _Side:
             changed = replace(own, blocks=tuple(own.blocks[k] for k in self._blocks))
             self._elasticity = Elasticity(changed, materials, settings.threads)
         self._ties = finger_ties(design, own, steps.skeleton_mm)
-        self._touch = press_contact(design, own, steps.pad_mm, "penalty", folder=folder)
+        indenter = base.indenter if same_shape else rigid_indenter(design, folder)
+        self._touch = PenaltyPress(own, indenter, penalty_mpa_per_mm(design, steps.pad_mm))
         self._depth_mm, self._before_mm = design.indenter.depth_mm, before.indenter.depth_mm
 
     def at(self, state: State, depth_mm: float) -> tuple[FloatArray, FloatArray, float]:
@@ -213,15 +233,15 @@ def press_derivatives(
             "derivatives are of a press by the penalty along the pad's normal: the barrier's friction remembers, and a "
             "path too; take differences of whole presses"
         )
+    base = _Base(design, pressed.mesh, settings, folder)
     sides: dict[str, tuple[_Side, _Side]] = {}
     refused = {}
     for name, change in changes.items():
         try:
-            low, high = (_Side(d, design, pressed.mesh, settings, folder) for d in (change.low, change.high))
+            low, high = (_Side(changed, base, settings, folder) for changed in (change.low, change.high))
             sides[name] = (low, high)
         except SimulateError as why:
             refused[name] = str(why)
-    base = _Base(design, pressed.mesh, settings, folder)
     forces, energies, moved = [], [], np.empty((0, len(pressed.mesh.nodes_mm), 3))
     for k in range(len(pressed.depth_mm)):
         rows = base.at(pressed, k, sides, changes)
@@ -239,7 +259,8 @@ class _Base:
 
     def __init__(self, design: FingerDesign, mesh: FingerMesh, settings: PressSettings, folder: Path) -> None:
         steps = STEPS[settings.preset or design.mesh.preset]
-        self._touch = press_contact(design, mesh, steps.pad_mm, "penalty", folder=folder)
+        self.design, self.mesh, self.indenter = design, mesh, rigid_indenter(design, folder)
+        self._touch = PenaltyPress(mesh, self.indenter, penalty_mpa_per_mm(design, steps.pad_mm))
         # one after the other, they share the pose
         self._contacts = [_exact(term) for term in self._touch.terms]
         ties = finger_ties(design, mesh, steps.skeleton_mm)
