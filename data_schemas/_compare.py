@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec
+from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._design import FingerIdentity
-from data_schemas._model import Model, Record
+from data_schemas._model import Estimate, Model, Record
 from data_schemas._record_text import interval_text
 from data_schemas._sensing import LocalScale, ScaleRange
 from data_schemas._units import Fraction, RelativeUncertainty
@@ -548,3 +548,69 @@ class ForceComparison(Record):
     withheld: str = Field(
         default="", description="why there are no intervals and verdicts, and how to get them; empty where there are"
     )
+
+
+MaterialVerdict = Literal["measured", "constrained in part", "not measured (prior)"]
+PerForce = NDArray[np.float64]
+
+
+class FittedModulus(Model):
+    """A modulus, or a ratio of two, before and after force curves were seen."""
+
+    field: str = Field(description="of a finger's design; of a list of constants, their sum")
+    unit: str
+    prior: Estimate = Field(description="without the curves")
+    posterior: Estimate
+    left_of_prior_rel: NotNegative = Field(
+        description="width of the middle 68 % of its logarithm after the curves over that before"
+    )
+    verdict: MaterialVerdict = Field(description="by what is left of the prior: below a quarter, below 0.8, or more")
+
+
+class FittedForceCurve(Model):
+    """A measured force curve, and what the fitted moduli say of it."""
+
+    measured: str
+    specimen: str
+    displacement_mm: Annotated[PerForce, ArraySpec("<f8", ("point",), "mm")] = Field(description="as measured")
+    force_n: Annotated[PerForce, ArraySpec("<f8", ("point",), "N")] = Field(description="as measured")
+    fitted_n: Annotated[PerForce, ArraySpec("<f8", ("point",), "N")] = Field(
+        description="median over the posterior, with the load cell's zero and drift"
+    )
+    low95_n: Annotated[PerForce, ArraySpec("<f8", ("point",), "N")] = Field(
+        description="of a point measured again: with the noise"
+    )
+    high95_n: Annotated[PerForce, ArraySpec("<f8", ("point",), "N")]
+    first_touch_mm: Estimate = Field(description="displacement at which the plate or indenter touches")
+    noise_n: Estimate = Field(description="standard deviation of a point beside its stated uncertainty")
+    scale_ln: Estimate = Field(description="logarithm of the factor by which the computed force is wrong")
+    residual_rms_n: NotNegative
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "FittedForceCurve":
+        check_dimensions(self)
+        return self
+
+
+class MaterialFit(Record):
+    """Moduli by measured force curves of blocks of gel, or of a finger."""
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray fit-material'"
+
+    name: str
+    moduli: tuple[FittedModulus, ...]
+    draws: Annotated[PerForce, ArraySpec("<f8", ("draw", "modulus"))] = Field(
+        description="of the posterior, columns in the order of moduli, each in its unit"
+    )
+    curves: tuple[FittedForceCurve, ...]
+    effective_draws: Annotated[float, Field(gt=0.0)]
+    pareto_k: float
+    trusted: bool = Field(description="the draws cover the posterior, and enough of them count")
+    design_toml: str = Field(description="lines of a finger's design with what was measured of the gel; may be empty")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "MaterialFit":
+        check_dimensions(self, {"moduli": "modulus"})
+        return self

@@ -293,8 +293,22 @@ class VariedPress(Model):
         return self
 
 
+class ForceSlope(Model):
+    """Derivative of a press's force by one number of its design, at each increment."""
+
+    field: str = Field(description="dotted path of the number in the design; of a list, all its numbers together")
+    ln_force_per_ln_number: Annotated[PerIncrement, ArraySpec("<f8", ("increment",))] = Field(
+        description="d ln F / d ln x, of the force along the pad's normal"
+    )
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "ForceSlope":
+        check_dimensions(self)
+        return self
+
+
 class PressSensitivities(Model):
-    """How the force of a press depends on numbers of the design, changed one at a time."""
+    """How the force of a press depends on numbers of the design: by derivatives, or by presses with one changed."""
 
     preset: Preset
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
@@ -303,11 +317,21 @@ class PressSensitivities(Model):
     force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
         description="force along the pad's normal, of the unchanged design"
     )
-    varied: tuple[VariedPress, ...]
+    varied: tuple[VariedPress, ...] = Field(
+        description="whole presses with a number changed: of numbers that have no derivative, and in older versions of "
+        "all"
+    )
+    slopes: tuple[ForceSlope, ...] = ()
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "PressSensitivities":
         check_dimensions(self)
+        for slope in self.slopes:
+            if len(slope.ln_force_per_ln_number) != len(self.depth_mm):
+                raise ValueError(
+                    f"{slope.field} has {len(slope.ln_force_per_ln_number)} derivatives, the press has "
+                    f"{len(self.depth_mm)} increments"
+                )
         return self
 
 
@@ -414,7 +438,7 @@ class PressMechanics(Record):
     )
     design: FingerDesign
     sensitivities: PressSensitivities | None = Field(
-        default=None, description="presses of the design with one number changed; none unless asked for"
+        default=None, description="of the force to numbers of the design; none unless asked for"
     )
     motion: PressMotion | None = Field(
         default=None, description="motion of an indenter on a path, whose pushes need not rise; None for a plain press"

@@ -255,7 +255,7 @@ def _moved(arguments: argparse.Namespace, design: "FingerDesign", threads: int, 
 def _vary(
     arguments: argparse.Namespace, design: "FingerDesign", pressed: "PressedFinger", said: _Said, progress: Progress
 ) -> str:
-    """Press with one number changed, if that was asked for, and add it to what is said; return why it failed."""
+    """Find what the force depends on, if that was asked for, and add it to what is said; return why it failed."""
     if not arguments.sensitivities or pressed.unreached:
         return ""
     from data_schemas import SimulateError
@@ -266,7 +266,7 @@ def _vary(
     try:
         said["sensitivities"] = press_sensitivities(design, pressed, machine_threads(), progress, contact, folder)
     except SimulateError as failed:
-        unvaried = f"there are no presses with one number changed: {failed}"
+        unvaried = f"what the force depends on could not be found: {failed}"
         said["notes"] = (unvaried,)
         return unvaried
     return ""
@@ -367,7 +367,7 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
             f"about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's axis without friction"
         )
     if mechanics.sensitivities is not None:
-        say(f"  {len(mechanics.sensitivities.varied)} presses with one number changed, for 'finray compare --force'")
+        _tell_sensitivities(mechanics.sensitivities)
     wrote(files["surfaces"], "the pressed finger, to be rendered")
     wrote(files["mesh"], "the pressed mesh, for ParaView")
     shown = "the finger before and after, and its force"
@@ -376,6 +376,18 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
     wrote(files["picture"], shown)
     go_on_with("finray simulate render", files["surfaces"], "--paint red=FILE --paint green=FILE")
     look_at(files["picture"])
+
+
+def _tell_sensitivities(found: "PressSensitivities") -> None:
+    """Tell what the force at the whole push answers to, the strongest first."""
+    slopes = {slope.field: float(slope.ln_force_per_ln_number[-1]) for slope in found.slopes}
+    give(ln_force_per_ln_number=slopes, pressed_again=[varied.field for varied in found.varied])
+    say("  1 % more of a number changes the force at the whole push by, in %:")
+    for field, slope in sorted(slopes.items(), key=lambda pair: -abs(pair[1])):
+        say(f"    {field:38s} {slope:+.3f}")
+    if found.varied:
+        say(f"  {len(found.varied)} presses with one number changed, of numbers without a derivative")
+    say("  'finray compare --force' carries their uncertainty")
 
 
 def _tell_motion(mechanics: "PressMechanics", motion: "PressMotion") -> None:
@@ -445,8 +457,8 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--sensitivities", action="store_true",
-        help="also press with each uncertain modulus and thickness changed (some 15 presses), so that 'finray compare "
-        "--force' can carry their uncertainty",
+        help="also tell how the force depends on each uncertain modulus and thickness, by derivatives, so that 'finray "
+        "compare --force' can carry their uncertainty",
     )  # fmt: skip
     parser.add_argument(
         "--engine", choices=["auto", "calculix"], default="auto",

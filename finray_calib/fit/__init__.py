@@ -51,8 +51,14 @@ if TYPE_CHECKING:
         next_filters,
         stock_catalogue,
     )
-    from finray_calib.fit._importance import FEWEST_EFFECTIVE, LARGEST_PARETO_K, importance_sample, smooth_weights
-    from finray_calib.fit._likelihood import LogPosterior, find_maxima
+    from finray_calib.fit._importance import (
+        FEWEST_EFFECTIVE,
+        LARGEST_PARETO_K,
+        MixtureProposal,
+        importance_sample,
+        smooth_weights,
+    )
+    from finray_calib.fit._likelihood import LogPosterior, Maxima, find_maxima
     from finray_calib.fit._markov_chains import (
         LARGEST_MEMORY,
         LARGEST_R_HAT,
@@ -73,7 +79,14 @@ if TYPE_CHECKING:
         reflectance,
     )
     from finray_calib.fit._pixel_maps import PixelSpread, map_paint, map_pixels
-    from finray_calib.fit._prior import NO_DISCREPANCY, PAINT_DISCREPANCY, AbsorptionPrior, Discrepancy, EmissionPrior
+    from finray_calib.fit._prior import (
+        NO_DISCREPANCY,
+        PAINT_DISCREPANCY,
+        AbsorptionPrior,
+        Discrepancy,
+        EmissionPrior,
+        Prior,
+    )
     from finray_calib.fit._repeated_sessions import combine_sessions, departing_warnings
     from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE
     from finray_calib.fit._sensor_posterior import (
@@ -113,10 +126,13 @@ __all__ = [
     "FitOptions",
     "FitSettings",
     "LogPosterior",
+    "Maxima",
+    "MixtureProposal",
     "NextFilter",
     "PictureBlocks",
     "PicturePosterior",
     "PixelSpread",
+    "Prior",
     "SamplerSettings",
     "Summary",
     "autocorrelation_time",

@@ -82,13 +82,13 @@ class ForceInputs:
 
 
 def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
-    """Return the uncertain inputs of a press at pushes (n,): those that it was pressed again with."""
+    """Return the uncertain inputs of a press at pushes (n,): those whose effect it tells."""
     again = press.sensitivities
     varied = again.varied if again is not None else ()
-    known = [v for v in varied if len(v.depth_mm) > 1]
+    known = [*(again.slopes if again is not None else ()), *(v for v in varied if len(v.depth_mm) > 1)]
     effects = [log_sensitivity(again, v, depth_mm) for v in known] if again is not None else []
-    stated = set(press.design.uncertainty_rel) - {v.field for v in varied}
-    uncertain = [_uncertainty(press.design, v.field) for v in known]
+    stated = set(press.design.uncertainty_rel) - {v.field for v in (*known, *varied)}
+    uncertain = [input_uncertainty(press.design, v.field) for v in known]
     return ForceInputs(
         names=tuple(v.field for v in known),
         sources=tuple(source for _, source in uncertain),
@@ -96,14 +96,14 @@ def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
         ln_force_per_ln_input=np.array(effects).reshape(len(known), len(depth_mm)),
         missing=(
             *(f"{v.field}: its press failed ({v.failure})" for v in varied if len(v.depth_mm) < 2),
-            *(f"{field}: stated by the design, but no press was computed with it changed" for field in sorted(stated)),
+            *(f"{field}: stated by the design, but the press tells no effect of it" for field in sorted(stated)),
             *(f"the parameters of {part}, whose uncertainty is not known" for part in press.design.packaged_parts()),
-            *(() if varied else ("materials and dimensions: 'finray simulate press --sensitivities'",)),
+            *(() if known or varied else ("materials and dimensions: 'finray simulate press --sensitivities'",)),
         ),
     )
 
 
-def _uncertainty(design: FingerDesign, field: str) -> tuple[float, str]:
+def input_uncertainty(design: FingerDesign, field: str) -> tuple[float, str]:
     """Return the relative standard uncertainty of a field, and where it is from."""
     if field in design.uncertainty_rel:
         return design.uncertainty_rel[field], "stated by the design"

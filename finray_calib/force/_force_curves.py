@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from data_schemas import CompareError, PressSensitivities, VariedPress
+from data_schemas import CompareError, ForceSlope, PressSensitivities, VariedPress
 
 Floats = NDArray[np.float64]
 
@@ -81,8 +81,8 @@ class ForceCurve:
         return np.asarray(np.abs(self.at(depth_mm) - other))
 
 
-def log_sensitivity(press: PressSensitivities, varied: VariedPress, depth_mm: Floats) -> Floats:
-    """Return d ln F / d ln x at pushes (n,), by the secant of the varied press at the increments that both reach.
+def log_sensitivity(press: PressSensitivities, effect: VariedPress | ForceSlope, depth_mm: Floats) -> Floats:
+    """Return d ln F / d ln x at pushes (n,): the derivative at the increments, or the secant of a varied press there.
 
     Straight lines over ln d between the increments, constant beyond them.
 
@@ -91,13 +91,16 @@ def log_sensitivity(press: PressSensitivities, varied: VariedPress, depth_mm: Fl
     CompareError
         When the varied press has no two increments.
     """
-    one = ForceCurve("unchanged press", press.depth_mm, press.force_n)
-    other = ForceCurve(f"press with {varied.field} changed", varied.depth_mm, varied.force_n)
-    shared = one.depth_mm[one.depth_mm <= other.depth_mm[-1] * _SAME_DEPTH]
-    if not len(shared):
-        shared = other.depth_mm[-1:]
-    secant = np.log(other.at(shared) / one.at(shared)) / np.log1p(varied.change_rel)
-    return np.asarray(np.interp(np.log(np.maximum(depth_mm, shared[0])), np.log(shared), secant))
+    if isinstance(effect, ForceSlope):
+        shared, slopes = press.depth_mm, effect.ln_force_per_ln_number
+    else:
+        one = ForceCurve("unchanged press", press.depth_mm, press.force_n)
+        other = ForceCurve(f"press with {effect.field} changed", effect.depth_mm, effect.force_n)
+        shared = one.depth_mm[one.depth_mm <= other.depth_mm[-1] * _SAME_DEPTH]
+        if not len(shared):
+            shared = other.depth_mm[-1:]
+        slopes = np.log(other.at(shared) / one.at(shared)) / np.log1p(effect.change_rel)
+    return np.asarray(np.interp(np.log(np.maximum(depth_mm, shared[0])), np.log(shared), slopes))
 
 
 FEWEST_POINTS = 5

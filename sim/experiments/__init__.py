@@ -25,7 +25,12 @@ if TYPE_CHECKING:
         search_designs,
         usual_parameters,
     )
-    from sim.experiments._design_sensitivities import press_sensitivities, study_finger_stiffness
+    from sim.experiments._design_sensitivities import (
+        block_force_model,
+        finger_force_model,
+        press_sensitivities,
+        study_finger_stiffness,
+    )
     from sim.experiments._finger_evaluation import (
         EvaluationSettings,
         FingerEvaluation,
@@ -155,6 +160,7 @@ __all__ = [
     "ToleranceInput",
     "ToleranceSettings",
     "WhiteBalance",
+    "block_force_model",
     "camera_rgb",
     "capture_twin",
     "changed_numbers",
@@ -162,6 +168,7 @@ __all__ = [
     "confirmed_losses",
     "design_parameter",
     "drawn_paints",
+    "finger_force_model",
     "finger_scene",
     "fit_sensor",
     "fitted_design",

@@ -1,7 +1,8 @@
 """What a finger's stiffness and the force of a press answer to a changed design: one number at a time.
 
 Stiffness in bending and twist, with the dimensions that are assumed changed up and down; and presses with one of the
-design's materials or dimensions changed.
+design's materials or dimensions changed. And the force of a press, or of a block of its gel, as its moduli have it, to
+be fitted to a bench.
 """
 
 import itertools
@@ -11,11 +12,13 @@ from pathlib import Path
 from typing import Any, Final, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from data_schemas import (
     FingerDesign,
     FingerStiffness,
+    ForceSlope,
     Indenter,
     Measure,
     NoEquilibriumError,
@@ -26,15 +29,22 @@ from data_schemas import (
     StiffnessRow,
     VariedPress,
 )
+from finray_calib.force import BULK_RANGE, GEL_RANGE_MPA, ForceModel
 from sim.mechanics import (
+    FORCE_EXCESS_REL,
     ContactChoice,
+    DesignChange,
+    GelBlock,
     LoadedFinger,
+    Ogden,
     PressedFinger,
     PressSettings,
     chosen_contact,
+    compress_block,
     contact_forces_n,
     finger_mesh,
     frictionless_torque_n_mm,
+    press_derivatives,
     press_finger,
     press_to_force,
     slip_torque_n_mm,
@@ -215,6 +225,8 @@ def _by_change(own: Sequence[StiffnessRow], measure: Measure) -> dict[str, float
 
 # a secant of ln F over ln x, exact for any power of x; small against what makes ribs buckle
 CHANGE_REL: Final = 0.1
+SLOPE_STEP_LN: Final = 1e-4
+"""Half the difference of ln x in a derivative: its square is the error, and rounding leaves 1e-9."""
 PRESET: Final[Preset] = "coarse"
 UNCERTAIN_FIELDS: Final = (
     "mechanics.gel.c10_mpa",
@@ -245,10 +257,12 @@ def press_sensitivities(
     folder: Path = Path(),
     fields: Sequence[str] | None = None,
 ) -> PressSensitivities:
-    """Press the design again with each number changed by a tenth, on the coarse mesh.
+    """Return how the force of a press answers to each number of its design, on the coarse mesh.
 
-    The change is up, but down where only that keeps the mesh's count of nodes: another mesh would change the force
-    by itself. With the penalty, each press starts from the displacements of the unchanged one.
+    By derivatives at each increment (:func:`sim.mechanics.press_derivatives`). Numbers that have none are changed by a
+    tenth and the design is pressed again: with the barrier, near a snap, and where a small change makes another mesh.
+    The change is up, but down where only that keeps the mesh's count of nodes: another mesh would change the force by
+    itself.
 
     Parameters
     ----------
@@ -259,7 +273,7 @@ def press_sensitivities(
     threads
         Of elements and factorisation.
     progress
-        Called after each press.
+        Called before the derivatives and after each press.
     fields
         Dotted paths of the numbers, by default UNCERTAIN_FIELDS and those whose uncertainty the design
         states; what the design does not have, or what is no continuous number, is left out.
@@ -276,7 +290,11 @@ def press_sensitivities(
     if design.mesh.preset != PRESET:
         before = press_finger(design, PressSettings(PRESET, increments, threads, contact), folder=folder)
     start = before if chosen_contact(contact) == "penalty" else None
-    changes = list(_changes(design, _uncertain(design) if fields is None else fields))
+    wanted = [f for f in (_uncertain(design) if fields is None else fields) if _is_continuous(design, f)]
+    if progress is not None:
+        progress(0, 1, "what the force depends on")
+    slopes = _slopes(design, before, wanted, threads, folder)
+    changes = list(_changes(design, [field for field in wanted if field not in slopes]))
     varied = []
     for done, (field, change_rel) in enumerate(changes):
         try:
@@ -289,8 +307,31 @@ def press_sensitivities(
         if progress is not None:
             progress(done + 1, len(changes), field)
     return PressSensitivities(
-        preset=PRESET, depth_mm=before.depth_mm, force_n=before.force_n[:, 1], varied=tuple(varied)
+        preset=PRESET,
+        depth_mm=before.depth_mm,
+        force_n=before.force_n[:, 1],
+        varied=tuple(varied),
+        slopes=tuple(ForceSlope(field=field, ln_force_per_ln_number=slope) for field, slope in slopes.items()),
     )
+
+
+def _slopes(
+    design: FingerDesign, pressed: PressedFinger, fields: Sequence[str], threads: int, folder: Path
+) -> dict[str, NDArray[np.float64]]:
+    """Return d ln F / d ln x at the increments of a press, of the numbers that have it."""
+    changes = {}
+    for field in fields:
+        try:
+            low, high = (_changed(design, field, math.expm1(sign * SLOPE_STEP_LN)) for sign in (-1.0, 1.0))
+        except SimulateError:
+            continue  # at a limit of what a design may be
+        changes[field] = DesignChange(low, high, 2.0 * SLOPE_STEP_LN)
+    try:
+        found = press_derivatives(design, pressed, changes, PressSettings(PRESET, threads=threads), folder)
+    except SimulateError:
+        return {}
+    relative = found.force_n[:, :, 1] / pressed.force_n[:, 1, None]
+    return {name: relative[:, k] for k, name in enumerate(found.names)}
 
 
 def _pressed(
@@ -317,15 +358,19 @@ def _uncertain(design: FingerDesign) -> tuple[str, ...]:
 
 
 def _changes(design: FingerDesign, fields: Sequence[str]) -> Iterator[tuple[str, float]]:
-    """Yield field and relative change of every number that the design has."""
-    nodes, idle = len(finger_mesh(design, PRESET).nodes_mm), design.idle_fields()
+    """Yield fields and their relative changes."""
+    nodes = len(finger_mesh(design, PRESET).nodes_mm)
     for field in fields:
-        unused = field in idle or (field.startswith("mechanics.onyx.") and design.skeleton.backing is None)
-        if unused or not isinstance(design_value(design, field), float | tuple):
-            continue
         material = field.startswith("mechanics.")
         up = material or _node_count(design, field, CHANGE_REL) == nodes
         yield field, CHANGE_REL if up or _node_count(design, field, -CHANGE_REL) != nodes else -CHANGE_REL
+
+
+def _is_continuous(design: FingerDesign, field: str) -> bool:
+    """Whether a field is a number, or a list of them, of a part that the design has."""
+    backing = field.startswith("mechanics.onyx.") and design.skeleton.backing is None
+    unused = backing or field in design.idle_fields()
+    return not unused and isinstance(design_value(design, field), float | tuple)
 
 
 def _changed(design: FingerDesign, field: str, change_rel: float) -> FingerDesign:
@@ -342,3 +387,123 @@ def _node_count(design: FingerDesign, field: str, change_rel: float) -> int:
         return len(finger_mesh(_changed(design, field, change_rel), PRESET).nodes_mm)
     except SimulateError:
         return 0
+
+
+# C10 over the design's; between, the force's derivatives bend little
+_GEL_FACTORS = (0.5, 1.0, 2.0)
+_MODEL_INCREMENTS = 4
+_PUSH_SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
+_BULK_NODES, _BULK_NODES_OF_FINGER = 7, 4
+_BLOCK_CELLS = (5, 8)
+_BLOCK_BULK_OVER_SHEAR = 100.0
+_EDGE_LIMIT_MM = 0.1  # a cut or cast edge; a rectangular distribution within it (JCGM 100, 4.3.7)
+
+
+def finger_force_model(
+    design: FingerDesign, push_mm: float, threads: int = 1, progress: Progress | None = None, folder: Path = Path()
+) -> ForceModel:
+    """Return the force of a finger's press by its moduli: whole presses with other gels, each with its derivatives.
+
+    Parameters
+    ----------
+    design, folder
+        Finger, indenter and where the design stands.
+    push_mm
+        Deepest push.
+    threads
+        Of elements and factorisation.
+    progress
+        Called after each press.
+
+    Raises
+    ------
+    SimulateError
+        When a press finds no equilibrium or ends early, or the indenter needs the barrier.
+    """
+    deep = design.model_copy(update={"indenter": design.indenter.model_copy(update={"depth_mm": push_mm})})
+    own = deep.mechanics.gel
+    # a design holds C10 from 0.01 to 10 MPa
+    gels = [
+        factor * own.c10_mpa for factor in _GEL_FACTORS if GEL_RANGE_MPA[0] <= factor * own.c10_mpa <= GEL_RANGE_MPA[1]
+    ]
+    bulks = list(np.geomspace(*BULK_RANGE, _BULK_NODES_OF_FINGER))
+    wanted = [("mechanics.gel.c10_mpa", gel) for gel in gels] + [("mechanics.gel.bulk_over_shear", b) for b in bulks]
+    found = []
+    for done, (field, value) in enumerate(wanted):
+        changed = changed_design(deep, field, value)
+        pressed = press_finger(changed, PressSettings(PRESET, _MODEL_INCREMENTS, threads, "penalty"), folder=folder)
+        if pressed.unreached:
+            raise NoEquilibriumError(f"the press with {field} = {value:.3g} ended early: {pressed.unreached}")
+        slopes = _slopes(
+            changed, pressed, [f for f in _uncertain(changed) if _is_continuous(changed, f)], threads, folder
+        )
+        # cutbacks put increments between; all presses are read at the same ones
+        found.append(_sensitivities(pressed, slopes, push_mm * np.arange(1, _MODEL_INCREMENTS + 1) / _MODEL_INCREMENTS))
+        if progress is not None:
+            progress(done + 1, len(wanted), f"{field} = {value:.3g}")
+    return ForceModel.of_finger(
+        f"{design.name}, {PRESET} mesh", deep, list(zip(gels, found[: len(gels)], strict=True)),
+        list(zip(bulks, found[len(gels) :], strict=True)), FORCE_EXCESS_REL[PRESET],
+    )  # fmt: skip
+
+
+def _sensitivities(
+    pressed: PressedFinger, slopes: dict[str, NDArray[np.float64]], push_mm: NDArray[np.float64]
+) -> PressSensitivities:
+    """Return forces and derivatives of a press at some of its increments."""
+    at = np.abs(pressed.depth_mm[:, None] - push_mm).argmin(axis=0)
+    return PressSensitivities(
+        preset=PRESET,
+        depth_mm=pressed.depth_mm[at],
+        force_n=pressed.force_n[at, 1],
+        varied=(),
+        slopes=tuple(ForceSlope(field=field, ln_force_per_ln_number=slope[at]) for field, slope in slopes.items()),
+    )
+
+
+def block_force_model(
+    block: GelBlock, push_mm: float, threads: int = 1, progress: Progress | None = None
+) -> ForceModel:
+    """Return the force of a block of gel between plates by C10, which it is proportional to, and K/mu.
+
+    Parameters
+    ----------
+    block
+        What is compressed.
+    push_mm
+        Deepest push.
+    threads
+        Of elements and factorisation.
+    progress
+        Called after each K/mu.
+
+    Raises
+    ------
+    SimulateError
+        When the push is too deep for the block, or finds no equilibrium.
+    """
+    pushes = [share * push_mm for share in _PUSH_SHARES]
+    bulks = np.geomspace(*BULK_RANGE, _BULK_NODES)
+    found = []
+    for done, bulk in enumerate(bulks):
+        found.append(compress_block(block, Ogden((1.0,), (2.0,), float(bulk)), pushes, threads=threads))
+        if progress is not None:
+            progress(done + 1, len(bulks), f"{block.plates} block, K/mu = {bulk:.4g}")
+    gel = Ogden((1.0,), (2.0,), _BLOCK_BULK_OVER_SHEAR)
+    rough, fine = (compress_block(block, gel, pushes, cells, threads) for cells in _BLOCK_CELLS)
+    # the error falls with the edge of the elements: at the free edges of bonded plates stress is infinite
+    excess = float(np.log(rough.force_n[-1] / fine.force_n[-1])) / (_BLOCK_CELLS[1] / _BLOCK_CELLS[0] - 1.0)
+    edges = (_EDGE_LIMIT_MM / math.sqrt(3.0) / edge for edge in (block.length_mm, block.width_mm, block.height_mm))
+    # of mu = 1 MPa, so of C10 = 0.5 MPa
+    return ForceModel(
+        f"block {block.length_mm:g} x {block.width_mm:g} x {block.height_mm:g} mm, {block.plates}",
+        np.array(pushes),
+        np.array([0.5]),
+        np.log(fine.force_n)[None] - excess,
+        np.ones((1, len(pushes))),
+        bulks,
+        np.log([one.force_n for one in found]),
+        np.array([one.ln_force_per_ln_bulk for one in found]),
+        _BLOCK_BULK_OVER_SHEAR,
+        scale_u_rel=math.hypot(0.5 * excess, *edges),
+    )

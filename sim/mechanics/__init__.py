@@ -6,8 +6,9 @@ is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newto
 `press_finger` pushes the indenter of a design to a depth, `press_to_force` to a force; both return a `PressedFinger`.
 `press_along` moves it along a path of poses (press, slide, twist, roll, release) with friction that remembers where the
 coat sticks; `press_as_designed` does what the design says. Contact is a penalty on exact distances (fast) or a barrier
-that never lets surfaces cross, both with friction. `LoadedFinger` bends and twists a finger without an indenter.
-Lengths in mm, forces in N, stresses in MPa. It knows no light: mechanics and optics meet in the studies.
+that never lets surfaces cross, both with friction. `LoadedFinger` bends and twists a finger without an indenter,
+`compress_block` presses a block of gel between plates. `press_derivatives` tells what a press answers to each number of
+its design. Lengths in mm, forces in N, stresses in MPa. It knows no light: mechanics and optics meet in the studies.
 
 The design leads: the shape of the pad and the constants of the materials are those of `FingerDesign` (`GelPad`,
 `MechanicalMaterials`). A rigid shape that presses is a distance with its derivatives, in `_rigid_bodies.py`.
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from sim.mechanics._derivatives import DesignChange, PressDerivatives, press_derivatives
     from sim.mechanics._finger_mesh import (
         FORCE_EXCESS_REL,
         LARGEST_UNTOLD_REL,
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
         rigid_indenter,
         side_outline_mm,
     )
-    from sim.mechanics._loads import LoadedFinger, press_to_force
+    from sim.mechanics._loads import CompressedBlock, GelBlock, LoadedFinger, compress_block, press_to_force
     from sim.mechanics._materials import (
         LinearElastic,
         Material,
@@ -80,10 +82,13 @@ __all__ = [
     "STEPS",
     "Block",
     "Body",
+    "CompressedBlock",
     "ContactChoice",
     "ContactMotion",
     "Cylinder",
+    "DesignChange",
     "FingerMesh",
+    "GelBlock",
     "IndenterPath",
     "IndenterShape",
     "LinearElastic",
@@ -95,6 +100,7 @@ __all__ = [
     "Part",
     "PenaltyContact",
     "Pose",
+    "PressDerivatives",
     "PressSettings",
     "PressedFinger",
     "RoundedBox",
@@ -110,6 +116,7 @@ __all__ = [
     "chord_shortfall_rel",
     "chosen_contact",
     "coat_areas_mm2",
+    "compress_block",
     "contact_distance",
     "contact_forces_n",
     "contact_pressure_mpa",
@@ -126,6 +133,7 @@ __all__ = [
     "penalty_mpa_per_mm",
     "press_along",
     "press_as_designed",
+    "press_derivatives",
     "press_finger",
     "press_to_force",
     "quad_shapes",

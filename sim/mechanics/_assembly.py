@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from data_schemas import SimulateError
-from sim.mechanics._element_kernels import ST_VENANT_KIRCHHOFF, compiled, many_hexahedra, many_stretches
+from sim.mechanics._element_kernels import OGDEN, ST_VENANT_KIRCHHOFF, compiled, many_hexahedra, many_stretches
 from sim.mechanics._materials import Material, PackagedMaterial
 from sim.mechanics._mesh import Block, FingerMesh
 

@@ -125,10 +125,10 @@ def _allowed(assembly: Assembly, state: State, guess: State | None, supports: Su
     there = State(u, guess.modes, guess.pressures_mpa)
     if assembly.max_step(state, u - state.u_mm) < 1.0 or not math.isfinite(assembly.energy(there)):
         return None
-    return _with_own_modes(assembly, there)
+    return with_own_modes(assembly, there)
 
 
-def _with_own_modes(assembly: Assembly, state: State) -> State:
+def with_own_modes(assembly: Assembly, state: State) -> State:
     """Return a state with the incompatible modes that belong to its displacements, as nearly as a few steps tell.
 
     A guess from another mesh brings displacements only: bent elements are too stiff without their modes, and Newton's

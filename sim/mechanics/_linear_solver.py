@@ -22,11 +22,17 @@ _SYMMETRIC_POSITIVE, _SYMMETRIC_INDEFINITE = 2, -2
 _INDEFINITE_AFTER_FAILURE = 6
 # a pivot leaves the diagonal only below this share of its column: the usual 1 spoils the order, fifty times as slow
 _DIAGONAL_PIVOT = 1e-3
+_NEGATIVE_PIVOTS = 23  # PARDISO's count of negative eigenvalues
 _BLOCKS = -80  # PARDISO's own value: rows whose patterns agree by 80 % become blocks
 
 
 class SymmetricSolver(Protocol):
     """Factorises symmetric matrices given by their upper triangle (CSR, sorted) and solves with them."""
+
+    @property
+    def definite(self) -> bool:
+        """Whether the last factorised matrix is positive definite: an equilibrium with it is stable."""
+        ...
 
     def factorise(self, upper: sp.csr_array, pattern: int) -> None:
         """Factorise; with the same number of the pattern, the matrix differs from the last one in its values only."""
@@ -115,6 +121,11 @@ class SuperLU:
     def __init__(self) -> None:
         self._solve: sp.linalg.SuperLU | None = None
 
+    @property
+    def definite(self) -> bool:
+        """Whether all pivots of the last matrix are positive; rows change places only where a pivot is small."""
+        return self._solve is not None and bool((self._solve.U.diagonal() > 0.0).all())
+
     def factorise(self, upper: sp.csr_array, pattern: int) -> None:
         """Factorise the whole matrix."""
         whole = upper + sp.triu(upper, 1).T
@@ -161,6 +172,13 @@ class Pardiso:
         self._matrix: sp.csr_array | None = None
         self._pattern = (-1, -1)
         self._indefinite = 0
+
+    @property
+    def definite(self) -> bool:
+        """Whether Cholesky's factorisation, or else the count of negative pivots, says that it is."""
+        if self._solver.mtype == _SYMMETRIC_POSITIVE:
+            return self._matrix is not None
+        return self._matrix is not None and int(self._solver.get_iparm(_NEGATIVE_PIVOTS)) == 0
 
     def _call(self, phase: int, right_side: FloatArray) -> FloatArray:
         self._solver.set_phase(phase)

@@ -1,6 +1,7 @@
 """A finger under loads: pressed until a force is reached, pushed at tip or side, twisted at the tip.
 
-The latter two need no indenter; from them comes its stiffness in bending and twist.
+The latter two need no indenter; from them comes its stiffness in bending and twist. And a block of its gel between
+plates, as a bench presses it to learn its moduli.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,11 +15,13 @@ from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, NoEquilibriumError, Preset, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, State, Term
+from sim.mechanics._derivatives import StableEquilibrium, residual_and_energy
 from sim.mechanics._finger_mesh import STEPS, MeshSteps, finger_materials, finger_mesh, finger_ties
 from sim.mechanics._increments import Extrapolation, Increment, Load, Watch, load_increments
 from sim.mechanics._indenters import rigid_indenter
 from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
-from sim.mechanics._mesh import FingerMesh
+from sim.mechanics._materials import Ogden
+from sim.mechanics._mesh import Block, FingerMesh, graded, hexahedra_on_grid
 from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
 from sim.mechanics._penalty_contact import PenaltyContact, PenaltyTouch, penalty_mpa_per_mm
 from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, check_no_path
@@ -26,6 +29,7 @@ from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, che
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Place = Literal["tip", "side", "pad"]
+Plates = Literal["lubricated", "bonded", "confined"]
 
 _SIDE_REACH_MM = 3.0  # a force at the side is spread this far to both sides along the finger
 _PAD_REACH_MM = 5.0  # a force under the pad is spread this far to both sides along the finger
@@ -402,3 +406,136 @@ class _DrivenIndenter(PenaltyTouch):
     def depth_mm(self, state: State) -> float:
         """Return the push from first touch."""
         return _TOUCH_MM - float(state.u_mm[self._node, 1])
+
+
+@dataclass(frozen=True, slots=True)
+class GelBlock:
+    """A block of gel between two rigid plates.
+
+    Attributes
+    ----------
+    length_mm, width_mm, height_mm
+        Its edges; the height lies along the push.
+    plates
+        "lubricated": plates without friction, sides free. "bonded": the gel is glued to both plates, sides free.
+        "confined": lubricated plates, and walls around the sides.
+
+    Raises
+    ------
+    SimulateError
+        When an edge is not from 0.5 to 300 mm.
+    """
+
+    length_mm: float
+    width_mm: float
+    height_mm: float
+    plates: Plates
+
+    def __post_init__(self) -> None:
+        for name in ("length_mm", "width_mm", "height_mm"):
+            value = getattr(self, name)
+            if not _EDGES_MM[0] <= value <= _EDGES_MM[1]:
+                raise SimulateError(
+                    f"{name} = {value:g} mm: an edge of a block must be from {_EDGES_MM[0]:g} to {_EDGES_MM[1]:g} mm"
+                )
+
+
+_EDGES_MM = (0.5, 300.0)
+_DEEPEST_SHARE = 0.5  # of the height: beyond, a block's edges fold on the plates
+
+
+@dataclass(frozen=True, slots=True)
+class CompressedBlock:
+    """Equilibria of a block, k pushes.
+
+    Attributes
+    ----------
+    push_mm
+        Of one plate towards the other, (k,).
+    force_n
+        That it takes, (k,).
+    ln_force_per_ln_bulk
+        d ln F / d ln(K/mu) at a constant mu, (k,).
+    """
+
+    push_mm: FloatArray
+    force_n: FloatArray
+    ln_force_per_ln_bulk: FloatArray
+
+
+_BULK_STEP_LN = 1e-4
+
+
+def compress_block(
+    block: GelBlock, material: Ogden, push_mm: Sequence[float], cells: int = 8, threads: int = 1
+) -> CompressedBlock:
+    """Compress a block between its plates.
+
+    One eighth of it is meshed, by symmetry; sides do not touch the plates.
+
+    Parameters
+    ----------
+    block, material
+        What is compressed.
+    push_mm
+        Rising pushes, of at most half the height.
+    cells
+        Some elements through half the height of a bonded block; the others deform alike everywhere.
+    threads
+        Of elements and factorisation.
+
+    Raises
+    ------
+    SimulateError
+        When a push is not above 0 or above half the height, or finds no equilibrium.
+    """
+    pushes = np.asarray(push_mm, dtype=np.float64)
+    if not (pushes[0] > 0.0 and (np.diff(pushes) > 0.0).all() and pushes[-1] <= _DEEPEST_SHARE * block.height_mm):
+        raise SimulateError(
+            f"pushes of {pushes.min():.3g} to {pushes.max():.3g} mm: a block {block.height_mm:g} mm high can be "
+            f"compressed by more than 0 and at most {_DEEPEST_SHARE * block.height_mm:g} mm"
+        )
+    mesh, fixed, push = _eighth(block, cells)
+    elasticity = Elasticity(mesh, {"gel": material}, threads)
+    sides = [
+        Elasticity(mesh, {"gel": replace(material, bulk_over_shear=material.bulk_over_shear * np.exp(step))}, threads)
+        for step in (-_BULK_STEP_LN, _BULK_STEP_LN)
+    ]
+    assembly, solver = Assembly(elasticity), linear_solver(threads=threads)
+    load = Load(lambda share: Supports(fixed, share * pushes[-1] * push))
+    rows = []
+    for step in load_increments(assembly, solver, load, list(pushes / pushes[-1])):
+        state = step.equilibrium.state
+        stable = StableEquilibrium(assembly, load.at(step.fraction), state, solver, push)
+        low, high = (residual_and_energy(side, state)[0] for side in sides)
+        # the whole stores eight times the energy of its eighth, and its force is the derivative of that by the push
+        force = 8.0 * float((step.equilibrium.gradient_n * push).sum())
+        slope = 8.0 * float(((high - low) * stable.follow).sum()) / (2.0 * _BULK_STEP_LN)
+        rows.append((step.fraction * pushes[-1], force, slope / force))
+    wanted = np.array(rows)
+    return CompressedBlock(wanted[:, 0], wanted[:, 1], wanted[:, 2])
+
+
+def _eighth(block: GelBlock, cells: int) -> tuple[FingerMesh, NDArray[np.bool_], FloatArray]:
+    """Return one eighth of a block, which unknowns are held, and how its plate moves with the push."""
+    half = np.array([block.length_mm, block.height_mm, block.width_mm]) / 2.0
+    if block.plates == "bonded":
+        first = half[1] / cells
+        # finer towards the free edges at the plate, where stress is infinite
+        lines = [graded(size, first / 2.0, 1.5, max(first, size / cells), (False, True)) for size in half]
+    else:
+        lines = [np.array([0.0, size / 2.0, size]) for size in half]
+    points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
+    grid = hexahedra_on_grid(points, np.ones([len(line) - 1 for line in lines], dtype=np.bool_))
+    nodes = grid.nodes_mm
+    fixed = nodes == 0.0
+    plate = nodes[:, 1] == half[1]
+    fixed[plate, 1] = True
+    if block.plates == "bonded":
+        fixed[plate] = True
+    if block.plates == "confined":
+        fixed[:, [0, 2]] |= nodes[:, [0, 2]] == half[[0, 2]]
+    push = np.zeros_like(nodes)
+    push[plate, 1] = -0.5
+    mesh = FingerMesh(nodes, (Block("gel", grid.hexahedra, "gel", "mean_dilatation"),), {}, {}, ())
+    return mesh, fixed, push

@@ -4,6 +4,7 @@ Without friction, or with Coulomb friction that remembers, for a body that is pr
 """
 
 import math
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +84,12 @@ class PenaltyContact:
     def place(self, pose: Pose) -> None:
         """Put the body somewhere else."""
         self.pose = pose
+
+    def with_curvature(self) -> "PenaltyContact":
+        """Return this contact with its whole second derivative."""
+        exact = copy(self)
+        exact._curvature = True  # noqa: SLF001 - its own
+        return exact
 
     def _offset(self, u: FloatArray) -> FloatArray:
         return np.zeros(3) if self._reference is None else np.asarray(u[self._reference])
