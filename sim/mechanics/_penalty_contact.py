@@ -30,6 +30,27 @@ def quad_shapes(local: FloatArray) -> tuple[FloatArray, FloatArray]:
     return x * y / 4.0, np.stack([QUAD_CORNERS[:, 0] * y, QUAD_CORNERS[:, 1] * x], -1) / 4.0
 
 
+@dataclass(frozen=True, slots=True)
+class TouchedPoints:
+    """The m points of a penalty contact that touch.
+
+    Attributes
+    ----------
+    nodes, weights
+        Of their faces, and the shape functions there, (m, 4).
+    gap_mm, normals
+        Signed distance (m,), below 0, and the body's outward normal (m, 3).
+    stiffness_n_per_mm
+        Penalty times the area at rest, (m,).
+    """
+
+    nodes: IntArray
+    weights: FloatArray
+    gap_mm: FloatArray
+    normals: FloatArray
+    stiffness_n_per_mm: FloatArray
+
+
 class PenaltyContact:
     """A :class:`~sim.mechanics._assembly.Term`: Pi = eps/2 sum_q A_q min(g_q, 0)^2 over Gauss points of the faces.
 
@@ -97,6 +118,19 @@ class PenaltyContact:
         """Return the signed distance of each face's points, shape (k, q)."""
         distance, _, _ = self.pose.distances(self.body, self._touching(u)[2])
         return distance.reshape(self._areas.shape)
+
+    def touched(self, u: FloatArray) -> "TouchedPoints":
+        """Return the points that touch."""
+        face, number, points = self._touching(u)
+        distance, normal, _ = self.pose.distances(self.body, points)
+        kept = np.flatnonzero(distance < 0.0)
+        return TouchedPoints(
+            self.quads[face[kept]],
+            self._shapes[number[kept]],
+            distance[kept],
+            normal[kept],
+            self._eps * self._areas.ravel()[kept],
+        )
 
     def pressures_mpa(self, u: FloatArray) -> FloatArray:
         """Return the contact pressure (referred to the area at rest) at each face's points, shape (k, q)."""
