@@ -41,6 +41,7 @@ from data_schemas import (
     PlainSensor,
     PressIncrement,
     PressMechanics,
+    PressSurrogate,
     Record,
     RigFile,
     SensedPress,
@@ -52,6 +53,7 @@ from data_schemas import (
     TactilePlan,
     TactileRig,
     TactileSession,
+    TaughtPress,
     TwoLights,
 )
 
@@ -83,6 +85,8 @@ STORED: tuple[type[Record], ...] = (
     FingerStiffness,
     PressIncrement,
     PressMechanics,
+    PressSurrogate,
+    TaughtPress,
     ForceComparison,
     FingerSurfaces,
     SensedPress,

@@ -431,6 +431,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("AcceptanceReport", 5): _as_it_is,
     # how sessions that were combined differ; none: one session, or not known
     ("PaintCalibration", 7): _as_it_is,
+    # bars of a press by a taught surrogate; none: finite elements pressed
+    ("PressMechanics", 5): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

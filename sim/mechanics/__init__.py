@@ -19,6 +19,13 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from sim.mechanics._condensed_finger import (
+        Condensation,
+        CondensedContact,
+        CondensedFinger,
+        coat_of,
+        condense_finger,
+    )
     from sim.mechanics._finger_mesh import (
         FORCE_EXCESS_REL,
         LARGEST_UNTOLD_REL,
@@ -69,6 +76,9 @@ __all__ = [
     "STEPS",
     "Block",
     "Body",
+    "Condensation",
+    "CondensedContact",
+    "CondensedFinger",
     "ContactChoice",
     "ContactMotion",
     "Cylinder",
@@ -93,6 +103,8 @@ __all__ = [
     "chord_shortfall_rel",
     "chosen_contact",
     "coat_areas_mm2",
+    "coat_of",
+    "condense_finger",
     "contact_distance",
     "contact_forces_n",
     "contact_pressure_mpa",

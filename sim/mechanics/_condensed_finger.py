@@ -19,7 +19,13 @@ from sim.mechanics._indenters import RigidIndenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import Supports
-from sim.mechanics._penalty_contact import PenaltyContact, TouchedPoints, penalty_mpa_per_mm
+from sim.mechanics._penalty_contact import (
+    GAUSS_POINTS,
+    PenaltyContact,
+    TouchedPoints,
+    penalty_mpa_per_mm,
+    quad_shapes,
+)
 from sim.mechanics._rigid_bodies import Pose
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +39,9 @@ _TOLD_EVERY = 64  # solutions between two lines of progress
 _MOST_ROUNDS = 40
 _NEAR_MM = 0.5  # of the body at its whole push: faces that are looked at, unless others come to touch
 _FIRST_SHARE = 0.3  # of the push, whose points take the first step
-_SETTLED_REL = 5e-4  # of the contact's forces; the exact ones lie nearer: the finger gives way, which (1 + H C)^-1 < 1 tells
+_SETTLED_REL = (
+    5e-4  # of the contact's forces; the exact ones lie nearer: the finger gives way, which (1 + H C)^-1 < 1 tells
+)
 _INEXACT_REL = 0.02  # to which a round solves its linear system, of what is out of balance then
 _MOST_PRODUCTS = 200
 _SLIGHT_FALL = 1e-4
@@ -158,6 +166,13 @@ class CondensedFinger:
     condensed
         What that returned.
 
+    Attributes
+    ----------
+    mesh, coat
+        The mesh, and the nodes of its coat (c,).
+    touch_mm
+        Where the q sampling points of the coat's f faces lie in the undeformed pad, (f, q, 3).
+
     Raises
     ------
     SimulateError
@@ -177,6 +192,8 @@ class CondensedFinger:
         self._quads = np.searchsorted(self.coat, self.mesh.surfaces["coat"])
         self._rest = self.mesh.nodes_mm[self.coat]
         self._eps = penalty_mpa_per_mm(design, STEPS[preset].pad_mm)
+        corners, (shapes, _) = self._rest[self._quads], quad_shapes(GAUSS_POINTS)
+        self.touch_mm: FloatArray = np.asarray(np.einsum("qa,kai->kqi", shapes, corners))
 
     def press(self, indenter: RigidIndenter, depth_mm: float) -> CondensedContact:
         r"""Return the contact with an indenter at a push, by Newton's method on the forces of the coat.

@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _POINTS_PER_EDGE = 2  # Gauss points along each side of a face
+_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS_PER_EDGE)
+GAUSS_POINTS = np.stack(np.meshgrid(_PLACES, _PLACES), -1).reshape(-1, 2)
 QUAD_CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
@@ -94,11 +96,10 @@ class PenaltyContact:
         self._eps = stiffness_mpa_per_mm
         self._curvature = curvature
         self._reference = reference_node
-        at, weights = np.polynomial.legendre.leggauss(_POINTS_PER_EDGE)
-        self._shapes, slopes = quad_shapes(np.stack(np.meshgrid(at, at), -1).reshape(-1, 2))
+        self._shapes, slopes = quad_shapes(GAUSS_POINTS)
         tangents = np.einsum("kai,qaj->kqij", nodes_mm[quads], slopes)
         normal = np.cross(tangents[..., 0], tangents[..., 1])
-        self._areas = np.linalg.norm(normal, axis=-1) * np.outer(weights, weights).ravel()
+        self._areas = np.linalg.norm(normal, axis=-1) * np.outer(_WEIGHTS, _WEIGHTS).ravel()
 
     def place(self, pose: Pose) -> None:
         """Put the body somewhere else."""
