@@ -224,9 +224,7 @@ def _mirrored(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if distance.max() > _SAME_NODE_MM:
-        raise SimulateError(
-            "the finger's mesh differs on both sides of its middle: it cannot be taught by half"
-        )
+        raise SimulateError("the finger's mesh differs on both sides of its middle: it cannot be taught by half")
     return np.asarray(image)
 
 
