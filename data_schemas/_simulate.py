@@ -486,6 +486,33 @@ class PressFamily(Model):
     turn_deg: Range = Field(description="of a cylinder about the pad's normal")
     depth_mm: Range
 
+    def outside(self, indenter: Indenter) -> str:
+        """Return what of an indenter is not in the family, with what is; nothing where all of it is."""
+        flat = indenter.shape == "ball" or indenter.rotation_deg[2] == 0.0
+        told = {
+            f'shape = "{indenter.shape}"; it was taught "cylinder" and "ball"': indenter.shape in ("cylinder", "ball"),
+            f"friction = {indenter.friction:g}; it was taught presses without friction": indenter.friction == 0.0,
+            "path; it was taught presses along the pad's normal": not indenter.path,
+            f"rotation_deg = {list(indenter.rotation_deg)} deg; it was taught cylinders that lie flat": flat,
+        }
+        sizes = [name for name in type(self).model_fields if name != "turn_deg"]
+        numbers = {name: (getattr(indenter, name), getattr(self, name), "mm") for name in sizes}
+        turn_deg = 0.0 if indenter.shape == "ball" else indenter.rotation_deg[1]
+        for name, (value, (low, high), unit) in (
+            numbers | {"rotation_deg[1]": (turn_deg, self.turn_deg, "deg")}
+        ).items():
+            told[f"{name} = {value:g} {unit}; it was taught {low:g} to {high:g} {unit}"] = low <= value <= high
+        return next((f"indenter.{what}" for what, holds in told.items() if not holds), "")
+
+    def features(self, indenter: Indenter) -> Floats:
+        """Return the features of a press, (6,): see :class:`PressSurrogate`."""
+        ball = indenter.shape == "ball"
+        values = (indenter.position_mm, indenter.across_mm, np.log(indenter.radius_mm), indenter.rotation_deg[1])
+        bounds = np.array([self.position_mm, self.across_mm, np.log(self.radius_mm), self.turn_deg])
+        place = (2.0 * np.array(values) - bounds.sum(axis=1)) / np.ptp(bounds, axis=1)
+        place[3] = 0.0 if ball else place[3]
+        return np.array([*place, 2.0 * indenter.depth_mm / self.depth_mm[1] - 1.0, 1.0 if ball else -1.0])
+
 
 class TaughtKernel(Model):
     """Covariance exp(-d^2 / 2) + linear_rel (1 + x . y) of a Gaussian process, d by the lengths; times a variance."""

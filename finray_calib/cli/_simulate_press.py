@@ -245,11 +245,12 @@ def _answered(
     limit_rel = LIMIT_REL if arguments.largest_error is None else arguments.largest_error
     taught = read_record(arguments.surrogate, PressSurrogate)
     with naming(SimulateError, arguments.design):
-        answer = SurrogateFinger(taught, limit_rel).records(design, arguments.increments or DEFAULT_INCREMENTS)
-    if answer.doubt:
-        warn(f"{arguments.surrogate}: the surrogate's answer is not taken: {answer.doubt}; finite elements press now")
+        opened = SurrogateFinger(taught, limit_rel)
+        mechanics, surfaces, pressed, doubt = opened.records(design, arguments.increments or DEFAULT_INCREMENTS)
+    if doubt:
+        warn(f"{arguments.surrogate}: the surrogate's answer is not taken: {doubt}; finite elements press now")
         return False
-    _write(answer.mechanics, answer.surfaces, answer.pressed, files, origin, arguments.design.parent)
+    _write(mechanics, surfaces, pressed, files, origin, arguments.design.parent)
     return True
 
 

@@ -66,7 +66,12 @@ _LINEAR = (1e-4, 1e2)
 _NOISE = (1e-7, 1e-1)
 _JITTER = 1e-9
 _FEATURES = 6
-_OWN_INDENTER = frozenset({"indenter", "provenance"})
+_MIRRORED = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])  # features across the finger's middle
+# of a design, what no press by finite elements reads
+_UNREAD = frozenset(
+    {"indenter", "provenance", "name", "origin", "uncertainty_rel", "materials", "coating", "light", "second_light",
+     "further_lights"}
+)  # fmt: skip
 
 
 def press_family(design: FingerDesign) -> PressFamily:
@@ -82,51 +87,6 @@ def press_family(design: FingerDesign) -> PressFamily:
         across_mm=(-6.0 / 35.0 * width, 6.0 / 35.0 * width),
         turn_deg=(-30.0, 30.0),
         depth_mm=(0.5, 4.0),
-    )
-
-
-def outside_family(family: PressFamily, indenter: Indenter) -> str:
-    """Return what of an indenter a surrogate does not answer for, with what it does; nothing where it does."""
-    if indenter.shape not in ("cylinder", "ball"):
-        return f'indenter.shape = "{indenter.shape}"; it was taught "cylinder" and "ball"'
-    if indenter.friction > 0.0:
-        return f"indenter.friction = {indenter.friction:g}; it was taught presses without friction"
-    if indenter.path:
-        return "indenter.path; it was taught presses along the pad's normal"
-    turned = indenter.shape == "cylinder"
-    if turned and indenter.rotation_deg[2] != 0.0:
-        return f"indenter.rotation_deg[2] = {indenter.rotation_deg[2]:g} deg; it was taught cylinders that lie flat"
-    numbers = {
-        "radius_mm": (indenter.radius_mm, family.radius_mm, "mm"),
-        "position_mm": (indenter.position_mm, family.position_mm, "mm"),
-        "across_mm": (indenter.across_mm, family.across_mm, "mm"),
-        "rotation_deg[1]": (indenter.rotation_deg[1] if turned else 0.0, family.turn_deg, "deg"),
-        "depth_mm": (indenter.depth_mm, family.depth_mm, "mm"),
-    }
-    for name, (value, (low, high), unit) in numbers.items():
-        if not low <= value <= high:
-            return f"indenter.{name} = {value:g} {unit}; it was taught {low:g} to {high:g} {unit}"
-    return ""
-
-
-def _features(family: PressFamily, indenter: Indenter, depth_mm: float) -> Floats:
-    """Return the features of a press, each from -1 to 1 over the family."""
-    ball = indenter.shape == "ball"
-
-    def scaled(value: float, bounds: tuple[float, float]) -> float:
-        low, high = bounds
-        return (2.0 * value - low - high) / (high - low)
-
-    radii = (float(np.log(family.radius_mm[0])), float(np.log(family.radius_mm[1])))
-    return np.array(
-        [
-            scaled(indenter.position_mm, family.position_mm),
-            scaled(indenter.across_mm, family.across_mm),
-            scaled(float(np.log(indenter.radius_mm)), radii),
-            0.0 if ball else scaled(indenter.rotation_deg[1], family.turn_deg),
-            scaled(depth_mm, (0.0, family.depth_mm[1])),
-            1.0 if ball else -1.0,
-        ]
     )
 
 
@@ -239,8 +199,8 @@ def _samples(
         indenter = press.design.indenter
         rigid = rigid_indenter(design.model_copy(update={"indenter": indenter}))
         for k, depth in enumerate(press.depth_mm.tolist()):
-            features = _features(family, indenter, depth)
-            turned = features * np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
+            features = family.features(indenter.model_copy(update={"depth_mm": depth}))
+            turned = features * _MIRRORED
             if k >= press.sound:
                 crossed += [features, turned]
                 continue
@@ -252,8 +212,7 @@ def _samples(
             for seen, field, left in ((features, rest, force), (turned, rest[image] * flip, force * flip)):
                 rows.append((number, seen, field.astype(np.float32).ravel(), own, left, times))
         if press.unreached:
-            features = _features(family, indenter, indenter.depth_mm)
-            crossed += [features, features * np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])]
+            crossed += [family.features(indenter), family.features(indenter) * _MIRRORED]
     if not rows:
         raise SimulateError("no press teaches anything: ribs pass through each other in all of them from the start")
     press_of, features_of, rests, owns, forces, times_of = zip(*rows, strict=True)
@@ -273,16 +232,8 @@ def _rms(vectors: NDArray[np.floating]) -> float:
     return float(np.sqrt((np.asarray(vectors, dtype=np.float64) ** 2).sum(axis=1).mean()))
 
 
-@dataclass(frozen=True, slots=True)
-class _LeftOut:
-    """Errors of samples, and standard deviations there, taught without their own press; both (s,)."""
-
-    error: Floats
-    deviation: Floats
-
-
-def _left_out(process: _Process, products: Floats, press: Integers) -> _LeftOut:
-    """Return how far predictions without a sample's own press are off, from the inverse covariance and products."""
+def _left_out(process: _Process, products: Floats, press: Integers) -> tuple[Floats, Floats]:
+    """Return errors of predictions without a sample's own press, and their standard deviations, both (s,)."""
     inverse = np.linalg.inv(process.matrix)
     error, deviation = np.empty(len(press)), np.empty(len(press))
     for number in np.unique(press):
@@ -291,14 +242,13 @@ def _left_out(process: _Process, products: Floats, press: Integers) -> _LeftOut:
         weights = covariance @ inverse[own]
         error[own] = np.sqrt(np.maximum(np.einsum("gs,st,gt->g", weights, products, weights), 0.0))
         deviation[own] = np.sqrt(np.diag(covariance) * process.kernel.variance)
-    return _LeftOut(error, deviation)
+    return error, deviation
 
 
-def _bar(left_out: _LeftOut, press: Integers) -> float:
+def _bar(error: Floats, deviation: Floats, press: Integers) -> float:
     """Return the conformal quantile of error over deviation: of n presses, that of the level (n + 1) / n."""
-    scores = left_out.error / left_out.deviation
     count = len(np.unique(press))
-    return float(np.quantile(scores, min(1.0, LEVEL * (count + 1) / count), method="higher"))
+    return float(np.quantile(error / deviation, min(1.0, LEVEL * (count + 1) / count), method="higher"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,7 +278,7 @@ def _learn(finger: CondensedFinger, samples: _Samples, before: _Learned | None) 
 
 def _least_known(learned: _Learned, samples: _Samples, family: PressFamily, left: Sequence[Indenter]) -> int:
     """Return which press both processes know least of, relative to surface and force."""
-    places = np.array([_features(family, indenter, indenter.depth_mm) for indenter in left])
+    places = np.array([family.features(indenter) for indenter in left])
     surface = _deviation(learned.surface, places) / float(np.median(samples.own_rel))
     return int(np.argmax(np.maximum(surface, _deviation(learned.force, places))))
 
@@ -420,11 +370,18 @@ def teach_surrogate(
     return _surrogate(design, preset, family, condensed, samples, learned, time.process_time() - begun + seconds)
 
 
+def _differs(one: FingerDesign, other: FingerDesign) -> list[str]:
+    """Return in which fields two fingers differ, apart from their indenters and what no press reads."""
+    fields = [name for name in FingerDesign.model_fields if name not in _UNREAD]
+    return [name for name in fields if getattr(one, name) != getattr(other, name)]
+
+
 def _same_press(before: TaughtPress | None, wanted: FingerDesign, preset: Preset, number: int) -> TaughtPress | None:
     """Return a stored press, which must be the one that is wanted."""
     if before is None:
         return None
-    if before.preset != preset or before.design.model_copy(update={"provenance": None}) != wanted:
+    same = before.preset == preset and before.design.indenter == wanted.indenter
+    if not same or _differs(before.design, wanted):
         raise SimulateError(
             f"press {number + 1} that is stored is of another design, mesh or version; give another --out, or remove "
             "the folder of its presses"
@@ -498,10 +455,10 @@ def _surrogate(
         surface_kernel=learned.surface.kernel,
         force_kernel=learned.force.kernel,
         level=LEVEL,
-        surface_bar=_bar(surface, samples.press),
-        force_bar=_bar(force, samples.press),
-        left_out_surface_rel=surface.error / samples.own_rel,
-        left_out_force_rel=force.error / samples.force_rel,
+        surface_bar=_bar(*surface, samples.press),
+        force_bar=_bar(*force, samples.press),
+        left_out_surface_rel=surface[0] / samples.own_rel,
+        left_out_force_rel=force[0] / samples.force_rel,
         crossed_features=samples.crossed,
         processor_s=processor_s,
     )
@@ -581,11 +538,11 @@ class SurrogateFinger:
             When the press is none of the family, or its contact is not found.
         """
         record = self.record
-        if why := outside_family(record.family, indenter):
+        if why := record.family.outside(indenter):
             raise SimulateError(f"the surrogate does not answer {why}; change it, or press by finite elements")
         rigid = rigid_indenter(record.design.model_copy(update={"indenter": indenter}))
         contact = self.finger.press(rigid, indenter.depth_mm)
-        place = _features(record.family, indenter, indenter.depth_mm)[None]
+        place = record.family.features(indenter)[None]
         weights, surface = self._at(self._surface, self._surface_inverse, place)
         pulls, force = self._at(self._force, self._force_inverse, place)
         rest = ((weights @ record.amplitudes_rel).astype(np.float32) @ record.modes).reshape(-1, 3)
@@ -665,8 +622,12 @@ class SurrogateFinger:
             kind="penalty",
         )
 
-    def records(self, design: FingerDesign, increments: int) -> "SurrogateRecords":
-        """Return the press of a design as records, with the pushes on its way.
+    def records(
+        self, design: FingerDesign, increments: int
+    ) -> tuple[PressMechanics, FingerSurfaces, PressedFinger, str]:
+        """Return the press of a design as records, as the press that pictures are made of, and why to doubt it.
+
+        With the pushes on its way, as far as they are in the family.
 
         Raises
         ------
@@ -674,7 +635,7 @@ class SurrogateFinger:
             When the design is another finger, or its press none of the family.
         """
         self.check_design(design)
-        if why := outside_family(self.record.family, design.indenter):
+        if why := self.record.family.outside(design.indenter):
             raise SimulateError(f"the surrogate does not answer {why}; change it, or press by finite elements")
         depth, least = design.indenter.depth_mm, self.record.family.depth_mm[0]
         pushes = [push for k in range(increments) if (push := depth * (k + 1) / increments) >= least]
@@ -693,7 +654,7 @@ class SurrogateFinger:
             "energies are not told; pressures are those of the condensed contact, made to add up to the force",
         )
         mechanics, surfaces = press_records(design, pressed, self.record.preset, self.record.label, notes)
-        return SurrogateRecords(mechanics.model_copy(update={"surrogate": bars}), surfaces, pressed, last.doubt)
+        return mechanics.model_copy(update={"surrogate": bars}), surfaces, pressed, last.doubt
 
     def check_design(self, design: FingerDesign) -> None:
         """Check that a design is the finger that was taught; its indenter may be another.
@@ -703,24 +664,9 @@ class SurrogateFinger:
         SimulateError
             When it is another one.
         """
-        own = self.record.design
-        other = [
-            name
-            for name in type(design).model_fields
-            if name not in _OWN_INDENTER and getattr(own, name) != getattr(design, name)
-        ]
+        other = _differs(self.record.design, design)
         if other:
             raise SimulateError(
                 f"the surrogate was taught another design: it differs in {', '.join(other)}; teach this one with "
                 "'finray simulate teach', or press without --surrogate"
             )
-
-
-@dataclass(frozen=True, slots=True)
-class SurrogateRecords:
-    """A surrogate's press as records, and as the press that pictures and meshes are made of; see `SurrogatePress`."""
-
-    mechanics: PressMechanics
-    surfaces: FingerSurfaces
-    pressed: PressedFinger
-    doubt: str
