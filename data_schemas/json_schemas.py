@@ -43,6 +43,7 @@ from data_schemas import (
     PlainSensor,
     PressIncrement,
     PressMechanics,
+    PressSurrogate,
     Record,
     RigFile,
     SensedPress,
@@ -54,6 +55,7 @@ from data_schemas import (
     TactilePlan,
     TactileRig,
     TactileSession,
+    TaughtPress,
     TwoLights,
 )
 
@@ -85,6 +87,8 @@ STORED: tuple[type[Record], ...] = (
     FingerStiffness,
     PressIncrement,
     PressMechanics,
+    PressSurrogate,
+    TaughtPress,
     ForceComparison,
     MaterialFit,
     FingerSurfaces,

@@ -438,7 +438,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PlainSensor", 3): _as_it_is,
     ("FingerStiffness", 4): _as_it_is,
     ("PressIncrement", 4): _as_it_is,
-    # ... and derivatives beside presses with one number changed; none: all are such presses
+    # ... and derivatives beside presses with one number changed; none: all are such presses;
+    # bars of a press by a taught surrogate; none: finite elements pressed
     ("PressMechanics", 5): _as_it_is,
     ("SensorFit", 1): _as_it_is,
     ("SimulatedPress", 4): _as_it_is,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from data_schemas import FingerDesign, Provenance, Record, SimulatedPress
+    from data_schemas import FingerDesign, PressSurrogate, Provenance, Record, SimulatedPress, TaughtPress
     from finray_calib import RenderOptions
     from sim.experiments import OpticsProducts, WhiteBalance
 
@@ -75,9 +75,95 @@ def add_simulate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     parser = verbs.add_parser("simulate", help=SIMULATE_HELP, description=SIMULATE_DESCRIPTION)
     jobs = parser.add_subparsers(dest="job", metavar="JOB", title="jobs", required=True)
     add_press(jobs)
+    add_teach(jobs)
     add_render(jobs)
     add_sweep(jobs)
     add_sensor_fit(jobs)
+
+
+TEACH_HELP = "teach a surrogate of a finger, which presses in milliseconds with error bars"
+TEACH_DESCRIPTION = """\
+Teach a surrogate that answers presses of the design's finger in milliseconds, each with error bars, for 'finray
+simulate press --surrogate': by a cylinder or a ball of 6 to 20 mm radius, along the middle of the pad, off its middle
+line, turned, 0.5 to 4 mm deep, without friction. The finger is condensed to its coat once; presses by finite elements,
+each where least is known, teach the rest. They are kept: the same command goes on after the last one."""
+
+
+def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register ``finray simulate teach``."""
+    parser = jobs.add_parser("teach", help=TEACH_HELP, description=TEACH_DESCRIPTION)
+    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter does not count")
+    parser.add_argument(
+        "--presses", type=_presses, metavar="N", help="by finite elements that teach, at least 12 (default: 40)"
+    )
+    add_out(parser, "NAME.surrogate.json")
+    parser.set_defaults(run=run_teach, long_work=_long_teach)
+
+
+def _long_teach(arguments: argparse.Namespace) -> LongWork:
+    """Return what is about to be done, and what of it is kept if its process dies."""
+    kept = "Finished presses are kept: the same command goes on after the last one"
+    return LongWork("the teaching of a surrogate", kept, arguments.out)
+
+
+MOST_PRESSES = 400
+
+
+def _presses(text: str) -> int:
+    """Parse a number of presses; the fewest are told by who teaches."""
+    if not text.isdecimal() or not 0 < int(text) <= MOST_PRESSES:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number, at most {MOST_PRESSES}")
+    return int(text)
+
+
+def run_teach(arguments: argparse.Namespace) -> None:
+    """Teach a surrogate, keep its presses, and tell how far it is off."""
+    from data_schemas import SimulateError, TaughtPress, provenance
+    from data_schemas.storage import clear_leftovers, read_record, write_record
+    from finray_calib.spectra import machine_threads
+    from sim import read_design
+    from sim.experiments import USUAL_PRESSES, TeachSettings, teach_surrogate
+
+    design = read_design(arguments.design)
+    out = require_new(arguments.out or Path(f"{file_name(arguments.design.stem)}.surrogate.json"), ".json")
+    kept = out.with_name(f"{out.name.removesuffix('.json').removesuffix('.surrogate')}.presses")
+    clear_leftovers(kept)
+    origin = provenance(command_line(), input_digests([arguments.design]), None)
+
+    def stored(number: int) -> "TaughtPress | None":
+        path = kept / f"{number + 1:03d}.json"
+        return read_record(path, TaughtPress) if path.exists() else None
+
+    def store(number: int, press: "TaughtPress") -> None:
+        write_record(press, kept / f"{number + 1:03d}.json", origin)
+
+    settings = TeachSettings(arguments.presses or USUAL_PRESSES, threads=machine_threads())
+    with progress_bar("teach") as progress, naming(SimulateError, arguments.design):
+        taught = teach_surrogate(design, settings, stored=stored, store=store, progress=progress)
+    write_record(taught, out, origin)
+    _tell_taught(taught, out, kept)
+    go_on_with("finray simulate press", arguments.design, "--surrogate", out)
+
+
+def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
+    """Tell how far a surrogate is off on presses that were left out of its teaching."""
+    import numpy as np
+
+    wrote(out, taught.label)
+    wrote(kept, "the presses that taught it; a command with more --presses and this --out's name goes on with them")
+    errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
+    shares = {name: np.quantile(values, [0.5, taught.level]) for name, values in errors.items()}
+    for name, (half, most) in shares.items():
+        say(f"  {name}: half of the presses that were left out are off by up to {half:.2%}, {taught.level:.0%} by up "
+            f"to {most:.2%}")  # fmt: skip
+    if len(taught.crossed_features):
+        say("  ribs pass through each other or buckle in some presses: near them finite elements press instead")
+    say(f"  {taught.processor_s / 60.0:.1f} min of processor time")
+    give(
+        label=taught.label, presses=taught.presses, processor_s=taught.processor_s, level=taught.level,
+        surface_error_rel=shares["surface"], force_error_rel=shares["force"], family=taught.family.model_dump(),
+    )  # fmt: skip
+    look_at(out)
 
 
 def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

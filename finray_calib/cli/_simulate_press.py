@@ -27,7 +27,15 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from data_schemas import FingerDesign, PressMechanics, PressMotion, PressSensitivities, Provenance
+    from data_schemas import (
+        FingerDesign,
+        FingerSurfaces,
+        PressMechanics,
+        PressMotion,
+        PressSensitivities,
+        Provenance,
+        SurrogateBars,
+    )
     from sim.mechanics import PressedFinger
 
 
@@ -53,6 +61,16 @@ def _indenter_file(design: "FingerDesign", folder: Path) -> list[Path]:
         return []
     read_bytes(path, "an indenter (STL)")
     return [path]
+
+
+def _surrogate_file(arguments: argparse.Namespace) -> list[Path]:
+    """Return the file of a taught surrogate, where one is given, for its checksum."""
+    if arguments.surrogate is None:
+        return []
+    from data_schemas.storage import read_bytes
+
+    read_bytes(arguments.surrogate, "a taught surrogate (.json)")
+    return [arguments.surrogate]
 
 
 def _path_file(arguments: argparse.Namespace) -> list[Path]:
@@ -180,7 +198,7 @@ def run_press(arguments: argparse.Namespace) -> None:
         _require_one_way(arguments, f"{arguments.design}: indenter.path")
     resume = None if arguments.resume is None else last_increment(arguments.resume)
     out = arguments.out or Path(f"{file_name(arguments.design.stem)}.press.json")
-    read = [arguments.design, *_indenter_file(design, folder), *_path_file(arguments)]
+    read = [arguments.design, *_indenter_file(design, folder), *_path_file(arguments), *_surrogate_file(arguments)]
     goes_on = False
     if resume is None:
         begun = increments_of(out)
@@ -195,6 +213,8 @@ def run_press(arguments: argparse.Namespace) -> None:
         read_bytes(resume, "a stored increment of a press (.json)")
         read.append(resume)
     origin = provenance(command_line(), input_digests(read), None)
+    if arguments.surrogate is not None and not goes_on and _answered(arguments, design, files, origin):
+        return
     try:
         with progress_bar("simulate") as progress, naming(SimulateError, arguments.design):
             pressed, said = _pressed(arguments, design, resume, files["increments"], origin, progress)
@@ -212,6 +232,26 @@ def run_press(arguments: argparse.Namespace) -> None:
     _store(design, pressed, said, files, origin, folder)
     if unvaried:
         raise SimulateError(f"{unvaried}. The press itself is stored; for these, try a smaller push")
+
+
+def _answered(
+    arguments: argparse.Namespace, design: "FingerDesign", files: dict[str, Path], origin: "Provenance"
+) -> bool:
+    """Let a taught surrogate answer and store that; return False where finite elements are to press instead."""
+    from data_schemas import PressSurrogate, SimulateError
+    from data_schemas.storage import read_record
+    from sim.experiments import LIMIT_REL, SurrogateFinger
+
+    limit_rel = LIMIT_REL if arguments.largest_error is None else arguments.largest_error
+    taught = read_record(arguments.surrogate, PressSurrogate)
+    with naming(SimulateError, arguments.design):
+        opened = SurrogateFinger(taught, limit_rel)
+        mechanics, surfaces, pressed, doubt = opened.records(design, arguments.increments or DEFAULT_INCREMENTS)
+    if doubt:
+        warn(f"{arguments.surrogate}: the surrogate's answer is not taken: {doubt}; finite elements press now")
+        return False
+    _write(mechanics, surfaces, pressed, files, origin, arguments.design.parent)
+    return True
 
 
 def _pressed(
@@ -310,24 +350,12 @@ def _store(
     origin: "Provenance",
     folder: Path,
 ) -> None:
-    """Write records, mesh and picture, and tell the curve."""
+    """Write records, mesh and picture, tell the curve, and what is wrong with the press."""
     from data_schemas import SimulateError
-    from data_schemas.storage import ProductSet, write_record
-    from finray_calib.exchange import vtu_bytes
-    from finray_calib.reports import indenter_path_png, pressed_finger_png
     from sim.experiments import press_records
-    from sim.mechanics import contact_pressure_mpa
 
     mechanics, surfaces = press_records(design, pressed, **said)
-    touched = contact_pressure_mpa(pressed)
-    with ProductSet(files["mechanics"]) as products:
-        products.add(files["mesh"], vtu_bytes(pressed.mesh, pressed.displacement_mm[-1], touched))
-        moved = mechanics.motion is not None
-        picture = indenter_path_png(mechanics) if moved else pressed_finger_png(mechanics, surfaces, folder)
-        products.add(files["picture"], picture)
-        write_record(surfaces, files["surfaces"], origin, products)
-        write_record(mechanics, files["mechanics"], origin, products)
-    _tell(mechanics, files)
+    _write(mechanics, surfaces, pressed, files, origin, folder)
     if pressed.crossing:
         remedy = (
             "press with --contact barrier, or less deeply" if pressed.motion is None else "give a path that pushes less"
@@ -349,6 +377,31 @@ def _store(
         )
 
 
+def _write(
+    mechanics: "PressMechanics",
+    surfaces: "FingerSurfaces",
+    pressed: "PressedFinger",
+    files: dict[str, Path],
+    origin: "Provenance",
+    folder: Path,
+) -> None:
+    """Write records, mesh and picture, and tell the curve."""
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.exchange import vtu_bytes
+    from finray_calib.reports import indenter_path_png, pressed_finger_png
+    from sim.mechanics import contact_pressure_mpa
+
+    touched = contact_pressure_mpa(pressed)
+    with ProductSet(files["mechanics"]) as products:
+        products.add(files["mesh"], vtu_bytes(pressed.mesh, pressed.displacement_mm[-1], touched))
+        moved = mechanics.motion is not None
+        picture = indenter_path_png(mechanics) if moved else pressed_finger_png(mechanics, surfaces, folder)
+        products.add(files["picture"], picture)
+        write_record(surfaces, files["surfaces"], origin, products)
+        write_record(mechanics, files["mechanics"], origin, products)
+    _tell(mechanics, files)
+
+
 def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
     """Tell the curve and what is stored."""
     wrote(files["mechanics"], mechanics.label)
@@ -358,6 +411,8 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
     )  # fmt: skip
     if mechanics.motion is not None:
         _tell_motion(mechanics, mechanics.motion)
+    elif mechanics.surrogate is not None:
+        _tell_bars(mechanics, mechanics.surrogate)
     else:
         for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
             say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
@@ -388,6 +443,18 @@ def _tell_sensitivities(found: "PressSensitivities") -> None:
     if found.varied:
         say(f"  {len(found.varied)} presses with one number changed, of numbers without a derivative")
     say("  'finray compare --force' carries their uncertainty")
+
+
+def _tell_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
+    """Tell a surrogate's curve with its bars."""
+    give(force_bar_n=bars.force_bar_n, surface_bar_mm=bars.surface_bar_mm, bar_level=bars.level)
+    rows = zip(mechanics.depth_mm, mechanics.force_n[:, 1], bars.force_bar_n, bars.surface_bar_mm, strict=True)
+    for depth, force, bar, surface in rows:
+        say(f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat +- {1e3 * surface:.0f} um")
+    say(
+        f"  an answer of a surrogate: the bars hold its error beside finite elements in {bars.level:.0%} of presses; "
+        "what those are off by themselves comes on top"
+    )
 
 
 def _tell_motion(mechanics: "PressMechanics", motion: "PressMotion") -> None:
@@ -464,6 +531,16 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--engine", choices=["auto", "calculix"], default="auto",
         help="auto (default): finray's own elements; calculix: the program CalculiX",
     )  # fmt: skip
+    parser.add_argument(
+        "--surrogate", type=Path, metavar="FILE",
+        help="let a surrogate that 'finray simulate teach' made answer, with error bars; finite elements press where "
+        "it is not sure",
+    )  # fmt: skip
+    parser.add_argument(
+        "--largest-error", type=_share, metavar="SHARE",
+        help="bar of a surrogate's force or surface, over the force or the surface's displacement, from which finite "
+        "elements press instead (default: 0.1)",
+    )  # fmt: skip
     add_out(parser, "NAME.mechanics.json, with the others beside it")
     parser.set_defaults(run=run_press, long_work=_long_press)
 
@@ -499,6 +576,17 @@ def _force(text: str) -> float:
     return force_n
 
 
+def _share(text: str) -> float:
+    """Parse a relative error."""
+    try:
+        share = float(text)
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a share above 0 and at most 1, such as 0.1 for 10 %")
+    return share
+
+
 def _budget(text: str) -> float:
     """Parse a processor time."""
     try:
@@ -518,6 +606,15 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
 
     calculix = arguments.engine == "calculix"
     forced, resumes = arguments.force is not None, arguments.resume is not None
+    if arguments.surrogate is not None and (
+        path or calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"
+    ):
+        raise SimulateError(
+            "--surrogate answers a press along the pad's normal, without friction; leave it out, or --force, --path, "
+            "--resume, --sensitivities, --contact barrier, --engine and indenter.path"
+        )
+    if arguments.largest_error is not None and arguments.surrogate is None:
+        raise SimulateError("--largest-error: is of a surrogate's answer; give --surrogate FILE, or leave it out")
     if calculix and arguments.contact != "auto":
         raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
     if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):

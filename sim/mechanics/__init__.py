@@ -19,6 +19,13 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from sim.mechanics._condensed_finger import (
+        Condensation,
+        CondensedContact,
+        CondensedFinger,
+        coat_of,
+        condense_finger,
+    )
     from sim.mechanics._derivatives import DesignChange, PressDerivatives, press_derivatives
     from sim.mechanics._finger_mesh import (
         FORCE_EXCESS_REL,
@@ -83,6 +90,9 @@ __all__ = [
     "Block",
     "Body",
     "CompressedBlock",
+    "Condensation",
+    "CondensedContact",
+    "CondensedFinger",
     "ContactChoice",
     "ContactMotion",
     "Cylinder",
@@ -116,7 +126,9 @@ __all__ = [
     "chord_shortfall_rel",
     "chosen_contact",
     "coat_areas_mm2",
+    "coat_of",
     "compress_block",
+    "condense_finger",
     "contact_distance",
     "contact_forces_n",
     "contact_pressure_mpa",

@@ -225,13 +225,13 @@ def press_derivatives(
     Raises
     ------
     SimulateError
-        When the press is not by the penalty, or an increment of it is about to snap.
+        When the press is not by the penalty, has friction, or an increment of it is about to snap.
     """
     settings = settings or PressSettings()
-    if pressed.kind != "penalty" or pressed.motion is not None:
+    if pressed.kind != "penalty" or pressed.motion is not None or design.indenter.friction > 0.0:
         raise SimulateError(
-            "derivatives are of a press by the penalty along the pad's normal: the barrier's friction remembers, and a "
-            "path too; take differences of whole presses"
+            "derivatives are of a press by the penalty along the pad's normal, without friction: friction and a path "
+            "remember what came before; take differences of whole presses"
         )
     base = _Base(design, pressed.mesh, settings, folder)
     sides: dict[str, tuple[_Side, _Side]] = {}

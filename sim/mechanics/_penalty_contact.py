@@ -23,6 +23,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _POINTS_PER_EDGE = 2  # Gauss points along each side of a face
+_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS_PER_EDGE)
+GAUSS_POINTS = np.stack(np.meshgrid(_PLACES, _PLACES), -1).reshape(-1, 2)
 QUAD_CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
@@ -30,6 +32,27 @@ def quad_shapes(local: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the bilinear shape functions at points (..., 2), shape (..., 4), and their gradients (..., 4, 2)."""
     x, y = 1.0 + QUAD_CORNERS[:, 0] * local[..., None, 0], 1.0 + QUAD_CORNERS[:, 1] * local[..., None, 1]
     return x * y / 4.0, np.stack([QUAD_CORNERS[:, 0] * y, QUAD_CORNERS[:, 1] * x], -1) / 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class TouchedPoints:
+    """The m points of a penalty contact that touch.
+
+    Attributes
+    ----------
+    nodes, weights
+        Of their faces, and the shape functions there, (m, 4).
+    gap_mm, normals
+        Signed distance (m,), below 0, and the body's outward normal (m, 3).
+    stiffness_n_per_mm
+        Penalty times the area at rest, (m,).
+    """
+
+    nodes: IntArray
+    weights: FloatArray
+    gap_mm: FloatArray
+    normals: FloatArray
+    stiffness_n_per_mm: FloatArray
 
 
 class PenaltyContact:
@@ -75,11 +98,10 @@ class PenaltyContact:
         self._eps = stiffness_mpa_per_mm
         self._curvature = curvature
         self._reference = reference_node
-        at, weights = np.polynomial.legendre.leggauss(_POINTS_PER_EDGE)
-        self._shapes, slopes = quad_shapes(np.stack(np.meshgrid(at, at), -1).reshape(-1, 2))
+        self._shapes, slopes = quad_shapes(GAUSS_POINTS)
         tangents = np.einsum("kai,qaj->kqij", nodes_mm[quads], slopes)
         normal = np.cross(tangents[..., 0], tangents[..., 1])
-        self._areas = np.linalg.norm(normal, axis=-1) * np.outer(weights, weights).ravel()
+        self._areas = np.linalg.norm(normal, axis=-1) * np.outer(_WEIGHTS, _WEIGHTS).ravel()
 
     def place(self, pose: Pose) -> None:
         """Put the body somewhere else."""
@@ -105,6 +127,19 @@ class PenaltyContact:
         """Return the signed distance of each face's points, shape (k, q)."""
         distance, _, _ = self.pose.distances(self.body, self._touching(u)[2])
         return distance.reshape(self._areas.shape)
+
+    def touched(self, u: FloatArray) -> "TouchedPoints":
+        """Return the points that touch."""
+        face, number, points = self._touching(u)
+        distance, normal, _ = self.pose.distances(self.body, points)
+        kept = np.flatnonzero(distance < 0.0)
+        return TouchedPoints(
+            self.quads[face[kept]],
+            self._shapes[number[kept]],
+            distance[kept],
+            normal[kept],
+            self._eps * self._areas.ravel()[kept],
+        )
 
     def pressures_mpa(self, u: FloatArray) -> FloatArray:
         """Return the contact pressure (referred to the area at rest) at each face's points, shape (k, q)."""

@@ -1,0 +1,672 @@
+"""A finger that answers presses in milliseconds, with error bars: taught by a few presses by finite elements.
+
+The contact is found on the finger condensed to its coat (:class:`~sim.mechanics.CondensedFinger`). What that leaves,
+large strains of the gel and bending of the ribs, does not travel with the contact; Gaussian processes learn it from
+presses that are chosen where they know least. The bars are as wide as presses that were left out ask for.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+from scipy.stats import qmc
+
+from data_schemas import (
+    FingerDesign,
+    FingerSurfaces,
+    Indenter,
+    Preset,
+    PressFamily,
+    PressMechanics,
+    PressSurrogate,
+    SimulateError,
+    SurrogateBars,
+    TaughtKernel,
+    TaughtPress,
+)
+from sim.experiments._mechanical_press import press_records
+from sim.mechanics import (
+    Condensation,
+    CondensedContact,
+    CondensedFinger,
+    PressedFinger,
+    PressSettings,
+    condense_finger,
+    contact_distance,
+    press_finger,
+    rigid_indenter,
+)
+from sim.surface_meshes import shape_from_mesh, store_shapes
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Progress = Callable[[int, int, str], None]
+
+LEVEL: Final = 0.95
+LIMIT_REL: Final = 0.1
+"""A bar over the force, or over the surface's own displacement, from which finite elements should press instead."""
+FEWEST_PRESSES: Final = 12
+USUAL_PRESSES: Final = 40
+
+_POOL = 256  # presses that the next one is chosen from
+_PUSH = (3.0 / 4.0, 1.0)  # of the deepest: presses that teach end between, and pass all smaller pushes
+_INCREMENTS = 4
+_MOST_MODES = 40
+_RELEARN = 4  # presses between two searches of the kernels
+_SAME_NODE_MM = 1e-6
+_LENGTHS = (0.2, 20.0)  # in half widths of the family
+_LINEAR = (1e-4, 1e2)
+_NOISE = (1e-7, 1e-1)
+_JITTER = 1e-9
+_FEATURES = 6
+_MIRRORED = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])  # features across the finger's middle
+# of a design, what no press by finite elements reads
+_UNREAD = frozenset(
+    {"indenter", "provenance", "name", "origin", "uncertainty_rel", "materials", "coating", "light", "second_light",
+     "further_lights"}
+)  # fmt: skip
+
+
+def press_family(design: FingerDesign) -> PressFamily:
+    """Return the presses that a surrogate of a finger answers, by the size of its pad.
+
+    Places along the middle 65 % of the pad, and 17 % of its width to each side: nearer to its ends the indenter
+    overhangs. Radii of 6 to 20 mm, which several elements of the coarse coat touch; pushes up to 4 mm.
+    """
+    length, width = design.pad.length_mm, design.pad.width_mm
+    return PressFamily(
+        radius_mm=(6.0, 20.0),
+        position_mm=(0.2 * length, 0.85 * length),
+        across_mm=(-6.0 / 35.0 * width, 6.0 / 35.0 * width),
+        turn_deg=(-30.0, 30.0),
+        depth_mm=(0.5, 4.0),
+    )
+
+
+def candidate_presses(family: PressFamily, count: int = _POOL) -> list[Indenter]:
+    """Return presses spread evenly over half of a family (Sobol's sequence); the other half mirrors them."""
+
+    def between(share: float, bounds: tuple[float, float]) -> float:
+        return float(bounds[0] + share * (bounds[1] - bounds[0]))
+
+    found = []
+    for along, across, size, turn, shape, push in qmc.Sobol(_FEATURES, seed=1).random(count):
+        cylinder = shape < 1.0 / 2.0
+        found.append(
+            Indenter(
+                shape="cylinder" if cylinder else "ball",
+                radius_mm=float(family.radius_mm[0] * (family.radius_mm[1] / family.radius_mm[0]) ** size),
+                position_mm=between(along, family.position_mm),
+                across_mm=between(across, (0.0, family.across_mm[1])),
+                rotation_deg=(0.0, between(turn, family.turn_deg) if cylinder else 0.0, 0.0),
+                depth_mm=family.depth_mm[1] * between(push, _PUSH),
+            )
+        )
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Process:
+    """A Gaussian process at its samples: weights of the samples at a place, and its standard deviation there."""
+
+    kernel: TaughtKernel
+    samples: Floats  # (s, d)
+
+    @property
+    def matrix(self) -> Floats:
+        """Covariance of the samples (s, s) with their noise, over the variance."""
+        return self.between(self.samples) + (self.kernel.noise_rel + _JITTER) * np.eye(len(self.samples))
+
+    def between(self, places: Floats) -> Floats:
+        """Return the covariance (q, s) of places with the samples, over the variance."""
+        return _covariance(places, self.samples, self.kernel.lengths, self.kernel.linear_rel)
+
+    def at_themselves(self, places: Floats) -> Floats:
+        """Return the variance (q,) of places before anything is known, over the variance."""
+        return np.asarray(1.0 + self.kernel.linear_rel * (1.0 + (places**2).sum(axis=1)))
+
+
+def _covariance(first: Floats, second: Floats, lengths: Floats, linear_rel: float) -> Floats:
+    """Return exp(-d^2 / 2) + linear_rel (1 + x . y) of two sets of places."""
+    a, b = first / lengths, second / lengths
+    square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
+    return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)) + linear_rel * (1.0 + first @ second.T))
+
+
+def _kernel(samples: Floats, products: Floats) -> TaughtKernel:
+    """Return the kernel of greatest likelihood for values with these products (s, s) among each other.
+
+    The variance is that of greatest likelihood, and the values of all components have it; a weak prior holds lengths
+    near two half widths where the samples say nothing of them.
+    """
+    count, width = samples.shape
+    scale = float(np.trace(products)) / count
+
+    def taught(parameters: Floats) -> tuple[float, TaughtKernel]:
+        lengths, (linear, noise) = np.exp(parameters[:width]), np.exp(parameters[width:])
+        kernel = TaughtKernel(lengths=lengths, linear_rel=float(linear), noise_rel=float(noise), variance=1.0)
+        factor = cho_factor(_Process(kernel, samples).matrix, lower=True)
+        variance = float(np.trace(cho_solve(factor, products / scale))) / count
+        misfit = 0.5 * count * np.log(variance) + float(np.log(np.diag(factor[0])).sum())
+        misfit += 0.5 * float(((parameters[:width] - np.log(2.0)) ** 2).sum())
+        return misfit, kernel.model_copy(update={"variance": variance * scale})
+
+    start = np.log([2.0] * width + [1.0, 1e-4])
+    bounds = [tuple(np.log(pair)) for pair in ([_LENGTHS] * width + [_LINEAR, _NOISE])]
+    best = minimize(lambda p: taught(p)[0], start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
+    return taught(best.x)[1]
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """Increments of the presses that teach, and their mirror images, s in all."""
+
+    press: Integers  # (s,)
+    features: Floats  # (s, d)
+    rest_rel: NDArray[np.float32]  # (s, 3 n), displacement that condensation leaves, over the push
+    own_rel: Floats  # (s,), root mean square displacement of the coat over the push
+    force_rest_rel: Floats  # (s, 3), force that condensation leaves over its force along the normal
+    force_rel: Floats  # (s,), force over that of condensation
+    crossed: Floats  # (c, d), features of increments that teach nothing
+
+    def __len__(self) -> int:
+        return len(self.press)
+
+
+def _mirrored(nodes_mm: Floats) -> Integers:
+    """Return the number of each node's mirror image across the finger's middle."""
+    distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
+    if distance.max() > _SAME_NODE_MM:
+        raise SimulateError("the finger's mesh differs on both sides of its middle: it cannot be taught by half")
+    return np.asarray(image)
+
+
+def _samples(
+    finger: CondensedFinger, design: FingerDesign, family: PressFamily, taught: Sequence[TaughtPress]
+) -> _Samples:
+    """Return what presses by finite elements have beyond the condensed finger's."""
+    image, flip = _mirrored(finger.mesh.nodes_mm), np.array([-1.0, 1.0, 1.0])
+    rows: list[tuple[int, Floats, NDArray[np.float32], float, Floats, float]] = []
+    crossed = []
+    for number, press in enumerate(taught):
+        indenter = press.design.indenter
+        rigid = rigid_indenter(design.model_copy(update={"indenter": indenter}))
+        for k, depth in enumerate(press.depth_mm.tolist()):
+            features = family.features(indenter.model_copy(update={"depth_mm": depth}))
+            turned = features * _MIRRORED
+            if k >= press.sound:
+                crossed += [features, turned]
+                continue
+            contact = finger.press(rigid, depth)
+            rest = (press.displacement_mm[k] - finger.displacement_mm(contact)) / depth
+            own = _rms(press.displacement_mm[k][finger.coat]) / depth
+            force = (press.force_n[k] - contact.force_n) / contact.force_n[1]
+            times = float(press.force_n[k, 1] / contact.force_n[1])
+            for seen, field, left in ((features, rest, force), (turned, rest[image] * flip, force * flip)):
+                rows.append((number, seen, field.astype(np.float32).ravel(), own, left, times))
+        if press.unreached:
+            crossed += [family.features(indenter), family.features(indenter) * _MIRRORED]
+    if not rows:
+        raise SimulateError("no press teaches anything: ribs pass through each other in all of them from the start")
+    press_of, features_of, rests, owns, forces, times_of = zip(*rows, strict=True)
+    return _Samples(
+        np.array(press_of),
+        np.array(features_of),
+        np.array(rests),
+        np.array(owns),
+        np.array(forces),
+        np.array(times_of),
+        np.array(crossed).reshape(-1, _FEATURES),
+    )
+
+
+def _rms(vectors: NDArray[np.floating]) -> float:
+    """Return the root mean square length of vectors (n, 3)."""
+    return float(np.sqrt((np.asarray(vectors, dtype=np.float64) ** 2).sum(axis=1).mean()))
+
+
+def _left_out(process: _Process, products: Floats, press: Integers) -> tuple[Floats, Floats]:
+    """Return errors of predictions without a sample's own press, and their standard deviations, both (s,)."""
+    inverse = np.linalg.inv(process.matrix)
+    error, deviation = np.empty(len(press)), np.empty(len(press))
+    for number in np.unique(press):
+        own = np.flatnonzero(press == number)
+        covariance = np.linalg.inv(inverse[np.ix_(own, own)])
+        weights = covariance @ inverse[own]
+        error[own] = np.sqrt(np.maximum(np.einsum("gs,st,gt->g", weights, products, weights), 0.0))
+        deviation[own] = np.sqrt(np.diag(covariance) * process.kernel.variance)
+    return error, deviation
+
+
+def _bar(error: Floats, deviation: Floats, press: Integers) -> float:
+    """Return the conformal quantile of error over deviation: of n presses, that of the level (n + 1) / n."""
+    count = len(np.unique(press))
+    return float(np.quantile(error / deviation, min(1.0, LEVEL * (count + 1) / count), method="higher"))
+
+
+@dataclass(frozen=True, slots=True)
+class _Learned:
+    """Both processes, and what the surfaces' samples have in common on the coat."""
+
+    surface: _Process
+    force: _Process
+    surface_products: Floats
+    force_products: Floats
+
+
+def _learn(finger: CondensedFinger, samples: _Samples, before: _Learned | None) -> _Learned:
+    """Return the processes, with the kernels of before where there are any."""
+    coat = samples.rest_rel.reshape(len(samples), -1, 3)[:, finger.coat].reshape(len(samples), -1).astype(np.float64)
+    surface = coat @ coat.T / len(finger.coat)
+    along = samples.force_rest_rel[:, 1]
+    force = np.outer(along, along)
+    kernels = (
+        (_kernel(samples.features, surface), _kernel(samples.features, force))
+        if before is None
+        else (before.surface.kernel, before.force.kernel)
+    )
+    processes = [_Process(kernel, samples.features) for kernel in kernels]
+    return _Learned(processes[0], processes[1], surface, force)
+
+
+def _least_known(learned: _Learned, samples: _Samples, family: PressFamily, left: Sequence[Indenter]) -> int:
+    """Return which press both processes know least of, relative to surface and force."""
+    places = np.array([family.features(indenter) for indenter in left])
+    surface = _deviation(learned.surface, places) / float(np.median(samples.own_rel))
+    return int(np.argmax(np.maximum(surface, _deviation(learned.force, places))))
+
+
+def _deviation(process: _Process, places: Floats) -> Floats:
+    """Return the standard deviation (q,) at places, with the noise."""
+    between = process.between(places)
+    known = np.einsum("qs,sq->q", between, np.linalg.solve(process.matrix, between.T))
+    spread = np.maximum(process.at_themselves(places) - known, 0.0) + process.kernel.noise_rel
+    return np.asarray(np.sqrt(process.kernel.variance * spread))
+
+
+@dataclass(frozen=True, slots=True)
+class TeachSettings:
+    """How a surrogate is taught.
+
+    Attributes
+    ----------
+    presses
+        By finite elements, at least 12; those after the first 12 are chosen where the processes know least.
+    preset
+        Fineness of the mesh; the design's own by default.
+    threads
+        Of elements and factorisation.
+    """
+
+    presses: int = USUAL_PRESSES
+    preset: Preset | None = None
+    threads: int = 1
+
+
+def teach_surrogate(
+    design: FingerDesign,
+    settings: TeachSettings | None = None,
+    *,
+    stored: Callable[[int], TaughtPress | None] | None = None,
+    store: Callable[[int, TaughtPress], None] | None = None,
+    progress: Progress | None = None,
+) -> PressSurrogate:
+    """Condense a finger, press it by finite elements and learn what condensation leaves.
+
+    Valid for the family that :func:`press_family` states. The bars rest on presses left out one at a time, and hold for
+    presses drawn from the family as far as those that taught are like them: they are chosen where least is known.
+
+    Parameters
+    ----------
+    design
+        The finger; its indenter has no part in it.
+    settings
+        How.
+    stored
+        Returns press number k of an earlier run, or nothing.
+    store
+        Called with each new press and its number, to keep it.
+    progress
+        Called before each press, and during it.
+
+    Raises
+    ------
+    SimulateError
+        When there are too few presses, the finger cannot be meshed, or a stored press is another one.
+    """
+    settings, begun = settings or TeachSettings(), time.process_time()
+    if settings.presses < FEWEST_PRESSES:
+        raise SimulateError(f"{settings.presses} presses are too few to teach by; at least {FEWEST_PRESSES} are needed")
+    preset, family = settings.preset or design.mesh.preset, press_family(design)
+    condensed = condense_finger(design, preset, settings.threads, progress)
+    finger = CondensedFinger(design, preset, condensed)
+    left = candidate_presses(family, max(_POOL, 2 * settings.presses))
+    taught: list[TaughtPress] = []
+    learned: _Learned | None = None
+    seconds = 0.0
+    while len(taught) < settings.presses:
+        number, which = len(taught), 0
+        if number >= FEWEST_PRESSES:
+            samples = _samples(finger, design, family, taught)
+            relearn = learned is None or (number - FEWEST_PRESSES) % _RELEARN == 0
+            learned = _learn(finger, samples, None if relearn else learned)
+            which = _least_known(learned, samples, family, left)
+        wanted = design.model_copy(update={"indenter": left.pop(which), "provenance": None})
+        before = None if stored is None else stored(number)
+        press = _same_press(before, wanted, preset, number) or _press(wanted, preset, settings, number, progress)
+        if before is None and store is not None:
+            store(number, press)
+        seconds += press.processor_s if before is not None else 0.0
+        taught.append(press)
+    samples = _samples(finger, design, family, taught)
+    learned = _learn(finger, samples, None)
+    return _surrogate(design, preset, family, condensed, samples, learned, time.process_time() - begun + seconds)
+
+
+def _differs(one: FingerDesign, other: FingerDesign) -> list[str]:
+    """Return in which fields two fingers differ, apart from their indenters and what no press reads."""
+    fields = [name for name in FingerDesign.model_fields if name not in _UNREAD]
+    return [name for name in fields if getattr(one, name) != getattr(other, name)]
+
+
+def _same_press(before: TaughtPress | None, wanted: FingerDesign, preset: Preset, number: int) -> TaughtPress | None:
+    """Return a stored press, which must be the one that is wanted."""
+    if before is None:
+        return None
+    same = before.preset == preset and before.design.indenter == wanted.indenter
+    if not same or _differs(before.design, wanted):
+        raise SimulateError(
+            f"press {number + 1} that is stored is of another design, mesh or version; give another --out, or remove "
+            "the folder of its presses"
+        )
+    return before
+
+
+def _press(
+    design: FingerDesign, preset: Preset, settings: TeachSettings, number: int, progress: Progress | None
+) -> TaughtPress:
+    """Press by finite elements."""
+    begun, sound = time.process_time(), 0
+
+    def count(pressed: PressedFinger) -> None:
+        nonlocal sound
+        sound += not pressed.crossing
+
+    def tell(done: int, total: int, what: str) -> None:
+        if progress is not None:
+            progress(number * total + done, settings.presses * total, f"press {number + 1}: {what}")
+
+    pressed = press_finger(
+        design, PressSettings(preset, _INCREMENTS, settings.threads, "penalty"), store=count, progress=tell
+    )
+    return TaughtPress(
+        preset=preset,
+        design=design,
+        depth_mm=pressed.depth_mm,
+        force_n=pressed.force_n,
+        displacement_mm=pressed.displacement_mm.astype(np.float32),
+        sound=sound,
+        unreached=pressed.unreached,
+        processor_s=time.process_time() - begun,
+    )
+
+
+def _surrogate(
+    design: FingerDesign,
+    preset: Preset,
+    family: PressFamily,
+    condensed: Condensation,
+    samples: _Samples,
+    learned: _Learned,
+    processor_s: float,
+) -> PressSurrogate:
+    """Return what was learned as a record: modes of the samples, and bars by presses left out."""
+    rests = samples.rest_rel
+    values, vectors = np.linalg.eigh(np.asarray(rests @ rests.T, dtype=np.float64))
+    kept = np.argsort(values)[::-1][: min(_MOST_MODES, len(samples))]
+    modes = ((vectors[:, kept] / np.sqrt(np.maximum(values[kept], np.finfo(float).tiny))).T @ rests).astype(np.float32)
+    surface = _left_out(learned.surface, learned.surface_products, samples.press)
+    force = _left_out(learned.force, learned.force_products, samples.press)
+    presses = int(samples.press.max()) + 1
+    return PressSurrogate(
+        name=f"{design.name}, taught by {presses} presses",
+        label=f"surrogate taught by {presses} presses by finite elements, {preset} mesh",
+        preset=preset,
+        design=design,
+        family=family,
+        compliance_mm_per_n=condensed.compliance_mm_per_n,
+        shapes=condensed.shapes,
+        shape_compliance_mm_per_n=condensed.shape_compliance_mm_per_n,
+        shapes_rest_rel=condensed.far_rest_rel,
+        presses=presses,
+        sample_press=samples.press,
+        sample_features=samples.features,
+        modes=modes,
+        amplitudes_rel=rests @ modes.T,
+        modes_rest_rel=float(np.sqrt(max(0.0, 1.0 - values[kept].sum() / values.sum()))),
+        force_rest_rel=samples.force_rest_rel,
+        surface_kernel=learned.surface.kernel,
+        force_kernel=learned.force.kernel,
+        level=LEVEL,
+        surface_bar=_bar(*surface, samples.press),
+        force_bar=_bar(*force, samples.press),
+        left_out_surface_rel=surface[0] / samples.own_rel,
+        left_out_force_rel=force[0] / samples.force_rel,
+        crossed_features=samples.crossed,
+        processor_s=processor_s,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SurrogatePress:
+    """What a surrogate answers of a press.
+
+    Attributes
+    ----------
+    indenter
+        With its push.
+    contact
+        On the condensed finger: which points touch, and their share of the pressure.
+    displacement_mm
+        Of the mesh's nodes (n, 3).
+    force_n
+        On the indenter (3,).
+    force_bar_n, surface_bar_mm
+        Half widths that hold the error of the force along the normal, and the root mean square error over the coat,
+        in 95 % of presses.
+    doubt
+        Why finite elements should press instead; empty where the answer is good.
+    """
+
+    indenter: Indenter
+    contact: CondensedContact
+    displacement_mm: Floats
+    force_n: Floats
+    force_bar_n: float
+    surface_bar_mm: float
+    doubt: str
+
+
+class SurrogateFinger:
+    """A taught surrogate, opened once to answer many presses.
+
+    Parameters
+    ----------
+    record
+        What :func:`teach_surrogate` returned.
+    limit_rel
+        A bar over the force, or over the coat's own displacement, from which an answer is doubted.
+
+    Raises
+    ------
+    SimulateError
+        When the record is of a mesh that this version makes no more.
+    """
+
+    def __init__(self, record: PressSurrogate, limit_rel: float = LIMIT_REL) -> None:
+        self.record, self.limit_rel = record, limit_rel
+        condensed = Condensation(
+            record.compliance_mm_per_n, record.shapes, record.shape_compliance_mm_per_n, record.shapes_rest_rel
+        )
+        self.finger = CondensedFinger(record.design, record.preset, condensed)
+        self._surface = _Process(record.surface_kernel, record.sample_features)
+        self._force = _Process(record.force_kernel, record.sample_features)
+        self._surface_inverse = np.linalg.inv(self._surface.matrix)
+        self._force_inverse = np.linalg.inv(self._force.matrix)
+
+    def press(self, indenter: Indenter) -> SurrogatePress:
+        """Return the answer to a press, in some 20 ms of processor time on the coarse 70 x 35 finger.
+
+        u = u_condensed + d sum_i w_i(x) a_i modes and F = F_condensed (1 + sum_i v_i(x) r_i), with the processes'
+        weights w, v of the samples at the press's features x, the samples' amplitudes a and rests r, and the push d.
+
+        Parameters
+        ----------
+        indenter
+            Cylinder or ball of the family, with its place and push.
+
+        Raises
+        ------
+        SimulateError
+            When the press is none of the family, or its contact is not found.
+        """
+        record = self.record
+        if why := record.family.outside(indenter):
+            raise SimulateError(f"the surrogate does not answer {why}; change it, or press by finite elements")
+        rigid = rigid_indenter(record.design.model_copy(update={"indenter": indenter}))
+        contact = self.finger.press(rigid, indenter.depth_mm)
+        place = record.family.features(indenter)[None]
+        weights, surface = self._at(self._surface, self._surface_inverse, place)
+        pulls, force = self._at(self._force, self._force_inverse, place)
+        rest = ((weights @ record.amplitudes_rel).astype(np.float32) @ record.modes).reshape(-1, 3)
+        displacement = self.finger.displacement_mm(contact) + indenter.depth_mm * rest
+        pushed = contact.force_n + contact.force_n[1] * (pulls @ record.force_rest_rel)
+        force_bar = record.force_bar * force * float(contact.force_n[1])
+        surface_bar = record.surface_bar * surface * indenter.depth_mm
+        shares = (force_bar / float(pushed[1]), surface_bar / _rms(displacement[self.finger.coat]))
+        return SurrogatePress(
+            indenter, contact, displacement, pushed, force_bar, surface_bar, self._doubt(place[0], shares)
+        )
+
+    def _at(self, process: _Process, inverse: Floats, place: Floats) -> tuple[Floats, float]:
+        """Return the weights (s,) of the samples at one place (1, d), and the standard deviation."""
+        between = process.between(place)[0]
+        weights = inverse @ between
+        spread = max(0.0, float(process.at_themselves(place)[0] - weights @ between)) + process.kernel.noise_rel
+        return weights, float(np.sqrt(process.kernel.variance * spread))
+
+    def _doubt(self, place: Floats, shares: tuple[float, float]) -> str:
+        """Return why an answer is not to be taken."""
+        for what, share in zip(("force", "surface"), shares, strict=True):
+            if not share <= self.limit_rel:
+                return f"its {what} may be off by {share:.1%}, and {self.limit_rel:.1%} is the limit"
+        crossed = self.record.crossed_features
+        if len(crossed):
+            lengths = self.record.surface_kernel.lengths
+
+            def nearest(places: Floats) -> float:
+                return float((((places - place) / lengths) ** 2).sum(axis=1).min())
+
+            if nearest(crossed) <= nearest(self.record.sample_features):
+                return "in the nearest press that taught it ribs pass through each other or buckle"
+        return ""
+
+    def surfaces(self, press: SurrogatePress) -> FingerSurfaces:
+        """Return the pressed finger as the optics renders it."""
+        vertices, rest = self._vertices
+        pressed = self._pressed([press])
+        return rest.model_copy(
+            update={
+                "label": f"{self.record.label}, push of {press.indenter.depth_mm:g} mm",
+                "push_mm": press.indenter.depth_mm,
+                "vertices_mm": rest.rest_vertices_mm + press.displacement_mm[vertices],
+                "contact_distance": contact_distance(pressed, self.finger.coat),
+            }
+        )
+
+    @cached_property
+    def _vertices(self) -> tuple[Integers, FingerSurfaces]:
+        """Node of each vertex of the surfaces, and the surfaces at rest."""
+        design, mesh = self.record.design, self.finger.mesh
+        rest = shape_from_mesh(design, mesh.nodes_mm, mesh.hexahedra)
+        stored = store_shapes(rest, rest, f"{design.name}, pressed")
+        numbers = np.zeros_like(mesh.nodes_mm)
+        numbers[:, 0] = np.arange(len(numbers))
+        shifted = store_shapes(rest, shape_from_mesh(design, mesh.nodes_mm, mesh.hexahedra, numbers), "numbered")
+        return np.rint(shifted.vertices_mm[:, 0] - stored.vertices_mm[:, 0]).astype(np.int64), stored
+
+    def _pressed(self, presses: Sequence[SurrogatePress]) -> PressedFinger:
+        """Return answers to rising pushes as a press."""
+        last = presses[-1]
+        unknown = np.full(len(presses), np.nan)
+        return PressedFinger(
+            mesh=self.finger.mesh,
+            depth_mm=np.array([press.indenter.depth_mm for press in presses]),
+            force_n=np.array([press.force_n for press in presses]),
+            energy_n_mm=unknown,
+            displacement_mm=np.array([press.displacement_mm for press in presses]),
+            iterations=np.array([press.contact.rounds for press in presses], dtype=np.int64),
+            modes_mm=(),
+            pressure_mpa=last.contact.pressure_mpa * float(last.force_n[1] / last.contact.force_n[1]),
+            touch_mm=self.finger.touch_mm,
+            unreached="",
+            contact="contact on the finger condensed to its coat, frictionless; strains and bending learned from "
+            "presses by the penalty",
+            kind="penalty",
+        )
+
+    def records(
+        self, design: FingerDesign, increments: int
+    ) -> tuple[PressMechanics, FingerSurfaces, PressedFinger, str]:
+        """Return the press of a design as records, as the press that pictures are made of, and why to doubt it.
+
+        With the pushes on its way, as far as they are in the family.
+
+        Raises
+        ------
+        SimulateError
+            When the design is another finger, or its press none of the family.
+        """
+        self.check_design(design)
+        if why := self.record.family.outside(design.indenter):
+            raise SimulateError(f"the surrogate does not answer {why}; change it, or press by finite elements")
+        depth, least = design.indenter.depth_mm, self.record.family.depth_mm[0]
+        pushes = [push for k in range(increments) if (push := depth * (k + 1) / increments) >= least]
+        answers = [self.press(design.indenter.model_copy(update={"depth_mm": push})) for push in pushes]
+        pressed, last = self._pressed(answers), answers[-1]
+        bars = SurrogateBars(
+            level=self.record.level,
+            presses=self.record.presses,
+            limit_rel=self.limit_rel,
+            force_bar_n=np.array([answer.force_bar_n for answer in answers]),
+            surface_bar_mm=np.array([answer.surface_bar_mm for answer in answers]),
+        )
+        notes = (
+            f"a surrogate: in {bars.level:.0%} of presses the force is within {last.force_bar_n:.2g} N and the "
+            f"coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the finite elements that taught it",
+            "energies are not told; pressures are those of the condensed contact, made to add up to the force",
+        )
+        mechanics, surfaces = press_records(design, pressed, self.record.preset, self.record.label, notes)
+        return mechanics.model_copy(update={"surrogate": bars}), surfaces, pressed, last.doubt
+
+    def check_design(self, design: FingerDesign) -> None:
+        """Check that a design is the finger that was taught; its indenter may be another.
+
+        Raises
+        ------
+        SimulateError
+            When it is another one.
+        """
+        other = _differs(self.record.design, design)
+        if other:
+            raise SimulateError(
+                f"the surrogate was taught another design: it differs in {', '.join(other)}; teach this one with "
+                "'finray simulate teach', or press without --surrogate"
+            )
