@@ -467,15 +467,17 @@ def powers_sentence(record: LightPowers) -> str:
         )
     told = ", ".join(f"{row.light} at {row.power_rel:.3g}" for row in record.rows[:_MOST_NAMED])
     more = f" and {len(record.rows) - _MOST_NAMED} more as listed" if len(record.rows) > _MOST_NAMED else ""
-    if gain.high95 <= 0.005:
-        told = f"The powers are as even as they can be within their limits: {told}{more}. The"
+    if gain.high95 <= _NO_GAIN:
+        sentence = (
+            f"No allowed powers are more even: keep {told}{more}, where the brightness of the coat varies by "
+            f"{then.estimate:.0%} over the pad."
+        )
     else:
-        told = f"Set {told}{more}: the"
-    less = f"{gain.estimate:.0%} less ({gain.low95:.0%} to {gain.high95:.0%})"
-    sentence = (
-        f"{told} brightness of the coat then varies by {then.estimate:.0%} over the pad in place of "
-        f"{now.estimate:.0%}, {less}, at {record.brightness_rel:.2f} times the brightness."
-    )
+        sentence = (
+            f"Set {told}{more}: the brightness of the coat then varies by {then.estimate:.0%} over the pad in place of "
+            f"{now.estimate:.0%}, {gain.estimate:.0%} less ({gain.low95:.0%} to {gain.high95:.0%}), at "
+            f"{record.brightness_rel:.2f} times the brightness."
+        )
     error = record.normal_error
     if error is None:
         return f"{sentence} What this does to the error of the normal is not evaluated for a classic sensor."
@@ -490,3 +492,4 @@ def powers_sentence(record: LightPowers) -> str:
 
 
 _MOST_NAMED: Final = 6
+_NO_GAIN: Final = 0.005
