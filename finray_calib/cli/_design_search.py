@@ -167,7 +167,7 @@ Each power stays within --range times that of now, and all lights together emit 
 
   --map light.angle_deg=0:75:15 --map "light.position_mm[y]=-14:-6:2"
 
-Some seconds of processor time for each light of a finger, one or two for each finger of a map, a minute or two for a
+Some ten seconds of processor time for each light of a finger, three for each finger of a map, a minute or two for a
 classic sensor. Writes a record, its page, and the design with the new powers."""
 
 LIGHTS_EPILOG = """\
@@ -192,12 +192,26 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
         "--map", dest="axes", action="append", default=[], metavar="FIELD=LOW:HIGH:STEP",
         help="a number of the finger and its values, given twice",
     )  # fmt: skip
+    lights.add_argument(
+        "--samples", type=_sample_count, metavar="N",
+        help="paths of a batch, an even number: per point of a finger (default: 512), per pixel of a sensor (32)",
+    )  # fmt: skip
     add_paint(lights)
     add_paints_as_given(lights)
     add_engine(lights, is_scalar_enough=False)
     lights.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.light-powers.json; must be new")
     add_seed(lights)
     lights.set_defaults(run=run_lights)
+
+
+def _sample_count(text: str) -> int:
+    """Parse an even number of paths."""
+    if not text.isdecimal() or not 2 <= int(text) <= _MOST_SAMPLES or int(text) % 2:
+        raise argparse.ArgumentTypeError(f"{text!r} must be an even number from 2 to {_MOST_SAMPLES}")
+    return int(text)
+
+
+_MOST_SAMPLES = 65536
 
 
 def _power_range(text: str) -> tuple[float, float]:
@@ -278,7 +292,7 @@ def _finger_lights(
 
     axes = [map_axis(design, text) for text in arguments.axes]
     light, paints = _light_measure(arguments, design, folder)
-    settings = EvaluationSettings(rays=512, repeats=8, draws=24, seed=arguments.seed)
+    settings = EvaluationSettings(rays=arguments.samples or 512, repeats=8, draws=24, seed=arguments.seed)
     evaluator = FingerEvaluator(light.response, light.renderer, settings, light.calibration)
     finger = evaluator.lit_apart(design, light.paints, progress)
     mapped = None
@@ -298,8 +312,10 @@ def _sensor_lights(
 
     if arguments.paint:
         raise SimulateError("--paint: a classic sensor carries no fluorescent paint; leave it out")
-    scene = ClassicLayers(sensor, open_engine(arguments.engine), folder, arguments.seed, samples=32)
-    return _LightsApart(*light_by_light(scene, 8, progress))
+    scene = ClassicLayers(
+        sensor, open_engine(arguments.engine), folder, arguments.seed, samples=arguments.samples or 32
+    )
+    return _LightsApart(*light_by_light(scene, 6, progress))
 
 
 def _store_powers(out: Path, record: "LightPowers", origin: "Provenance") -> None:

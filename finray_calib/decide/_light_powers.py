@@ -33,8 +33,9 @@ Floats = NDArray[np.float64]
 
 #: Of paths and paints together. The 95 % limits of a power are then known to a tenth of their width.
 DRAWS: Final = 200
-#: Of the variance, beyond which no powers can do better.
+#: Of the variance, beyond which no powers can do better; and of the largest variance where the least is 0.
 LARGEST_GAP_REL: Final = 1e-8
+_SMALLEST_GAP_REL: Final = 1e-12
 _MOST_STEPS: Final = 1000
 _LEAST_BATCHES: Final = 3
 
@@ -216,7 +217,7 @@ def most_even(spread: Floats, level: Floats, limits: PowerLimits) -> OptimalPowe
     factor = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     scale = float(np.sqrt(np.maximum(values, 0.0).max(initial=0.0))) or 1.0
     corners = _corner(np.zeros(len(level)), level, limits)[:, None]
-    floor = LARGEST_GAP_REL * scale**2 * float((corners**2).sum())
+    floor = _SMALLEST_GAP_REL * scale**2 * float((corners**2).sum())
     for _ in range(_MOST_STEPS):
         # |F q|^2 + (1 - sum)^2 over all scales is least in the direction of the least |F q|^2 of sum 1
         weights, _ = nnls(np.vstack([factor @ corners / scale, np.ones(corners.shape[1])]), _last_of(len(level) + 1))
@@ -227,7 +228,7 @@ def most_even(spread: Floats, level: Floats, limits: PowerLimits) -> OptimalPowe
         gradient = 2.0 * factor.T @ (factor @ at)
         corner = _corner(gradient, level, limits)
         gap = max(float(gradient @ (at - corner)), 0.0)
-        if gap <= max(LARGEST_GAP_REL * variance, floor * LARGEST_GAP_REL):
+        if gap <= max(LARGEST_GAP_REL * variance, floor):
             return OptimalPowers(limits.brightest(at), variance, gap)
         corners = np.column_stack([corners, corner])
     raise DecideError(
@@ -466,15 +467,17 @@ def powers_sentence(record: LightPowers) -> str:
         )
     told = ", ".join(f"{row.light} at {row.power_rel:.3g}" for row in record.rows[:_MOST_NAMED])
     more = f" and {len(record.rows) - _MOST_NAMED} more as listed" if len(record.rows) > _MOST_NAMED else ""
-    if gain.high95 <= 0.005:
-        told = f"The powers are as even as they can be within their limits: {told}{more}. The"
+    if gain.high95 <= _NO_GAIN:
+        sentence = (
+            f"No allowed powers are more even: keep {told}{more}, where the brightness of the coat varies by "
+            f"{then.estimate:.0%} over the pad."
+        )
     else:
-        told = f"Set {told}{more}: the"
-    less = f"{gain.estimate:.0%} less ({gain.low95:.0%} to {gain.high95:.0%})"
-    sentence = (
-        f"{told} brightness of the coat then varies by {then.estimate:.0%} over the pad in place of "
-        f"{now.estimate:.0%}, {less}, at {record.brightness_rel:.2f} times the brightness."
-    )
+        sentence = (
+            f"Set {told}{more}: the brightness of the coat then varies by {then.estimate:.0%} over the pad in place of "
+            f"{now.estimate:.0%}, {gain.estimate:.0%} less ({gain.low95:.0%} to {gain.high95:.0%}), at "
+            f"{record.brightness_rel:.2f} times the brightness."
+        )
     error = record.normal_error
     if error is None:
         return f"{sentence} What this does to the error of the normal is not evaluated for a classic sensor."
@@ -489,3 +492,4 @@ def powers_sentence(record: LightPowers) -> str:
 
 
 _MOST_NAMED: Final = 6
+_NO_GAIN: Final = 0.005

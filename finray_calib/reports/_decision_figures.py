@@ -341,6 +341,7 @@ def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_m
 
 #: Two fingers of a map differ where their difference is that many standard uncertainties.
 _REAL_U: Final = 2.0
+_MARGIN_MM: Final = 9.0
 _SIDES: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _COLOURS: Final = {"red": CHANNELS[0][2], "green": CHANNELS[1][2], "blue": CHANNELS[2][2], "white": "#d9d9d9"}
 
@@ -392,7 +393,7 @@ def _extent_mm(record: LightPowers) -> tuple[Floats, Floats]:
     corners = [_corners_xz(_frame_of(record, k)) for k in range(len(record.rows))]
     corners.append(np.array([[-pad.width_mm / 2.0, 0.0], [pad.width_mm / 2.0, pad.length_mm]]))
     whole = np.concatenate(corners)
-    return whole.min(axis=0) - 5.0, whole.max(axis=0) + 5.0
+    return whole.min(axis=0) - _MARGIN_MM, whole.max(axis=0) + _MARGIN_MM
 
 
 def _corners_xz(frame: PanelFrame) -> Floats:
@@ -418,8 +419,8 @@ def _draw_lit(axes: Axes, record: LightPowers, brightness: Floats, top: float) -
     rest = slice(None, record.at_rest), slice(record.at_rest, None)
     # a finger is touched where it is looked at at rest: beside each other both can be seen
     aside = 0.022 * pad.length_mm if np.array_equal(record.places_mm[rest[0]], record.places_mm[rest[1]]) else 0.0
-    axes.scatter(z[rest[1]] + aside, x[rest[1]], c=brightness[rest[1]], marker="^", s=42, **style)
-    seen = axes.scatter(z[rest[0]] - aside, x[rest[0]], c=brightness[rest[0]], marker="o", s=52, **style)
+    axes.scatter(z[rest[1]] + aside, x[rest[1]], c=brightness[rest[1]], marker="^", s=60, **style)
+    seen = axes.scatter(z[rest[0]] - aside, x[rest[0]], c=brightness[rest[0]], marker="o", s=75, **style)
     low, high = _extent_mm(record)
     axes.set(aspect="equal", xlim=(low[1], high[1]), ylim=(low[0], high[0]), ylabel="across (mm)")
     axes.grid(visible=False)

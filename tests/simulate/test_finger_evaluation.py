@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas import FingerDesign, SimulateError, SpectralCurve
+from data_schemas import FingerDesign, LightPanel, SimulateError, SpectralCurve
 from data_schemas._design_parts import TactileCamera
-from sim.experiments import EvaluationSettings, FingerEvaluator, PaintDraws, PaintedFinger
+from sim.experiments import EvaluationSettings, FingerEvaluator, PaintDraws, PaintedFinger, changed_numbers
 from sim.experiments._design_sensitivities import changed_design
 from sim.experiments._finger_evaluation import errors_at
 from sim.experiments._light_angle import angle_objectives
@@ -107,3 +107,31 @@ def test_errors_between_rows_are_linear():
     middle = errors_at(grid, np.repeat(np.arange(6.0), 2)[None], np.array([0.0, 25.0, 99.0]))
     assert middle.tolist() == [[0.0, 1.5, 5.0]]
     assert errors_at(points[:3], errors[:, :3], places)[0].tolist() == [1.0] * 6
+
+
+def test_light_adds_and_other_powers_trace_nothing(llvm, paints):
+    """Two panels one by one, mixed, against both at once and against a finger of other powers."""
+    given = {colour: without_spread(paint) for colour, paint in paints.items()}
+    second = LightPanel(position_mm=(0.0, -4.0, 73.0), angle_deg=150.0)
+    design = DESIGN.model_copy(update={"second_light": second})
+    evaluator = FingerEvaluator(response(), llvm, replace(SETTINGS, rays=128, repeats=3, draws=3))
+    lit = evaluator.lit_apart(design, given)
+    both = evaluator.evaluate(design, given)
+    traced = evaluator.traced
+    mixed = lit.evaluated(np.ones(2))
+    # the same paths: what one panel is worth does not depend on the other's power
+    assert mixed.brightness_rel == pytest.approx(both.brightness_rel, rel=1e-3)
+    assert mixed.evenness_rel == pytest.approx(both.evenness_rel, rel=0.02)
+    assert mixed.normal_error_deg == pytest.approx(both.normal_error_deg, rel=0.01)
+    other = changed_numbers(design, {"light.power_rel": 2.0, "second_light.power_rel": 0.5})
+    assert lit.evaluated(np.array([2.0, 0.5])).brightness_rel == pytest.approx(
+        evaluator.evaluate(other, given).brightness_rel, rel=1e-3
+    )
+    assert evaluator.traced == traced + 1
+    basis = lit.basis()
+    assert basis.level(basis.mean).sum() == pytest.approx(1.0)
+    assert basis.mean.shape == (2, 2 * len(lit.points_mm))
+    # the panel at the tip lights the tip: mean place of the light of each
+    along = lit.points_mm[:, 1]
+    base, tip = (np.average(along, weights=one[: len(along)]) for one in basis.mean)
+    assert base < tip

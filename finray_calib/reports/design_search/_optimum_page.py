@@ -502,7 +502,7 @@ def light_powers_page(record: LightPowers, command: str, digests: Mapping[str, s
                 KeyNumber("Brightness", f"{record.brightness_rel:.2f}", "times that of now"),
                 *_error_number(record),
             ),
-            parts=(*parts, trust_part((), record.notes)),
+            parts=(*parts, trust_part([_sentence_case(f"{note}.") for note in record.notes])),
             command=command,
             origin=files_table(digests, package_version()),
             summary=record.model_dump(
