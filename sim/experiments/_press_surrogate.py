@@ -459,7 +459,7 @@ def _surrogate(
         force_bar=_bar(*force, samples.press),
         left_out_surface_rel=surface[0] / samples.own_rel,
         left_out_force_rel=force[0] / samples.force_rel,
-        crossed_features=samples.crossed,
+        crossed_features=samples.crossed if len(samples.crossed) else None,
         processor_s=processor_s,
     )
 
@@ -567,14 +567,11 @@ class SurrogateFinger:
         for what, share in zip(("force", "surface"), shares, strict=True):
             if not share <= self.limit_rel:
                 return f"its {what} may be off by {share:.1%}, and {self.limit_rel:.1%} is the limit"
-        crossed = self.record.crossed_features
-        if len(crossed):
-            lengths = self.record.surface_kernel.lengths
-
-            def nearest(places: Floats) -> float:
-                return float((((places - place) / lengths) ** 2).sum(axis=1).min())
-
-            if nearest(crossed) <= nearest(self.record.sample_features):
+        if self.record.crossed_features is not None:
+            sets = (self.record.crossed_features, self.record.sample_features)
+            ways = [(places - place) / self.record.surface_kernel.lengths for places in sets]
+            crossed, sound = (float((way**2).sum(axis=1).min()) for way in ways)
+            if crossed <= sound:
                 return "in the nearest press that taught it ribs pass through each other or buckle"
         return ""
 
