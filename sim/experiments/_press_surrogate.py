@@ -7,7 +7,7 @@ presses that are chosen where they know least. The bars are as wide as presses t
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Final
 
@@ -188,43 +188,44 @@ def _mirrored(nodes_mm: Floats) -> Integers:
     return np.asarray(image)
 
 
-def _samples(
-    finger: CondensedFinger, design: FingerDesign, family: PressFamily, taught: Sequence[TaughtPress]
+def _samples_of(
+    finger: CondensedFinger, family: PressFamily, image: Integers, number: int, press: TaughtPress
 ) -> _Samples:
-    """Return what presses by finite elements have beyond the condensed finger's."""
-    image, flip = _mirrored(finger.mesh.nodes_mm), np.array([-1.0, 1.0, 1.0])
-    rows: list[tuple[int, Floats, NDArray[np.float32], float, Floats, float]] = []
-    crossed = []
-    for number, press in enumerate(taught):
-        indenter = press.design.indenter
-        rigid = rigid_indenter(design.model_copy(update={"indenter": indenter}))
-        for k, depth in enumerate(press.depth_mm.tolist()):
-            features = family.features(indenter.model_copy(update={"depth_mm": depth}))
-            turned = features * _MIRRORED
-            if k >= press.sound:
-                crossed += [features, turned]
-                continue
-            contact = finger.press(rigid, depth)
-            rest = (press.displacement_mm[k] - finger.displacement_mm(contact)) / depth
-            own = _rms(press.displacement_mm[k][finger.coat]) / depth
-            force = (press.force_n[k] - contact.force_n) / contact.force_n[1]
-            times = float(press.force_n[k, 1] / contact.force_n[1])
-            for seen, field, left in ((features, rest, force), (turned, rest[image] * flip, force * flip)):
-                rows.append((number, seen, field.astype(np.float32).ravel(), own, left, times))
-        if press.unreached:
-            crossed += [family.features(indenter), family.features(indenter) * _MIRRORED]
-    if not rows:
-        raise SimulateError("no press teaches anything: ribs pass through each other in all of them from the start")
-    press_of, features_of, rests, owns, forces, times_of = zip(*rows, strict=True)
+    """Return what one press by finite elements has beyond the condensed finger's; `image` is that of the nodes."""
+    flip, indenter = np.array([-1.0, 1.0, 1.0]), press.design.indenter
+    rigid = rigid_indenter(press.design)
+    rows: list[tuple[Floats, NDArray[np.float32], float, Floats, float]] = []
+    crossed = [family.features(indenter)] if press.unreached else []
+    for k, depth in enumerate(press.depth_mm.tolist()):
+        features = family.features(indenter.model_copy(update={"depth_mm": depth}))
+        if k >= press.sound:
+            crossed.append(features)
+            continue
+        contact = finger.press(rigid, depth)
+        rest = (press.displacement_mm[k] - finger.displacement_mm(contact)) / depth
+        own = _rms(press.displacement_mm[k][finger.coat]) / depth
+        force = (press.force_n[k] - contact.force_n) / contact.force_n[1]
+        for seen, field, left in ((features, rest, force), (features * _MIRRORED, rest[image] * flip, force * flip)):
+            rows.append((seen, field.astype(np.float32).ravel(), own, left, 1.0 + float(force[1])))
+    features_of, rests, owns, forces, times = zip(*rows, strict=True) if rows else ((),) * 5
+    places = np.array(crossed).reshape(-1, _FEATURES)
     return _Samples(
-        np.array(press_of),
-        np.array(features_of),
-        np.array(rests),
+        np.full(len(rows), number),
+        np.array(features_of).reshape(-1, _FEATURES),
+        np.array(rests, np.float32).reshape(len(rows), finger.mesh.nodes_mm.size),
         np.array(owns),
-        np.array(forces),
-        np.array(times_of),
-        np.array(crossed).reshape(-1, _FEATURES),
+        np.array(forces).reshape(-1, 3),
+        np.array(times),
+        np.concatenate([places, places * _MIRRORED]),
     )
+
+
+def _together(samples: Sequence[_Samples]) -> _Samples:
+    """Return the samples of several presses as one."""
+    whole = _Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(_Samples)))
+    if not len(whole):
+        raise SimulateError("no press teaches anything: ribs pass through each other in all of them from the start")
+    return whole
 
 
 def _rms(vectors: NDArray[np.floating]) -> float:
@@ -348,13 +349,14 @@ def teach_surrogate(
     condensed = condense_finger(design, preset, settings.threads, progress)
     finger = CondensedFinger(design, preset, condensed)
     left = candidate_presses(family, max(_POOL, 2 * settings.presses))
-    taught: list[TaughtPress] = []
+    image = _mirrored(finger.mesh.nodes_mm)
+    found: list[_Samples] = []
     learned: _Learned | None = None
     seconds = 0.0
-    while len(taught) < settings.presses:
-        number, which = len(taught), 0
+    while len(found) < settings.presses:
+        number, which = len(found), 0
         if number >= FEWEST_PRESSES:
-            samples = _samples(finger, design, family, taught)
+            samples = _together(found)
             relearn = learned is None or (number - FEWEST_PRESSES) % _RELEARN == 0
             learned = _learn(finger, samples, None if relearn else learned)
             which = _least_known(learned, samples, family, left)
@@ -364,8 +366,8 @@ def teach_surrogate(
         if before is None and store is not None:
             store(number, press)
         seconds += press.processor_s if before is not None else 0.0
-        taught.append(press)
-    samples = _samples(finger, design, family, taught)
+        found.append(_samples_of(finger, family, image, number, press))
+    samples = _together(found)
     learned = _learn(finger, samples, None)
     return _surrogate(design, preset, family, condensed, samples, learned, time.process_time() - begun + seconds)
 
