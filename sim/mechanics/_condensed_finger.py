@@ -33,7 +33,7 @@ SingleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 Progress = Callable[[int, int, str], None]
 
-_SHAPES = 120  # of the finger behind the coat; see Condensation.far_rest_rel
+_SHAPES = 160  # of the finger behind the coat; see Condensation.far_rest_rel
 _EXTRA_SHAPES = 16  # by which a random range must be wider than what is kept of it (Halko, Martinsson, Tropp 2011)
 _TOLD_EVERY = 64  # solutions between two lines of progress
 _MOST_ROUNDS = 40

@@ -93,7 +93,7 @@ def taught(
 ) -> PressSurrogate:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(surrogate, "condense_finger", lambda *_: condensed)
-        patched.setattr(surrogate, "_press", by_the_law(finger))
+        patched.setattr(surrogate, "press_to_teach", by_the_law(finger))
         return teach_surrogate(design, TeachSettings(PRESSES), store=presses.__setitem__)
 
 
@@ -133,7 +133,8 @@ def test_contact_and_condensed_finger_are_in_balance(
 def test_the_shapes_hold_the_finger_behind_the_coat(condensed: Condensation) -> None:
     compliance = condensed.compliance_mm_per_n.astype(float)
     assert np.abs(compliance - compliance.T).max() == 0.0
-    assert condensed.far_rest_rel < 0.01
+    # of forces on single nodes, the sharpest there are: contact spreads them, and leaves less
+    assert 0.0 < condensed.far_rest_rel < 0.05
 
 
 def drawn_presses(design: FingerDesign, count: int) -> list[Indenter]:
@@ -166,11 +167,13 @@ def test_bars_hold_the_errors_of_unseen_presses_at_their_level(
     for indenter in unseen:
         answer = opened.press(indenter)
         moved, push = true_press(finger, design.model_copy(update={"indenter": indenter}), indenter.depth_mm)
-        off = surrogate._rms((answer.displacement_mm - moved)[finger.coat])
-        surface.append((off / surrogate._rms(moved[finger.coat]), off <= answer.surface_bar_mm))
+        off = surrogate.rms_length((answer.displacement_mm - moved)[finger.coat])
+        surface.append((off / surrogate.rms_length(moved[finger.coat]), off <= answer.surface_bar_mm))
         miss = abs(answer.force_n[1] - push[1])
         force.append((miss / push[1], miss <= answer.force_bar_n))
-        alone.append(surrogate._rms(answer.contact.coat_mm - moved[finger.coat]) / surrogate._rms(moved[finger.coat]))
+        alone.append(
+            surrogate.rms_length(answer.contact.coat_mm - moved[finger.coat]) / surrogate.rms_length(moved[finger.coat])
+        )
     # 95 %, less three standard deviations of 150 draws
     least = 0.95 - 3.0 * math.sqrt(0.95 * 0.05 / len(unseen))
     for found in (np.array(surface), np.array(force)):
@@ -182,12 +185,12 @@ def test_bars_hold_the_errors_of_unseen_presses_at_their_level(
 def test_presses_left_out_are_those_of_teaching_without_them(
     finger: CondensedFinger, presses: Any, taught: Any
 ) -> None:
-    family, image = taught.family, surrogate._mirrored(finger.mesh.nodes_mm)
-    samples = surrogate._together(
-        [surrogate._samples_of(finger, family, image, number, press) for number, press in presses.items()]
+    family, image = taught.family, surrogate.mirror_images(finger.mesh.nodes_mm)
+    samples = surrogate.together(
+        [surrogate.samples_of(finger, family, image, number, press) for number, press in presses.items()]
     )
     own = samples.press == 3
-    process = surrogate._Process(taught.force_kernel, samples.features[~own])
+    process = surrogate.Process(taught.force_kernel, samples.features[~own])
     weights = np.linalg.solve(process.matrix, process.between(samples.features[own]).T)
     miss = np.abs(weights.T @ samples.force_rest_rel[~own, 1] - samples.force_rest_rel[own, 1]) / samples.force_rel[own]
     np.testing.assert_allclose(taught.left_out_force_rel[own], miss, rtol=1e-3, atol=1e-6)
@@ -202,7 +205,7 @@ def test_teaching_goes_on_after_the_last_press(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(surrogate, "condense_finger", lambda *_: condensed)
-    monkeypatch.setattr(surrogate, "_press", by_the_law(finger))
+    monkeypatch.setattr(surrogate, "press_to_teach", by_the_law(finger))
     kept = {number: press for number, press in presses.items() if number < 13}
     new: dict[int, TaughtPress] = {}
     again = teach_surrogate(design, TeachSettings(PRESSES), stored=kept.get, store=new.__setitem__)
@@ -276,7 +279,7 @@ def test_an_answer_is_doubted_beyond_the_limit_and_where_ribs_cross(
 
 def test_what_comes_after_ribs_cross_teaches_nothing(finger: CondensedFinger, presses: Any, taught: Any) -> None:
     press = presses[2].model_copy(update={"sound": 2})
-    samples = surrogate._samples_of(finger, taught.family, surrogate._mirrored(finger.mesh.nodes_mm), 0, press)
+    samples = surrogate.samples_of(finger, taught.family, surrogate.mirror_images(finger.mesh.nodes_mm), 0, press)
     assert len(samples) == 4
     assert samples.crossed.shape == (4, 6)
 
