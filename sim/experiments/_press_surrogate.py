@@ -140,7 +140,7 @@ def _covariance(first: Floats, second: Floats, lengths: Floats, linear_rel: floa
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)) + linear_rel * (1.0 + first @ second.T))
 
 
-def _kernel(samples: Floats, products: Floats) -> TaughtKernel:
+def likeliest_kernel(samples: Floats, products: Floats) -> TaughtKernel:
     """Return the kernel of greatest likelihood for values with these products (s, s) among each other.
 
     The variance is that of greatest likelihood, and the values of all components have it; a weak prior holds lengths
@@ -269,7 +269,7 @@ def _learn(finger: CondensedFinger, samples: Samples, before: _Learned | None) -
     along = samples.force_rest_rel[:, 1]
     force = np.outer(along, along)
     kernels = (
-        (_kernel(samples.features, surface), _kernel(samples.features, force))
+        (likeliest_kernel(samples.features, surface), likeliest_kernel(samples.features, force))
         if before is None
         else (before.surface.kernel, before.force.kernel)
     )
@@ -362,9 +362,8 @@ def teach_surrogate(
             which = _least_known(learned, samples, family, left)
         wanted = design.model_copy(update={"indenter": left.pop(which), "provenance": None})
         before = None if stored is None else stored(number)
-        press = _same_press(before, wanted, preset, number) or press_to_teach(
-            wanted, preset, settings, number, progress
-        )
+        press = before or press_to_teach(wanted, preset, settings, number, progress)
+        _check_same_press(press, wanted, preset, number)
         if before is None and store is not None:
             store(number, press)
         seconds += press.processor_s if before is not None else 0.0
@@ -380,17 +379,14 @@ def _differs(one: FingerDesign, other: FingerDesign) -> list[str]:
     return [name for name in fields if getattr(one, name) != getattr(other, name)]
 
 
-def _same_press(before: TaughtPress | None, wanted: FingerDesign, preset: Preset, number: int) -> TaughtPress | None:
-    """Return a stored press, which must be the one that is wanted."""
-    if before is None:
-        return None
-    same = before.preset == preset and before.design.indenter == wanted.indenter
-    if not same or _differs(before.design, wanted):
+def _check_same_press(press: TaughtPress, wanted: FingerDesign, preset: Preset, number: int) -> None:
+    """Check that a press, which may have been stored, is the one that is wanted."""
+    same = press.preset == preset and press.design.indenter == wanted.indenter
+    if not same or _differs(press.design, wanted):
         raise SimulateError(
             f"press {number + 1} that is stored is of another design, mesh or version; give another --out, or remove "
             "the folder of its presses"
         )
-    return before
 
 
 def press_to_teach(
