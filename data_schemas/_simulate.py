@@ -623,8 +623,10 @@ class PressSurrogate(Record):
         description="error of the coat, taught without the sample's press, over its own displacement"
     )
     left_out_force_rel: Annotated[Floats, ArraySpec("<f8", ("sample",))]
-    crossed_features: Annotated[Floats, ArraySpec("<f8", ("crossed", "feature"))] = Field(
-        description="of presses whose parts pass through each other or that found no balance: near them no answer"
+    crossed_features: Annotated[Floats, ArraySpec("<f8", ("crossed", "feature"))] | None = Field(
+        default=None,
+        description="of increments whose parts pass through each other, or that found no balance: near them no answer; "
+        "None without any",
     )
     processor_s: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "s"})] = Field(
         description="processor time that teaching took"

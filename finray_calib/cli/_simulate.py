@@ -156,7 +156,7 @@ def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     for name, (half, most) in shares.items():
         say(f"  {name}: half of the presses that were left out are off by up to {half:.2%}, {taught.level:.0%} by up "
             f"to {most:.2%}")  # fmt: skip
-    if len(taught.crossed_features):
+    if taught.crossed_features is not None:
         say("  ribs pass through each other or buckle in some presses: near them finite elements press instead")
     say(f"  {taught.processor_s / 60.0:.1f} min of processor time")
     give(

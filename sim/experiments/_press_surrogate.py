@@ -7,7 +7,7 @@ presses that are chosen where they know least. The bars are as wide as presses t
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Final
 
@@ -113,7 +113,7 @@ def candidate_presses(family: PressFamily, count: int = _POOL) -> list[Indenter]
 
 
 @dataclass(frozen=True, slots=True)
-class _Process:
+class Process:
     """A Gaussian process at its samples: weights of the samples at a place, and its standard deviation there."""
 
     kernel: TaughtKernel
@@ -140,7 +140,7 @@ def _covariance(first: Floats, second: Floats, lengths: Floats, linear_rel: floa
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)) + linear_rel * (1.0 + first @ second.T))
 
 
-def _kernel(samples: Floats, products: Floats) -> TaughtKernel:
+def likeliest_kernel(samples: Floats, products: Floats) -> TaughtKernel:
     """Return the kernel of greatest likelihood for values with these products (s, s) among each other.
 
     The variance is that of greatest likelihood, and the values of all components have it; a weak prior holds lengths
@@ -152,7 +152,7 @@ def _kernel(samples: Floats, products: Floats) -> TaughtKernel:
     def taught(parameters: Floats) -> tuple[float, TaughtKernel]:
         lengths, (linear, noise) = np.exp(parameters[:width]), np.exp(parameters[width:])
         kernel = TaughtKernel(lengths=lengths, linear_rel=float(linear), noise_rel=float(noise), variance=1.0)
-        factor = cho_factor(_Process(kernel, samples).matrix, lower=True)
+        factor = cho_factor(Process(kernel, samples).matrix, lower=True)
         variance = float(np.trace(cho_solve(factor, products / scale))) / count
         misfit = 0.5 * count * np.log(variance) + float(np.log(np.diag(factor[0])).sum())
         misfit += 0.5 * float(((parameters[:width] - np.log(2.0)) ** 2).sum())
@@ -165,7 +165,7 @@ def _kernel(samples: Floats, products: Floats) -> TaughtKernel:
 
 
 @dataclass(frozen=True, slots=True)
-class _Samples:
+class Samples:
     """Increments of the presses that teach, and their mirror images, s in all."""
 
     press: Integers  # (s,)
@@ -180,7 +180,7 @@ class _Samples:
         return len(self.press)
 
 
-def _mirrored(nodes_mm: Floats) -> Integers:
+def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if distance.max() > _SAME_NODE_MM:
@@ -188,51 +188,52 @@ def _mirrored(nodes_mm: Floats) -> Integers:
     return np.asarray(image)
 
 
-def _samples(
-    finger: CondensedFinger, design: FingerDesign, family: PressFamily, taught: Sequence[TaughtPress]
-) -> _Samples:
-    """Return what presses by finite elements have beyond the condensed finger's."""
-    image, flip = _mirrored(finger.mesh.nodes_mm), np.array([-1.0, 1.0, 1.0])
-    rows: list[tuple[int, Floats, NDArray[np.float32], float, Floats, float]] = []
-    crossed = []
-    for number, press in enumerate(taught):
-        indenter = press.design.indenter
-        rigid = rigid_indenter(design.model_copy(update={"indenter": indenter}))
-        for k, depth in enumerate(press.depth_mm.tolist()):
-            features = family.features(indenter.model_copy(update={"depth_mm": depth}))
-            turned = features * _MIRRORED
-            if k >= press.sound:
-                crossed += [features, turned]
-                continue
-            contact = finger.press(rigid, depth)
-            rest = (press.displacement_mm[k] - finger.displacement_mm(contact)) / depth
-            own = _rms(press.displacement_mm[k][finger.coat]) / depth
-            force = (press.force_n[k] - contact.force_n) / contact.force_n[1]
-            times = float(press.force_n[k, 1] / contact.force_n[1])
-            for seen, field, left in ((features, rest, force), (turned, rest[image] * flip, force * flip)):
-                rows.append((number, seen, field.astype(np.float32).ravel(), own, left, times))
-        if press.unreached:
-            crossed += [family.features(indenter), family.features(indenter) * _MIRRORED]
-    if not rows:
-        raise SimulateError("no press teaches anything: ribs pass through each other in all of them from the start")
-    press_of, features_of, rests, owns, forces, times_of = zip(*rows, strict=True)
-    return _Samples(
-        np.array(press_of),
-        np.array(features_of),
-        np.array(rests),
+def samples_of(
+    finger: CondensedFinger, family: PressFamily, image: Integers, number: int, press: TaughtPress
+) -> Samples:
+    """Return what one press by finite elements has beyond the condensed finger's; `image` is that of the nodes."""
+    flip, indenter = np.array([-1.0, 1.0, 1.0]), press.design.indenter
+    rigid = rigid_indenter(press.design)
+    rows: list[tuple[Floats, NDArray[np.float32], float, Floats, float]] = []
+    crossed = [family.features(indenter)] if press.unreached else []
+    for k, depth in enumerate(press.depth_mm.tolist()):
+        features = family.features(indenter.model_copy(update={"depth_mm": depth}))
+        if k >= press.sound:
+            crossed.append(features)
+            continue
+        contact = finger.press(rigid, depth)
+        rest = (press.displacement_mm[k] - finger.displacement_mm(contact)) / depth
+        own = rms_length(press.displacement_mm[k][finger.coat]) / depth
+        force = (press.force_n[k] - contact.force_n) / contact.force_n[1]
+        for seen, field, left in ((features, rest, force), (features * _MIRRORED, rest[image] * flip, force * flip)):
+            rows.append((seen, field.astype(np.float32).ravel(), own, left, 1.0 + float(force[1])))
+    features_of, rests, owns, forces, times = zip(*rows, strict=True) if rows else ((),) * 5
+    places = np.array(crossed).reshape(-1, _FEATURES)
+    return Samples(
+        np.full(len(rows), number),
+        np.array(features_of).reshape(-1, _FEATURES),
+        np.array(rests, np.float32).reshape(len(rows), finger.mesh.nodes_mm.size),
         np.array(owns),
-        np.array(forces),
-        np.array(times_of),
-        np.array(crossed).reshape(-1, _FEATURES),
+        np.array(forces).reshape(-1, 3),
+        np.array(times),
+        np.concatenate([places, places * _MIRRORED]),
     )
 
 
-def _rms(vectors: NDArray[np.floating]) -> float:
+def together(samples: Sequence[Samples]) -> Samples:
+    """Return the samples of several presses as one."""
+    whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
+    if not len(whole):
+        raise SimulateError("no press teaches anything: ribs pass through each other in all of them from the start")
+    return whole
+
+
+def rms_length(vectors: NDArray[np.floating]) -> float:
     """Return the root mean square length of vectors (n, 3)."""
     return float(np.sqrt((np.asarray(vectors, dtype=np.float64) ** 2).sum(axis=1).mean()))
 
 
-def _left_out(process: _Process, products: Floats, press: Integers) -> tuple[Floats, Floats]:
+def _left_out(process: Process, products: Floats, press: Integers) -> tuple[Floats, Floats]:
     """Return errors of predictions without a sample's own press, and their standard deviations, both (s,)."""
     inverse = np.linalg.inv(process.matrix)
     error, deviation = np.empty(len(press)), np.empty(len(press))
@@ -255,35 +256,35 @@ def _bar(error: Floats, deviation: Floats, press: Integers) -> float:
 class _Learned:
     """Both processes, and what the surfaces' samples have in common on the coat."""
 
-    surface: _Process
-    force: _Process
+    surface: Process
+    force: Process
     surface_products: Floats
     force_products: Floats
 
 
-def _learn(finger: CondensedFinger, samples: _Samples, before: _Learned | None) -> _Learned:
+def _learn(finger: CondensedFinger, samples: Samples, before: _Learned | None) -> _Learned:
     """Return the processes, with the kernels of before where there are any."""
     coat = samples.rest_rel.reshape(len(samples), -1, 3)[:, finger.coat].reshape(len(samples), -1).astype(np.float64)
     surface = coat @ coat.T / len(finger.coat)
     along = samples.force_rest_rel[:, 1]
     force = np.outer(along, along)
     kernels = (
-        (_kernel(samples.features, surface), _kernel(samples.features, force))
+        (likeliest_kernel(samples.features, surface), likeliest_kernel(samples.features, force))
         if before is None
         else (before.surface.kernel, before.force.kernel)
     )
-    processes = [_Process(kernel, samples.features) for kernel in kernels]
+    processes = [Process(kernel, samples.features) for kernel in kernels]
     return _Learned(processes[0], processes[1], surface, force)
 
 
-def _least_known(learned: _Learned, samples: _Samples, family: PressFamily, left: Sequence[Indenter]) -> int:
+def _least_known(learned: _Learned, samples: Samples, family: PressFamily, left: Sequence[Indenter]) -> int:
     """Return which press both processes know least of, relative to surface and force."""
     places = np.array([family.features(indenter) for indenter in left])
     surface = _deviation(learned.surface, places) / float(np.median(samples.own_rel))
     return int(np.argmax(np.maximum(surface, _deviation(learned.force, places))))
 
 
-def _deviation(process: _Process, places: Floats) -> Floats:
+def _deviation(process: Process, places: Floats) -> Floats:
     """Return the standard deviation (q,) at places, with the noise."""
     between = process.between(places)
     known = np.einsum("qs,sq->q", between, np.linalg.solve(process.matrix, between.T))
@@ -320,8 +321,8 @@ def teach_surrogate(
 ) -> PressSurrogate:
     """Condense a finger, press it by finite elements and learn what condensation leaves.
 
-    Valid for the family that :func:`press_family` states. The bars rest on presses left out one at a time, and hold for
-    presses drawn from the family as far as those that taught are like them: they are chosen where least is known.
+    Valid for the family that :func:`press_family` states. The bars rest on presses left out one at a time, and hold as
+    far as those that taught, chosen where least is known, are like what is asked.
 
     Parameters
     ----------
@@ -334,7 +335,7 @@ def teach_surrogate(
     store
         Called with each new press and its number, to keep it.
     progress
-        Called before each press, and during it.
+        Called during condensation and each press.
 
     Raises
     ------
@@ -348,24 +349,26 @@ def teach_surrogate(
     condensed = condense_finger(design, preset, settings.threads, progress)
     finger = CondensedFinger(design, preset, condensed)
     left = candidate_presses(family, max(_POOL, 2 * settings.presses))
-    taught: list[TaughtPress] = []
+    image = mirror_images(finger.mesh.nodes_mm)
+    found: list[Samples] = []
     learned: _Learned | None = None
     seconds = 0.0
-    while len(taught) < settings.presses:
-        number, which = len(taught), 0
+    while len(found) < settings.presses:
+        number, which = len(found), 0
         if number >= FEWEST_PRESSES:
-            samples = _samples(finger, design, family, taught)
+            samples = together(found)
             relearn = learned is None or (number - FEWEST_PRESSES) % _RELEARN == 0
             learned = _learn(finger, samples, None if relearn else learned)
             which = _least_known(learned, samples, family, left)
         wanted = design.model_copy(update={"indenter": left.pop(which), "provenance": None})
         before = None if stored is None else stored(number)
-        press = _same_press(before, wanted, preset, number) or _press(wanted, preset, settings, number, progress)
+        press = before or press_to_teach(wanted, preset, settings, number, progress)
+        _check_same_press(press, wanted, preset, number)
         if before is None and store is not None:
             store(number, press)
         seconds += press.processor_s if before is not None else 0.0
-        taught.append(press)
-    samples = _samples(finger, design, family, taught)
+        found.append(samples_of(finger, family, image, number, press))
+    samples = together(found)
     learned = _learn(finger, samples, None)
     return _surrogate(design, preset, family, condensed, samples, learned, time.process_time() - begun + seconds)
 
@@ -376,20 +379,17 @@ def _differs(one: FingerDesign, other: FingerDesign) -> list[str]:
     return [name for name in fields if getattr(one, name) != getattr(other, name)]
 
 
-def _same_press(before: TaughtPress | None, wanted: FingerDesign, preset: Preset, number: int) -> TaughtPress | None:
-    """Return a stored press, which must be the one that is wanted."""
-    if before is None:
-        return None
-    same = before.preset == preset and before.design.indenter == wanted.indenter
-    if not same or _differs(before.design, wanted):
+def _check_same_press(press: TaughtPress, wanted: FingerDesign, preset: Preset, number: int) -> None:
+    """Check that a press, which may have been stored, is the one that is wanted."""
+    same = press.preset == preset and press.design.indenter == wanted.indenter
+    if not same or _differs(press.design, wanted):
         raise SimulateError(
             f"press {number + 1} that is stored is of another design, mesh or version; give another --out, or remove "
             "the folder of its presses"
         )
-    return before
 
 
-def _press(
+def press_to_teach(
     design: FingerDesign, preset: Preset, settings: TeachSettings, number: int, progress: Progress | None
 ) -> TaughtPress:
     """Press by finite elements."""
@@ -423,7 +423,7 @@ def _surrogate(
     preset: Preset,
     family: PressFamily,
     condensed: Condensation,
-    samples: _Samples,
+    samples: Samples,
     learned: _Learned,
     processor_s: float,
 ) -> PressSurrogate:
@@ -437,7 +437,7 @@ def _surrogate(
     presses = int(samples.press.max()) + 1
     return PressSurrogate(
         name=f"{design.name}, taught by {presses} presses",
-        label=f"surrogate taught by {presses} presses by finite elements, {preset} mesh",
+        label=f"surrogate taught by {presses} presses by finite elements",
         preset=preset,
         design=design,
         family=family,
@@ -459,7 +459,7 @@ def _surrogate(
         force_bar=_bar(*force, samples.press),
         left_out_surface_rel=surface[0] / samples.own_rel,
         left_out_force_rel=force[0] / samples.force_rel,
-        crossed_features=samples.crossed,
+        crossed_features=samples.crossed if len(samples.crossed) else None,
         processor_s=processor_s,
     )
 
@@ -516,8 +516,8 @@ class SurrogateFinger:
             record.compliance_mm_per_n, record.shapes, record.shape_compliance_mm_per_n, record.shapes_rest_rel
         )
         self.finger = CondensedFinger(record.design, record.preset, condensed)
-        self._surface = _Process(record.surface_kernel, record.sample_features)
-        self._force = _Process(record.force_kernel, record.sample_features)
+        self._surface = Process(record.surface_kernel, record.sample_features)
+        self._force = Process(record.force_kernel, record.sample_features)
         self._surface_inverse = np.linalg.inv(self._surface.matrix)
         self._force_inverse = np.linalg.inv(self._force.matrix)
 
@@ -550,12 +550,12 @@ class SurrogateFinger:
         pushed = contact.force_n + contact.force_n[1] * (pulls @ record.force_rest_rel)
         force_bar = record.force_bar * force * float(contact.force_n[1])
         surface_bar = record.surface_bar * surface * indenter.depth_mm
-        shares = (force_bar / float(pushed[1]), surface_bar / _rms(displacement[self.finger.coat]))
+        shares = (force_bar / float(pushed[1]), surface_bar / rms_length(displacement[self.finger.coat]))
         return SurrogatePress(
             indenter, contact, displacement, pushed, force_bar, surface_bar, self._doubt(place[0], shares)
         )
 
-    def _at(self, process: _Process, inverse: Floats, place: Floats) -> tuple[Floats, float]:
+    def _at(self, process: Process, inverse: Floats, place: Floats) -> tuple[Floats, float]:
         """Return the weights (s,) of the samples at one place (1, d), and the standard deviation."""
         between = process.between(place)[0]
         weights = inverse @ between
@@ -567,14 +567,11 @@ class SurrogateFinger:
         for what, share in zip(("force", "surface"), shares, strict=True):
             if not share <= self.limit_rel:
                 return f"its {what} may be off by {share:.1%}, and {self.limit_rel:.1%} is the limit"
-        crossed = self.record.crossed_features
-        if len(crossed):
-            lengths = self.record.surface_kernel.lengths
-
-            def nearest(places: Floats) -> float:
-                return float((((places - place) / lengths) ** 2).sum(axis=1).min())
-
-            if nearest(crossed) <= nearest(self.record.sample_features):
+        if self.record.crossed_features is not None:
+            sets = (self.record.crossed_features, self.record.sample_features)
+            ways = [(places - place) / self.record.surface_kernel.lengths for places in sets]
+            crossed, sound = (float((way**2).sum(axis=1).min()) for way in ways)
+            if crossed <= sound:
                 return "in the nearest press that taught it ribs pass through each other or buckle"
         return ""
 

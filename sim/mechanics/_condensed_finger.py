@@ -38,7 +38,7 @@ _EXTRA_SHAPES = 16  # by which a random range must be wider than what is kept of
 _TOLD_EVERY = 64  # solutions between two lines of progress
 _MOST_ROUNDS = 40
 _NEAR_MM = 0.5  # of the body at its whole push: faces that are looked at, unless others come to touch
-_FIRST_SHARE = 0.3  # of the push, whose points take the first step
+_FIRST_SHARE = 0.2  # of the push, whose points take the first step
 _SETTLED_REL = (
     5e-4  # of the contact's forces; the exact ones lie nearer: the finger gives way, which (1 + H C)^-1 < 1 tells
 )
