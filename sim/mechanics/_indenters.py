@@ -329,7 +329,9 @@ def touch_radius_mm(design: FingerDesign) -> float | None:
     if not isinstance(body, PackagedBody):
         return None
     grid = _at(design, _coat_grid(design))
-    nearest = grid[int(pose.distances(body, grid)[0].argmin())]
+    distance, normal, _ = pose.distances(body, grid)
+    at = int(distance.argmin())
+    nearest = grid[at] - distance[at] * normal[at]
     return body.local_radius_mm((nearest - np.array(pose.position_mm)) @ pose.rotation)
 
 
