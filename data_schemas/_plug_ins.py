@@ -87,12 +87,13 @@ class PlugIn:
     @property
     def label(self) -> str:
         """Kind, name and package: ``material 'gent' of package my-rubbers 0.1``."""
-        return f"{self.kind.noun} '{self.name}' of package {self.source}"
+        of = f" of package {self.source}" if self.package else ""
+        return f"{self.kind.noun} '{self.name}'{of}"
 
     def refusal(self, fault: str, at: str = "") -> FinrayError:
         """Return the error that says what is wrong, and what its user can do about a mistake of its author."""
-        update = f"update it (pip install --upgrade {self.package or 'PACKAGE'}), or tell its author"
-        return self.kind.error(f"{at}{self.label} {fault}; {update} ({self.kind.how_to})")
+        mend = f"update it (pip install --upgrade {self.package}), or tell its author" if self.package else "mend it"
+        return self.kind.error(f"{at}{self.label} {fault}; {mend} ({self.kind.how_to})")
 
     def load(self) -> ModuleType:
         """Return the module, which has all that one of its kind must have.
@@ -270,7 +271,15 @@ _CURVATURE_SLACK = 1.001
 
 
 class PackagedPad:
-    """A pad shape of another package; what it returns is checked each time."""
+    """A pad shape of another package; what it returns is checked each time.
+
+    Parameters
+    ----------
+    plug_in
+        Who brings it.
+    module
+        Its functions, where they are at hand.
+    """
 
     def __init__(self, plug_in: PlugIn, module: Any = None) -> None:
         self._plug_in = plug_in
@@ -348,5 +357,5 @@ def check_pad_shape(
     SimulateError
         It does not; the message says what is wrong, and where.
     """
-    plug_in = PlugIn(PAD_SHAPES, getattr(shape, "__name__", type(shape).__name__), "", "this package")
+    plug_in = PlugIn(PAD_SHAPES, getattr(shape, "__name__", type(shape).__name__), "")
     PackagedPad(plug_in, shape).check(length_mm, width_mm, thickness_mm, parameters)

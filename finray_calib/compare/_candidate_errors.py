@@ -530,7 +530,7 @@ def check_metric(metric: Metric, rows: int = 48, columns: int = 64) -> None:
     CompareError
         It does not; the message says what is wrong.
     """
-    plug_in = PlugIn(METRICS, getattr(metric, "__name__", type(metric).__name__), "", "this package")
+    plug_in = PlugIn(METRICS, getattr(metric, "__name__", type(metric).__name__), "")
     _check_words(plug_in, metric)
     row, column = np.mgrid[:rows, :columns]
     distance = np.hypot(row - rows / 2.0, column - columns / 2.0) / (min(rows, columns) / 6.0)

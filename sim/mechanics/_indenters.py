@@ -224,7 +224,7 @@ class PackagedBody:
             middle = (low + high) / 2.0
             inside = self._given(middle[:, None] * rays)[0] < 0.0
             low, high = np.where(inside, middle, low), np.where(inside, high, middle)
-        return (low + high) / 2.0
+        return np.asarray((low + high) / 2.0)
 
     def _check(self, rays: FloatArray) -> None:
         """Refuse a body that is not closed, not seen whole from its origin, or whose gradient is not its own."""
@@ -262,7 +262,7 @@ class PackagedBody:
         for fault, wrong in (
             ("gives a gradient that is not its distance's", missed),
             (
-                "gives a distance that is none: its gradient is not of length 1 near the surface, or longer off it",
+                "gives no distance: its gradient is not of length 1 near the surface, or is longer off it",
                 lengths_off,
             ),
         ):
@@ -319,7 +319,7 @@ def check_indenter_shape(shape: IndenterShape, **parameters: float) -> None:
     SimulateError
         It does not; the message says what is wrong, and where.
     """
-    plug_in = PlugIn(INDENTER_SHAPES, getattr(shape, "__name__", type(shape).__name__), "", "this package")
+    plug_in = PlugIn(INDENTER_SHAPES, getattr(shape, "__name__", type(shape).__name__), "")
     plug_in.check_parameters(shape.body, parameters, 0)
     PackagedBody(plug_in, plug_in.call(lambda: shape.body(**parameters)))
 
@@ -334,7 +334,9 @@ def touch_radius_mm(design: FingerDesign) -> float | None:
     if not isinstance(body, PackagedBody):
         return None
     grid = _at(design, _coat_grid(design))
-    nearest = grid[int(pose.distances(body, grid)[0].argmin())]
+    distance, normal, _ = pose.distances(body, grid)
+    at = int(distance.argmin())
+    nearest = grid[at] - distance[at] * normal[at]
     return body.local_radius_mm((nearest - np.array(pose.position_mm)) @ pose.rotation)
 
 

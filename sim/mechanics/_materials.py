@@ -318,7 +318,7 @@ def check_material_law(law: MaterialLaw, **parameters: float) -> None:
     SimulateError
         It does not; the message says what is wrong, and where.
     """
-    plug_in = PlugIn(MATERIALS, getattr(law, "__name__", type(law).__name__), "", "this package")
+    plug_in = PlugIn(MATERIALS, getattr(law, "__name__", type(law).__name__), "")
     check_stability(PackagedMaterial(plug_in, law, parameters, 20.0))
 
 
@@ -380,9 +380,11 @@ def check_stability(material: "Ogden | PackagedMaterial", stretches: tuple[float
         unstable = (hessians[:, 0, 0] <= 0.0) | (np.linalg.det(hessians) <= 0.0)
         if unstable.any():
             at = math.exp(min(log_stretch[unstable], key=abs))
-            of_ogden = isinstance(material, Ogden)
-            known = f"material mu_mpa = {material.mu_mpa}, alpha = {material.alpha}" if of_ogden else material.name
-            convention = " and their convention (see ogden_from_printed_form)" if of_ogden else ""
+            if isinstance(material, Ogden):
+                known = f"material mu_mpa = {material.mu_mpa}, alpha = {material.alpha}"
+                convention = " and their convention (see ogden_from_printed_form)"
+            else:
+                known, convention = material.name, ""
             raise SimulateError(
                 f"the {known} is unstable (Drucker) under "
                 f"{name} load at a stretch of {at:.3g}; it must be stable from {stretches[0]:g} to {stretches[1]:g}. "

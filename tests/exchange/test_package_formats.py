@@ -82,7 +82,7 @@ def test_format_of_two_packages_is_refused(my_lab, site, press):
     ("source", "told"),
     [
         ("import not_there_at_all\n", r"cannot be imported \(ModuleNotFoundError: .*not_there_at_all"),
-        ("def read(folder): ...\n", r"lacks the function read_capture\(folder\) in its module bad_format"),
+        ("def read(folder): ...\n", r"lacks read_capture\(folder\) in its module bad_format"),
         (RETURNS, r"press-7: .* returns a dict, where a data_schemas\.TactileCapture is needed"),
         ("raise SystemExit(7)\n", r"cannot be imported \(SystemExit: 7\)"),
         ("def read_capture(folder):\n    return 1 / 0\n", r"press-7: .* fails \(ZeroDivisionError: division by zero\)"),

@@ -131,7 +131,8 @@ def test_press_with_all_three_is_the_press_with_ours(parts, tmp_path, monkeypatc
     assert of.indenter.parameters == {"radius_mm": 6.0}
     assert any("law yeoh of my-finger-parts 0.1 (c1_mpa = 0.1333)" in note for note in theirs.notes)
     (tmp_path / "force.csv").write_text("displacement_mm,force_n\n0.1,0.02\n0.2,0.05\n0.3,0.09\n0.4,0.14\n")
-    finray(f"compare {tmp_path}/theirs.mechanics.json --force {tmp_path}/force.csv --out {tmp_path}/force.json")
+    told = finray(f"compare {tmp_path}/theirs.mechanics.json --force {tmp_path}/force.csv --out {tmp_path}/force.json")
+    assert told.status == 0, told.err
     left_out = read_record(tmp_path / "force.json", ForceComparison).not_included
     unknown = 'the parameters of mechanics.gel.law = "yeoh" of my-finger-parts 0.1, whose uncertainty is not known'
     assert unknown in left_out
@@ -335,15 +336,17 @@ def test_body_that_a_ray_leaves_twice_is_refused():
 def test_sharp_body_is_pressed_by_exact_distances_only(site, tmp_path):
     source = """
 import numpy as np
+TURN = np.array([[0.866025403784, 0.0, 0.5], [0.0, 1.0, 0.0], [-0.5, 0.0, 0.866025403784]])
 class Cube:
-    def distances(self, p):
+    def distances(self, points):
+        p = points @ TURN
         beyond = np.abs(p) - 4.0
         reach = np.maximum(beyond, 0.0)
         length = np.linalg.norm(reach, axis=1)
         out = length > 0.0
         flat = np.eye(3)[beyond.argmax(axis=1)]
         way = np.where(out[:, None], reach / np.where(out, length, 1.0)[:, None], flat)
-        return np.where(out, length, beyond.max(axis=1)), way * np.where(p >= 0.0, 1.0, -1.0)
+        return np.where(out, length, beyond.max(axis=1)), (way * np.where(p >= 0.0, 1.0, -1.0)) @ TURN.T
 def body():
     return Cube()
 """
