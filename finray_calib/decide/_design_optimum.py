@@ -530,7 +530,7 @@ def _paint_sentence(rows: Sequence[PaintPairRow]) -> str:
     if not alike:
         rest = "Every other pair is worse."
     elif len(alike) == len(others):
-        rest = "No other pair is shown to be worse: choose by other reasons, or measure the paints better."
+        rest = "No other pair is shown to be worse: choose for other reasons, or measure the paints better."
     else:
         names = "; ".join(f"{row.red} and {row.green}" for row in alike[:_MOST_NAMED])
         more = f"; and {len(alike) - _MOST_NAMED} more" if len(alike) > _MOST_NAMED else ""
