@@ -534,7 +534,7 @@ def _paint_sentence(rows: Sequence[PaintPairRow]) -> str:
     else:
         names = "; ".join(f"{row.red} and {row.green}" for row in alike[:_MOST_NAMED])
         more = f"; and {len(alike) - _MOST_NAMED} more" if len(alike) > _MOST_NAMED else ""
-        rest = f"Not shown to be worse: {names}{more}. The other pairs are."
+        rest = f"Not shown to be worse: {names}{more}. All other pairs are shown to be worse."
     return (
         f"Paint the red wall with {best.red} and the green wall with {best.green}: the expected error of the sensed "
         f"normal is {told}. {rest}"
