@@ -517,8 +517,8 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
     told = []
     if len(names) < LEAST_UNITS:
         told.append(
-            f"{_more(LEAST_UNITS - len(names))}, at other places and depths: {LEAST_UNITS} give an interval, of "
-            f"the {len(names)} here none is possible"
+            f"{_more(LEAST_UNITS - len(names))}, at other places and depths: {LEAST_UNITS} give an interval, "
+            f"{len(names)} do not"
         )
     best = skill_over_presses(scored)
     if best is not None and best.low95 is not None and best.high95 is not None:
