@@ -171,7 +171,7 @@ class DesignObjective(Model):
 class DesignParameter(Model):
     """One number of a design that may be changed, and its limits."""
 
-    field: str = Field(description="dotted field of the design; of a place its coordinate too: light.position_mm[y]")
+    field: str = Field(description="dotted field of the design; for a place, with its coordinate: light.position_mm[y]")
     low: float
     high: float
     is_whole: bool = Field(default=False, description="whole numbers only, such as a number of ribs")

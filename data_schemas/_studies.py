@@ -572,7 +572,8 @@ class DatasetSample(Model):
     gains: tuple[float, float, float] = Field(description="linear camera RGB was multiplied by these before encoding")
     clipped_share: Fraction = Field(description="share of the coat's pixels with contact that have a channel at 255")
     render_noise_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="standard deviation of a pixel of the coat by the render, rms over channels and coat, over the mean"
+        description="render noise of a pixel of the coat: standard deviation, rms over channels and coat, relative "
+        "to the mean"
     )
     largest_depth_mm: float = Field(description="largest depth in depth.png")
     force_n: float | None = Field(

@@ -203,8 +203,8 @@ def _require_energy(path: Path, excitation_nm: Floats, emitted: Floats, emission
     if out[worst] > LARGEST_ENERGY_OUT:
         raise CurveError(
             f"{path}: at {excitation_nm[worst]:g} nm it returns {out[worst]:.3g} times the light that it receives "
-            f"({emitted.sum(axis=0)[worst]:.3g} by fluorescence); at most {LARGEST_ENERGY_OUT:g} is allowed, 1 and a "
-            f"fifth for noise: entries are fractions per emission band; divide by 100 if they are in per cent"
+            f"({emitted.sum(axis=0)[worst]:.3g} by fluorescence); at most {LARGEST_ENERGY_OUT:g} is allowed, which "
+            f"leaves a fifth for noise: entries are fractions per emission band; divide by 100 if they are in per cent"
         )
 
 

@@ -190,8 +190,11 @@ def capture_paint(arguments: argparse.Namespace) -> None:
             typical_s=expected.typical_s, longest_s=expected.longest_s,
         )  # fmt: skip
         say(f"{expected.steps} steps, at most {expected.most_frames} frames, {1e-6 * expected.disk_bytes:.0f} MB")
-        say(f"{expected.targets} times another target, {expected.moves} moves of the wheel")
-        say(f"about {expected.typical_s / 60:.0f} min; {expected.longest_s / 60:.0f} min if every exposure is longest")
+        say(f"{expected.targets} changes of the target, {expected.moves} moves of the wheel")
+        say(
+            f"about {expected.typical_s / 60:.0f} min; {expected.longest_s / 60:.0f} min if every exposure is the "
+            f"longest"
+        )
         for instruction in dict.fromkeys(nobody.instructions):
             say(f"would be asked during the capture: {instruction}")
         say("the rig is ready; nothing was moved, lit or stored")

@@ -43,8 +43,8 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )  # fmt: skip
     parser.add_argument(
         "--pairs", type=Path, metavar="CSV",
-        help="pairs to compare: columns simulated, captured (files, relative to the CSV), and if wanted name, "
-        "simulator, press (repeats of one press share it), session, sensor",
+        help="pairs to compare: columns simulated, captured (files, relative to the CSV), and optionally name, "
+             "simulator, press (repeats of one press share it), session, sensor",
     )  # fmt: skip
     parser.add_argument("--register", action="store_true", help="move the render by the drift of the camera")
     parser.add_argument(

@@ -87,7 +87,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     with _Workers(work, jobs) as workers:
         compared, read = _compare_all(jobs, workers)
         chosen = _worst_of_each(compared)
-        pages = workers.do("page", [jobs[k] for k in chosen], "pages of the lowest")
+        pages = workers.do("page", [jobs[k] for k in chosen], "pages of the lowest scores")
     succeeded = [pair for pair in compared if pair.skill is not None]
     simulators, unshared = rank_simulators(compared)
     if unshared:

@@ -204,7 +204,7 @@ def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter,
 
     if arguments.number is not None or arguments.keep:
         raise FitError(
-            "--number, --keep: are for a rig (TOML); for a paint (JSON) the one next filter is ranked; leave them out"
+            "--number, --keep: are for a rig (TOML); for a paint (JSON) single filters are ranked; leave them out"
         )
     paint = read_record(arguments.source, PaintCalibration)
     ranked = next_filters(paint, catalogue)

@@ -352,10 +352,10 @@ SENSOR_HELP = "fit a sensor's lights, yields, gel, coat and picture to captures 
 SENSOR_DESCRIPTION = """\
 Fit the numbers of a sensor to a few captures of it: powers of its lights, yields of its paints, the camera's response,
 one gain, shift, scale and blur of the picture, and the numbers of the design that --free names. DESIGN is a painted
-finger (with --paint) or a classic sensor, with the camera's size and lit as in the captures, which are presses of one
-sensor at one exposure with linear values. Each number keeps the prior that the design states ([uncertainty_rel], or
-what is usual for its [origin]); the command reports what the pictures do not determine. Depth and place of a press are
-fitted where its capture states their uncertainty. Beside the record a design with the fitted values is written."""
+finger (with --paint) or a classic sensor; its camera and its lights are those of the captures. The captures are presses
+of one sensor at one exposure with linear values. Each number keeps the prior that the design states ([uncertainty_rel],
+or what is usual for its [origin]); the command reports what the pictures do not determine. Depth and place of a press
+are fitted where its capture states their uncertainty. Beside the record a design with the fitted values is written."""
 _OUT_ENDING = ".sensor.json"
 
 

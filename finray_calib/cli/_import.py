@@ -408,7 +408,9 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
     parser = formats.add_parser(
         "captures", help="a folder of presses of any lab, read by a recipe", description=DESCRIPTION
     )
-    parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="of the set, or a zip archive of it")
+    parser.add_argument(
+        "folder", type=Path, nargs="?", metavar="FOLDER", help="folder of the set, or a zip archive of it"
+    )
     parser.add_argument("--recipe", metavar="NAME|FILE", help="how the folder is read; required")
     parser.add_argument("--list", action="store_true", help="list the recipes that come with finray, and stop")
     parser.add_argument(
@@ -561,6 +563,9 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
         correct = (
             ""
             if first.contact_circle is None
-            else (f", correct {out / CIRCLES} (told_by: label, where you did), and import with --circles")
+            else (
+                f", correct {out / CIRCLES} (write label as told_by in the lines that you correct), and import "
+                f"with --circles"
+            )
         )
         warn(f"the contacts were searched for: look at {out / CONTACTS}{correct}")

@@ -187,7 +187,8 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )  # fmt: skip
     parser.add_argument(
         "--denoise", action="store_true",
-        help="--images, and denoised pictures to look at, not to measure in; needs pip install 'finray-calib[denoise]'",
+        help="as --images, with denoised pictures, which are for viewing and not for measuring; needs pip install "
+             "'finray-calib[denoise]'",
     )  # fmt: skip
     parser.add_argument(
         "--pose-response", action="store_true",

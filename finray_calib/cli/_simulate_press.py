@@ -620,13 +620,12 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
     if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
             "--force presses from first touch with the penalty and finray's own elements; leave out --force, or "
-            "--resume, "
-            "--sensitivities, --contact barrier and --engine"
+            "leave out --resume, --sensitivities, --contact barrier and --engine"
         )
     if path and (calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
-            f"{path} moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
-            "--force, --resume, --sensitivities, --contact barrier and --engine"
+            f"{path} moves the indenter from first touch with the penalty and finray's own elements; leave it out, "
+            f"or leave out --force, --resume, --sensitivities, --contact barrier and --engine"
         )
     if arguments.sensitivities and (calculix or resumes):
         raise SimulateError(
@@ -634,7 +633,7 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         )
     if arguments.budget is not None and (calculix or arguments.sensitivities):
         raise SimulateError(
-            "--budget is for one press with finray's own elements; leave it out, or --engine calculix and "
+            "--budget is for one press with finray's own elements; leave it out, or leave out --engine calculix and "
             "--sensitivities"
         )
     if calculix and resumes:

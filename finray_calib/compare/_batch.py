@@ -283,7 +283,9 @@ def pairs_of_rows(rows: Sequence[Mapping[str, str | None]]) -> list[PairRow]:
         name = told.get("name") or pair_name(captured.replace("\\", "/").rsplit("/", 1)[-1])
         simulator, press = told.get("simulator", ""), told.get("press", "")
         if (simulator, name) in pairs:
-            raise CompareError(f"row {number}: the name {name!r} occurs twice; add a column name with one of its own")
+            raise CompareError(
+                f"row {number}: the name {name!r} occurs twice; add a column 'name' that gives each pair its own"
+            )
         session, sensor = told.get("session") or None, told.get("sensor") or None
         pairs[simulator, name] = PairRow(name, simulated, captured, simulator, press, session, sensor)
     if not pairs:
@@ -515,8 +517,8 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
     told = []
     if len(names) < LEAST_UNITS:
         told.append(
-            f"{_more(LEAST_UNITS - len(names))}, at other places and depths: {LEAST_UNITS} give an interval, of "
-            f"the {len(names)} here none is possible"
+            f"{_more(LEAST_UNITS - len(names))}, at other places and depths: {LEAST_UNITS} give an interval, "
+            f"{len(names)} do not"
         )
     best = skill_over_presses(scored)
     if best is not None and best.low95 is not None and best.high95 is not None:

@@ -358,7 +358,7 @@ def _notes(
     if on.aim == "normal":
         notes.append(
             "the error of the sensed normal is that of facets of the undeformed pad, by a map fitted at other "
-            "places; it is assumed that its inverse differs from the real finger's as much as a brightness would"
+            "places; its inverse is assumed to differ from the real finger's as much as a brightness would"
         )
     exposed = next((swept.constraints for swept in sweeps if swept.constraints is not None), None)
     if exposed is not None:
@@ -396,9 +396,8 @@ def _note_on_error(captures: CaptureErrors) -> str:
     )
     return (
         f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is "
-        f"{_ERROR_CURVE}, of a size (prior: {_ASSUMED_SIZE}) that the captures determine; they see the image beside "
-        f"the "
-        "indenter, the sweep its probe points"
+        f"{_ERROR_CURVE}, of a size (prior: {_ASSUMED_SIZE}) that the captures determine; captures show the image "
+        f"beside the indenter, the sweep evaluates its probe points"
     )
 
 

@@ -530,11 +530,11 @@ def _paint_sentence(rows: Sequence[PaintPairRow]) -> str:
     if not alike:
         rest = "Every other pair is worse."
     elif len(alike) == len(others):
-        rest = "No other pair is shown to be worse: choose by other reasons, or measure the paints better."
+        rest = "No other pair is shown to be worse: choose for other reasons, or measure the paints better."
     else:
         names = "; ".join(f"{row.red} and {row.green}" for row in alike[:_MOST_NAMED])
         more = f"; and {len(alike) - _MOST_NAMED} more" if len(alike) > _MOST_NAMED else ""
-        rest = f"Not shown to be worse: {names}{more}. The other pairs are."
+        rest = f"Not shown to be worse: {names}{more}. All other pairs are shown to be worse."
     return (
         f"Paint the red wall with {best.red} and the green wall with {best.green}: the expected error of the sensed "
         f"normal is {told}. {rest}"

@@ -48,7 +48,7 @@ class RecipePicture(Model):
         default=None, description="value of an OpenEXR image that becomes the largest of 65535 steps"
     )
     corners_px: tuple[Corner, Corner, Corner, Corner] | None = Field(
-        default=None, description="of the gel: top left, top right, bottom left, bottom right (column, row)"
+        default=None, description="corners of the gel: top left, top right, bottom left, bottom right (column, row)"
     )
     size_px: tuple[Annotated[int, Field(ge=16, le=8192)], Annotated[int, Field(ge=16, le=8192)]] | None = Field(
         default=None, description="width and height that the corners are stretched to"
@@ -130,7 +130,7 @@ class RecipeScale(Model):
     mm_per_px: Positive | None = None
     px_per_mm: Positive | None = None
     check_length_mm: Positive | None = None
-    check_length_px: Quantity | None = Field(default=None, description="what labels or pictures show that length as")
+    check_length_px: Quantity | None = Field(default=None, description="the same length in the labels or pictures")
 
     @model_validator(mode="after")
     def _one_scale(self) -> "RecipeScale":
@@ -152,7 +152,9 @@ class RecipeIndenter(Model):
     file: Pattern | None = None
     press: str | None = None
     shape: Literal["ball", "cylinder", "cuboid", "mesh"]
-    diameter_mm: Quantity | None = Field(default=None, description="of a ball or cylinder; width of other shapes")
+    diameter_mm: Quantity | None = Field(
+        default=None, description="diameter of a ball or cylinder; width of other shapes"
+    )
     depth_mm: Quantity | None = None
 
 

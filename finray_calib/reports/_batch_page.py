@@ -457,7 +457,8 @@ def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part
     columns = ("press", *names, "saturation", "noise", "remainder", "1 - skill")
     lead = "No small change of the simulation explains the remaining difference."
     if names:
-        lead = f"Over these presses most is lost by {names[0]}: {fixed(totals[names[0]] / len(told), 3)} of skill each."
+        cost = fixed(totals[names[0]] / len(told), 3)
+        lead = f"Over these presses {names[0]} costs most: {cost} of skill for each press."
     remark = "The parts of a row add up to 1 - skill. The page of a press shows sizes and pictures of its causes."
     return Part(
         "Why the worst differ",

@@ -314,7 +314,7 @@ def _conditions(paint: PaintCalibration, details: CertificateDetails, session: C
     proof = "not proven" if session.filter_proof is None else session.filter_proof.verdict
     return (
         f"{told} {len(session.frames)} frames of a region of {region.width_px} x {region.height_px} px; laser dose on "
-        f"the sample {dose:.3g} J; filters in their slots by the frames themselves: {proof}."
+        f"the sample {dose:.3g} J; filters in their slots, judged by the frames: {proof}."
     )
 
 

@@ -214,7 +214,7 @@ def _camera(report: PhotometricErrorReport) -> Part:
     sentences += [] if drift is None else [words.white_balance_sentence(drift)]
     tables = [] if curve is None else [tone_table(curve)]
     tables += [] if drift is None else [white_balance_table(drift)]
-    return Part("The camera between render and capture", Content(" ".join(sentences), rows, tables=tuple(tables)))
+    return Part("Tone curve of the camera", Content(" ".join(sentences), rows, tables=tuple(tables)))
 
 
 def _sensed(sensing: SensingError) -> Part:

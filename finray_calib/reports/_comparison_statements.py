@@ -103,7 +103,8 @@ def verdict_meaning(report: PhotometricErrorReport) -> str:
     wide = ""
     if floor is not None and skill.high95 >= floor.skill.low95:
         wide = (
-            f" The interval is wide: it may be as good as the capture can show, or explain only {percent(skill.low95)}."
+            f" The interval is wide: the simulation may be as good as the capture can show, or explain only "
+            f"{percent(skill.low95)}."
         )
     meaning: dict[Verdict, str] = {
         "As good as this capture can show": "The difference between render and capture is no larger than that "

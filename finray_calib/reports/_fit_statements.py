@@ -81,7 +81,7 @@ def model_statement(paint: FittedPaint, truth: PaintTruth) -> str:
         f"{paint.titled('the')} 95 % band covers {percent(agreement.coverage_95_rel)} of the {truth.word} curve, "
         f"and the fitted curve differs from it by {percent(agreement.error_rel)} (relative RMS): "
         f"{_model_verdict(paint, agreement)}. The paper's curve alone, taken to be exact: "
-        f"{percent(paper.coverage_95_rel)} covered, {percent(paper.error_rel)} off{remark}."
+        f"{percent(paper.coverage_95_rel)} covered, error {percent(paper.error_rel)}{remark}."
     )
 
 
@@ -130,7 +130,9 @@ def prior_share_statement(paint: FittedPaint) -> str:
     """Say which quantities the measurement has hardly constrained."""
     shares = paint.fit.prior_shares
     if not shares:
-        return paint.titled("how much of each number is prior was not judged by the version that made this fit.")
+        return paint.titled(
+            "the version that made this fit did not judge how much of each number comes from the prior."
+        )
     weak = [QUANTITIES[name][0] for name in paint.fit.mostly_prior]
     largest = max((n for n in shares if n in QUANTITIES), key=lambda name: shares[name].share)
     if weak:

@@ -546,7 +546,7 @@ def _posterior(axes: Axes, fit: BandFit, colour: str, dashes: str, label: str) -
 def _judged(fit: BandFit) -> str:
     """Say how far a fit is off and whether it knows."""
     error, held = PERCENT * fit.residual_rel, PERCENT * fit.covered_share
-    return f"{error:.0f} % off, its 95 % band holds {held:.0f} % of the measured"
+    return f"error {error:.0f} %, its 95 % band holds {held:.0f} % of the measured"
 
 
 def _write(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:

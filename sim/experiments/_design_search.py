@@ -528,7 +528,7 @@ def search_designs(
     run = _Run(space, tuple(objectives), evaluate, evaluations, progress)
     run.add(space.place(space.start), "start")
     if run.evaluated[0].failure:
-        raise SimulateError(f"the design as it is cannot be evaluated: {run.evaluated[0].failure}")
+        raise SimulateError(f"the unchanged design cannot be evaluated: {run.evaluated[0].failure}")
     count = len(space.parameters)
     for place in screening_designs(count, screen_size(evaluations, count), seed, space.is_possible):
         run.add(place, "screen")

@@ -369,7 +369,8 @@ def _notes(finger: BareFinger, paints: Mapping[str, PaintDraws], bands: Sequence
     return (
         f"light angle {light.angle_deg:g} deg, as in the design; another pair may have another best angle",
         f"camera response: {finger.response[0].source}",
-        "the coat reflects as at the middle wavelengths of the first pair's bands, 1 % off for exchanged paints",
+        "the coat reflects as at the middle wavelengths of the first pair's bands, which is wrong by 1 % for "
+        "exchanged paints",
         *elsewhere,
         *coverage,
     )

@@ -119,17 +119,17 @@ def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
         (
             "--force 2",
             "--path moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
-            "--force",
+            "leave out --force",
         ),
         (
             "--contact barrier",
             "--path moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
-            "--force",
+            "leave out --force",
         ),
         (
             "--sensitivities",
             "--path moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
-            "--force",
+            "leave out --force",
         ),
     ],
 )

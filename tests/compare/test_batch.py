@@ -43,7 +43,7 @@ def test_files_are_paired_by_a_table():
         PairRow("why", "s/b.json", "c\\y.json", "mine", session="day 2"),
         PairRow("x", "s/c.json", "c/x.capture.json", "mine", "5", None, "A"),
     ]
-    with pytest.raises(CompareError, match="row 2: the name 'x' occurs twice; add a column name"):
+    with pytest.raises(CompareError, match="row 2: the name 'x' occurs twice; add a column 'name' that gives"):
         pairs_of_rows([rows[0], rows[0]])
     with pytest.raises(CompareError, match="row 1: needs a file in each of the columns simulated and captured"):
         pairs_of_rows([{"simulation": "a", "captured": "b"}])

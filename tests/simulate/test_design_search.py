@@ -131,7 +131,7 @@ def test_a_start_that_fails_ends_the_search() -> None:
     def failing(design: FingerDesign) -> EvaluatedDesign:
         return EvaluatedDesign(key="", design=design, values={}, failure="the coat is black", processor_s=0.0)
 
-    with pytest.raises(SimulateError, match="the design as it is cannot be evaluated: the coat is black"):
+    with pytest.raises(SimulateError, match="the unchanged design cannot be evaluated: the coat is black"):
         search_designs(space("light.angle_deg"), [ERROR], failing, 20, seed=1)
 
 

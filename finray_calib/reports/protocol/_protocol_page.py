@@ -116,7 +116,7 @@ _LIMITS: Final = (
     "A press by hand is known to about 0.1 mm in depth and 0.5 mm in place. Let the comparison fit the place, and "
     "state these uncertainties.",
     "One session says nothing about how much the sensor changes from day to day: repeat the protocol on another day.",
-    "Pictures that went through a camera's own tone curve are compared up to such a curve.",
+    "Pictures that went through a camera's own tone curve are compared after such a curve is fitted.",
 )
 
 
