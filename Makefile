@@ -166,7 +166,7 @@ pictures: $(VENV)/installed-dev llvm
 # Those of docs/reference/paper-experiments.md, by its studies; a quarter of an hour on two cores, and it continues.
 paper-pictures: $(VENV)/installed-dev llvm
 	@for study in pad-shapes everyday-objects; do \
-	  $(BIN)/finray study run $$study --out build/$$study && cp build/$$study/pictures.webp docs/images/$$study.webp || exit 1; \
+	  $(BIN)/finray study run $$study --out $(VENV)/studies/$$study && cp $(VENV)/studies/$$study/pictures.webp docs/images/$$study.webp || exit 1; \
 	done
 
 # The pictures of docs/gallery.md, by running what stands there; some ten minutes.
