@@ -8,7 +8,7 @@ OTHERS := .venv-others
 PYTHONS := 3.11 3.12 3.13
 
 .PHONY: plain demo test quick test-rigs test-gpu test-pythons lint check-types contracts pytest schemas drawing reference docs \
-        pictures gallery lock check-arm llvm \
+        pictures paper-pictures gallery lock check-arm llvm \
         rig-programs clean bench bench-fit bench-compare bench-optics bench-mechanics bench-fuzz verification
 
 # For a camera computer: everything but the simulation, on ARM too.
@@ -162,6 +162,12 @@ docs: $(VENV)/installed-docs
 # The picture of a touch in README.md, rendered anew; some minutes.
 pictures: $(VENV)/installed-dev llvm
 	$(BIN)/python -m docs.touch_picture
+
+# Those of docs/reference/paper-experiments.md, by its studies; a quarter of an hour on two cores, and it continues.
+paper-pictures: $(VENV)/installed-dev llvm
+	@for study in pad-shapes everyday-objects; do \
+	  $(BIN)/finray study run $$study --out $(VENV)/studies/$$study && cp $(VENV)/studies/$$study/pictures.webp docs/images/$$study.webp || exit 1; \
+	done
 
 # The pictures of docs/gallery.md, by running what stands there; some ten minutes.
 gallery: $(VENV)/installed-dev llvm

@@ -20,6 +20,7 @@ BESIDE = {
     "practice-faults.md": "Faults of the rig without devices, to practise on",
     "extend-finray.md": "Extend finray from a package of your own: eight kinds, a protocol and a contract each",
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
+    "paper-experiments.md": "The paper's experiments: what it says, what comes out here, why they differ",
     "published-fin-ray.md": "A published Fin Ray finger, pressed: force and direction against measured ones",
     "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",
 }

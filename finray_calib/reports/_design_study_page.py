@@ -108,7 +108,7 @@ _LIMITS = (
     "renders, and leave out assumed materials, dimensions and camera response, which all points share.",
     "All points share their random numbers, so the difference of two points is more certain than each of them.",
     "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
-    "Their limits show the uncertainty that comes from the mesh.",
+    "Their limits show the uncertainty that comes from the mesh, which moves all points alike for the most part.",
     "Vividness takes the camera's channels for those of sRGB, exposed and white-balanced on the coat itself; it "
     "ranks fingers with one camera and is not an absolute measure of colour.",
 )
@@ -154,7 +154,8 @@ def _key_numbers(result: StudyResult) -> Iterator[KeyNumber]:
         if metrics:
             low, high = metrics[0], metrics[-1]
             unit = "" if low.unit == "1" else f" {low.unit}"
-            yield KeyNumber(name, f"{low.value:.3g} to {high.value:.3g}{unit}", low.meaning, *_changed(metrics))
+            ends = list(dict.fromkeys((f"{low.value:.3g}", f"{high.value:.3g}")))
+            yield KeyNumber(name, f"{' to '.join(ends)}{unit}", low.meaning, *_changed(metrics))
 
 
 def _changed(ordered: Sequence[StudyMetric]) -> tuple[Light, str]:
@@ -164,6 +165,8 @@ def _changed(ordered: Sequence[StudyMetric]) -> tuple[Light, str]:
     together with 95 % (Bonferroni).
     """
     lowest, highest = ordered[0], ordered[-1]
+    if lowest.value == highest.value:
+        return "", "the same at all points"
     if lowest.high95 is None or highest.low95 is None:
         return "", "computed without an interval"
     normal = NormalDist()
@@ -212,15 +215,19 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
     white, columns = _common_white(shown), min(len(shown), _PICTURES_IN_A_ROW)
     rows = -(-len(shown) // columns)
     with styled():
-        figure = new_figure(2.5 * columns, 4.3 * rows)
+        figure = new_figure(2.5 * columns, 4.7 * rows)
         for k, point in enumerate(shown):
             row, column = divmod(k, columns)
             for below, image in enumerate((point.no_contact, point.contact)):
                 axes = figure.add_subplot(2 * rows, columns, (2 * row + below) * columns + column + 1)
                 axes.imshow(to_display(_small(image), white, True), interpolation="bicubic")
                 axes.set_axis_off()
-                text = _caption(point).replace("; ", "\n") if below else _names(point)
-                axes.set_title(text, fontsize=6 if below else 8, y=-0.42 if below else 1.0, loc="left", color=INK)
+                if below:
+                    words = _caption(point).replace("; ", "\n")
+                    axes.text(0.0, -0.04, words, fontsize=6, va="top", color=INK, transform=axes.transAxes)
+                else:
+                    axes.set_title(_names(point), fontsize=8, loc="left", color=INK)
+        figure.suptitle("Above without contact, below with it", fontsize=8, x=0.01, ha="left", color=MUTED)
         png = png_bytes(figure)
     picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     return bytes(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])[1])

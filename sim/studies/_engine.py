@@ -223,14 +223,15 @@ def _ended(
         try:
             future = next(ended)
             error = future.exception()
+            outcome = None if error is not None else future.result()
         except CancelledError as lost:  # Dask cancels what it has given to a scheduler that is gone
             raise SimulateError(
                 "the Dask scheduler went away in the middle; what is finished is kept: start the scheduler and its "
-                "workers again, and give the same command, which goes on with what is missing"
+                "workers again, and give the same command, which continues with what is missing"
             ) from lost
         point = running.pop(future.key)
         if error is None:
-            yield point, future.result(), False
+            yield point, outcome, False
         else:
             yield point, f"{type(error).__name__}: {error}", type(error).__name__ == "KilledWorker"
 

@@ -1,10 +1,12 @@
 """The first screen of a design study: its numbers are judged by all points together, not by the two extremes alone."""
 
+import cv2
 import numpy as np
+import pytest
 from html_page import Page, assert_stands_alone
 
-from data_schemas import StudyMetric, StudyResult, StudyRow
-from finray_calib.reports import design_study_page
+from data_schemas import FingerDesign, StudyMetric, StudyPoint, StudyResult, StudyRow
+from finray_calib.reports import design_study_page, study_pictures_webp
 from finray_calib.reports._design_study_page import _changed
 from finray_calib.reports._methods import study_methods
 
@@ -51,3 +53,42 @@ def test_the_page_shows_three_numbers_and_says_how_it_was_done():
     told = " ".join(study_methods(result))
     assert told in text
     assert "varied in light.angle_deg: 3 designs were computed." in told
+
+
+SHARES = {"red_share": 0.41, "green_share": 0.4, "blue_share": 0.19}
+
+
+def pictured(number: int, changes: dict[str, str | float]) -> StudyPoint:
+    rng = np.random.default_rng(number)
+    images = {name: rng.random((60, 80, 3)).astype(np.float32) for name in ("no_contact", "contact")}
+    metrics = tuple(metric(value, 0.02, name) for name, value in (*SHARES.items(), ("vividness", 7.0 + number)))
+    return StudyPoint(
+        study="pads", number=number, key="0" * 64, changes=changes, design=FingerDesign(), metrics=metrics,
+        processor_s=1.0, **images,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [{"preset": "flat-70x35"}, {"preset": "cylindrical-r60"}, {"preset": "a <b> & c"}],
+        [{"preset": "flat-70x35", "indenter.depth_mm": 0.8}, {"preset": "wide-50x50", "indenter.depth_mm": 0.9}],
+        [
+            {"light.angle_deg": 0.0, "indenter.position_mm": 15.0},
+            {"light.angle_deg": 0.0, "indenter.position_mm": 20.0},
+        ],
+    ],
+    ids=["by name", "together", "along an axis"],
+)
+def test_pictures_have_their_numbers_and_points_their_names(changes):
+    points = [pictured(k, change) for k, change in enumerate(changes, start=1)]
+    rows = tuple(StudyRow(number=p.number, changes=p.changes, metrics=p.metrics) for p in points)
+    result = StudyResult(name="pads", about="", varied=tuple(changes[0]), points=rows, failures=())
+    html = design_study_page(result, points, "finray study run pads.toml", {}, "0.1.0")
+    assert_stands_alone(html)
+    assert "Red, green, blue lead 41, 40, 19 %; vividness 8" in " ".join(html.split())
+    assert "share of the coat where each light leads" in html
+    pictures = cv2.imdecode(np.frombuffer(study_pictures_webp(points), np.uint8), cv2.IMREAD_COLOR)
+    assert pictures.shape[1] > pictures.shape[0] / 2
+    assert pictures.std() > 20.0
+    assert study_pictures_webp([]) is None
