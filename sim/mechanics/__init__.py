@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     )
     from sim.mechanics._indenter_path import IndenterPath, moved_pose, press_along, press_as_designed, read_path
     from sim.mechanics._indenters import rigid_indenter, side_outline_mm
-    from sim.mechanics._loads import CompressedBlock, GelBlock, LoadedFinger, compress_block, press_to_force
+    from sim.mechanics._loads import CompressedBlock, GelBlock, LoadedFinger, Plates, compress_block, press_to_force
     from sim.mechanics._materials import LinearElastic, Material, Ogden
     from sim.mechanics._mesh import Block, FingerMesh
     from sim.mechanics._penalty_contact import (
@@ -85,6 +85,7 @@ __all__ = [
     "Ogden",
     "Part",
     "PenaltyContact",
+    "Plates",
     "Pose",
     "PressDerivatives",
     "PressSettings",
