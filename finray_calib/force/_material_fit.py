@@ -112,11 +112,12 @@ class ForceModel:
         name, design
             Of the finger.
         gel, bulk
-            Presses to one depth with other C10 and K/mu, rising, each with its derivatives.
+            Presses to one depth with other C10 and K/mu, rising, each with its derivatives; the design's own C10 is
+            one of them, and only its press needs derivatives by dimensions.
         mesh_excess_rel
             By how much the mesh makes the force too high; it is taken off, and half of it stays uncertain.
         """
-        middle = gel[len(gel) // 2][1]
+        middle = min(gel, key=lambda pair: abs(math.log(pair[0] / design.mechanics.gel.c10_mpa)))[1]
         slopes = {slope.field: slope.ln_force_per_ln_number for slope in middle.slopes}
         others = tuple(f for f in slopes if f.endswith("_mpa") and f != GEL)
         rest = [f for f in slopes if f not in {GEL, BULK, *others}]
