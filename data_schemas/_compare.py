@@ -603,6 +603,9 @@ class MaterialFit(Record):
     draws: Annotated[PerForce, ArraySpec("<f8", ("draw", "modulus"))] = Field(
         description="of the posterior, columns in the order of moduli, each in its unit"
     )
+    bulk_modulus_mpa: Estimate = Field(
+        description="K of the gel, which a confined block tells although neither of its two factors is told apart"
+    )
     curves: tuple[FittedForceCurve, ...]
     effective_draws: Annotated[float, Field(gt=0.0)]
     pareto_k: float

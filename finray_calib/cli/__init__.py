@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from finray_calib.cli._demo import add_demo, add_doctor
     from finray_calib.cli._design import add_design
     from finray_calib.cli._export import add_export
-    from finray_calib.cli._fit import add_fit
+    from finray_calib.cli._fit import add_fit, add_fit_material
     from finray_calib.cli._import import add_import
     from finray_calib.cli._radiometry import add_radiometry
     from finray_calib.cli._rig import add_live, add_rig
@@ -42,6 +42,7 @@ __all__ = [
     "add_doctor",
     "add_export",
     "add_fit",
+    "add_fit_material",
     "add_history",
     "add_import",
     "add_live",

@@ -1,14 +1,15 @@
 """``finray fit``: the emission spectrum of a paint with its uncertainty, of a region or pixel by pixel.
 
-``finray simulate fit`` fits the numbers of a sensor to captures of it.
+``finray simulate fit`` fits the numbers of a sensor to captures of it, ``finray fit-material`` moduli to force curves.
 """
 
 import argparse
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
-from finray_calib.cli._output import give, go_on_with, is_for_a_program, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import Progress, give, go_on_with, is_for_a_program, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_out,
@@ -27,7 +28,9 @@ from finray_calib.cli._run import (
 if TYPE_CHECKING:
     from data_schemas import (
         BandSignals,
+        Estimate,
         FittedNumber,
+        MaterialFit,
         PaintCalibration,
         PaintMap,
         PaintWithoutEmission,
@@ -35,6 +38,8 @@ if TYPE_CHECKING:
         SessionScatter,
     )
     from finray_calib.fit import BudgetRow
+    from finray_calib.force import ForceModel, MeasuredForce
+    from sim.mechanics import Plates
 
 
 HELP = "fit the emission spectrum of a paint, with uncertainty"
@@ -452,3 +457,146 @@ def _number_line(number: "FittedNumber") -> str:
     told = "" if number.verdict == "determined" else f": {number.verdict.upper()}"
     left = f"{100 * number.left_of_prior_rel:.0f} % left{told}"
     return f"{number.name:32s} {number.posterior}{unit} ({number.prior}), {left}"
+
+
+MATERIAL_HELP = "fit the moduli of a gel to force curves of a bench"
+MATERIAL_DESCRIPTION = """\
+Fit the moduli of a gel to measured forces over displacement: of blocks of it between plates, or of a finger. The model
+is the finite elements of 'finray simulate press' with their derivatives. Found are C10 and K/mu of the gel, of a finger
+also the moduli of its other parts; first touch, zero and drift of the load cell and the noise are found beside them.
+Each modulus is said to be measured, constrained in part, or not measured: then the interval is what was assumed before.
+
+  finray fit-material free.csv tight.csv --on 20x20x10:lubricated --on 20x20x10:confined
+  finray fit-material finger.csv --on finger.toml"""
+_BLOCK = re.compile(r"([0-9.]+)x([0-9.]+)x([0-9.]+):([a-z]+)", re.IGNORECASE)
+_PLATES = ("lubricated", "bonded", "confined")
+_MATERIAL_ENDING = ".material.json"
+_DEEPER = 1.05  # than the curve: the first touch may lie above 0
+
+
+def add_fit_material(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser("fit-material", help=MATERIAL_HELP, description=MATERIAL_DESCRIPTION)
+    parser.add_argument(
+        "curves", type=Path, nargs="+", metavar="CURVE",
+        help="loading curve (CSV): columns displacement_mm, counted from near first touch, and force_n, if known "
+        "force_uncertainty_n",
+    )  # fmt: skip
+    parser.add_argument(
+        "--on", action="append", required=True, metavar="SPECIMEN",
+        help="what the curve is of, once for each: a block LENGTHxWIDTHxHEIGHT:PLATES in mm, PLATES lubricated (sides "
+        "free), bonded (glued to both plates) or confined (walls around); or a finger's design (TOML), pressed by its "
+        "indenter",
+    )  # fmt: skip
+    add_out(parser, f"NAME{_MATERIAL_ENDING}, with a picture beside it")
+    add_seed(parser)
+    parser.set_defaults(run=run_fit_material, long_work=_long_material_fit)
+
+
+def _long_material_fit(arguments: argparse.Namespace) -> LongWork:
+    """Return what is about to be done, and what of it is kept if its process dies."""
+    nothing = "Nothing is stored before its end: the same command begins again"
+    return LongWork("the fit of the material", nothing, arguments.out)
+
+
+def run_fit_material(arguments: argparse.Namespace) -> None:
+    """Fit, store record and picture, and report."""
+    import numpy as np
+
+    from data_schemas import CompareError, provenance
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.exchange import read_force_csv
+    from finray_calib.force import fit_material
+    from finray_calib.reports import material_fit_png
+
+    if len(arguments.on) != len(arguments.curves):
+        raise CompareError(
+            f"{len(arguments.curves)} curves and {len(arguments.on)} --on: give --on once for each curve, in order"
+        )
+    name = file_name(arguments.curves[0].stem)
+    out = require_new(arguments.out or Path(f"{name}{_MATERIAL_ENDING}"), ".json")
+    picture = require_new(out.with_suffix(".png"))
+    curves = [read_force_csv(path) for path in arguments.curves]
+    with progress_bar("fit the material") as progress:
+        models = [_specimen(given, curve, progress) for given, curve in zip(arguments.on, curves, strict=True)]
+    with naming(CompareError, *arguments.curves):
+        fit = fit_material(curves, models, np.random.default_rng(arguments.seed), name)
+    read = [*arguments.curves, *(Path(given) for given in arguments.on if not _BLOCK.fullmatch(given))]
+    with ProductSet(out) as products:
+        products.add(picture, material_fit_png(fit))
+        write_record(fit, out, provenance(command_line(), input_digests(read), arguments.seed), products)
+    wrote(out, f"moduli by {len(curves)} force curve(s)")
+    wrote(picture, "curves with their bands, and each modulus before and after")
+    _say_material(fit)
+    look_at(picture)
+
+
+def _specimen(given: str, curve: "MeasuredForce", progress: Progress) -> "ForceModel":
+    """Return the computed force of what a curve is of.
+
+    Raises
+    ------
+    CompareError
+        When it is neither a block nor a file.
+    """
+    from data_schemas import CompareError, SimulateError
+    from finray_calib.spectra import machine_threads
+    from sim import read_design
+    from sim.experiments import block_force_model, finger_force_model
+    from sim.mechanics import GelBlock
+
+    push_mm = _DEEPER * float(curve.displacement_mm.max())
+    found = _BLOCK.fullmatch(given)
+    if found is None:
+        if not Path(given).is_file():
+            raise CompareError(
+                f"--on {given}: is neither a file nor a block; give a design (TOML), or a block such as "
+                f"20x20x10:lubricated (mm; {', '.join(_PLATES)})"
+            )
+        with naming(SimulateError, Path(given)):
+            design = read_design(Path(given))
+            return finger_force_model(design, push_mm, machine_threads(), progress, Path(given).parent)
+    sizes, plates = found.groups()[:3], found.group(4).lower()
+    if plates not in _PLATES:
+        raise CompareError(f"--on {given}: plates are {', '.join(_PLATES)}, not {plates}")
+    try:
+        edges = [float(size) for size in sizes]
+    except ValueError:
+        raise CompareError(f"--on {given}: edges are numbers in mm, such as 20x20x10:{plates}") from None
+    try:
+        block = GelBlock(edges[0], edges[1], edges[2], cast("Plates", plates))
+        return block_force_model(block, push_mm, machine_threads(), progress)
+    except SimulateError as refused:
+        raise SimulateError(f"--on {given}, {curve.name}: {refused}") from refused
+
+
+def _say_material(fit: "MaterialFit") -> None:
+    """Tell each modulus before and after, first touch and noise of each curve, and what goes into a design."""
+    give(
+        name=fit.name, moduli=fit.moduli, bulk_modulus_mpa=fit.bulk_modulus_mpa, trusted=fit.trusted,
+        design_toml=fit.design_toml, notes=fit.notes,
+    )  # fmt: skip
+    say("  modulus, 95 % after the curves (before them), what is left of the prior's width:")
+    for modulus in fit.moduli:
+        unit = "" if modulus.unit == "1" else f" {modulus.unit}"
+        told = modulus.verdict if modulus.verdict == "measured" else modulus.verdict.upper()
+        left = f"{100 * modulus.left_of_prior_rel:.0f} % left: {told}"
+        say(f"    {modulus.field:34s} {_plain(modulus.posterior)}{unit} ({_plain(modulus.prior)}), {left}")
+    say(f"    {'K of the gel':34s} {_plain(fit.bulk_modulus_mpa)} MPa")
+    for curve in fit.curves:
+        say(
+            f"  {curve.measured}: first touch at {curve.first_touch_mm} mm, noise {curve.noise_n} N, residual "
+            f"{curve.residual_rms_n:.3g} N"
+        )
+    for note in fit.notes:
+        say(f"  note: {note}")
+    if fit.design_toml:
+        say("  for the file of a finger's design:")
+        say("\n".join(f"    {line}" for line in fit.design_toml.splitlines()), fold=False)
+    else:
+        say("  nothing of the gel was measured: there is nothing to put into a design")
+
+
+def _plain(value: "Estimate") -> str:
+    """Return an estimate whose interval may span decades, each number to three digits."""
+    return f"{value.estimate:.3g} [{value.low95:.3g}, {value.high95:.3g}]"

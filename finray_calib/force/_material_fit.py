@@ -48,8 +48,8 @@ PRIOR_ABOVE: Final = 0.8
 _ZERO_REL, _DRIFT_REL = 0.005, 0.01  # of the largest force
 _NOISE_REL, _NOISE_LN_SD, _NOISE_RANGE_REL = 0.01, 1.5, (1e-4, 0.3)
 _TOUCH_SD_REL, _TOUCH_RANGE_REL = 0.15, 0.5  # of the range of displacements
-_STARTS_BULK = 5
-_DRAWS, _KEPT = 6000, 2000
+_STARTS_BULK = 3
+_DRAWS, _KEPT = 5000, 2000
 _STEP_SD = 1e-3  # of numerical derivatives, in standard deviations of the prior
 
 
@@ -112,11 +112,12 @@ class ForceModel:
         name, design
             Of the finger.
         gel, bulk
-            Presses to one depth with other C10 and K/mu, rising, each with its derivatives.
+            Presses to one depth with other C10 and K/mu, rising, each with its derivatives; the design's own C10 is
+            one of them, and only its press needs derivatives by dimensions.
         mesh_excess_rel
             By how much the mesh makes the force too high; it is taken off, and half of it stays uncertain.
         """
-        middle = gel[len(gel) // 2][1]
+        middle = min(gel, key=lambda pair: abs(math.log(pair[0] / design.mechanics.gel.c10_mpa)))[1]
         slopes = {slope.field: slope.ln_force_per_ln_number for slope in middle.slopes}
         others = tuple(f for f in slopes if f.endswith("_mpa") and f != GEL)
         rest = [f for f in slopes if f not in {GEL, BULK, *others}]
@@ -312,10 +313,18 @@ def fit_material(
     Raises
     ------
     CompareError
-        When curves and models are not as many, a curve is deeper than its model, or no modulus explains the curves.
+        When curves and models are not as many, displacements do not count from near first touch, or no modulus
+        explains the curves.
     """
     if len(curves) != len(models) or not curves:
         raise CompareError(f"{len(curves)} curves and {len(models)} specimens: give one specimen for each curve")
+    for curve in curves:
+        begin, size = float(curve.displacement_mm.min()), float(np.ptp(curve.displacement_mm))
+        if abs(begin) > _TOUCH_RANGE_REL * size:
+            raise CompareError(
+                f"{curve.name}: its displacements begin at {begin:g} mm and cover {size:g} mm; count them from near "
+                "first touch (0 mm), which the fit then finds"
+            )
     problem = _problem(curves, models)
     maxima = _maxima(problem)
     proposal = MixtureProposal.around(maxima, problem.prior).adapted(problem.log_posterior, rng)
@@ -326,6 +335,8 @@ def fit_material(
         name=name,
         moduli=moduli,
         draws=np.exp(draws[:, : len(problem.fields)]),
+        # K = (K/mu) mu with mu = 2 C10
+        bulk_modulus_mpa=estimate(2.0 * np.exp(draws[:, 0] + draws[:, 1])),
         curves=tuple(_curve(problem, k, draws, rng) for k in range(len(curves))),
         effective_draws=float(sample.effective),
         pareto_k=float(sample.pareto_k),

@@ -14,7 +14,12 @@ if TYPE_CHECKING:
     from finray_calib.reports._batch_page import PressPictures, batch_lines, batch_page, press_pictures, ranking_figure
     from finray_calib.reports._certificate_page import Certificate, certificate_of, certificate_page, certificate_pdf
     from finray_calib.reports._check_page import check_report, history_page
-    from finray_calib.reports._comparison_figures import error_map_figure, force_figure_png, score_figure
+    from finray_calib.reports._comparison_figures import (
+        error_map_figure,
+        force_figure_png,
+        material_fit_png,
+        score_figure,
+    )
     from finray_calib.reports._comparison_page import comparison_page, skill_number
     from finray_calib.reports._comparison_statements import (
         error_table,
@@ -221,6 +226,7 @@ __all__ = [
     "light_of",
     "lights_from_the_side",
     "lit_pad_figure",
+    "material_fit_png",
     "methods_part",
     "model_statement",
     "mounting_picture",

@@ -1,13 +1,21 @@
 """Figures of a comparison: error map, changes by the touch, scores, budget, level by part, and force over the push."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from data_schemas import FittedToneCurve, ForceComparison, InputUncertainty, PhotometricErrorReport, ValidationCell
+from data_schemas import (
+    FittedModulus,
+    FittedToneCurve,
+    ForceComparison,
+    InputUncertainty,
+    MaterialFit,
+    PhotometricErrorReport,
+    ValidationCell,
+)
 from finray_calib.reports._comparison_statements import row_of
 from finray_calib.reports._images import Floats, TouchChanges, coarser, on_grid
 from finray_calib.reports._plain_text import percent, signed_percent
@@ -314,3 +322,45 @@ def force_figure_png(comparison: ForceComparison) -> bytes:
         below.legend(loc="best")
     legend_above(figure, above, 2)
     return png_bytes(figure)
+
+
+@styled()
+def material_fit_png(fit: MaterialFit) -> bytes:
+    """Return a picture of a material fit as PNG bytes.
+
+    Left, each curve: measured points, and the fitted force with the band in which 95 % of points measured again would
+    lie. Right, each modulus before (grey) and after the curves (blue where measured, orange where the prior speaks),
+    over its median: 95 % intervals, in a logarithmic scale.
+    """
+    rows = len(fit.curves)
+    figure = new_figure(9.0, max(3.6, 2.6 * rows))
+    grid = figure.add_gridspec(rows, 2, width_ratios=(1.3, 1.0))
+    for k, curve in enumerate(fit.curves):
+        axes = figure.add_subplot(grid[k, 0])
+        order = np.argsort(curve.displacement_mm)
+        at = curve.displacement_mm[order]
+        axes.fill_between(at, curve.low95_n[order], curve.high95_n[order], color=BLUE, alpha=0.2, lw=0.0)
+        axes.plot(at, curve.fitted_n[order], color=BLUE, label="fitted, 95 % band of a point")
+        axes.plot(at, curve.force_n[order], "o", color=INK, ms=3, label="measured")
+        axes.axvline(curve.first_touch_mm.estimate, color=MUTED, lw=0.8, ls="--")
+        axes.set(xlabel="displacement (mm), dashed: first touch", ylabel="force (N)")
+        axes.set_title(f"{curve.measured}: {curve.specimen}", fontsize=9)
+        axes.legend(loc="upper left")
+    _draw_moduli(figure.add_subplot(grid[:, 1]), fit.moduli)
+    return png_bytes(figure)
+
+
+def _draw_moduli(axes: Axes, moduli: Sequence[FittedModulus]) -> None:
+    """Draw each modulus before and after the curves."""
+    for k, modulus in enumerate(moduli):
+        after, before = modulus.posterior, modulus.prior
+        middle, colour = after.estimate, BLUE if modulus.verdict == "measured" else ORANGE
+        axes.plot([before.low95 / middle, before.high95 / middle], [k + 0.14] * 2, color=MUTED, lw=3)
+        axes.plot([after.low95 / middle, after.high95 / middle], [k - 0.14] * 2, color=colour, lw=5)
+        axes.plot([1.0], [k - 0.14], "|", color=INK, ms=10)
+        unit = "" if modulus.unit == "1" else f" {modulus.unit}"
+        name = modulus.field.removeprefix("mechanics.")
+        told = f"{name}: {after.estimate:.3g} [{after.low95:.3g}, {after.high95:.3g}]{unit}, {modulus.verdict}"
+        axes.text(0.02, k + 0.3, told, fontsize=8, transform=axes.get_yaxis_transform())
+    axes.set(xscale="log", yticks=[], ylim=(len(moduli) - 0.4, -0.6), xlabel="over the median")
+    axes.set_title("95 % before (grey) and after the curves", fontsize=9)

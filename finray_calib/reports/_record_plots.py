@@ -26,6 +26,7 @@ from data_schemas import (
     LightAngleDecision,
     LightAngleIntensity,
     LightAngleSweep,
+    MaterialFit,
     PaintCalibration,
     PaintMap,
     PaintStandIn,
@@ -38,7 +39,7 @@ from data_schemas import (
     TwoLights,
 )
 from data_schemas.storage import FIRST_RED, write_bytes
-from finray_calib.reports._comparison_figures import force_figure_png, score_figure
+from finray_calib.reports._comparison_figures import force_figure_png, material_fit_png, score_figure
 from finray_calib.reports._finger_pictures import finger_png
 from finray_calib.reports._fit_figures import draw_emission, paint_map_figure
 from finray_calib.reports._images import display_white, png_bytes, to_display
@@ -620,6 +621,7 @@ _DRAWINGS: Mapping[type[Record], Callable[[Any], str | bytes]] = {
     LightAngleDecision: _decision,
     LightAngleIntensity: light_angle_png,
     LightAngleSweep: _sweep,
+    MaterialFit: material_fit_png,
     PaintCalibration: lambda fit: draw_emission(fit).svg,
     PaintMap: paint_map_figure,
     PaperPaints: paper_paints_png,

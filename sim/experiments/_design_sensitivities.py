@@ -447,6 +447,14 @@ def finger_force_model(
     )  # fmt: skip
 
 
+def _needed(design: FingerDesign, varied: str, at_reference: bool) -> list[str]:
+    """Return by what a press of a ladder is differentiated: by dimensions only at the design's own gel."""
+    if varied == "mechanics.gel.bulk_over_shear":
+        return [varied]
+    every = [field for field in _uncertain(design) if _is_continuous(design, field)]
+    return [field for field in every if at_reference or field.endswith("_mpa")]
+
+
 def _sensitivities(
     pressed: PressedFinger, slopes: dict[str, NDArray[np.float64]], push_mm: NDArray[np.float64]
 ) -> PressSensitivities:

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
         rigid_indenter,
         side_outline_mm,
     )
-    from sim.mechanics._loads import CompressedBlock, GelBlock, LoadedFinger, compress_block, press_to_force
+    from sim.mechanics._loads import CompressedBlock, GelBlock, LoadedFinger, Plates, compress_block, press_to_force
     from sim.mechanics._materials import (
         LinearElastic,
         Material,
@@ -109,6 +109,7 @@ __all__ = [
     "PackagedMaterial",
     "Part",
     "PenaltyContact",
+    "Plates",
     "Pose",
     "PressDerivatives",
     "PressSettings",

@@ -441,7 +441,8 @@ class GelBlock:
 
 
 _EDGES_MM = (0.5, 300.0)
-_DEEPEST_SHARE = 0.5  # of the height: beyond, a block's edges fold on the plates
+# of the height: beyond, a mesh's corners fold, at glued plates long before
+_DEEPEST_SHARES: dict[Plates, float] = {"lubricated": 0.5, "bonded": 0.25, "confined": 0.5}
 
 
 @dataclass(frozen=True, slots=True)
@@ -478,7 +479,7 @@ def compress_block(
     block, material
         What is compressed.
     push_mm
-        Rising pushes, of at most half the height.
+        Rising pushes, of at most half the height; a quarter of it between bonded plates.
     cells
         Some elements through half the height of a bonded block; the others deform alike everywhere.
     threads
@@ -487,13 +488,14 @@ def compress_block(
     Raises
     ------
     SimulateError
-        When a push is not above 0 or above half the height, or finds no equilibrium.
+        When a push is not above 0 or too deep, or finds no stable equilibrium.
     """
     pushes = np.asarray(push_mm, dtype=np.float64)
-    if not (pushes[0] > 0.0 and (np.diff(pushes) > 0.0).all() and pushes[-1] <= _DEEPEST_SHARE * block.height_mm):
+    deepest = _DEEPEST_SHARES[block.plates] * block.height_mm
+    if not (pushes[0] > 0.0 and (np.diff(pushes) > 0.0).all() and pushes[-1] <= deepest):
         raise SimulateError(
-            f"pushes of {pushes.min():.3g} to {pushes.max():.3g} mm: a block {block.height_mm:g} mm high can be "
-            f"compressed by more than 0 and at most {_DEEPEST_SHARE * block.height_mm:g} mm"
+            f"a push of {pushes.max():.3g} mm: a {block.plates} block {block.height_mm:g} mm high can be compressed by "
+            f"more than 0 and at most {deepest:g} mm; leave out the points beyond"
         )
     mesh, fixed, push = _eighth(block, cells)
     elasticity = Elasticity(mesh, {"gel": material}, threads)
