@@ -130,7 +130,7 @@ def test_press_with_all_three_is_the_press_with_ours(parts, tmp_path, monkeypatc
     assert packages == ("my-finger-parts 0.1",) * 3
     assert of.indenter.parameters == {"radius_mm": 6.0}
     assert any("law yeoh of my-finger-parts 0.1 (c1_mpa = 0.1333)" in note for note in theirs.notes)
-    (tmp_path / "force.csv").write_text("displacement_mm,force_n\n0.1,0.02\n0.2,0.05\n0.3,0.09\n0.4,0.14\n")
+    (tmp_path / "force.csv").write_text("displacement_mm,force_n\n0.1,0.02\n0.2,0.05\n0.3,0.09\n0.35,0.11\n0.4,0.14\n")
     told = finray(f"compare {tmp_path}/theirs.mechanics.json --force {tmp_path}/force.csv --out {tmp_path}/force.json")
     assert told.status == 0, told.err
     left_out = read_record(tmp_path / "force.json", ForceComparison).not_included
