@@ -540,8 +540,8 @@ def check_metric(metric: Metric, rows: int = 48, columns: int = 64) -> None:
     region = distance <= 2.0
 
     def value(candidate: Floats) -> float:
-        images = [candidate.copy(), touched.copy(), rest.copy()]
-        given = plug_in.call(lambda: metric.value(*images, region.copy()))
+        images = candidate.copy(), touched.copy(), rest.copy()
+        given = plug_in.call(lambda: metric.value(images[0], images[1], images[2], region.copy()))
         if any((a != b).any() for a, b in zip(images, (candidate, touched, rest), strict=True)):
             raise plug_in.refusal("changes the images that it is given")
         return float(numbers_of(plug_in, "value", given, ()))

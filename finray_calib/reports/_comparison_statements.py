@@ -358,7 +358,7 @@ def packaged_metric_table(metrics: tuple[PackagedMetric, ...]) -> ReportTable:
     """List the metrics that other packages bring, for the three candidates."""
     groups = []
     for metric in metrics:
-        shown = {row.candidate: metric_value(row, metric) for row in metric.rows}
+        shown: dict[str, str] = {row.candidate: metric_value(row, metric) for row in metric.rows}
         values = [shown.get(name, NO_VALUE) for name in _CANDIDATES]
         over = f", interval over {metric.draws} draws of the inputs" if metric.draws else ", without an interval"
         groups.append(TableGroup(metric.package, ((f"{metric.name}: {metric.words}{over}", *values, metric.better),)))

@@ -33,7 +33,7 @@ from finray_calib.reports._page import (
 )
 from finray_calib.reports._plain_text import NO_VALUE
 from finray_calib.reports._style import BLUE, GREEN, INK, MUTED, SKY, VERMILLION
-from sim.mechanics import SkeletonLayout, body_mesh, pad_mesh, rigid_indenter, skeleton_layout, skeleton_mesh
+from sim.mechanics import SkeletonLayout, pad_mesh, rigid_indenter, skeleton_layout, skeleton_mesh
 from sim.optics import camera_pose, panel_frame
 from sim.surface_meshes import boundary_quads, layout_scale, split_quads
 
@@ -119,9 +119,7 @@ def _camera(design: FingerDesign) -> tuple[Floats, Numbers]:
 def _indenter(design: FingerDesign, folder: Path) -> tuple[Floats, Numbers]:
     """Return the indenter where it first touches; a cylinder without ends is cut beyond the finger."""
     indenter = rigid_indenter(design, folder)
-    mesh = indenter.surface
-    if indenter.body is not None:
-        mesh = body_mesh(indenter.body, _CHORD_MM, 0.75 * design.pad.width_mm)
+    mesh = indenter.facets(_CHORD_MM, 0.75 * design.pad.width_mm)
     placed = mesh.vertices_mm @ indenter.touching.rotation.T + np.array(indenter.touching.position_mm)
     return placed, mesh.triangles
 

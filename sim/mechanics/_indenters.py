@@ -78,6 +78,12 @@ class RigidIndenter:
     touching: Pose
     surface_off_mm: float = 0.0
 
+    def facets(self, chord_mm: float, half_length_mm: float) -> TriangleMesh:
+        """Return triangles for pictures; a body of ours has its own, an endless cylinder so long to both sides."""
+        if self.body is None or isinstance(self.body, PackagedBody):
+            return self.surface
+        return body_mesh(self.body, chord_mm, half_length_mm)
+
     def check_surface(self) -> None:
         """Refuse triangles that miss their body by more than a contact on them, or an imprint of them, may.
 
@@ -348,10 +354,7 @@ def side_outline_mm(design: FingerDesign, depth_mm: float = 0.0, folder: Path | 
     if design.indenter.shape == "mesh" and folder is None:
         return None
     indenter = rigid_indenter(design, folder or Path())
-    if indenter.body is None or isinstance(indenter.body, PackagedBody):
-        shown = indenter.surface
-    else:
-        shown = body_mesh(indenter.body, CHORD_MM, design.pad.width_mm / 2.0)
+    shown = indenter.facets(CHORD_MM, design.pad.width_mm / 2.0)
     pose = indenter.pose(depth_mm)
     points = (shown.vertices_mm @ pose.rotation.T + np.array(pose.position_mm))[:, [2, 1]]
     return np.asarray(points[ConvexHull(points).vertices])

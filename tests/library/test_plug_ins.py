@@ -12,7 +12,6 @@ import pytest
 from data_schemas import (
     CompareError,
     FingerDesign,
-    ForceComparison,
     GelPad,
     Indenter,
     NeoHookeSolid,
@@ -25,6 +24,8 @@ from data_schemas import (
 )
 from data_schemas.storage import read_record, write_record
 from finray_calib.compare import check_metric
+from finray_calib.exchange import read_force_csv
+from finray_calib.force import compare_force
 from sim import design_toml, read_design
 from sim.mechanics import (
     STEPS,
@@ -130,13 +131,19 @@ def test_press_with_all_three_is_the_press_with_ours(parts, tmp_path, monkeypatc
     assert packages == ("my-finger-parts 0.1",) * 3
     assert of.indenter.parameters == {"radius_mm": 6.0}
     assert any("law yeoh of my-finger-parts 0.1 (c1_mpa = 0.1333)" in note for note in theirs.notes)
-    (tmp_path / "force.csv").write_text("displacement_mm,force_n\n0.1,0.02\n0.2,0.05\n0.3,0.09\n0.4,0.14\n")
-    told = finray(f"compare {tmp_path}/theirs.mechanics.json --force {tmp_path}/force.csv --out {tmp_path}/force.json")
-    assert told.status == 0, told.err
-    left_out = read_record(tmp_path / "force.json", ForceComparison).not_included
     unknown = 'the parameters of mechanics.gel.law = "yeoh" of my-finger-parts 0.1, whose uncertainty is not known'
-    assert unknown in left_out
+    assert unknown in left_out_of_a_force_comparison(theirs, tmp_path)
     assert finger_identity(of).differs_in(finger_identity(ours.design)) == ("indenter", "mechanics", "pad")
+
+
+def left_out_of_a_force_comparison(pressed: PressMechanics, tmp_path: Path) -> tuple[str, ...]:
+    """Return what the intervals do not know where the press is compared with a force that was measured."""
+    push_mm = np.linspace(0.1, 0.4, 6)
+    (tmp_path / "force.csv").write_text("displacement_mm,force_n\n" + "".join(f"{d},{0.4 * d}\n" for d in push_mm))
+    rows = {name: np.repeat(getattr(pressed, name), 6, axis=0) for name in ("force_n", "energy_n_mm", "iterations")}
+    rows["force_n"] = rows["force_n"] * (push_mm / 0.4)[:, None]
+    curve = pressed.model_copy(update={**rows, "depth_mm": push_mm})
+    return compare_force(curve, read_force_csv(tmp_path / "force.csv"), np.random.default_rng(0)).not_included
 
 
 @pytest.mark.usefixtures("parts")
@@ -226,6 +233,16 @@ def test_design_keeps_its_package_and_refuses_another_version(parts, tmp_path):
     ):
         with pytest.raises(SimulateError, match=r"is that of my-finger-parts 0\.0 in this design, and my-finger-parts"):
             use()
+
+
+@pytest.mark.usefixtures("parts")
+def test_page_of_a_finger_shows_them(tmp_path):
+    (tmp_path / "finger.toml").write_text(SMALL + THEIRS)
+    told = finray(f"design show {tmp_path}/finger.toml --out {tmp_path}/finger.html")
+    assert told.status == 0, told.err
+    page = (tmp_path / "finger.html").read_text("utf-8")
+    assert "capsule of my-finger-parts 0.1" in page
+    assert "mechanics.gel.parameters.c1_mpa" in page
 
 
 def test_record_is_read_where_the_package_is_not_installed():
