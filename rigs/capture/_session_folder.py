@@ -134,7 +134,7 @@ def is_unborn(out: Path) -> bool:
 
 
 def require_empty(out: Path) -> None:
-    """Refuse a folder that holds something, or a path that is no folder.
+    """Refuse a folder that holds something, or a path that is not a folder.
 
     Raises
     ------
