@@ -132,7 +132,7 @@ def _array_lengths(record: BaseModel) -> Iterator[tuple[str, str, int]]:
 
 
 def _nan_for_none(value: Any, truths: bool) -> Any:
-    """Replace None (how JSON stores NaN) by NaN in nested lists, where truth values are no numbers."""
+    """Replace None (how JSON stores NaN) by NaN in nested lists, where truth values are not numbers."""
     if isinstance(value, list):
         return [_nan_for_none(v, truths) for v in value]
     if isinstance(value, bool) and not truths:

@@ -243,7 +243,7 @@ class TactileCapture(Record):
         default=(), description="all exposures of the press, this one among them; the session holds the others' frames"
     )
     contact_outline: tuple[PlaceInImage, ...] | None = Field(
-        default=None, description="corners of the contact region where it is no circle, in order"
+        default=None, description="corners of the contact region where it is not a circle, in order"
     )
     contact_told_by: Literal["label", "search"] | None = Field(
         default=None, description="search: found in the picture by the program; none: not known"

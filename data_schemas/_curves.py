@@ -258,4 +258,4 @@ def check_named_curves(filters: Iterable[BandPassFilter], curves: Mapping[str, S
     for name in sorted(named.keys() ^ curves.keys()):
         if name in named:
             raise ValueError(f"filter_curves: the curve {named[name]} of filter {name!r} is missing")
-        raise ValueError(f"filter_curves: {name!r} is no filter that names a curve")
+        raise ValueError(f"filter_curves: {name!r} is not a filter that names a curve")

@@ -91,7 +91,7 @@ class DecidedContact(Model):
     depth_mm: float
     weight_share: Fraction = Field(description="share in the average over all touches")
     best_deg: AngleDeg
-    loss_rel: float = Field(description="expected, at the decided angle")
+    loss_rel: float = Field(description="expected loss at the decided angle")
     loss_95_rel: float = Field(description="loss that is not exceeded with 95 % probability")
 
 

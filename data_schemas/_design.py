@@ -199,14 +199,14 @@ def of_known_fields(model: type[BaseModel], told: dict[str, Any]) -> dict[str, A
     Raises
     ------
     ValueError
-        One is no field of a part of the design; the message names what is near. Or an uncertainty is above 1.
+        One is not a field of a part of the design; the message names what is near. Or an uncertainty is above 1.
     """
     known = [path for path in _field_paths(model) if not path.startswith("provenance.")]
     for name in told:
         if name not in known:
             near = difflib.get_close_matches(name, known, cutoff=0.5)
             hint = f"did you mean {' or '.join(near)}?" if near else f"fields are {', '.join(known)}"
-            raise ValueError(f"'{name}' is no field of the design; {hint}")
+            raise ValueError(f"'{name}' is not a field of the design; {hint}")
         if isinstance(told[name], float) and told[name] > 1.0:
             raise ValueError(
                 f"'{name}' = {told[name]:g}: is a standard uncertainty over the value, so at most 1 is allowed; write "

@@ -95,7 +95,7 @@ def propagate_draws(draws: Floats, function: Callable[[Floats], ArrayLike]) -> P
     Raises
     ------
     RecordError
-        The function returned different shapes, or what is no finite number.
+        The function returned different shapes, or what is not a finite number.
     """
     made = [np.asarray(function(draw)) for draw in draws]
     shapes = {one.shape for one in made}

@@ -41,7 +41,7 @@ def _without_coercion(schema: Any) -> Any:
 
 
 def _number(value: Any) -> Any:
-    """Refuse what is no number, although pydantic would make one of it."""
+    """Refuse what is not a number, although pydantic would make one of it."""
     if isinstance(value, bool | str | bytes):
         raise ValueError(f"must be a number, got {value!r}"[:120])
     return value

@@ -410,7 +410,7 @@ def practice_fault(text: str) -> PracticeFault:
         known = (*PRACTICE_FAULTS, EXCHANGED_FILTERS)
         near = difflib.get_close_matches(name, known, 1, cutoff=0.5)
         hint = f"did you mean '{near[0]}'? " if near else ""
-        raise ValueError(f"'{name}' is no practice fault; {hint}There are {', '.join(known)}")
+        raise ValueError(f"'{name}' is not a practice fault; {hint}There are {', '.join(known)}")
     sizes = PRACTICE_FAULTS[name]
     if not size:
         return PracticeFault(name, sizes.value)

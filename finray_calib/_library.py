@@ -120,7 +120,9 @@ def read_record(path: PathLike) -> Record:
     kind = envelope.get("kind") if isinstance(envelope, dict) else None
     kinds = {record_type.__name__: record_type for record_type in STORED}
     if kind not in kinds:
-        raise RecordError(f"{file}: is no stored record: its 'kind' is {kind!r}; there are {', '.join(sorted(kinds))}")
+        raise RecordError(
+            f"{file}: is not a stored record: its 'kind' is {kind!r}; there are {', '.join(sorted(kinds))}"
+        )
     return read_stored(file, kinds[kind])
 
 

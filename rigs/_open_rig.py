@@ -68,7 +68,7 @@ def device_keys(driver: str, address: str) -> frozenset[str]:
     Parameters
     ----------
     driver, address
-        As in the rig file. What is no address counts as it is written: opening the device tells what is wrong.
+        As in the rig file. What is not an address counts as it is written: opening the device tells what is wrong.
     """
     if driver == "indi":
         with suppress(RefusedError):

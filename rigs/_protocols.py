@@ -305,7 +305,7 @@ class TerminalOperator:
 
 
 def forget_typed_ahead() -> None:
-    """Drop what was typed at the terminal before a question is asked: it is no answer."""
+    """Drop what was typed at the terminal before a question is asked: it is not an answer."""
     # a program in the background whose terminal is gone has nobody who could have typed
     with contextlib.suppress(termios.error, OSError):
         if sys.stdin.isatty():

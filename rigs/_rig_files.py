@@ -222,10 +222,10 @@ _LIGHT_ADDRESS: Final = (
 )
 _LASER: Final = {
     "address": f"{_LIGHT_ADDRESS}simulated: none",
-    "wavelength_nm": "as on its label, nm",
+    "wavelength_nm": "wavelength on its label, nm",
     "fwhm_nm": "full width at half maximum of the line, nm",
-    "power_mw": "as on its label, mW",
-    "laser_class": "as on its label (IEC 60825-1): 1, 1M, 2, 2M, 3R, 3B or 4",
+    "power_mw": "power on its label, mW",
+    "laser_class": "class on its label (IEC 60825-1): 1, 1M, 2, 2M, 3R, 3B or 4",
 }
 _OUTSIDE_LAYER: Final = {
     "kind": "interlock, relay with pulse, or dead-man (of the light's own controller)",

@@ -371,8 +371,8 @@ def _require_tables(path: Path, written: Mapping[str, Any], model: type[BaseMode
     missing = [name for name in wanted if not isinstance(_at(written, name), dict)]
     if missing:
         raise RecordError(
-            f"{path}: is no complete finger, because it lacks {', '.join(f'[{name}]' for name in missing)}; write what "
-            "is missing (finray design init writes a complete finger), or take it from a ready-made one: "
+            f"{path}: is not a complete finger, because it lacks {', '.join(f'[{name}]' for name in missing)}; write "
+            "what is missing (finray design init writes a complete finger), or take it from a ready-made one: "
             "preset = \"flat-70x35\" above the first table ('finray design list' lists them)"
         )
 

@@ -277,7 +277,7 @@ def folder_at(path: Path, error: type[FinrayError] = RecordError) -> Path | None
     Returns
     -------
     Path or None
-        The path; of an archive that holds nothing but one folder, that folder. None where it is no folder.
+        The path; of an archive that holds nothing but one folder, that folder. None where it is not a folder.
 
     Raises
     ------
@@ -516,7 +516,7 @@ def finite_number(text: str) -> float:
     """
     word = text.strip()
     if _NUMBER.fullmatch(word) is None or not math.isfinite(value := float(word)):
-        raise ValueError(f"{word[:40]!r} is no finite number")
+        raise ValueError(f"{word[:40]!r} is not a finite number")
     return value
 
 
@@ -622,6 +622,6 @@ def _refuse_odd_numbers(value: Any) -> None:
         for inner in value.values() if isinstance(value, dict) else value:
             _refuse_odd_numbers(inner)
     elif isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{value} is no finite number; leave the key out if it is not known")
+        raise ValueError(f"{value} is not a finite number; leave the key out if it is not known")
     elif isinstance(value, int) and abs(value) > LONGEST_WHOLE_NUMBER:
         raise ValueError("a whole number is too large (at most 2^64)")

@@ -213,7 +213,7 @@ def _check(values: Floats) -> None:
             "sessions at least, and two mounts or two repeats"
         )
     if not np.isfinite(values).all():
-        raise FinrayError("gauge study: a value is no finite number; give every capture its value")
+        raise FinrayError("gauge study: a value is not a finite number; give every capture its value")
     if not (values.var(axis=(2, 3)) > 0).any():
         raise FinrayError("gauge study: mounts and repeats do not differ at all; give values with all their digits")
 

@@ -221,7 +221,7 @@ def require_place(path: Path) -> Path:
     """Return `path` if its nearest existing folder can be written to."""
     above = next(folder for folder in path.absolute().parents if folder.exists())
     if not above.is_dir():
-        raise RecordError(f"{path}: cannot be written, because {above} is no folder; choose another --out")
+        raise RecordError(f"{path}: cannot be written, because {above} is not a folder; choose another --out")
     if not os.access(above, os.W_OK | os.X_OK):
         raise RecordError(
             f"{path}: cannot be written, because the folder {above} does not allow it; choose another --out or change "

@@ -368,7 +368,7 @@ def _check_runs(inputs: Floats, values: Floats) -> None:
             f"{inputs.shape} and values {values.shape}; ask for more runs"
         )
     if not (np.abs(inputs) <= 1.0).all():
-        raise DecideError(f"inputs must lie within -1 and 1, got {inputs.min():g} to {inputs.max():g}")
+        raise DecideError(f"inputs must lie between -1 and 1, got {inputs.min():g} to {inputs.max():g}")
     if not values.std() > 0.0:
         raise DecideError(f"all {len(values)} runs have the same value, {values[0]:g}: nothing depends on the inputs")
 

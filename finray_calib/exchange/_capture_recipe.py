@@ -286,7 +286,7 @@ def read_label_table(path: Path, press: str) -> LabelTable:
     for _, cells in rows:
         row = dict(zip(columns, cells, strict=False))
         named = PurePosixPath(row.get(press, "").strip().replace("\\", "/"))
-        # what follows the last dot of "press_1.5" is no kind of file
+        # what follows the last dot of "press_1.5" is not a kind of file
         last = {named.name, named.stem} if not named.suffix[1:].isdigit() else {named.name}
         keyed = [(table.by_path, named.as_posix()), *((table.by_last, key) for key in last)]
         for found, key in keyed:

@@ -88,7 +88,7 @@ def read_board_picture(path: Path, monochrome: bool = False) -> NDArray[np.uint8
     Raises
     ------
     ImportFormatError
-        The file is missing, is no picture, or shows nothing.
+        The file is missing, is not a picture, or shows nothing.
     """
     try:
         image = read_raw(path) if path.suffix.lower() in RAW_SUFFIXES else _decoded(path)
@@ -127,5 +127,5 @@ def _decoded(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
     tiff = content[:4] in TIFF_STARTS
     image = tiff_image(content, path, ImportFormatError) if tiff else decoded_picture(content, path, ImportFormatError)
     if image.dtype not in (np.uint8, np.uint16):
-        raise ImportFormatError(f"{path}: is no picture of 8 or 16 bits; give DNG, TIFF, PNG or JPEG")
+        raise ImportFormatError(f"{path}: is not a picture of 8 or 16 bits; give DNG, TIFF, PNG or JPEG")
     return np.asarray(image)

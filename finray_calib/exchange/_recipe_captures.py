@@ -184,7 +184,7 @@ class _Folder:
             )
         for name in self.circles:
             if name not in self.files:
-                raise ImportFormatError(f"--circles: {name} is no press of {self.folder}; correct the line")
+                raise ImportFormatError(f"--circles: {name} is not a press of {self.folder}; correct the line")
 
     @property
     def made_of(self) -> tuple[Path, ...]:
@@ -467,7 +467,7 @@ class _Folder:
             raise ImportFormatError(f"{path}: corners must be of shape (n, 2), column and row; correct contact.outline")
         points = np.concatenate(corners).astype(np.float32) if corners else np.zeros((0, 2), dtype=np.float32)
         if len(np.unique(points, axis=0)) < 3 or not np.isfinite(points).all():
-            raise LeftOutError("its outline has fewer than 3 corners, or some that are no numbers")
+            raise LeftOutError("its outline has fewer than 3 corners, or some that are not numbers")
         return np.asarray(cv2.convexHull(points)[:, 0], dtype=np.float32)
 
     def _quantity(self, name: str, file: str | None, press: str | None, value: Quantity) -> float:

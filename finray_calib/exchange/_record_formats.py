@@ -220,7 +220,7 @@ def capture_container(place: Path) -> CaptureContainer:
     Raises
     ------
     RecordError
-        It is no folder or holds no capture.
+        It is not a folder or holds no capture.
     FinrayError
         A record in it is damaged.
     """

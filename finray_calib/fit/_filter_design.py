@@ -154,7 +154,7 @@ def filter_catalogue(
     Raises
     ------
     FitError
-        A column is lacking, there is no row, or a value is no number in its range.
+        A column is lacking, there is no row, or a value is not a number in its range.
     """
     if lacking := [name for name in _COLUMNS if name not in header]:
         raise FitError(

@@ -165,7 +165,7 @@ def _warnings(channels: list[ChannelCharacterisation], empty_fraction: float) ->
     for c in channels:
         if c.chi_square_p < SMALLEST_CHI_SQUARE_P:
             warnings.append(
-                f"{c.channel}: variance against mean is no straight line (chi-square {c.chi_square:.0f} for "
+                f"{c.channel}: variance against mean is not a straight line (chi-square {c.chi_square:.0f} for "
                 f"{c.degrees_of_freedom} degrees of freedom); intervals of gain and read noise are widened: look for "
                 "gamma, noise reduction or a drifting lamp"
             )

@@ -300,7 +300,7 @@ def force_figure_png(comparison: ForceComparison) -> bytes:
     depth = np.array([p.depth_mm for p in points])
     measured, error = np.array([p.force_n for p in points]), np.array([p.error_n for p in points])
     curve = np.array([p.simulated_n.estimate for p in points])
-    # withheld ends are no numbers
+    # withheld ends are not numbers
     low, high = np.array([(p.simulated_n.low95, p.simulated_n.high95) for p in points], dtype=np.float64).T
     doubled = 2.0 * np.array([p.u_validation_n for p in points])
     told, within = not comparison.withheld, np.array([p.within is not False for p in points])

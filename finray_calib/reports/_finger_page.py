@@ -72,7 +72,7 @@ def finger_scene(design: FingerDesign, folder: Path = Path()) -> tuple[ScenePart
     Raises
     ------
     SimulateError
-        When the parts do not fit together, or the indenter's file is no closed body.
+        When the parts do not fit together, or the indenter's file is not a closed body.
     """
     return tuple(_parts(design, folder))
 

@@ -2,7 +2,7 @@
 
 A ChArUco board gives lens and millimetres per pixel; presses of a ball teach the normal map n(dR, dG, dB, x, y), which
 turns the change of colour into slopes, and slopes into depth. Every result says how well it is known, or why it is
-refused. Also here: how well one light angle lets a camera tell normals. Arithmetic only: no files, no devices.
+refused. Also here: how well a camera can determine normals from one light angle. Arithmetic only: no files, no devices.
 """
 
 from typing import TYPE_CHECKING

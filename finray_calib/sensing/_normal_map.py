@@ -1,4 +1,4 @@
-"""From the image of a tactile sensor to surface normals and depth, and how well one light angle lets a camera do so.
+"""From the image of a tactile sensor to surface normals and depth, and how well one light angle serves that.
 
 Captured counts become one RGB value per pixel with the black level removed. A map turns the change of colour against
 the no-contact image, and the place in the picture, into the slope of the gel; slopes are integrated to a depth, the

@@ -134,7 +134,7 @@ def is_unborn(out: Path) -> bool:
 
 
 def require_empty(out: Path) -> None:
-    """Refuse a folder that holds something, or a path that is no folder.
+    """Refuse a folder that holds something, or a path that is not a folder.
 
     Raises
     ------
@@ -346,7 +346,7 @@ def verify_session(folder: Path) -> SessionCheck:
             faults.append(FileFault(path, "changed", str(error).removeprefix(f"{path}: ")))
         session, is_sealed = None, True
     if not is_sealed:
-        notes.append(f"{SESSION_NAME} is of a version before seals; its values are checked by {MANIFEST_NAME} only")
+        notes.append(f"{SESSION_NAME} is of a version without seals; only {MANIFEST_NAME} checks its values")
     faults += _journal_faults(folder, session, is_sealed, digests.get(path), notes)
     of_manifest, unlisted = manifest_faults(folder, digests)
     told = {fault.path for fault in faults}

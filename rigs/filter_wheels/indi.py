@@ -114,7 +114,7 @@ class IndiFilterWheel:
             except WrongPositionError as error:
                 if wheel.settings > before:
                     raise
-                raise LostError(f"{error}; the driver did not answer to the order") from error
+                raise LostError(f"{error}; the driver did not answer the request") from error
             if at != slot:
                 _pause(end_s, f"{self._client.name}: did not {what}, it reports {wheel.values.get(_VALUE)}")
 

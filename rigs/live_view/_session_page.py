@@ -295,7 +295,7 @@ def panel_lines(screen: Screen, numbers: SessionNumbers, height: int) -> list[st
         line(time_left(numbers), BOLD),
         line(bar(screen, share)),
         line(counted),
-        line(f"SIGNAL TO NOISE {numbers.snr:.0f} a pixel" if numbers.frame else "SIGNAL TO NOISE -", BOLD),
+        line(f"SIGNAL TO NOISE {numbers.snr:.0f} per pixel" if numbers.frame else "SIGNAL TO NOISE -", BOLD),
         line(f"{duration(numbers.exposure_s)}, brightest {100 * numbers.brightest_fraction:.0f} %"
              + (" HOT" if is_hot else ""), RED if is_hot else PLAIN),
         *(line(text, style) for text, style in filter_lines(numbers)),

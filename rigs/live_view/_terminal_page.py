@@ -180,7 +180,7 @@ def require_terminal() -> None:
     without = "; leave out --terminal to look through the rig in a browser"
     for stream, name in ((sys.stdin, "input"), (sys.stdout, "output")):
         if not stream.isatty():
-            raise CaptureError(f"live --terminal: standard {name} is no terminal{without}")
+            raise CaptureError(f"live --terminal: standard {name} is not a terminal{without}")
     kind = os.environ.get("TERM", "")
     if kind in ("", "dumb", "unknown"):
         raise CaptureError(f"live --terminal: this terminal (TERM={kind}) cannot place its cursor{without}")

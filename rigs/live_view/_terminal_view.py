@@ -131,7 +131,7 @@ def terminal_view(live: LiveRig, name: str, operator: TerminalViewOperator) -> N
     Raises
     ------
     CaptureError
-        Standard input or output is no terminal.
+        Standard input or output is not a terminal.
     UnsafeError
         The lamp is not confirmed off.
     """

@@ -289,8 +289,8 @@ class AlpacaClient:
 
     def _not_alpaca(self, member: str, said: object) -> LostError:
         return LostError(
-            f"{self.name}: answers '{member}' with {said!r:.100}, which is no answer of such a device; check that an "
-            "Alpaca server listens at this address"
+            f"{self.name}: answers '{member}' with {said!r:.100}, which is not an answer of such a device; check that "
+            "an Alpaca server listens at this address"
         )
 
 

@@ -171,14 +171,14 @@ def number(text: str, name: str) -> float:
     Raises
     ------
     LostError
-        It is no finite decimal number.
+        It is not a finite decimal number.
     """
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise LostError(f"{name} is {text[:40]!r}, which is no number; restart the INDI driver")
+        raise LostError(f"{name} is {text[:40]!r}, which is not a number; restart the INDI driver")
     return value
 
 

@@ -96,8 +96,8 @@ class SerialLink:
             self._port: Any = serial.serial_for_url(self._address, baudrate=self._baud, timeout=POLL_S, exclusive=True)
         except ValueError as error:
             raise RefusedError(
-                f"{self._name}: is no address of a serial port ({error}); write a port such as /dev/ttyUSB0 or a URL "
-                "such as socket://host:4001"
+                f"{self._name}: is not an address of a serial port ({error}); write a port such as /dev/ttyUSB0 or a "
+                "URL such as socket://host:4001"
             ) from error
         except _PORT_ERRORS as error:
             raise self._not_opened(error) from error

@@ -262,7 +262,7 @@ class MultipartStream:
             or any(c <= " " or c == "\x7f" for c in address)
         ):
             raise RefusedError(
-                f"{self._name}: is no address of a stream; write http://host:port/path, such as "
+                f"{self._name}: is not an address of a stream; write http://host:port/path, such as "
                 "http://raspberrypi.local:8080/stream"
             )
         return host, port, (parts.path or "/") + (f"?{parts.query}" if parts.query else "")

@@ -122,7 +122,7 @@ class _Field:
         found = _FIELD.fullmatch(text)
         if found is None:
             raise SimulateError(
-                f"--within: '{text}' is no field of a design, such as light.angle_deg or light.position_mm[y]"
+                f"--within: '{text}' is not a field of a design, such as light.angle_deg or light.position_mm[y]"
             )
         return cls(found[1], None if found[2] is None else _AXES.index(found[2]))
 
@@ -132,7 +132,7 @@ class _Field:
             value = design_value(design, self.path)
         except AttributeError:
             raise SimulateError(
-                f"--within: '{self.path}' is no field of a design; 'finray design init' writes all fields"
+                f"--within: '{self.path}' is not a field of a design; 'finray design init' writes all fields"
             ) from None
         if self.axis is not None and isinstance(value, tuple):
             value = value[self.axis]
@@ -157,7 +157,7 @@ def design_parameter(design: FingerDesign, text: str) -> DesignParameter:
     Raises
     ------
     SimulateError
-        When the design has no such number, a limit is no number, or the design refuses it.
+        When the design has no such number, a limit is not a number, or the design refuses it.
     """
     name, separator, limits = text.partition("=")
     one = _Field.of(name.strip())

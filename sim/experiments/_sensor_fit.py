@@ -188,7 +188,7 @@ def fit_sensor(
     moving = (*fields, *_press_numbers(captures, presses))
     steps = _Steps(progress, 2 + 2 * len(moving))
     base = scene.layers(presses)
-    steps.done("the design as it is")
+    steps.done("the unchanged design")
     if base.pictures.shape[-2:] != pictures.shape[-2:]:
         raise SimulateError(
             f"the design renders {base.pictures.shape[4]} x {base.pictures.shape[3]} px, {captures[0].name} has "

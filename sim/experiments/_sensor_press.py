@@ -532,7 +532,7 @@ def _seen(sensor: PlainSensor, design: FingerDesign) -> tuple[Floats, Floats]:
     return np.where(on_pad[..., None], slopes, np.nan), np.where(on_pad, contact_distance(design, x, z), np.nan)
 
 
-# a pad that fewer pixels see is no picture
+# a pad that fewer pixels see is not a picture
 _FEWEST_PIXELS = 100
 
 

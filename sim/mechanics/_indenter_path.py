@@ -129,7 +129,7 @@ def read_path(path: Path) -> tuple[PathPose, ...]:
     Raises
     ------
     SimulateError
-        When it cannot be read, a column is unknown, or a cell is no number or out of its bounds.
+        When it cannot be read, a column is unknown, or a cell is not a number or out of its bounds.
     """
     header, rows = read_csv(path, "the poses of an indenter (CSV)", SimulateError, comments=True)
     known = tuple(PathPose.model_fields)

@@ -483,7 +483,7 @@ def read_triangles(path: Path, what: str) -> tuple[FloatArray, IntArray]:
         corners = _text_stl(data, path)
     vertices = corners.reshape(-1, 3)
     if not np.isfinite(vertices).all():
-        raise SimulateError(f"{path}: holds corners that are no numbers; export it again")
+        raise SimulateError(f"{path}: holds corners that are not numbers; export it again")
     return vertices, np.arange(len(vertices)).reshape(-1, 3)
 
 

@@ -287,8 +287,8 @@ def chain_steps(chain: str) -> tuple[tuple[str, str], ...]:
     bands = chain.split(">")
     if bands[0] != "led" or not set(bands) <= set(BAND_NAMES) or "led" in bands[1:]:
         raise SimulateError(
-            f"'{chain}' is no chain of fluorescence: it starts with 'led' and continues with 'red' and 'green', joined "
-            "by '>'"
+            f"'{chain}' is not a chain of fluorescence: it starts with 'led' and continues with 'red' and 'green', "
+            "joined by '>'"
         )
     return tuple(pairwise(bands))
 

@@ -118,7 +118,7 @@ def test_studies_that_are_too_small(shape):
 
 
 def test_values_that_are_none(aiag):
-    with pytest.raises(FinrayError, match="no finite number"):
+    with pytest.raises(FinrayError, match="not a finite number"):
         gauge_study(np.where(aiag > 2, np.nan, aiag))
     with pytest.raises(FinrayError, match="do not differ at all"):
         gauge_study(np.repeat(aiag[..., :1], 2, axis=3))
@@ -174,7 +174,7 @@ def test_command_on_calibrations(tmp_path, capsys):
     [
         ("sample,value\nA,1\n", "it must name sample, session, and paint or value"),
         ("sample,session,value\nA,1,\n", "line 2: give sample, session and value"),
-        ("sample,session,value\nA,1,nan\n", "no finite number"),
+        ("sample,session,value\nA,1,nan\n", "not a finite number"),
         ("sample,session,value\nA,1,1\n", "it needs two samples"),
         ("sample,session,paint\nA,1,no.json\n", "no.json"),
     ],

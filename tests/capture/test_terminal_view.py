@@ -265,7 +265,7 @@ def test_without_colours_and_without_unicode(path):
 
 def test_where_there_is_no_terminal(path, capsys, monkeypatch):
     assert main(["live", "--rig", str(path), "--terminal"]) == 2
-    assert "is no terminal; leave out --terminal" in capsys.readouterr().err
+    assert "is not a terminal; leave out --terminal" in capsys.readouterr().err
     monkeypatch.setenv("TERM", "dumb")
     for words, reason in (([], "cannot place its cursor"), (["--json"], "")):
         with Terminal([sys.executable, "-m", "finray_calib.cli.main", "live", "--rig", str(path), "--terminal", *words],

@@ -124,7 +124,7 @@ def test_the_way_back_without_friction_ends_where_it_began():
         ("push_mm,increments\n1,2.5\n", "line 2: 'increments': must be a whole number, got 2.5"),
         ("push_mm,increments\n1,0\n", "line 2: 'increments': must be at least 1, got 0"),
         ("push_mm\n1\n900\n", r"line 3: 'push_mm' \(in mm\): must be at most 200, got 900"),
-        ("push_mm\nnan\n", "no finite number"),
+        ("push_mm\nnan\n", "not a finite number"),
     ],
 )
 def test_a_path_that_cannot_be_followed_is_refused(tmp_path, text, says):

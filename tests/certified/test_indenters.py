@@ -137,7 +137,7 @@ def test_a_text_file_is_read_too(tmp_path):
         (CUBE.triangles, 1e3, "it looks like a file in micrometres"),
         (CUBE.triangles[:0], 1.0, "has no triangles"),
         (np.vstack([CUBE.triangles[:1], CUBE.triangles[:1, ::-1]]), 1.0, "encloses no volume"),
-        (CUBE.triangles, np.nan, "corners that are no numbers"),
+        (CUBE.triangles, np.nan, "corners that are not numbers"),
         (CUBE.triangles[:, ::-1], 1.0, "is inside out: its triangles face inward, so that it encloses -96 mm3"),
         (CUBE.triangles[:, [0, 0, 0]], 1.0, "triangles have no area"),
     ],

@@ -245,7 +245,7 @@ CASES = (
     Case(
         "NaN in a curve",
         BAD_RIG,
-        r"camera\.csv, line 3: '\S+' is no finite number; correct or remove the row, or measure it again",
+        r"camera\.csv, line 3: '\S+' is not a finite number; correct or remove the row, or measure it again",
         curve("400,1,2,3\n500,1,nan,3\n700,1,2,3\n"),
     ),
     Case(
@@ -355,7 +355,7 @@ CASES = (
     Case(
         "rig for a finger",
         "study finger-stiffness {lab}/rig.toml",
-        r"rig\.toml: is no complete finger, because it lacks \[pad\], \[coating\]",
+        r"rig\.toml: is not a complete finger, because it lacks \[pad\], \[coating\]",
     ),
     Case(
         "classic sensor for a finger",
@@ -856,7 +856,7 @@ CASES = (
     Case(
         "NaN in a material",
         "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
-        r"ink\.csv, line 3: 'nan' is no finite number; correct or remove the row, or measure it again",
+        r"ink\.csv, line 3: 'nan' is not a finite number; correct or remove the row, or measure it again",
         file("ink.csv", MATRIX + "450,0.1,0\n460,nan,0.1\n470,0,0\n"),
     ),
     Case(

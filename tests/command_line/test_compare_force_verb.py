@@ -68,7 +68,7 @@ def test_stated_uncertainties_survive_the_file_of_a_design() -> None:
     written = tomllib.loads(design_toml(design))
     assert written.pop("schema_version") == FingerDesign.schema_version
     assert FingerDesign.model_validate(written) == design
-    with pytest.raises(ValidationError, match=r"'mechanics\.gel\.c10' is no field of the design; did you mean"):
+    with pytest.raises(ValidationError, match=r"'mechanics\.gel\.c10' is not a field of the design; did you mean"):
         FingerDesign(uncertainty_rel={"mechanics.gel.c10": 0.1})
 
 

@@ -94,7 +94,9 @@ def test_mistakes_in_a_plan_are_one_sentence(tmp_path, capsys):
     assert "no such plan; give a plan file (TOML), or one of the shipped plans" in capsys.readouterr().err
     (tmp_path / "plan.toml").write_text(PLAN.replace("light.angle_deg", "light.angel"))
     assert main(["study", "run", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "out")]) == 2
-    assert "point 1 (light.angel = 0.0, preset = cylindrical-r40): 'light.angel' is no field" in capsys.readouterr().err
+    assert (
+        "point 1 (light.angel = 0.0, preset = cylindrical-r40): 'light.angel' is not a field" in capsys.readouterr().err
+    )
     assert not (tmp_path / "out").exists()
 
 

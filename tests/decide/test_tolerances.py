@@ -124,7 +124,7 @@ def test_runs_that_no_emulator_fits_are_refused():
     units = np.zeros((20, 3))
     for inputs, values, words in (
         (units[:7], np.arange(7.0), "at least 8 runs"),
-        (units + 2.0, np.arange(20.0), "within -1 and 1"),
+        (units + 2.0, np.arange(20.0), "between -1 and 1"),
         (units, np.ones(20), "nothing depends on the inputs"),
     ):
         with pytest.raises(DecideError, match=words):

@@ -47,6 +47,8 @@ ODD = {
     r"\bhas looked why\b": "has found out why",
     r"\bto be had for\b|\bcan be had\b": "the best compromises",
     r"\b(do|does) as well\b": "are as good",
+    r"\banswer(s|ed)? to the order\b": "answers the request",
+    r"\bthe design as it is\b": "the unchanged design",
     r"\bis a [A-Z][a-z]+[A-Z]\w+, a [A-Z][a-z]+[A-Z]\w+ is needed": "holds band signals, where a paint is needed",
 }
 """What was read twice -> what to write; a page says it in other words, or not."""
@@ -109,6 +111,21 @@ def test_no_help_has_them():
 
 def test_no_text_of_the_code_has_them():
     assert [(file.name, found) for file in CODE for text in texts_of(file) for found in odd(text)] == []
+
+
+def test_per_cent_has_a_space_in_the_pages():
+    """As the SI writes it, `0.6 %`; code and names of keys between backticks may differ."""
+    pages = {page.name: re.sub(r"`[^`]*`", "", without_code(page)) for page in PAGES}
+    assert [(name, found) for name, text in pages.items() for found in re.findall(r"\S*\d%", text)] == []
+
+
+def test_no_number_of_the_code_is_formatted_with_per_cent_and_no_space():
+    """Python's format `.1%` writes none: the texts take `{100 * share:.1f} %`."""
+    for file in CODE:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FormattedValue) and node.format_spec is not None:
+                ends = ast.unparse(node.format_spec).rstrip("'\"")
+                assert not ends.endswith("%"), f"{file.relative_to(ROOT)}:{node.lineno}"
 
 
 def test_what_was_read_twice_is_found():

@@ -46,7 +46,7 @@ def test_a_frame_that_breaks_off_is_left_out(tmp_path):
         (HEAD + NODES, "holds no field DISP or CONTACT"),
         (
             HEAD + FIRST.replace("-5.00000E-01", "-5.00000E-0x"),
-            "a value of the field DISP at time 0.333333 is no number",
+            "a value of the field DISP at time 0.333333 is not a number",
         ),
         (HEAD + FIRST.replace(" 1.50000E+00", " 1.50000E+0"), "must hold a node and values of 12 columns"),
     ],

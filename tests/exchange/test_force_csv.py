@@ -51,8 +51,8 @@ def test_uncertainties_may_be_absent(tmp_path):
         (csv("displacement_mm,force_uncertainty_n"), "has no column 'force_n'"),
         (csv("displacement_mm,force_n,Force_N", [(*row, 1) for row in ROWS]), "a column appears twice"),
         (csv(rows=[*ROWS, ("1,5", "3,2")]), "line 7: has 4 columns, the header has 2"),
-        (csv(rows=[*ROWS, (2.5, "nan")]), "line 7: 'nan' is no finite number"),
-        (csv(rows=[*ROWS, (2.5, "five")]), "'five' is no finite number"),
+        (csv(rows=[*ROWS, (2.5, "nan")]), "line 7: 'nan' is not a finite number"),
+        (csv(rows=[*ROWS, (2.5, "five")]), "'five' is not a finite number"),
         ("", "needs a header row and at least two rows"),
     ],
 )

@@ -189,7 +189,7 @@ def test_a_finger_is_pressed_rendered_and_its_force_compared(lab, paint, tmp_pat
 def test_what_is_no_record_is_refused(lab, tmp_path):
     (tmp_path / "list.json").write_text("[1]")
     (tmp_path / "other.json").write_text('{"kind": "Cat"}')
-    for name, message in (("list.json", "is no stored record: its 'kind' is None; there are "), ("other.json", "'Cat'"),
+    for name, message in (("list.json", "is not a stored record: its 'kind' is None; there"), ("other.json", "'Cat'"),
                           ("none.json", "none.json")):  # fmt: skip
         with pytest.raises(RecordError, match=message):
             finray.read_record(tmp_path / name)

@@ -215,7 +215,7 @@ def test_bent_photon_transfer_is_reported_and_widens_intervals(session: Syntheti
 
     bent = session.change(gamma)
     found = characterise_camera(bent.session, bent.read)
-    assert any("variance against mean is no straight line" in w for w in found.warnings)
+    assert any("variance against mean is not a straight line" in w for w in found.warnings)
     straight = characterise_camera(session.session, session.read)
     ratio = [
         a.gain_e_per_dn.sd / a.gain_e_per_dn.estimate / (b.gain_e_per_dn.sd / b.gain_e_per_dn.estimate)

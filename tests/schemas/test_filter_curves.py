@@ -88,7 +88,7 @@ def test_other_curves_must_cover_the_measured_band_not_the_nominal_one():
     ("curve", "curves", "message"),
     [
         ("f.csv", {}, "the curve f.csv of filter '600' is missing"),
-        (None, {"600": triangle()}, "'600' is no filter that names a curve"),
+        (None, {"600": triangle()}, "'600' is not a filter that names a curve"),
     ],
 )
 def test_record_refuses_a_curve_too_few_or_too_many(curve: str | None, curves: dict[str, SpectralCurve], message: str):

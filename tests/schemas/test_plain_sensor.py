@@ -105,7 +105,7 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[origin]\n"lights.wdith_mm" = "measured"\n', RecordError,
-            r"'lights\.wdith_mm' is no field of the design; did you mean lights\.width_mm",
+            r"'lights\.wdith_mm' is not a field of the design; did you mean lights\.width_mm",
         ),
         ('kind = "sensor"\n[camera]\ntilt_deg = 100.0\n', RecordError, r"tilt_deg' \(in deg\): must be at most 85"),
     ],

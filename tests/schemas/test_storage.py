@@ -329,11 +329,11 @@ class TestFilesPeopleWrite:
             ("[mirror]\nreflectance = 88.0\n", r"mirror.reflectance': must be at most 1"),
             (
                 '[origin]\n"pad.lenght_mm" = "measured"\n',
-                r"'origin': 'pad\.lenght_mm' is no field of the design; did you mean pad\.length_mm",
+                r"'origin': 'pad\.lenght_mm' is not a field of the design; did you mean pad\.length_mm",
             ),
             (
                 '[origin]\nxyz = "measured"\n',
-                r"'xyz' is no field of the design; fields are pad\.shape, pad\.length_mm, pad\.width_mm",
+                r"'xyz' is not a field of the design; fields are pad\.shape, pad\.length_mm, pad\.width_mm",
             ),
         ],
     )

@@ -25,7 +25,7 @@ def test_steps_of_a_chain():
     assert chain_steps("led") == ()
     assert chain_steps("led>green>red") == (("led", "green"), ("green", "red"))
     for wrong in ("red", "led>blue", "led>led", ""):
-        with pytest.raises(SimulateError, match="is no chain of fluorescence"):
+        with pytest.raises(SimulateError, match="is not a chain of fluorescence"):
             chain_steps(wrong)
 
 

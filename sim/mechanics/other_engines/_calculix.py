@@ -110,7 +110,9 @@ def _field(path: Path, name: str, time: float, block: bytes) -> NodalField:
     try:
         return NodalField(time, name, table["node"].astype(np.int64), table["values"].astype(np.float64))
     except ValueError as error:
-        raise ImportFormatError(f"{path}: a value of the field {name} at time {time:g} is no number: {error}") from None
+        raise ImportFormatError(
+            f"{path}: a value of the field {name} at time {time:g} is not a number: {error}"
+        ) from None
 
 
 def _lines(path: Path) -> list[str]:
@@ -141,7 +143,7 @@ def read_totals(path: Path) -> Mapping[tuple[str, str], FloatArray]:
             try:
                 found.setdefault((head[1], head[2]), []).append([float(head[3]), *map(float, below)])
             except ValueError as error:
-                raise ImportFormatError(f"{path}: line {number + 1}: the total is no number: {error}") from None
+                raise ImportFormatError(f"{path}: line {number + 1}: the total is not a number: {error}") from None
     if not found:
         raise ImportFormatError(
             f"{path}: holds no totals of sets; write them by *NODE PRINT and *EL PRINT with TOTALS=ONLY"

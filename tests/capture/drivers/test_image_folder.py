@@ -117,7 +117,7 @@ def test_changed_frame_of_a_session_is_refused(
     ("table", "message"),
     [
         ("file,exposure_s\na.tiff,-1\n", r"gives a\.tiff an exposure of -1 s; it must be above 0"),
-        ("file,exposure_s\na.tiff,nan\n", r"frames\.csv cannot be read \('nan' is no finite number\)"),
+        ("file,exposure_s\na.tiff,nan\n", r"frames\.csv cannot be read \('nan' is not a finite number\)"),
         ("file,exposure_s\na.tiff,long\n", r"frames\.csv cannot be read .*needs the header file,exposure_s"),
         ("file,exposure_s\na.tiff,1\na.tiff,2\n", r"a\.tiff is listed twice, the second time in line 3"),
         ("file,exposure_s\na.tiff,1,5\n", r"line 2: has 3 columns, the header has 2"),

@@ -127,7 +127,7 @@ def test_requests_are_one_well_formed_message(device: str, name: str, value: str
 
 @pytest.mark.parametrize("text", ["", "12:30:00", "nan", "inf", "1e999", "x"])
 def test_what_is_no_number_is_lost(text: str) -> None:
-    with pytest.raises(LostError, match=r"EXPOSURE is '.*', which is no number"):
+    with pytest.raises(LostError, match=r"EXPOSURE is '.*', which is not a number"):
         number(text, "EXPOSURE")
 
 

@@ -356,7 +356,7 @@ def test_other_status_is_refused():
     "address", ["/dev/video0", "http://", "http://host:port/x", "http://host/a b", "http://a\x7f/", "https://h/"]
 )
 def test_what_is_no_address_is_refused(address):
-    with pytest.raises(RefusedError, match="is no address of a stream"), opened(address):
+    with pytest.raises(RefusedError, match="is not an address of a stream"), opened(address):
         pass
 
 

@@ -167,7 +167,9 @@ def test_nothing_at_the_address() -> None:
 
 
 def test_an_address_that_is_none() -> None:
-    with pytest.raises(RefusedError, match=r"wheel at gopher://x: is no address of a serial port .*socket://host:4001"):
+    with pytest.raises(
+        RefusedError, match=r"wheel at gopher://x: is not an address of a serial port .*socket://host:4001"
+    ):
         SerialLink("gopher://x", 9600, "wheel")
 
 
