@@ -168,8 +168,10 @@ def imprinted_shapes(design: FingerDesign, folder: Path = Path()) -> tuple[Finge
     mirror = rest_shape(design).surfaces["mirror"]
     label = f"imprint of a {design.indenter.shape}, no mechanics"
     return (
-        FingerShape({**gel_faces(x, gel.height_mm, z), "mirror": mirror}, np.full(distance.size, np.nan), "at rest"),
-        FingerShape({**gel_faces(x, pressed.height_mm, z), "mirror": mirror}, distance.ravel(), label),
+        FingerShape(
+            {**gel_faces(x, gel.height_mm, z), "mirror": mirror}, np.full(distance.size, np.nan), "at rest", True
+        ),
+        FingerShape({**gel_faces(x, pressed.height_mm, z), "mirror": mirror}, distance.ravel(), label, True),
     )
 
 

@@ -331,7 +331,7 @@ def render_press(
     rest, pressed = shapes or (rest_shape(design), pressed_shape(design))
     _check_size(design, rest)
     for shape in (rest, pressed):
-        check_apart(shape, is_analytic=shapes is None)
+        check_apart(shape, is_analytic=shapes is None or shape.is_apart)
     maps = [pixel_maps(design, shape, rest, renderer, calibration) for shape in (rest, pressed)]
     timings = {"pixel maps": time.monotonic() - start}
     camera = CameraWindows.of(design, calibration, maps)

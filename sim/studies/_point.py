@@ -11,7 +11,7 @@ import itertools
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -51,7 +51,7 @@ from sim.optics import (
     stream_seed,
 )
 from sim.studies._everyday_objects import write_everyday_objects
-from sim.surface_meshes import restore_shapes
+from sim.surface_meshes import FingerShape, check_no_intersections, restore_shapes
 
 _PLANS: Final = Path(__file__).parent / "plans"
 SHIPPED_PLANS: Final[tuple[str, ...]] = tuple(sorted(path.stem for path in _PLANS.glob("*.toml")))
@@ -386,7 +386,7 @@ def _rendered(
         indenter = design.indenter.model_copy(update={"depth_mm": surfaces.push_mm})
         design = design.model_copy(update={"indenter": indenter})
     finger = paint_finger(design, task.paints.optics, task.design_folder, renderer)
-    shapes = imprinted_shapes(design, task.design_folder) if surfaces is None else restore_shapes(surfaces)
+    shapes = imprinted_shapes(design, task.design_folder) if surfaces is None else _searched(restore_shapes(surfaces))
     renders: list[PressRender] = [
         render_press(
             design,
@@ -406,6 +406,14 @@ def _rendered(
     }
     notes = (renders[0].label, f"shape of the finger: {renders[0].contact_label}")
     return image_metrics(design, renders, matrix), pictures, (*notes, *finger.coverage_notes(renders[0].bands))
+
+
+def _searched(shapes: tuple[FingerShape, FingerShape]) -> tuple[FingerShape, FingerShape]:
+    """Return shapes that do not pass through themselves, searched once for all repeats."""
+    for shape in shapes:
+        check_no_intersections(shape.gel)
+    rest, pressed = shapes
+    return replace(rest, is_apart=True), replace(pressed, is_apart=True)
 
 
 def _mechanics_file(surfaces_file: Path) -> Path:

@@ -407,11 +407,15 @@ class FingerShape:
         being <= 1; NaN without contact.
     label
         Where the shape comes from, in words.
+    is_apart
+        Whether the gel is known not to pass through itself: its coat is a height over the inner face, or it was
+        searched already. Otherwise a render searches it.
     """
 
     surfaces: Mapping[str, Surface]
     contact_distance: NDArray[np.float64]
     label: str
+    is_apart: bool = False
 
     def __post_init__(self) -> None:
         missing = [name for name in (*GEL_FACES, "mirror") if name not in self.surfaces]
