@@ -564,7 +564,9 @@ class FittedModulus(Model):
     left_of_prior_rel: NotNegative = Field(
         description="width of the middle 68 % of its logarithm after the curves over that before"
     )
-    verdict: MaterialVerdict = Field(description="by what is left of the prior: below a quarter, below 0.8, or more")
+    verdict: MaterialVerdict = Field(
+        description="by what is left of the prior: below a quarter and known to 15 %, below 0.8, or more"
+    )
 
 
 class FittedForceCurve(Model):

@@ -44,12 +44,15 @@ BULK_RANGE: Final = (10.0, 10_000.0)
 """K/mu from a soft foamless rubber (Poisson's ratio 0.452) to what designs allow (0.49995)."""
 
 MEASURED_BELOW: Final = 0.25
+MEASURED_LN: Final = 0.15
+"""Half the width of the middle 68 % of the logarithm: a modulus known to 15 % or better."""
 PRIOR_ABOVE: Final = 0.8
 _ZERO_REL, _DRIFT_REL = 0.005, 0.01  # of the largest force
 _NOISE_REL, _NOISE_LN_SD, _NOISE_RANGE_REL = 0.01, 1.5, (1e-4, 0.3)
 _TOUCH_SD_REL, _TOUCH_RANGE_REL = 0.15, 0.5  # of the range of displacements
 _STARTS_BULK = 3
 _DRAWS, _KEPT = 5000, 2000
+_UNEXPLAINED_REL = 0.15  # of the largest force, rms
 _STEP_SD = 1e-3  # of numerical derivatives, in standard deviations of the prior
 
 
@@ -359,12 +362,16 @@ def _maxima(problem: _Problem) -> Maxima:
         theta = _climbed(problem, start, unit, free)
         found.append((theta, *_curvature(problem, theta, unit)))
     theta, height, information = (np.array(column) for column in zip(*found, strict=True))
-    if not np.isfinite(height).any():
-        raise CompareError(
-            "no modulus explains these curves: are displacements in mm, forces in N, and the sizes of the specimen as "
-            "given?"
-        )
     kept = np.isfinite(height)
+    best = theta[[int(np.argmax(np.where(kept, height, -np.inf)))]]
+    for k, curve in enumerate(problem.curves):
+        off = float(np.sqrt(((problem.with_drift_n(k, best)[0] - curve.force_n) ** 2).mean()) / curve.force_n.max())
+        if not (kept.any() and off < _UNEXPLAINED_REL):
+            raise CompareError(
+                f"{curve.name}: no modulus explains this curve; the nearest is off by {off:.0%} of its largest force "
+                f"(rms, {_UNEXPLAINED_REL:.0%} allowed). Are displacements in mm, forces in N, and the specimen as "
+                "given?"
+            )
     # the components share what K/mu leaves open between them
     apart = float(bulks[1] - bulks[0])
     information[:, 1, 1] = np.maximum(information[:, 1, 1], 1.0 / apart**2)
@@ -430,9 +437,10 @@ def _curvature(problem: _Problem, theta: Floats, unit: Floats) -> tuple[float, F
 def _modulus(problem: _Problem, number: int, ln_draws: Floats, rng: np.random.Generator) -> FittedModulus:
     """Return what is known of one modulus before and after."""
     before = problem.prior.draw(_KEPT * 5, rng)[:, number]
-    left = float(np.ptp(np.quantile(ln_draws, (0.16, 0.84))) / np.ptp(np.quantile(before, (0.16, 0.84))))
+    width = float(np.ptp(np.quantile(ln_draws, (0.16, 0.84))))
+    left = width / float(np.ptp(np.quantile(before, (0.16, 0.84))))
     verdict: MaterialVerdict = "constrained in part"
-    if left < MEASURED_BELOW:
+    if left < MEASURED_BELOW and width < 2.0 * MEASURED_LN:
         verdict = "measured"
     elif left > PRIOR_ABOVE:
         verdict = "not measured (prior)"
