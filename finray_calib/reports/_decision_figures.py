@@ -477,7 +477,7 @@ def lights_from_the_side(record: LightPowers) -> str:
 
 
 def light_map_sentence(found: LightPlaceMap) -> str:
-    """Say which finger of a map senses normals best, and which others are not told apart from it."""
+    """Say which finger of a map senses normals best, and which others are not distinguishable from it."""
     error = found.normal_error_deg
     i, j = np.unravel_index(int(np.nanargmin(error)), error.shape)
     alike = (error - error[i, j] <= _REAL_U * found.above_best_u_deg) & np.isfinite(error)
@@ -488,7 +488,7 @@ def light_map_sentence(found: LightPlaceMap) -> str:
     unbuilt = int(np.isnan(error).sum())
     return (
         f"Of {error.size} fingers of the map, that with {found.fields[0]} = {found.first[i]:g} and {found.fields[1]} = "
-        f"{found.second[j]:g} senses normals best: {error[i, j]:.2f} deg. Not told apart from it are "
+        f"{found.second[j]:g} senses normals best: {error[i, j]:.2f} deg. Not distinguishable from it are "
         f"{int(alike.sum()) - 1} others, within {' and '.join(ranges)}."
         + (f" {unbuilt} cannot be built." if unbuilt else "")
     )
