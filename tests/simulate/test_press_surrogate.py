@@ -3,12 +3,22 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from data_schemas import FingerDesign, Indenter, PressSurrogate, SimulateError, TaughtPress
+from data_schemas import (
+    FingerDesign,
+    FingerSurfaces,
+    Indenter,
+    PressMechanics,
+    PressSurrogate,
+    SimulateError,
+    TaughtPress,
+)
+from data_schemas.storage import read_record
 from sim import read_design
 from sim.experiments import SurrogateFinger, TeachSettings, candidate_presses, press_family, teach_surrogate
 from sim.experiments import _press_surrogate as surrogate
@@ -23,6 +33,8 @@ from sim.mechanics import (
 )
 from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._penalty_contact import PenaltyContact, penalty_mpa_per_mm
+from sim.surface_meshes import check_no_intersections, restore_shapes
+from tests.command_line.running import edit, finray, succeed
 from tests.command_line.test_mechanics_verb import BABY
 
 PRESSES = 16
@@ -293,3 +305,61 @@ def test_a_condensation_of_another_mesh_is_refused(design: FingerDesign, condens
 def test_too_few_presses_are_refused(design: FingerDesign) -> None:
     with pytest.raises(SimulateError, match="11 presses are too few"):
         teach_surrogate(design, TeachSettings(11))
+
+
+@pytest.fixture
+def command(
+    design: FingerDesign,
+    condensed: Condensation,
+    finger: CondensedFinger,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> str:
+    """Teach by the command, with the law in place of finite elements; return what a press by it begins with."""
+    monkeypatch.setattr(surrogate, "condense_finger", lambda *_: condensed)
+    monkeypatch.setattr(surrogate, "press_to_teach", by_the_law(finger))
+    (tmp_path / "finger.toml").write_text(BABY + "radius_mm = 10.0\ndepth_mm = 0.6\n")
+    said = succeed(f"simulate teach {tmp_path}/finger.toml --presses 12 --out {tmp_path}/f.surrogate.json")
+    assert "surface: half of the presses that were left out are off by up to" in said
+    assert "look at" in said
+    assert len(list((tmp_path / "f.presses").glob("*.json"))) == 12
+    return f"simulate press {tmp_path}/finger.toml --surrogate {tmp_path}/f.surrogate.json --out {tmp_path}"
+
+
+def test_the_command_answers_by_a_surrogate(command: str, tmp_path: Path) -> None:
+    said = succeed(f"{command}/quick.press.json --largest-error 1")
+    assert "+-" in said
+    assert "an answer of a surrogate" in said
+    stored = read_record(tmp_path / "quick.mechanics.json", PressMechanics)
+    assert stored.surrogate is not None
+    assert np.isnan(stored.energy_n_mm).all()
+    assert stored.label.startswith("surrogate taught by 12 presses")
+    assert not (tmp_path / "quick.increments").exists()
+    _, shape = restore_shapes(read_record(tmp_path / "quick.surfaces.json", FingerSurfaces))
+    check_no_intersections(shape.gel)
+
+
+def test_the_command_falls_back_on_finite_elements(command: str, tmp_path: Path) -> None:
+    outcome = finray(f"{command}/sure.press.json --largest-error 0.00001 --increments 1")
+    assert outcome.status == 0, outcome.err
+    assert "the surrogate's answer is not taken: its force may be off by" in outcome.err
+    stored = read_record(tmp_path / "sure.mechanics.json", PressMechanics)
+    assert stored.surrogate is None
+    assert stored.label.startswith("finite elements")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("length_mm = 48.0", "length_mm = 50.0", "was taught another design: it differs in pad"),
+        ("depth_mm = 0.6", "depth_mm = 4.5", "does not answer indenter.depth_mm = 4.5 mm; it was taught 0.5 to 4 mm"),
+    ],
+)
+def test_the_command_refuses_another_finger_and_another_press(
+    command: str, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    edit(tmp_path / "finger.toml", old, new)
+    outcome = finray(f"{command}/no.press.json")
+    assert outcome.status == 2
+    assert said in outcome.err
+    assert not list(tmp_path.glob("no.*"))
