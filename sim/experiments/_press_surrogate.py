@@ -246,10 +246,14 @@ def _left_out(process: Process, products: Floats, press: Integers) -> tuple[Floa
     return error, deviation
 
 
-def _bar(error: Floats, deviation: Floats, press: Integers) -> float:
-    """Return the conformal quantile of error over deviation: of n presses, that of the level (n + 1) / n."""
-    count = len(np.unique(press))
-    return float(np.quantile(error / deviation, min(1.0, LEVEL * (count + 1) / count), method="higher"))
+def _bar(error: Floats, deviation: Floats, press: Integers) -> tuple[float, float]:
+    """Return the conformal quantile of error over (deviation + floor), of n presses at level (n + 1) / n, and the floor.
+
+    The floor is the median deviation: near what is known a process is surer of itself than its errors are small.
+    """
+    count, floor = len(np.unique(press)), float(np.median(deviation))
+    scores = error / (deviation + floor)
+    return float(np.quantile(scores, min(1.0, LEVEL * (count + 1) / count), method="higher")), floor
 
 
 @dataclass(frozen=True, slots=True)
@@ -434,6 +438,7 @@ def _surrogate(
     modes = ((vectors[:, kept] / np.sqrt(np.maximum(values[kept], np.finfo(float).tiny))).T @ rests).astype(np.float32)
     surface = _left_out(learned.surface, learned.surface_products, samples.press)
     force = _left_out(learned.force, learned.force_products, samples.press)
+    surface_bar, force_bar = (_bar(*left, samples.press) for left in (surface, force))
     presses = int(samples.press.max()) + 1
     return PressSurrogate(
         name=f"{design.name}, taught by {presses} presses",
@@ -455,8 +460,10 @@ def _surrogate(
         surface_kernel=learned.surface.kernel,
         force_kernel=learned.force.kernel,
         level=LEVEL,
-        surface_bar=_bar(*surface, samples.press),
-        force_bar=_bar(*force, samples.press),
+        surface_bar=surface_bar[0],
+        surface_floor=surface_bar[1],
+        force_bar=force_bar[0],
+        force_floor=force_bar[1],
         left_out_surface_rel=surface[0] / samples.own_rel,
         left_out_force_rel=force[0] / samples.force_rel,
         crossed_features=samples.crossed if len(samples.crossed) else None,
@@ -548,8 +555,8 @@ class SurrogateFinger:
         rest = ((weights @ record.amplitudes_rel).astype(np.float32) @ record.modes).reshape(-1, 3)
         displacement = self.finger.displacement_mm(contact) + indenter.depth_mm * rest
         pushed = contact.force_n + contact.force_n[1] * (pulls @ record.force_rest_rel)
-        force_bar = record.force_bar * force * float(contact.force_n[1])
-        surface_bar = record.surface_bar * surface * indenter.depth_mm
+        force_bar = record.force_bar * (force + record.force_floor) * float(contact.force_n[1])
+        surface_bar = record.surface_bar * (surface + record.surface_floor) * indenter.depth_mm
         shares = (force_bar / float(pushed[1]), surface_bar / rms_length(displacement[self.finger.coat]))
         return SurrogatePress(
             indenter, contact, displacement, pushed, force_bar, surface_bar, self._doubt(place[0], shares)
