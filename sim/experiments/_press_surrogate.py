@@ -52,9 +52,12 @@ Progress = Callable[[int, int, str], None]
 LEVEL: Final = 0.95
 LIMIT_REL: Final = 0.1
 """A bar over the force, or over the surface's own displacement, from which finite elements should press instead."""
-FEWEST_PRESSES: Final = 12
+FEWEST_PRESSES: Final = 20
+"""With fewer, presses left out have too few neighbours to tell how wide the bars must be."""
 USUAL_PRESSES: Final = 40
 
+_EVENLY = 12  # presses spread evenly; each further one is chosen where least is known
+_SETTLED_REL = 1e-3  # to which a contact is found: no bar is less
 _POOL = 256  # presses that the next one is chosen from
 _PUSH = (3.0 / 4.0, 1.0)  # of the deepest: presses that teach end between, and pass all smaller pushes
 _INCREMENTS = 4
@@ -247,9 +250,9 @@ def _left_out(process: Process, products: Floats, press: Integers) -> tuple[Floa
 
 
 def _bar(error: Floats, deviation: Floats, press: Integers) -> tuple[float, float]:
-    """Return the conformal quantile of error over (deviation + floor), of n presses at level (n + 1) / n, and the floor.
+    """Return the conformal quantile of error over (deviation + floor), and the floor: the median deviation.
 
-    The floor is the median deviation: near what is known a process is surer of itself than its errors are small.
+    Near what is known a process is surer of itself than its errors are small. Of n presses the level is (n + 1) / n.
     """
     count, floor = len(np.unique(press)), float(np.median(deviation))
     scores = error / (deviation + floor)
@@ -303,11 +306,9 @@ class TeachSettings:
     Attributes
     ----------
     presses
-        By finite elements, at least 12; those after the first 12 are chosen where the processes know least.
-    preset
-        Fineness of the mesh; the design's own by default.
-    threads
-        Of elements and factorisation.
+        By finite elements, at least 20; those after the first 12 are chosen where the processes know least.
+    preset, threads
+        Fineness of the mesh, the design's own by default; threads of elements and factorisation.
     """
 
     presses: int = USUAL_PRESSES
@@ -330,10 +331,8 @@ def teach_surrogate(
 
     Parameters
     ----------
-    design
-        The finger; its indenter has no part in it.
-    settings
-        How.
+    design, settings
+        The finger, whose indenter has no part in it, and how it is taught.
     stored
         Returns press number k of an earlier run, or nothing.
     store
@@ -359,9 +358,9 @@ def teach_surrogate(
     seconds = 0.0
     while len(found) < settings.presses:
         number, which = len(found), 0
-        if number >= FEWEST_PRESSES:
+        if number >= _EVENLY:
             samples = together(found)
-            relearn = learned is None or (number - FEWEST_PRESSES) % _RELEARN == 0
+            relearn = learned is None or (number - _EVENLY) % _RELEARN == 0
             learned = _learn(finger, samples, None if relearn else learned)
             which = _least_known(learned, samples, family, left)
         wanted = design.model_copy(update={"indenter": left.pop(which), "provenance": None})
@@ -555,9 +554,10 @@ class SurrogateFinger:
         rest = ((weights @ record.amplitudes_rel).astype(np.float32) @ record.modes).reshape(-1, 3)
         displacement = self.finger.displacement_mm(contact) + indenter.depth_mm * rest
         pushed = contact.force_n + contact.force_n[1] * (pulls @ record.force_rest_rel)
-        force_bar = record.force_bar * (force + record.force_floor) * float(contact.force_n[1])
-        surface_bar = record.surface_bar * (surface + record.surface_floor) * indenter.depth_mm
-        shares = (force_bar / float(pushed[1]), surface_bar / rms_length(displacement[self.finger.coat]))
+        push, own = float(pushed[1]), rms_length(displacement[self.finger.coat])
+        force_bar = record.force_bar * (force + record.force_floor) * float(contact.force_n[1]) + _SETTLED_REL * push
+        surface_bar = record.surface_bar * (surface + record.surface_floor) * indenter.depth_mm + _SETTLED_REL * own
+        shares = (force_bar / push, surface_bar / own)
         return SurrogatePress(
             indenter, contact, displacement, pushed, force_bar, surface_bar, self._doubt(place[0], shares)
         )
