@@ -275,11 +275,10 @@ def _learn(finger: CondensedFinger, samples: Samples, before: _Learned | None) -
     surface = coat @ coat.T / len(finger.coat)
     along = samples.force_rest_rel[:, 1]
     force = np.outer(along, along)
-    kernels = (
-        (likeliest_kernel(samples.features, surface), likeliest_kernel(samples.features, force))
-        if before is None
-        else (before.surface.kernel, before.force.kernel)
-    )
+    if before is None:
+        kernels = (likeliest_kernel(samples.features, surface), likeliest_kernel(samples.features, force))
+    else:
+        kernels = (before.surface.kernel, before.force.kernel)
     processes = [Process(kernel, samples.features) for kernel in kernels]
     return _Learned(processes[0], processes[1], surface, force)
 
@@ -333,10 +332,8 @@ def teach_surrogate(
     ----------
     design, settings
         The finger, whose indenter has no part in it, and how it is taught.
-    stored
-        Returns press number k of an earlier run, or nothing.
-    store
-        Called with each new press and its number, to keep it.
+    stored, store
+        Returns press number k of an earlier run, or nothing; called with each new press and its number, to keep it.
     progress
         Called during condensation and each press.
 
@@ -480,10 +477,8 @@ class SurrogatePress:
         With its push.
     contact
         On the condensed finger: which points touch, and their share of the pressure.
-    displacement_mm
-        Of the mesh's nodes (n, 3).
-    force_n
-        On the indenter (3,).
+    displacement_mm, force_n
+        Of the mesh's nodes (n, 3); on the indenter (3,).
     force_bar_n, surface_bar_mm
         Half widths that hold the error of the force along the normal, and the root mean square error over the coat,
         in 95 % of presses.
@@ -661,13 +656,7 @@ class SurrogateFinger:
         return mechanics.model_copy(update={"surrogate": bars}), surfaces, pressed, last.doubt
 
     def check_design(self, design: FingerDesign) -> None:
-        """Check that a design is the finger that was taught; its indenter may be another.
-
-        Raises
-        ------
-        SimulateError
-            When it is another one.
-        """
+        """Check that a design is the finger that was taught, else raise SimulateError; its indenter may be another."""
         other = _differs(self.record.design, design)
         if other:
             raise SimulateError(
