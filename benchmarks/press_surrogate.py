@@ -83,13 +83,13 @@ def answered(opened, press):
         rows.append(
             {
                 "surface_rel": surface / own,
-                "force_rel": force / push,
-                "surface_inside": surface <= answer.surface_bar_mm,
-                "force_inside": force <= answer.force_bar_n,
+                "force_rel": float(force / push),
+                "surface_inside": bool(surface <= answer.surface_bar_mm),
+                "force_inside": bool(force <= answer.force_bar_n),
                 "surface_bar_rel": answer.surface_bar_mm / own,
                 "force_bar_rel": answer.force_bar_n / push,
                 "condensed_surface_rel": rms_length(answer.contact.coat_mm - true) / own,
-                "condensed_force_rel": abs(answer.contact.force_n[1] / push - 1.0),
+                "condensed_force_rel": float(abs(answer.contact.force_n[1] / push - 1.0)),
                 "doubted": bool(answer.doubt),
                 "time_s": took,
             }

@@ -616,9 +616,11 @@ class PressSurrogate(Record):
     force_kernel: TaughtKernel
     level: Annotated[float, Field(gt=0.0, lt=1.0)]
     surface_bar: Annotated[float, Field(gt=0.0)] = Field(
-        description="standard deviations of the process that a bar is wide, by presses left out"
+        description="a bar over the process's standard deviation and the floor together, by presses left out"
     )
+    surface_floor: Annotated[float, Field(ge=0.0)] = Field(description="median standard deviation of presses left out")
     force_bar: Annotated[float, Field(gt=0.0)]
+    force_floor: Annotated[float, Field(ge=0.0)]
     left_out_surface_rel: Annotated[Floats, ArraySpec("<f8", ("sample",))] = Field(
         description="error of the coat, taught without the sample's press, over its own displacement"
     )

@@ -94,7 +94,7 @@ def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = jobs.add_parser("teach", help=TEACH_HELP, description=TEACH_DESCRIPTION)
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter does not count")
     parser.add_argument(
-        "--presses", type=_presses, metavar="N", help="by finite elements that teach, at least 12 (default: 40)"
+        "--presses", type=_presses, metavar="N", help="by finite elements that teach, at least 20 (default: 40)"
     )
     add_out(parser, "NAME.surrogate.json")
     parser.set_defaults(run=run_teach, long_work=_long_teach)

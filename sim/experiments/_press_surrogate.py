@@ -52,9 +52,12 @@ Progress = Callable[[int, int, str], None]
 LEVEL: Final = 0.95
 LIMIT_REL: Final = 0.1
 """A bar over the force, or over the surface's own displacement, from which finite elements should press instead."""
-FEWEST_PRESSES: Final = 12
+FEWEST_PRESSES: Final = 20
+"""With fewer, presses left out have too few neighbours to tell how wide the bars must be."""
 USUAL_PRESSES: Final = 40
 
+_EVENLY = 12  # presses spread evenly; each further one is chosen where least is known
+_SETTLED_REL = 1e-3  # to which a contact is found: no bar is less
 _POOL = 256  # presses that the next one is chosen from
 _PUSH = (3.0 / 4.0, 1.0)  # of the deepest: presses that teach end between, and pass all smaller pushes
 _INCREMENTS = 4
@@ -246,10 +249,14 @@ def _left_out(process: Process, products: Floats, press: Integers) -> tuple[Floa
     return error, deviation
 
 
-def _bar(error: Floats, deviation: Floats, press: Integers) -> float:
-    """Return the conformal quantile of error over deviation: of n presses, that of the level (n + 1) / n."""
-    count = len(np.unique(press))
-    return float(np.quantile(error / deviation, min(1.0, LEVEL * (count + 1) / count), method="higher"))
+def _bar(error: Floats, deviation: Floats, press: Integers) -> tuple[float, float]:
+    """Return the conformal quantile of error over (deviation + floor), and the floor: the median deviation.
+
+    Near what is known a process is surer of itself than its errors are small. Of n presses the level is (n + 1) / n.
+    """
+    count, floor = len(np.unique(press)), float(np.median(deviation))
+    scores = error / (deviation + floor)
+    return float(np.quantile(scores, min(1.0, LEVEL * (count + 1) / count), method="higher")), floor
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,11 +275,10 @@ def _learn(finger: CondensedFinger, samples: Samples, before: _Learned | None) -
     surface = coat @ coat.T / len(finger.coat)
     along = samples.force_rest_rel[:, 1]
     force = np.outer(along, along)
-    kernels = (
-        (likeliest_kernel(samples.features, surface), likeliest_kernel(samples.features, force))
-        if before is None
-        else (before.surface.kernel, before.force.kernel)
-    )
+    if before is None:
+        kernels = (likeliest_kernel(samples.features, surface), likeliest_kernel(samples.features, force))
+    else:
+        kernels = (before.surface.kernel, before.force.kernel)
     processes = [Process(kernel, samples.features) for kernel in kernels]
     return _Learned(processes[0], processes[1], surface, force)
 
@@ -299,11 +305,9 @@ class TeachSettings:
     Attributes
     ----------
     presses
-        By finite elements, at least 12; those after the first 12 are chosen where the processes know least.
-    preset
-        Fineness of the mesh; the design's own by default.
-    threads
-        Of elements and factorisation.
+        By finite elements, at least 20; those after the first 12 are chosen where the processes know least.
+    preset, threads
+        Fineness of the mesh, the design's own by default; threads of elements and factorisation.
     """
 
     presses: int = USUAL_PRESSES
@@ -326,14 +330,10 @@ def teach_surrogate(
 
     Parameters
     ----------
-    design
-        The finger; its indenter has no part in it.
-    settings
-        How.
-    stored
-        Returns press number k of an earlier run, or nothing.
-    store
-        Called with each new press and its number, to keep it.
+    design, settings
+        The finger, whose indenter has no part in it, and how it is taught.
+    stored, store
+        Returns press number k of an earlier run, or nothing; called with each new press and its number, to keep it.
     progress
         Called during condensation and each press.
 
@@ -355,9 +355,9 @@ def teach_surrogate(
     seconds = 0.0
     while len(found) < settings.presses:
         number, which = len(found), 0
-        if number >= FEWEST_PRESSES:
+        if number >= _EVENLY:
             samples = together(found)
-            relearn = learned is None or (number - FEWEST_PRESSES) % _RELEARN == 0
+            relearn = learned is None or (number - _EVENLY) % _RELEARN == 0
             learned = _learn(finger, samples, None if relearn else learned)
             which = _least_known(learned, samples, family, left)
         wanted = design.model_copy(update={"indenter": left.pop(which), "provenance": None})
@@ -434,6 +434,7 @@ def _surrogate(
     modes = ((vectors[:, kept] / np.sqrt(np.maximum(values[kept], np.finfo(float).tiny))).T @ rests).astype(np.float32)
     surface = _left_out(learned.surface, learned.surface_products, samples.press)
     force = _left_out(learned.force, learned.force_products, samples.press)
+    surface_bar, force_bar = (_bar(*left, samples.press) for left in (surface, force))
     presses = int(samples.press.max()) + 1
     return PressSurrogate(
         name=f"{design.name}, taught by {presses} presses",
@@ -455,8 +456,10 @@ def _surrogate(
         surface_kernel=learned.surface.kernel,
         force_kernel=learned.force.kernel,
         level=LEVEL,
-        surface_bar=_bar(*surface, samples.press),
-        force_bar=_bar(*force, samples.press),
+        surface_bar=surface_bar[0],
+        surface_floor=surface_bar[1],
+        force_bar=force_bar[0],
+        force_floor=force_bar[1],
         left_out_surface_rel=surface[0] / samples.own_rel,
         left_out_force_rel=force[0] / samples.force_rel,
         crossed_features=samples.crossed if len(samples.crossed) else None,
@@ -474,10 +477,8 @@ class SurrogatePress:
         With its push.
     contact
         On the condensed finger: which points touch, and their share of the pressure.
-    displacement_mm
-        Of the mesh's nodes (n, 3).
-    force_n
-        On the indenter (3,).
+    displacement_mm, force_n
+        Of the mesh's nodes (n, 3); on the indenter (3,).
     force_bar_n, surface_bar_mm
         Half widths that hold the error of the force along the normal, and the root mean square error over the coat,
         in 95 % of presses.
@@ -548,9 +549,10 @@ class SurrogateFinger:
         rest = ((weights @ record.amplitudes_rel).astype(np.float32) @ record.modes).reshape(-1, 3)
         displacement = self.finger.displacement_mm(contact) + indenter.depth_mm * rest
         pushed = contact.force_n + contact.force_n[1] * (pulls @ record.force_rest_rel)
-        force_bar = record.force_bar * force * float(contact.force_n[1])
-        surface_bar = record.surface_bar * surface * indenter.depth_mm
-        shares = (force_bar / float(pushed[1]), surface_bar / rms_length(displacement[self.finger.coat]))
+        push, own = float(pushed[1]), rms_length(displacement[self.finger.coat])
+        force_bar = record.force_bar * (force + record.force_floor) * float(contact.force_n[1]) + _SETTLED_REL * push
+        surface_bar = record.surface_bar * (surface + record.surface_floor) * indenter.depth_mm + _SETTLED_REL * own
+        shares = (force_bar / push, surface_bar / own)
         return SurrogatePress(
             indenter, contact, displacement, pushed, force_bar, surface_bar, self._doubt(place[0], shares)
         )
@@ -654,13 +656,7 @@ class SurrogateFinger:
         return mechanics.model_copy(update={"surrogate": bars}), surfaces, pressed, last.doubt
 
     def check_design(self, design: FingerDesign) -> None:
-        """Check that a design is the finger that was taught; its indenter may be another.
-
-        Raises
-        ------
-        SimulateError
-            When it is another one.
-        """
+        """Check that a design is the finger that was taught, else raise SimulateError; its indenter may be another."""
         other = _differs(self.record.design, design)
         if other:
             raise SimulateError(

@@ -632,6 +632,30 @@ CASES = (
         r"flat-70x35: no such file; write it first: finray design init flat-70x35, then give flat-70x35\.toml",
     ),
     Case(
+        "no surrogate",
+        MECHANICS + " --surrogate {tmp}/none.json",
+        r"none\.json: no such file; give the path of a taught surrogate \(\.json\)",
+        design("[indenter]\nradius_mm = 10.0"),
+    ),
+    Case(
+        "a surrogate of a press to a force",
+        MECHANICS + " --surrogate {tmp}/none.json --force 2",
+        r"--surrogate answers a press along the pad's normal, without friction; leave it out, or --force",
+        design("[indenter]\nradius_mm = 10.0"),
+    ),
+    Case(
+        "largest error of no surrogate",
+        MECHANICS + " --largest-error 0.1",
+        r"--largest-error: is of a surrogate's answer; give --surrogate FILE, or leave it out",
+        design("[indenter]\nradius_mm = 10.0"),
+    ),
+    Case(
+        "too few presses to teach by",
+        "simulate teach {tmp}/finger.toml --presses 3",
+        r"finger\.toml: 3 presses are too few to teach by; at least 20 are needed",
+        design("[indenter]\nradius_mm = 10.0"),
+    ),
+    Case(
         "contact of CalculiX",
         MECHANICS + " --contact barrier --engine calculix",
         r"--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix",

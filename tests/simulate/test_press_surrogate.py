@@ -3,12 +3,22 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from data_schemas import FingerDesign, Indenter, PressSurrogate, SimulateError, TaughtPress
+from data_schemas import (
+    FingerDesign,
+    FingerSurfaces,
+    Indenter,
+    PressMechanics,
+    PressSurrogate,
+    SimulateError,
+    TaughtPress,
+)
+from data_schemas.storage import read_record
 from sim import read_design
 from sim.experiments import SurrogateFinger, TeachSettings, candidate_presses, press_family, teach_surrogate
 from sim.experiments import _press_surrogate as surrogate
@@ -23,9 +33,11 @@ from sim.mechanics import (
 )
 from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._penalty_contact import PenaltyContact, penalty_mpa_per_mm
+from sim.surface_meshes import check_no_intersections, restore_shapes
+from tests.command_line.running import edit, finray, succeed
 from tests.command_line.test_mechanics_verb import BABY
 
-PRESSES = 16
+PRESSES = 24
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +175,7 @@ def test_bars_hold_the_errors_of_unseen_presses_at_their_level(
 ) -> None:
     opened = SurrogateFinger(taught)
     surface, force, alone = [], [], []
-    unseen = drawn_presses(design, 150)
+    unseen = drawn_presses(design, 100)
     for indenter in unseen:
         answer = opened.press(indenter)
         moved, push = true_press(finger, design.model_copy(update={"indenter": indenter}), indenter.depth_mm)
@@ -174,7 +186,7 @@ def test_bars_hold_the_errors_of_unseen_presses_at_their_level(
         alone.append(
             surrogate.rms_length(answer.contact.coat_mm - moved[finger.coat]) / surrogate.rms_length(moved[finger.coat])
         )
-    # 95 %, less three standard deviations of 150 draws
+    # 95 %, less three standard deviations of 100 draws
     least = 0.95 - 3.0 * math.sqrt(0.95 * 0.05 / len(unseen))
     for found in (np.array(surface), np.array(force)):
         assert found[:, 1].mean() > least
@@ -206,10 +218,10 @@ def test_teaching_goes_on_after_the_last_press(
 ) -> None:
     monkeypatch.setattr(surrogate, "condense_finger", lambda *_: condensed)
     monkeypatch.setattr(surrogate, "press_to_teach", by_the_law(finger))
-    kept = {number: press for number, press in presses.items() if number < 13}
+    kept = {number: press for number, press in presses.items() if number < 22}
     new: dict[int, TaughtPress] = {}
     again = teach_surrogate(design, TeachSettings(PRESSES), stored=kept.get, store=new.__setitem__)
-    assert sorted(new) == [13, 14, 15]
+    assert sorted(new) == [22, 23]
     np.testing.assert_array_equal(again.sample_features, taught.sample_features)
     np.testing.assert_allclose(again.amplitudes_rel, taught.amplitudes_rel)
     stiffer = design.model_copy(update={"pad": design.pad.model_copy(update={"length_mm": 50.0})})
@@ -291,5 +303,63 @@ def test_a_condensation_of_another_mesh_is_refused(design: FingerDesign, condens
 
 
 def test_too_few_presses_are_refused(design: FingerDesign) -> None:
-    with pytest.raises(SimulateError, match="11 presses are too few"):
-        teach_surrogate(design, TeachSettings(11))
+    with pytest.raises(SimulateError, match="19 presses are too few"):
+        teach_surrogate(design, TeachSettings(19))
+
+
+@pytest.fixture
+def command(
+    design: FingerDesign,
+    condensed: Condensation,
+    finger: CondensedFinger,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> str:
+    """Teach by the command, with the law in place of finite elements; return what a press by it begins with."""
+    monkeypatch.setattr(surrogate, "condense_finger", lambda *_: condensed)
+    monkeypatch.setattr(surrogate, "press_to_teach", by_the_law(finger))
+    (tmp_path / "finger.toml").write_text(BABY + "radius_mm = 10.0\ndepth_mm = 0.6\n")
+    said = succeed(f"simulate teach {tmp_path}/finger.toml --presses 20 --out {tmp_path}/f.surrogate.json")
+    assert "surface: half of the presses that were left out are off by up to" in said
+    assert "look at" in said
+    assert len(list((tmp_path / "f.presses").glob("*.json"))) == 20
+    return f"simulate press {tmp_path}/finger.toml --surrogate {tmp_path}/f.surrogate.json --out {tmp_path}"
+
+
+def test_the_command_answers_by_a_surrogate(command: str, tmp_path: Path) -> None:
+    said = succeed(f"{command}/quick.press.json --largest-error 1")
+    assert "+-" in said
+    assert "an answer of a surrogate" in said
+    stored = read_record(tmp_path / "quick.mechanics.json", PressMechanics)
+    assert stored.surrogate is not None
+    assert np.isnan(stored.energy_n_mm).all()
+    assert stored.label.startswith("surrogate taught by 20 presses")
+    assert not (tmp_path / "quick.increments").exists()
+    _, shape = restore_shapes(read_record(tmp_path / "quick.surfaces.json", FingerSurfaces))
+    check_no_intersections(shape.gel)
+
+
+def test_the_command_falls_back_on_finite_elements(command: str, tmp_path: Path) -> None:
+    outcome = finray(f"{command}/sure.press.json --largest-error 0.00001 --increments 1")
+    assert outcome.status == 0, outcome.err
+    assert "the surrogate's answer is not taken: its force may be off by" in outcome.err
+    stored = read_record(tmp_path / "sure.mechanics.json", PressMechanics)
+    assert stored.surrogate is None
+    assert stored.label.startswith("finite elements")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("length_mm = 48.0", "length_mm = 50.0", "was taught another design: it differs in pad"),
+        ("depth_mm = 0.6", "depth_mm = 4.5", "does not answer indenter.depth_mm = 4.5 mm; it was taught 0.5 to 4 mm"),
+    ],
+)
+def test_the_command_refuses_another_finger_and_another_press(
+    command: str, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    edit(tmp_path / "finger.toml", old, new)
+    outcome = finray(f"{command}/no.press.json")
+    assert outcome.status == 2
+    assert said in outcome.err
+    assert not list(tmp_path.glob("no.*"))
