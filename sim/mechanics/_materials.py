@@ -211,8 +211,8 @@ class PackagedMaterial:
         self.shear_modulus_mpa = float(first[0, 0] + second[0, 0, 0] - second[0, 0, 1]) / 2.0
         if not self.shear_modulus_mpa > 0.0:
             raise SimulateError(
-                f"{self.name} has an initial shear modulus of {self.shear_modulus_mpa:.4g} MPa, which must be positive: "
-                "correct its parameters"
+                f"{self.name} has an initial shear modulus of {self.shear_modulus_mpa:.4g} MPa, which must be "
+                "positive: correct its parameters"
             )
         self.bulk_modulus_mpa = bulk_over_shear * self.shear_modulus_mpa
         self.parameters = np.array([self.bulk_modulus_mpa])
