@@ -279,13 +279,8 @@ def finger_materials(design: FingerDesign) -> dict[str, Material]:
     SimulateError
         When a rubber's constants make it unstable, or a law of another package cannot be had.
     """
-    found: dict[str, Material] = {}
-    for name in type(design.mechanics).model_fields:
-        try:
-            found[name] = material_of(getattr(design.mechanics, name))
-        except SimulateError as fault:
-            raise SimulateError(f"mechanics.{name}: {fault}") from fault
-    return found
+    parts = {name: getattr(design.mechanics, name) for name in type(design.mechanics).model_fields}
+    return {name: material_of(solid, f"mechanics.{name}") for name, solid in parts.items()}
 
 
 def finger_ties(design: FingerDesign, mesh: FingerMesh, step_mm: float) -> list[TiedNodes]:

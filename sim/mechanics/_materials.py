@@ -210,7 +210,10 @@ class PackagedMaterial:
         _, first, second = self._at(np.ones((1, 3)))
         self.shear_modulus_mpa = float(first[0, 0] + second[0, 0, 0] - second[0, 0, 1]) / 2.0
         if not self.shear_modulus_mpa > 0.0:
-            raise plug_in.refusal(f"has an initial shear modulus of {self.shear_modulus_mpa:.4g} MPa, not above 0")
+            raise SimulateError(
+                f"{self.name} has an initial shear modulus of {self.shear_modulus_mpa:.4g} MPa, which must be "
+                "positive: correct its parameters"
+            )
         self.bulk_modulus_mpa = bulk_over_shear * self.shear_modulus_mpa
         self.parameters = np.array([self.bulk_modulus_mpa])
         _check_derivatives(self._at, plug_in, self.shear_modulus_mpa)
@@ -325,8 +328,8 @@ def check_material_law(law: MaterialLaw, **parameters: float) -> None:
 Material = Ogden | LinearElastic | PackagedMaterial
 
 
-def material_of(solid: Rubber | ElasticSolid) -> Material:
-    """Return the engine's material of a solid of the design.
+def material_of(solid: Rubber | ElasticSolid, field: str = "") -> Material:
+    """Return the engine's material of a solid of the design, which stands in a field of it.
 
     Raises
     ------
@@ -336,18 +339,25 @@ def material_of(solid: Rubber | ElasticSolid) -> Material:
     """
     if isinstance(solid, ElasticSolid):
         return LinearElastic(solid.youngs_modulus_mpa, solid.poisson_ratio)
+    try:
+        rubber = _rubber_of(solid)
+        if not isinstance(solid, NeoHookeSolid) or solid.law is not None:
+            check_stability(rubber)
+    except SimulateError as fault:
+        raise SimulateError(f"{field}: {fault}" if field else str(fault)) from fault
+    return rubber
+
+
+def _rubber_of(solid: Rubber) -> "Ogden | PackagedMaterial":
+    """Return the engine's material of a rubber."""
     if solid.law is not None:
-        plug_in, constants = solid.plug_in(), dict(solid.parameters)
+        plug_in = solid.plug_in()
         law: Any = plug_in.load()
-        packaged = PackagedMaterial(plug_in, law, constants, getattr(solid, "bulk_over_shear", 20.0))
-        check_stability(packaged)
-        return packaged
+        return PackagedMaterial(plug_in, law, solid.parameters, getattr(solid, "bulk_over_shear", 20.0))
     if isinstance(solid, NeoHookeSolid):
         return neo_hooke(solid.c10_mpa, solid.bulk_over_shear)
     if isinstance(solid, OgdenSolid):
-        rubber = Ogden(solid.mu_mpa, solid.alpha, solid.bulk_over_shear)
-        check_stability(rubber)
-        return rubber
+        return Ogden(solid.mu_mpa, solid.alpha, solid.bulk_over_shear)
     raise SimulateError(f"a {type(solid).__name__} is no material of the engine")
 
 

@@ -206,7 +206,7 @@ _CONTACT_MODULI_PER_STEP = 100.0
 
 def penalty_mpa_per_mm(design: FingerDesign, step_mm: float) -> float:
     """Return the stiffness of a penalty on a coat with elements of this size."""
-    return _CONTACT_MODULI_PER_STEP * material_of(design.mechanics.gel).shear_modulus_mpa / step_mm
+    return _CONTACT_MODULI_PER_STEP * material_of(design.mechanics.gel, "mechanics.gel").shear_modulus_mpa / step_mm
 
 
 class PenaltyTouch:

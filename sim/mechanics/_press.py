@@ -141,7 +141,7 @@ def press_contact(
     from sim.mechanics._barrier_contact import Barrier, BarrierPress
 
     indenter.check_surface()
-    chosen = barrier or Barrier(stiffness_mpa=material_of(design.mechanics.gel).shear_modulus_mpa)
+    chosen = barrier or Barrier(stiffness_mpa=material_of(design.mechanics.gel, "mechanics.gel").shear_modulus_mpa)
     return BarrierPress(design, mesh, indenter, replace(chosen, friction_ratio=design.indenter.friction), threads)
 
 
