@@ -4,15 +4,19 @@ import base64
 import json
 import re
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
-from html_page import Page
+from example_records import example_results
+from html_page import Page, assert_stands_alone
 
-from data_schemas import FingerDesign
-from finray_calib.reports import finger_page
+from data_schemas import FingerDesign, FingerStiffness, FingerTolerances
+from data_schemas.storage import read_record, write_record
+from finray_calib.cli import _design_search
+from finray_calib.reports import finger_page, stiffness_rows
 from finray_calib.reports._finger_page import ScenePart, finger_scene, scene_values, sharp_edges
-from sim import preset_design
+from sim import preset_design, read_design
 from sim.mechanics import Sphere, body_mesh
 from tests.capture.drivers.programs import require
 from tests.command_line.running import finray, succeed
@@ -185,3 +189,46 @@ def test_a_browser_shows_the_viewer_where_it_can(html, tmp_path, options):
     assert re.findall(r'<(div|p) id="(?:viewer|no-viewer)"[^>]* hidden', dom) == (
         ["div"] if "--disable-3d-apis" in options else ["p"]
     )
+
+
+FROZEN = Path(__file__).parents[1] / "schemas" / "frozen"
+
+
+def test_light_tolerances_and_stiffness_stand_on_one_page(tmp_path, monkeypatch):
+    """What is computed is replaced by records; it is run whole in tests/command_line/test_design_tolerances_verb.py."""
+    results = example_results()
+    for colour, paint in results.paints.items():
+        write_record(paint.calibration, tmp_path / f"{colour}.paint.json", results.provenance)
+    found = read_record(FROZEN / "FingerTolerances" / "v2" / "example.json", FingerTolerances)
+    stiffness = read_record(FROZEN / "FingerStiffness" / "v4" / "example.json", FingerStiffness)
+    asked = []
+
+    def decided(arguments, design, folder, paints):
+        return results.decision, {35.0: results.sweep}
+
+    def tolerances(arguments, design, *_):
+        asked.append(design)
+        return found.model_copy(update={"provenance": None, "design": design})
+
+    monkeypatch.setattr(_design_search, "_decided", decided)
+    monkeypatch.setattr(_design_search, "_tolerances", tolerances)
+    monkeypatch.setattr(_design_search, "_stiffness", lambda *_: stiffness.model_copy(update={"provenance": None}))
+    files = f"--paint red={tmp_path}/red.paint.json --paint green={tmp_path}/green.paint.json"
+    said = succeed(f"design assess flat-70x35 --pad 60x30 {files} --out {tmp_path}/found")
+    names = {path.name for path in (tmp_path / "found").iterdir() if path.suffix != ".npz"}
+    assert names == {
+        "35.0mm.sweep.json", "assessment.html", "finger-stiffness.json", "finger.toml", "light-angle-decision.html",
+        "light-angle-decision.json", "tolerances.html", "tolerances.json",
+    }  # fmt: skip
+    finger = read_design(tmp_path / "found" / "finger.toml")
+    assert (finger.pad.length_mm, finger.pad.width_mm) == (60.0, 30.0)
+    assert finger.light.angle_deg == asked[0].light.angle_deg == results.decision.angle_deg
+    page = (tmp_path / "found" / "assessment.html").read_text()
+    assert_stands_alone(page)
+    text = " ".join(Page(page).prose.replace("\u00a0", " ").split())
+    assert "A finger with a pad of 60 x 30 mm" in text
+    assert found.sentence in text
+    for row in stiffness_rows(stiffness):
+        assert row[1] in text
+        assert f"Stiffness, {row[0]}: {row[1]}" in said
+    assert said.endswith("assessment.html\n")
