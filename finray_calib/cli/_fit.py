@@ -555,7 +555,8 @@ def _specimen(given: str, curve: "MeasuredForce", progress: Progress) -> "ForceM
             )
         with naming(SimulateError, Path(given)):
             design = read_design(Path(given))
-            return finger_force_model(design, push_mm, machine_threads(), progress, Path(given).parent)
+            model = finger_force_model(design, push_mm, machine_threads(), progress, Path(given).parent)
+        return model
     sizes, plates = found.groups()[:3], found.group(4).lower()
     if plates not in _PLATES:
         raise CompareError(f"--on {given}: plates are {', '.join(_PLATES)}, not {plates}")

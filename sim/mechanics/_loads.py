@@ -4,6 +4,7 @@ The latter two need no indenter; from them comes its stiffness in bending and tw
 plates, as a bench presses it to learn its moduli.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -500,7 +501,7 @@ def compress_block(
     mesh, fixed, push = _eighth(block, cells)
     elasticity = Elasticity(mesh, {"gel": material}, threads)
     sides = [
-        Elasticity(mesh, {"gel": replace(material, bulk_over_shear=material.bulk_over_shear * np.exp(step))}, threads)
+        Elasticity(mesh, {"gel": replace(material, bulk_over_shear=material.bulk_over_shear * math.exp(step))}, threads)
         for step in (-_BULK_STEP_LN, _BULK_STEP_LN)
     ]
     assembly, solver = Assembly(elasticity), linear_solver(threads=threads)
