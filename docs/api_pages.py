@@ -19,7 +19,7 @@ BESIDE = {
     "rooms.md": "Rooms of the code and what they import",
     "practice-faults.md": "Faults of the rig without devices, to practise on",
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
-    "moduli-by-force-curves.md": "Moduli by force curves: what is given, fitted and not known, and derivatives of a press",
+    "moduli-by-force-curves.md": "Moduli by force curves: what is given, fitted and not known; derivatives of a press",
     "published-fin-ray.md": "A published Fin Ray finger, pressed: force and direction against measured ones",
     "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",
 }
