@@ -21,6 +21,7 @@ BESIDE = {
     "extend-finray.md": "Extend finray from a package of your own: eight kinds, a protocol and a contract each",
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
     "paper-experiments.md": "The paper's experiments: what it says, what comes out here, why they differ",
+    "moduli-by-force-curves.md": "Moduli by force curves: what is given, fitted and not known; derivatives of a press",
     "published-fin-ray.md": "A published Fin Ray finger, pressed: force and direction against measured ones",
     "taught-surrogates.md": "Surrogates of a finger: presses in milliseconds, and how far they are off",
     "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",
