@@ -442,8 +442,8 @@ def _tell_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     for depth, force, bar, surface in rows:
         say(f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat +- {1e3 * surface:.0f} um")
     say(
-        f"  an answer of a surrogate: the bars hold its error beside finite elements in {bars.level_share:.0%} of presses; "
-        "what those are off by themselves comes on top"
+        f"  an answer of a surrogate: in {bars.level_share:.0%} of presses the bars hold its error beside finite "
+        "elements; what those are off by themselves comes on top"
     )
 
 
