@@ -388,7 +388,9 @@ class PressMotion(Model):
 class SurrogateBars(Model):
     """How far the answers of a taught surrogate may be from the finite elements that taught it."""
 
-    level: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(description="share of answers that the bars are to hold")
+    level_share: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
+        description="share of answers that the bars are to hold"
+    )
     presses: Annotated[int, Field(gt=0)] = Field(description="that taught it")
     limit_rel: Annotated[float, Field(gt=0.0)] = Field(
         description="a bar over the force or the surface's own displacement from which finite elements press instead"
@@ -556,7 +558,7 @@ class TaughtKernel(Model):
     lengths: Annotated[Floats, ArraySpec("<f8", ("feature",))] = Field(description="in half widths of the family")
     linear_rel: Annotated[float, Field(ge=0.0)]
     noise_rel: Annotated[float, Field(gt=0.0)] = Field(description="variance that is no function of the features")
-    variance: Annotated[float, Field(ge=0.0)]
+    variance_rel: Annotated[float, Field(ge=0.0)]
 
 
 class TaughtPress(Record):
@@ -614,13 +616,15 @@ class PressSurrogate(Record):
     )
     surface_kernel: TaughtKernel
     force_kernel: TaughtKernel
-    level: Annotated[float, Field(gt=0.0, lt=1.0)]
-    surface_bar: Annotated[float, Field(gt=0.0)] = Field(
+    level_share: Annotated[float, Field(gt=0.0, lt=1.0)]
+    surface_bar_rel: Annotated[float, Field(gt=0.0)] = Field(
         description="a bar over the process's standard deviation and the floor together, by presses left out"
     )
-    surface_floor: Annotated[float, Field(ge=0.0)] = Field(description="median standard deviation of presses left out")
-    force_bar: Annotated[float, Field(gt=0.0)]
-    force_floor: Annotated[float, Field(ge=0.0)]
+    surface_floor_rel: Annotated[float, Field(ge=0.0)] = Field(
+        description="median standard deviation of presses left out"
+    )
+    force_bar_rel: Annotated[float, Field(gt=0.0)]
+    force_floor_rel: Annotated[float, Field(ge=0.0)]
     left_out_surface_rel: Annotated[Floats, ArraySpec("<f8", ("sample",))] = Field(
         description="error of the coat, taught without the sample's press, over its own displacement"
     )

@@ -152,15 +152,15 @@ def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     wrote(out, taught.label)
     wrote(kept, "the presses that taught it; a command with more --presses and this --out's name goes on with them")
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
-    shares = {name: np.quantile(values, [0.5, taught.level]) for name, values in errors.items()}
+    shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():
-        say(f"  {name}: half of the presses that were left out are off by up to {half:.2%}, {taught.level:.0%} by up "
-            f"to {most:.2%}")  # fmt: skip
+        share = f"{taught.level_share:.0%} by up to {most:.2%}"
+        say(f"  {name}: half of the presses that were left out are off by up to {half:.2%}, {share}")
     if taught.crossed_features is not None:
         say("  ribs pass through each other or buckle in some presses: near them finite elements press instead")
     say(f"  {taught.processor_s / 60.0:.1f} min of processor time")
     give(
-        label=taught.label, presses=taught.presses, processor_s=taught.processor_s, level=taught.level,
+        label=taught.label, presses=taught.presses, processor_s=taught.processor_s, level_share=taught.level_share,
         surface_error_rel=shares["surface"], force_error_rel=shares["force"], family=taught.family.model_dump(),
     )  # fmt: skip
     look_at(out)

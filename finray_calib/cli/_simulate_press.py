@@ -447,13 +447,13 @@ def _tell_sensitivities(found: "PressSensitivities") -> None:
 
 def _tell_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     """Tell a surrogate's curve with its bars."""
-    give(force_bar_n=bars.force_bar_n, surface_bar_mm=bars.surface_bar_mm, bar_level=bars.level)
+    give(force_bar_n=bars.force_bar_n, surface_bar_mm=bars.surface_bar_mm, bar_level=bars.level_share)
     rows = zip(mechanics.depth_mm, mechanics.force_n[:, 1], bars.force_bar_n, bars.surface_bar_mm, strict=True)
     for depth, force, bar, surface in rows:
         say(f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat +- {1e3 * surface:.0f} um")
     say(
-        f"  an answer of a surrogate: the bars hold its error beside finite elements in {bars.level:.0%} of presses; "
-        "what those are off by themselves comes on top"
+        f"  an answer of a surrogate: in {bars.level_share:.0%} of presses the bars hold its error beside finite "
+        "elements; what those are off by themselves comes on top"
     )
 
 

@@ -154,12 +154,12 @@ def likeliest_kernel(samples: Floats, products: Floats) -> TaughtKernel:
 
     def taught(parameters: Floats) -> tuple[float, TaughtKernel]:
         lengths, (linear, noise) = np.exp(parameters[:width]), np.exp(parameters[width:])
-        kernel = TaughtKernel(lengths=lengths, linear_rel=float(linear), noise_rel=float(noise), variance=1.0)
+        kernel = TaughtKernel(lengths=lengths, linear_rel=float(linear), noise_rel=float(noise), variance_rel=1.0)
         factor = cho_factor(Process(kernel, samples).matrix, lower=True)
         variance = float(np.trace(cho_solve(factor, products / scale))) / count
         misfit = 0.5 * count * np.log(variance) + float(np.log(np.diag(factor[0])).sum())
         misfit += 0.5 * float(((parameters[:width] - np.log(2.0)) ** 2).sum())
-        return misfit, kernel.model_copy(update={"variance": variance * scale})
+        return misfit, kernel.model_copy(update={"variance_rel": variance * scale})
 
     start = np.log([2.0] * width + [1.0, 1e-4])
     bounds = [tuple(np.log(pair)) for pair in ([_LENGTHS] * width + [_LINEAR, _NOISE])]
@@ -245,7 +245,7 @@ def _left_out(process: Process, products: Floats, press: Integers) -> tuple[Floa
         covariance = np.linalg.inv(inverse[np.ix_(own, own)])
         weights = covariance @ inverse[own]
         error[own] = np.sqrt(np.maximum(np.einsum("gs,st,gt->g", weights, products, weights), 0.0))
-        deviation[own] = np.sqrt(np.diag(covariance) * process.kernel.variance)
+        deviation[own] = np.sqrt(np.diag(covariance) * process.kernel.variance_rel)
     return error, deviation
 
 
@@ -295,7 +295,7 @@ def _deviation(process: Process, places: Floats) -> Floats:
     between = process.between(places)
     known = np.einsum("qs,sq->q", between, np.linalg.solve(process.matrix, between.T))
     spread = np.maximum(process.at_themselves(places) - known, 0.0) + process.kernel.noise_rel
-    return np.asarray(np.sqrt(process.kernel.variance * spread))
+    return np.asarray(np.sqrt(process.kernel.variance_rel * spread))
 
 
 @dataclass(frozen=True, slots=True)
@@ -455,11 +455,11 @@ def _surrogate(
         force_rest_rel=samples.force_rest_rel,
         surface_kernel=learned.surface.kernel,
         force_kernel=learned.force.kernel,
-        level=LEVEL,
-        surface_bar=surface_bar[0],
-        surface_floor=surface_bar[1],
-        force_bar=force_bar[0],
-        force_floor=force_bar[1],
+        level_share=LEVEL,
+        surface_bar_rel=surface_bar[0],
+        surface_floor_rel=surface_bar[1],
+        force_bar_rel=force_bar[0],
+        force_floor_rel=force_bar[1],
         left_out_surface_rel=surface[0] / samples.own_rel,
         left_out_force_rel=force[0] / samples.force_rel,
         crossed_features=samples.crossed if len(samples.crossed) else None,
@@ -550,8 +550,12 @@ class SurrogateFinger:
         displacement = self.finger.displacement_mm(contact) + indenter.depth_mm * rest
         pushed = contact.force_n + contact.force_n[1] * (pulls @ record.force_rest_rel)
         push, own = float(pushed[1]), rms_length(displacement[self.finger.coat])
-        force_bar = record.force_bar * (force + record.force_floor) * float(contact.force_n[1]) + _SETTLED_REL * push
-        surface_bar = record.surface_bar * (surface + record.surface_floor) * indenter.depth_mm + _SETTLED_REL * own
+        force_bar = (
+            record.force_bar_rel * (force + record.force_floor_rel) * float(contact.force_n[1]) + _SETTLED_REL * push
+        )
+        surface_bar = (
+            record.surface_bar_rel * (surface + record.surface_floor_rel) * indenter.depth_mm + _SETTLED_REL * own
+        )
         shares = (force_bar / push, surface_bar / own)
         return SurrogatePress(
             indenter, contact, displacement, pushed, force_bar, surface_bar, self._doubt(place[0], shares)
@@ -562,7 +566,7 @@ class SurrogateFinger:
         between = process.between(place)[0]
         weights = inverse @ between
         spread = max(0.0, float(process.at_themselves(place)[0] - weights @ between)) + process.kernel.noise_rel
-        return weights, float(np.sqrt(process.kernel.variance * spread))
+        return weights, float(np.sqrt(process.kernel.variance_rel * spread))
 
     def _doubt(self, place: Floats, shares: tuple[float, float]) -> str:
         """Return why an answer is not to be taken."""
@@ -641,14 +645,14 @@ class SurrogateFinger:
         answers = [self.press(design.indenter.model_copy(update={"depth_mm": push})) for push in pushes]
         pressed, last = self._pressed(answers), answers[-1]
         bars = SurrogateBars(
-            level=self.record.level,
+            level_share=self.record.level_share,
             presses=self.record.presses,
             limit_rel=self.limit_rel,
             force_bar_n=np.array([answer.force_bar_n for answer in answers]),
             surface_bar_mm=np.array([answer.surface_bar_mm for answer in answers]),
         )
         notes = (
-            f"a surrogate: in {bars.level:.0%} of presses the force is within {last.force_bar_n:.2g} N and the "
+            f"a surrogate: in {bars.level_share:.0%} of presses the force is within {last.force_bar_n:.2g} N and the "
             f"coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the finite elements that taught it",
             "energies are not told; pressures are those of the condensed contact, made to add up to the force",
         )

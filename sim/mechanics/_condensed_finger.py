@@ -246,7 +246,8 @@ class _Balance:
 
     def __init__(self, compliance: SingleArray, contact: PenaltyContact, count: int) -> None:
         self._compliance, self._contact = compliance, contact
-        self.forces, self.moved = np.zeros(3 * count), np.zeros(3 * count)
+        self.forces: FloatArray = np.zeros(3 * count)
+        self.moved: FloatArray = np.zeros(3 * count)
         self._region = np.empty(0, np.int64)  # unknowns that forces act on
         self._rows = self._block = np.empty((0, 0), np.float32)
 
@@ -267,7 +268,7 @@ class _Balance:
         gap = points.gap_mm - points.normals @ further
         step = self._step(normal, points.stiffness_n_per_mm, normal.T @ (-points.stiffness_n_per_mm * gap))
         self.forces[self._region] = step
-        self.moved = self._rows.T @ step.astype(np.float32)
+        self.moved = np.asarray(self._rows.T @ step.astype(np.float32), dtype=np.float64)
 
     def solve(self) -> int:
         """Search; return the number of rounds."""
