@@ -177,7 +177,7 @@ class PowerLimits:
 
 @dataclass(frozen=True, slots=True)
 class OptimalPowers:
-    """Powers as factors on those of now, (light,), their relative variance, and a bound of how far it is from the least."""
+    """Powers as factors on those of now, (light,), their relative variance, and a bound of its distance from the least."""
 
     powers: Floats
     variance_rel: float
@@ -239,7 +239,7 @@ def most_even(spread: Floats, level: Floats, limits: PowerLimits) -> OptimalPowe
 
 def _last_of(size: int) -> Floats:
     """Return the unit vector of the last axis."""
-    return np.eye(size)[-1]
+    return np.asarray(np.eye(size)[-1])
 
 
 def _corner(gradient: Floats, level: Floats, limits: PowerLimits) -> Floats:
@@ -351,7 +351,7 @@ def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: in
 
 def _variation(spread: Floats, level: Floats, powers: Floats) -> float:
     """Return the relative standard deviation; 0 where it is within the noise."""
-    return float(np.sqrt(max(powers @ spread @ powers, 0.0)) / (level @ powers))
+    return float(np.sqrt(np.maximum(powers @ spread @ powers, 0.0)) / (level @ powers))
 
 
 @dataclass(frozen=True, slots=True)
@@ -421,7 +421,6 @@ def light_powers(
         )
         for k, one in enumerate(lights)
     )  # fmt: skip
-    is_finger = isinstance(subject, FingerDesign)
     record = LightPowers(
         name=f"{subject.name}, lights",
         sentence="",
@@ -439,8 +438,8 @@ def light_powers(
         basis_u=basis.mean_u,
         power_draws=found.power_draws,
         map=mapped,
-        design=subject if is_finger else None,
-        sensor=None if is_finger else subject,
+        design=subject if isinstance(subject, FingerDesign) else None,
+        sensor=subject if isinstance(subject, PlainSensor) else None,
         notes=_NOTES,
     )
     return record.model_copy(update={"sentence": powers_sentence(record)})
