@@ -177,7 +177,7 @@ class PowerLimits:
 
 @dataclass(frozen=True, slots=True)
 class OptimalPowers:
-    """Powers as factors on those of now, (light,), their relative variance, and a bound of its distance from the least."""
+    """Powers as factors on those of now, (light,), their relative variance, and a bound of how far below it any is."""
 
     powers: Floats
     variance_rel: float
