@@ -1,6 +1,6 @@
 """Whether the angle that was decided on from a few places is the best of brute force over many, interpolating nothing.
 
-    finray simulate sweep flat-70x35.toml --paint red=RED --paint green=GREEN --angles 4:64:3 \\
+    finray simulate sweep flat-70x35.toml --paint red=RED --paint green=GREEN --angles 4:49:3 \\
         --positions $(python -c "print(','.join(f'{8 + 56 * k / 44:.3f}' for k in range(45)))") \\
         --seed 7 --out brute/b.sweep.json
     python benchmarks/brute_force_angle.py light-angle-decision.json brute/b.*mm.sweep.json

@@ -140,14 +140,14 @@ class PowerLimits:
         Of each light, (light,).
     share
         Of each light in the power of all now, (light,), sum 1.
-    total
+    total_rel
         Largest power of all lights together, relative to now.
     """
 
     low: Floats
     high: Floats
     share: Floats
-    total: float = 1.0
+    total_rel: float = 1.0
 
     def __post_init__(self) -> None:
         """Check that powers exist.
@@ -163,25 +163,25 @@ class PowerLimits:
                 f"{self.high.tolist()}"
             )
         least = float(self.share @ self.low)
-        if self.total <= 0.0 or least > self.total:
+        if self.total_rel <= 0.0 or least > self.total_rel:
             raise DecideError(
                 f"the lowest powers together are {least:.3g} of those now, more than the total allows "
-                f"({self.total:.3g}); lower the lower limit or raise the total"
+                f"({self.total_rel:.3g}); lower the lower limit or raise the total"
             )
 
     def brightest(self, direction: Floats) -> Floats:
         """Return the largest allowed powers in these proportions."""
-        used = max(float((direction / self.high).max()), float(self.share @ direction) / self.total)
+        used = max(float((direction / self.high).max()), float(self.share @ direction) / self.total_rel)
         return np.asarray(direction / used)
 
 
 @dataclass(frozen=True, slots=True)
 class OptimalPowers:
-    """Powers as factors on those of now, (light,), their relative variance, and by how much none can be below it."""
+    """Powers as factors on those of now, (light,), their relative variance, and a bound of how far below it any is."""
 
     powers: Floats
-    variance: float
-    gap: float
+    variance_rel: float
+    gap_rel: float
 
 
 def most_even(spread: Floats, level: Floats, limits: PowerLimits) -> OptimalPowers:
@@ -239,7 +239,7 @@ def most_even(spread: Floats, level: Floats, limits: PowerLimits) -> OptimalPowe
 
 def _last_of(size: int) -> Floats:
     """Return the unit vector of the last axis."""
-    return np.eye(size)[-1]
+    return np.asarray(np.eye(size)[-1])
 
 
 def _corner(gradient: Floats, level: Floats, limits: PowerLimits) -> Floats:
@@ -248,7 +248,7 @@ def _corner(gradient: Floats, level: Floats, limits: PowerLimits) -> Floats:
     lines = np.vstack([
         np.column_stack([np.eye(count), -limits.high]),
         np.column_stack([-np.eye(count), limits.low]),
-        np.append(limits.share, -limits.total),
+        np.append(limits.share, -limits.total_rel),
     ])  # fmt: skip
     largest = float(np.abs(gradient).max()) or 1.0
     found = linprog(
@@ -268,7 +268,7 @@ class EvenPowers:
     ----------
     powers
         Recommended, factors on those of now, (light,).
-    variation_now, variation
+    variation_now_rel, variation_rel
         Standard deviation over the places of the brightness over its mean, each state by itself, with the powers of
         now and the recommended ones.
     gap_rel
@@ -282,8 +282,8 @@ class EvenPowers:
     """
 
     powers: Floats
-    variation_now: float
-    variation: float
+    variation_now_rel: float
+    variation_rel: float
     gap_rel: float
     power_draws: Floats
     variation_now_draws: Floats
@@ -338,10 +338,10 @@ def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: in
     spread, level = basis.spread(mean) - noise, basis.level(mean)
     return EvenPowers(
         powers=best.powers,
-        variation_now=_variation(spread, level, now),
-        variation=_variation(spread, level, best.powers),
+        variation_now_rel=_variation(spread, level, now),
+        variation_rel=_variation(spread, level, best.powers),
         # of a root half as much
-        gap_rel=0.5 * best.gap / best.variance if best.variance > 0.0 else 0.0,
+        gap_rel=0.5 * best.gap_rel / best.variance_rel if best.variance_rel > 0.0 else 0.0,
         power_draws=found,
         variation_now_draws=variation[0],
         variation_draws=variation[1],
@@ -351,7 +351,7 @@ def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: in
 
 def _variation(spread: Floats, level: Floats, powers: Floats) -> float:
     """Return the relative standard deviation; 0 where it is within the noise."""
-    return float(np.sqrt(max(powers @ spread @ powers, 0.0)) / (level @ powers))
+    return float(np.sqrt(np.maximum(powers @ spread @ powers, 0.0)) / (level @ powers))
 
 
 @dataclass(frozen=True, slots=True)
@@ -421,12 +421,11 @@ def light_powers(
         )
         for k, one in enumerate(lights)
     )  # fmt: skip
-    is_finger = isinstance(subject, FingerDesign)
     record = LightPowers(
         name=f"{subject.name}, lights",
         sentence="",
         rows=rows,
-        total_rel=limits.total,
+        total_rel=limits.total_rel,
         variation_now_rel=PropagatedDraws(found.variation_now_draws).as_estimate(),
         variation_rel=PropagatedDraws(found.variation_draws).as_estimate(),
         gain_rel=PropagatedDraws(found.gain_rel_draws).as_estimate(),
@@ -439,8 +438,8 @@ def light_powers(
         basis_u=basis.mean_u,
         power_draws=found.power_draws,
         map=mapped,
-        design=subject if is_finger else None,
-        sensor=None if is_finger else subject,
+        design=subject if isinstance(subject, FingerDesign) else None,
+        sensor=subject if isinstance(subject, PlainSensor) else None,
         notes=_NOTES,
     )
     return record.model_copy(update={"sentence": powers_sentence(record)})

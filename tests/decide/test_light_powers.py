@@ -29,8 +29,8 @@ def test_powers_are_those_of_another_solver_and_meet_the_conditions_of_an_optimu
     spread, level = problem(count, seed)
     found = most_even(spread, level, limits_of(count))
     powers = found.powers
-    assert relative_variance(powers, spread, level) == pytest.approx(found.variance, rel=1e-9)
-    assert found.gap <= 1e-8 * found.variance
+    assert relative_variance(powers, spread, level) == pytest.approx(found.variance_rel, rel=1e-9)
+    assert found.gap_rel <= 1e-8 * found.variance_rel
     starts = np.random.default_rng(seed).uniform(0.3, 1.0, (3, count))
     others = [
         minimize(
@@ -41,11 +41,11 @@ def test_powers_are_those_of_another_solver_and_meet_the_conditions_of_an_optimu
         for start in starts
     ]  # fmt: skip
     # SLSQP stops at its own tolerance, from above
-    assert found.variance <= min(others) * (1.0 + 1e-7)
-    assert found.variance == pytest.approx(min(others), rel=1e-5)
+    assert found.variance_rel <= min(others) * (1.0 + 1e-7)
+    assert found.variance_rel == pytest.approx(min(others), rel=1e-5)
     # Karush, Kuhn and Tucker: the gradient is a sum of normals of the limits that are reached, none negative
     slope = level @ powers
-    gradient = 2.0 * (spread @ powers / slope**2 - found.variance * level / slope)
+    gradient = 2.0 * (spread @ powers / slope**2 - found.variance_rel * level / slope)
     active = [np.eye(count)[k] for k in range(count) if powers[k] < LOW * (1.0 + 1e-7)]
     active += [-np.eye(count)[k] for k in range(count) if powers[k] > HIGH * (1.0 - 1e-7)]
     active += [-np.full(count, 1.0 / count)] if powers.mean() > TOTAL * (1.0 - 1e-7) else []
@@ -67,11 +67,11 @@ def test_the_brightest_of_equally_even_powers_are_taken():
 
 def test_a_perfectly_even_coat_is_found():
     found = most_even(np.zeros((3, 3)), np.ones(3), limits_of(3))
-    assert found.variance == 0.0
+    assert found.variance_rel == 0.0
     rising = np.linspace(0.0, 2.0, 9)
     brightness = np.stack([rising, 2.0 - rising, np.ones(9)])
     found = most_even(np.cov(brightness, bias=True), brightness.mean(axis=1), limits_of(3))
-    assert found.variance < 1e-10
+    assert found.variance_rel < 1e-10
 
 
 def test_limits_that_no_powers_meet_are_refused():
@@ -121,7 +121,9 @@ def test_noise_does_not_count_as_unevenness():
     true, seen = world(1, noise=0.3)
     truth = basis_of(np.repeat(true[None], 3, axis=0))
     now = np.sqrt(relative_variance(np.ones(3), truth.spread(truth.mean), truth.level(truth.mean)))
-    estimates = [even_powers(basis_of(world(seed, 0.3)[1]), limits_of(3), seed, 2).variation_now for seed in range(40)]
+    estimates = [
+        even_powers(basis_of(world(seed, 0.3)[1]), limits_of(3), seed, 2).variation_now_rel for seed in range(40)
+    ]
     error = np.std(estimates, ddof=1) / np.sqrt(40)
     # of squares: the root of an unbiased square is low by half of its relative variance
     assert np.mean(np.square(estimates)) == pytest.approx(now**2, abs=4.0 * 2.0 * now * error)

@@ -572,6 +572,6 @@ def _map_content(found: LightPlaceMap) -> Content:
     return Content(
         light_map_sentence(found),
         picture_rows=((drawing(light_map_figure(found), "error of the normal, evenness and brightness over two numbers",
-                               "Star: least error of the sensed normal. Dots: not distinguishable from it (two standard "
+                               "Star: least error of the sensed normal. Dots: not distinguishable (two standard "
                                "uncertainties). White: cannot be built. All else is as designed, powers as now."),),),
     )  # fmt: skip
