@@ -57,7 +57,7 @@ def test_pictures_become_a_record_and_a_lens(pictures: Path, tmp_path: Path) -> 
     assert record.square_u_rel == pytest.approx(0.001)
     assert len(record.lens_pictures) == 6
     assert f"mm_per_px = {record.middle.mean_mm_per_px:.5g}" in outcome.out
-    assert re.search(r"along x +0\.0\d+ mm/px, u = 0\.1\d%", outcome.out)
+    assert re.search(r"along x +0\.0\d+ mm/px, u = 0\.1\d %", outcome.out)
     # what designs read
     assert read_calibration(tmp_path / "scale.lens.yaml").focal_px == pytest.approx(record.calibration.focal_px)
     assert load(out)["record"]["provenance"]["seed"] == 1

@@ -242,7 +242,7 @@ def test_a_change_across_the_picture_is_no_gain():
     press, capture = pair(6)
     ramp = 1.0 + 0.1 * np.linspace(0.0, 2.0, SHAPE[1])[None, :, None]
     uneven = np.rint(capture.contact * ramp).clip(0, 255).astype(np.uint16)
-    with pytest.raises(CompareError, match=r"across the picture it changes by \d+\.\d%, so it is not a gain"):
+    with pytest.raises(CompareError, match=r"across the picture it changes by \d+\.\d %, so it is not a gain"):
         compare_checked(press, capture.model_copy(update={"contact": uneven}), 1)
 
 

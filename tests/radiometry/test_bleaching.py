@@ -96,7 +96,7 @@ def test_repeat_that_says_nothing_is_ignored(case):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (np.array([1.3, 1.3, 1.3]), r"repeat is \d+ standard deviations brighter \((29|30)\.\d%\)"),
+        (np.array([1.3, 1.3, 1.3]), r"repeat is \d+ standard deviations brighter \((29|30)\.\d %\)"),
         (np.array([0.7, 1.0, 1.0]), r"its channels changed differently, by \d+ standard deviations"),
         (np.array([0.5, 0.5, 0.5]), r"repeat is \d+ standard deviations and 50 % dimmer"),
     ],

@@ -185,7 +185,7 @@ class TestHeightMaps:
         with pytest.raises(SimulateError, match=r"coat.png: cannot be decoded"):
             pressed_coat(with_surface(**png), tmp_path)
         (tmp_path / "coat.stl").write_bytes(stl_bytes(FACETS, CUBE, "cube"))
-        with pytest.raises(SimulateError, match=r"covers \d+% of the pad; a mesh of the coat must cover all of it"):
+        with pytest.raises(SimulateError, match=r"covers \d+ % of the pad; a mesh of the coat must cover all of it"):
             pressed_coat(with_surface(file="coat.stl"), tmp_path)
         (tmp_path / "coat.stl").write_bytes(b"no mesh")
         with pytest.raises(SimulateError, match="neither a binary nor a text STL file"):
