@@ -27,8 +27,7 @@ from scipy.spatial import ConvexHull
 
 from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
 from sim import PRESETS, preset_design
-from sim.mechanics import PressedFinger, PressSettings, press_as_designed, press_finger
-from sim.mechanics._indenters import rigid_indenter
+from sim.mechanics import PressedFinger, PressSettings, press_as_designed, press_finger, rigid_indenter
 from sim.surface_meshes import stl_bytes
 
 DEPTH_MM, INCREMENTS = 5.0, 5
