@@ -240,16 +240,18 @@ def _answered(
     """Let a taught surrogate answer and store that; return False where finite elements are to press instead."""
     from data_schemas import PressSurrogate, SimulateError
     from data_schemas.storage import read_record
-    from sim.experiments import LIMIT_REL, SurrogateFinger
+    from sim.experiments import LIMIT_REL, SurrogateFinger, press_records
 
     limit_rel = LIMIT_REL if arguments.largest_error is None else arguments.largest_error
     taught = read_record(arguments.surrogate, PressSurrogate)
     with naming(SimulateError, arguments.design):
         opened = SurrogateFinger(taught, limit_rel)
-        mechanics, surfaces, pressed, doubt = opened.records(design, arguments.increments or DEFAULT_INCREMENTS)
+        pressed, bars, notes, doubt = opened.press_as_designed(design, arguments.increments or DEFAULT_INCREMENTS)
     if doubt:
         warn(f"{arguments.surrogate}: the surrogate's answer is not taken: {doubt}; finite elements press now")
         return False
+    mechanics, surfaces = press_records(design, pressed, taught.preset, taught.label, notes)
+    mechanics = mechanics.model_copy(update={"surrogate": bars})
     _write(mechanics, surfaces, pressed, files, origin, arguments.design.parent)
     return True
 

@@ -24,14 +24,12 @@ from data_schemas import (
     Indenter,
     Preset,
     PressFamily,
-    PressMechanics,
     PressSurrogate,
     SimulateError,
     SurrogateBars,
     TaughtKernel,
     TaughtPress,
 )
-from sim.experiments._mechanical_press import press_records
 from sim.mechanics import (
     Condensation,
     CondensedContact,
@@ -161,8 +159,8 @@ def likeliest_kernel(samples: Floats, products: Floats) -> TaughtKernel:
         misfit += 0.5 * float(((parameters[:width] - np.log(2.0)) ** 2).sum())
         return misfit, kernel.model_copy(update={"variance_rel": variance * scale})
 
-    start = np.log([2.0] * width + [1.0, 1e-4])
-    bounds = [tuple(np.log(pair)) for pair in ([_LENGTHS] * width + [_LINEAR, _NOISE])]
+    start: Floats = np.log(np.array([2.0] * width + [1.0, 1e-4]))
+    bounds = [(float(np.log(low)), float(np.log(high))) for low, high in [*[_LENGTHS] * width, _LINEAR, _NOISE]]
     best = minimize(lambda p: taught(p)[0], start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
     return taught(best.x)[1]
 
@@ -186,7 +184,7 @@ class Samples:
 def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
-    if distance.max() > _SAME_NODE_MM:
+    if np.max(distance) > _SAME_NODE_MM:
         raise SimulateError("the finger's mesh differs on both sides of its middle: it cannot be taught by half")
     return np.asarray(image)
 
@@ -519,8 +517,8 @@ class SurrogateFinger:
         self.finger = CondensedFinger(record.design, record.preset, condensed)
         self._surface = Process(record.surface_kernel, record.sample_features)
         self._force = Process(record.force_kernel, record.sample_features)
-        self._surface_inverse = np.linalg.inv(self._surface.matrix)
-        self._force_inverse = np.linalg.inv(self._force.matrix)
+        self._surface_inverse: Floats = np.asarray(np.linalg.inv(self._surface.matrix), np.float64)
+        self._force_inverse: Floats = np.asarray(np.linalg.inv(self._force.matrix), np.float64)
 
     def press(self, indenter: Indenter) -> SurrogatePress:
         """Return the answer to a press, in some 20 ms of processor time on the coarse 70 x 35 finger.
@@ -625,10 +623,10 @@ class SurrogateFinger:
             kind="penalty",
         )
 
-    def records(
+    def press_as_designed(
         self, design: FingerDesign, increments: int
-    ) -> tuple[PressMechanics, FingerSurfaces, PressedFinger, str]:
-        """Return the press of a design as records, as the press that pictures are made of, and why to doubt it.
+    ) -> tuple[PressedFinger, SurrogateBars, tuple[str, ...], str]:
+        """Return the press of a design with its bars, for :func:`~sim.experiments.press_records`; notes; any doubt.
 
         With the pushes on its way, as far as they are in the family.
 
@@ -656,8 +654,7 @@ class SurrogateFinger:
             f"coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the finite elements that taught it",
             "energies are not told; pressures are those of the condensed contact, made to add up to the force",
         )
-        mechanics, surfaces = press_records(design, pressed, self.record.preset, self.record.label, notes)
-        return mechanics.model_copy(update={"surrogate": bars}), surfaces, pressed, last.doubt
+        return pressed, bars, notes, last.doubt
 
     def check_design(self, design: FingerDesign) -> None:
         """Check that a design is the finger that was taught, else raise SimulateError; its indenter may be another."""
