@@ -523,6 +523,13 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--engine", choices=["auto", "calculix"], default="auto",
         help="auto (default): the elements here; calculix: the program CalculiX",
     )  # fmt: skip
+    _add_surrogate(parser)
+    add_out(parser, "NAME.mechanics.json, with the others beside it")
+    parser.set_defaults(run=run_press, long_work=_long_press)
+
+
+def _add_surrogate(parser: argparse.ArgumentParser) -> None:
+    """Add what lets a surrogate answer."""
     parser.add_argument(
         "--surrogate", type=Path, metavar="FILE",
         help="let a surrogate that 'finray simulate teach' made answer, with error bars; finite elements press where "
@@ -533,8 +540,6 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="bar of a surrogate's force or surface, over the force or the surface's displacement, from which finite "
         "elements press instead (default: 0.1)",
     )  # fmt: skip
-    add_out(parser, "NAME.mechanics.json, with the others beside it")
-    parser.set_defaults(run=run_press, long_work=_long_press)
 
 
 def _long_press(arguments: argparse.Namespace) -> LongWork:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -416,6 +416,21 @@ def press_to_teach(
     )
 
 
+def _bars(learned: _Learned, samples: Samples) -> dict[str, Any]:
+    """Return the bars, and the errors of presses left out, as fields of the record."""
+    surface = _left_out(learned.surface, learned.surface_products, samples.press)
+    force = _left_out(learned.force, learned.force_products, samples.press)
+    (surface_bar, surface_floor), (force_bar, force_floor) = (_bar(*left, samples.press) for left in (surface, force))
+    return {
+        "surface_bar_rel": surface_bar,
+        "surface_floor_rel": surface_floor,
+        "force_bar_rel": force_bar,
+        "force_floor_rel": force_floor,
+        "left_out_surface_rel": surface[0] / samples.own_rel,
+        "left_out_force_rel": force[0] / samples.force_rel,
+    }
+
+
 def _surrogate(
     design: FingerDesign,
     preset: Preset,
@@ -430,9 +445,6 @@ def _surrogate(
     values, vectors = np.linalg.eigh(np.asarray(rests @ rests.T, dtype=np.float64))
     kept = np.argsort(values)[::-1][: min(_MOST_MODES, len(samples))]
     modes = ((vectors[:, kept] / np.sqrt(np.maximum(values[kept], np.finfo(float).tiny))).T @ rests).astype(np.float32)
-    surface = _left_out(learned.surface, learned.surface_products, samples.press)
-    force = _left_out(learned.force, learned.force_products, samples.press)
-    surface_bar, force_bar = (_bar(*left, samples.press) for left in (surface, force))
     presses = int(samples.press.max()) + 1
     return PressSurrogate(
         name=f"{design.name}, taught by {presses} presses",
@@ -440,11 +452,11 @@ def _surrogate(
         preset=preset,
         design=design,
         family=family,
+        presses=presses,
         compliance_mm_per_n=condensed.compliance_mm_per_n,
         shapes=condensed.shapes,
         shape_compliance_mm_per_n=condensed.shape_compliance_mm_per_n,
         shapes_rest_rel=condensed.far_rest_rel,
-        presses=presses,
         sample_press=samples.press,
         sample_features=samples.features,
         modes=modes,
@@ -454,12 +466,7 @@ def _surrogate(
         surface_kernel=learned.surface.kernel,
         force_kernel=learned.force.kernel,
         level_share=LEVEL,
-        surface_bar_rel=surface_bar[0],
-        surface_floor_rel=surface_bar[1],
-        force_bar_rel=force_bar[0],
-        force_floor_rel=force_bar[1],
-        left_out_surface_rel=surface[0] / samples.own_rel,
-        left_out_force_rel=force[0] / samples.force_rel,
+        **_bars(learned, samples),
         crossed_features=samples.crossed if len(samples.crossed) else None,
         processor_s=processor_s,
     )
