@@ -381,10 +381,8 @@ def _check_same_press(press: TaughtPress, wanted: FingerDesign, preset: Preset, 
     """Check that a press, which may have been stored, is the one that is wanted."""
     same = press.preset == preset and press.design.indenter == wanted.indenter
     if not same or _differs(press.design, wanted):
-        raise SimulateError(
-            f"press {number + 1} that is stored is of another design, mesh or version; give another --out, or remove "
-            "the folder of its presses"
-        )
+        what = f"press {number + 1} that is stored is of another design, mesh or version"
+        raise SimulateError(f"{what}; give another --out, or remove the folder of its presses")
 
 
 def press_to_teach(
@@ -485,8 +483,7 @@ class SurrogatePress:
     displacement_mm, force_n
         Of the mesh's nodes (n, 3); on the indenter (3,).
     force_bar_n, surface_bar_mm
-        Half widths that hold the error of the force along the normal, and the root mean square error over the coat,
-        in 95 % of presses.
+        They hold the force's error along the normal, and the root mean square one of the coat, in 95 % of presses.
     doubt
         Why finite elements should press instead; empty where the answer is good.
     """
