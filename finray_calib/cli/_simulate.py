@@ -86,7 +86,7 @@ TEACH_DESCRIPTION = """\
 Teach a surrogate that answers presses of the design's finger in milliseconds, each with error bars, for 'finray
 simulate press --surrogate': by a cylinder or a ball of 6 to 20 mm radius, along the middle of the pad, off its middle
 line, turned, 0.5 to 4 mm deep, without friction. The finger is condensed to its coat once; presses by finite elements,
-each where least is known, teach the rest. They are kept: the same command goes on after the last one."""
+each where least is known, teach the rest. They are kept: the same command continues after the last one."""
 
 
 def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -102,7 +102,7 @@ def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def _long_teach(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
-    kept = "Finished presses are kept: the same command goes on after the last one"
+    kept = "Finished presses are kept: the same command continues after the last one"
     return LongWork("the teaching of a surrogate", kept, arguments.out)
 
 
@@ -150,7 +150,7 @@ def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     import numpy as np
 
     wrote(out, taught.label)
-    wrote(kept, "the presses that taught it; a command with more --presses and this --out's name goes on with them")
+    wrote(kept, "the presses that taught it; a command with more --presses and this --out's name continues with them")
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():

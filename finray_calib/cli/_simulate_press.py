@@ -240,16 +240,18 @@ def _answered(
     """Let a taught surrogate answer and store that; return False where finite elements are to press instead."""
     from data_schemas import PressSurrogate, SimulateError
     from data_schemas.storage import read_record
-    from sim.experiments import LIMIT_REL, SurrogateFinger
+    from sim.experiments import LIMIT_REL, SurrogateFinger, press_records
 
     limit_rel = LIMIT_REL if arguments.largest_error is None else arguments.largest_error
     taught = read_record(arguments.surrogate, PressSurrogate)
     with naming(SimulateError, arguments.design):
         opened = SurrogateFinger(taught, limit_rel)
-        mechanics, surfaces, pressed, doubt = opened.records(design, arguments.increments or DEFAULT_INCREMENTS)
+        pressed, bars, notes, doubt = opened.press_as_designed(design, arguments.increments or DEFAULT_INCREMENTS)
     if doubt:
         warn(f"{arguments.surrogate}: the surrogate's answer is not taken: {doubt}; finite elements press now")
         return False
+    mechanics, surfaces = press_records(design, pressed, taught.preset, taught.label, notes)
+    mechanics = mechanics.model_copy(update={"surrogate": bars})
     _write(mechanics, surfaces, pressed, files, origin, arguments.design.parent)
     return True
 
@@ -531,6 +533,13 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--engine", choices=["auto", "calculix"], default="auto",
         help="auto (default): finray's own elements; calculix: the program CalculiX",
     )  # fmt: skip
+    _add_surrogate(parser)
+    add_out(parser, "NAME.mechanics.json, with the others beside it")
+    parser.set_defaults(run=run_press, long_work=_long_press)
+
+
+def _add_surrogate(parser: argparse.ArgumentParser) -> None:
+    """Add what lets a surrogate answer."""
     parser.add_argument(
         "--surrogate", type=Path, metavar="FILE",
         help="let a surrogate that 'finray simulate teach' made answer, with error bars; finite elements press where "
@@ -541,8 +550,6 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="bar of a surrogate's force or surface, over the force or the surface's displacement, from which finite "
         "elements press instead (default: 0.1)",
     )  # fmt: skip
-    add_out(parser, "NAME.mechanics.json, with the others beside it")
-    parser.set_defaults(run=run_press, long_work=_long_press)
 
 
 def _long_press(arguments: argparse.Namespace) -> LongWork:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +24,12 @@ from data_schemas import (
     Indenter,
     Preset,
     PressFamily,
-    PressMechanics,
     PressSurrogate,
     SimulateError,
     SurrogateBars,
     TaughtKernel,
     TaughtPress,
 )
-from sim.experiments._mechanical_press import press_records
 from sim.mechanics import (
     Condensation,
     CondensedContact,
@@ -161,8 +159,8 @@ def likeliest_kernel(samples: Floats, products: Floats) -> TaughtKernel:
         misfit += 0.5 * float(((parameters[:width] - np.log(2.0)) ** 2).sum())
         return misfit, kernel.model_copy(update={"variance_rel": variance * scale})
 
-    start = np.log([2.0] * width + [1.0, 1e-4])
-    bounds = [tuple(np.log(pair)) for pair in ([_LENGTHS] * width + [_LINEAR, _NOISE])]
+    start: Floats = np.log(np.array([2.0] * width + [1.0, 1e-4]))
+    bounds = [(float(np.log(low)), float(np.log(high))) for low, high in [*[_LENGTHS] * width, _LINEAR, _NOISE]]
     best = minimize(lambda p: taught(p)[0], start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
     return taught(best.x)[1]
 
@@ -186,7 +184,7 @@ class Samples:
 def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
-    if distance.max() > _SAME_NODE_MM:
+    if np.max(distance) > _SAME_NODE_MM:
         raise SimulateError("the finger's mesh differs on both sides of its middle: it cannot be taught by half")
     return np.asarray(image)
 
@@ -383,10 +381,8 @@ def _check_same_press(press: TaughtPress, wanted: FingerDesign, preset: Preset, 
     """Check that a press, which may have been stored, is the one that is wanted."""
     same = press.preset == preset and press.design.indenter == wanted.indenter
     if not same or _differs(press.design, wanted):
-        raise SimulateError(
-            f"press {number + 1} that is stored is of another design, mesh or version; give another --out, or remove "
-            "the folder of its presses"
-        )
+        what = f"press {number + 1} that is stored is of another design, mesh or version"
+        raise SimulateError(f"{what}; give another --out, or remove the folder of its presses")
 
 
 def press_to_teach(
@@ -418,6 +414,21 @@ def press_to_teach(
     )
 
 
+def _bars(learned: _Learned, samples: Samples) -> dict[str, Any]:
+    """Return the bars, and the errors of presses left out, as fields of the record."""
+    surface = _left_out(learned.surface, learned.surface_products, samples.press)
+    force = _left_out(learned.force, learned.force_products, samples.press)
+    (surface_bar, surface_floor), (force_bar, force_floor) = (_bar(*left, samples.press) for left in (surface, force))
+    return {
+        "surface_bar_rel": surface_bar,
+        "surface_floor_rel": surface_floor,
+        "force_bar_rel": force_bar,
+        "force_floor_rel": force_floor,
+        "left_out_surface_rel": surface[0] / samples.own_rel,
+        "left_out_force_rel": force[0] / samples.force_rel,
+    }
+
+
 def _surrogate(
     design: FingerDesign,
     preset: Preset,
@@ -432,9 +443,6 @@ def _surrogate(
     values, vectors = np.linalg.eigh(np.asarray(rests @ rests.T, dtype=np.float64))
     kept = np.argsort(values)[::-1][: min(_MOST_MODES, len(samples))]
     modes = ((vectors[:, kept] / np.sqrt(np.maximum(values[kept], np.finfo(float).tiny))).T @ rests).astype(np.float32)
-    surface = _left_out(learned.surface, learned.surface_products, samples.press)
-    force = _left_out(learned.force, learned.force_products, samples.press)
-    surface_bar, force_bar = (_bar(*left, samples.press) for left in (surface, force))
     presses = int(samples.press.max()) + 1
     return PressSurrogate(
         name=f"{design.name}, taught by {presses} presses",
@@ -442,11 +450,11 @@ def _surrogate(
         preset=preset,
         design=design,
         family=family,
+        presses=presses,
         compliance_mm_per_n=condensed.compliance_mm_per_n,
         shapes=condensed.shapes,
         shape_compliance_mm_per_n=condensed.shape_compliance_mm_per_n,
         shapes_rest_rel=condensed.far_rest_rel,
-        presses=presses,
         sample_press=samples.press,
         sample_features=samples.features,
         modes=modes,
@@ -456,12 +464,7 @@ def _surrogate(
         surface_kernel=learned.surface.kernel,
         force_kernel=learned.force.kernel,
         level_share=LEVEL,
-        surface_bar_rel=surface_bar[0],
-        surface_floor_rel=surface_bar[1],
-        force_bar_rel=force_bar[0],
-        force_floor_rel=force_bar[1],
-        left_out_surface_rel=surface[0] / samples.own_rel,
-        left_out_force_rel=force[0] / samples.force_rel,
+        **_bars(learned, samples),
         crossed_features=samples.crossed if len(samples.crossed) else None,
         processor_s=processor_s,
     )
@@ -480,8 +483,7 @@ class SurrogatePress:
     displacement_mm, force_n
         Of the mesh's nodes (n, 3); on the indenter (3,).
     force_bar_n, surface_bar_mm
-        Half widths that hold the error of the force along the normal, and the root mean square error over the coat,
-        in 95 % of presses.
+        They hold the force's error along the normal, and the root mean square one of the coat, in 95 % of presses.
     doubt
         Why finite elements should press instead; empty where the answer is good.
     """
@@ -519,8 +521,8 @@ class SurrogateFinger:
         self.finger = CondensedFinger(record.design, record.preset, condensed)
         self._surface = Process(record.surface_kernel, record.sample_features)
         self._force = Process(record.force_kernel, record.sample_features)
-        self._surface_inverse = np.linalg.inv(self._surface.matrix)
-        self._force_inverse = np.linalg.inv(self._force.matrix)
+        self._surface_inverse: Floats = np.asarray(np.linalg.inv(self._surface.matrix), np.float64)
+        self._force_inverse: Floats = np.asarray(np.linalg.inv(self._force.matrix), np.float64)
 
     def press(self, indenter: Indenter) -> SurrogatePress:
         """Return the answer to a press, in some 20 ms of processor time on the coarse 70 x 35 finger.
@@ -625,10 +627,10 @@ class SurrogateFinger:
             kind="penalty",
         )
 
-    def records(
+    def press_as_designed(
         self, design: FingerDesign, increments: int
-    ) -> tuple[PressMechanics, FingerSurfaces, PressedFinger, str]:
-        """Return the press of a design as records, as the press that pictures are made of, and why to doubt it.
+    ) -> tuple[PressedFinger, SurrogateBars, tuple[str, ...], str]:
+        """Return the press of a design with its bars, for :func:`~sim.experiments.press_records`; notes; any doubt.
 
         With the pushes on its way, as far as they are in the family.
 
@@ -656,8 +658,7 @@ class SurrogateFinger:
             f"coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the finite elements that taught it",
             "energies are not told; pressures are those of the condensed contact, made to add up to the force",
         )
-        mechanics, surfaces = press_records(design, pressed, self.record.preset, self.record.label, notes)
-        return mechanics.model_copy(update={"surrogate": bars}), surfaces, pressed, last.doubt
+        return pressed, bars, notes, last.doubt
 
     def check_design(self, design: FingerDesign) -> None:
         """Check that a design is the finger that was taught, else raise SimulateError; its indenter may be another."""

@@ -20,7 +20,14 @@ from data_schemas import (
 )
 from data_schemas.storage import read_record
 from sim import read_design
-from sim.experiments import SurrogateFinger, TeachSettings, candidate_presses, press_family, teach_surrogate
+from sim.experiments import (
+    SurrogateFinger,
+    TeachSettings,
+    candidate_presses,
+    press_family,
+    press_records,
+    teach_surrogate,
+)
 from sim.experiments import _press_surrogate as surrogate
 from sim.mechanics import (
     STEPS,
@@ -241,14 +248,14 @@ def test_the_presses_beyond_the_first_are_those_least_known(design: FingerDesign
 
 def test_surfaces_are_those_of_the_records(design: FingerDesign, taught: PressSurrogate) -> None:
     opened = SurrogateFinger(taught, limit_rel=1.0)
-    mechanics, surfaces, _, doubt = opened.records(design, 2)
+    pressed, bars, notes, doubt = opened.press_as_designed(design, 2)
+    mechanics, surfaces = press_records(design, pressed, "coarse", taught.label, notes)
     quick = opened.surfaces(opened.press(design.indenter))
     np.testing.assert_allclose(quick.vertices_mm, surfaces.vertices_mm, atol=1e-12)
     np.testing.assert_array_equal(quick.triangles, surfaces.triangles)
     np.testing.assert_allclose(quick.contact_distance, surfaces.contact_distance)
     assert not doubt
-    assert mechanics.surrogate is not None
-    assert mechanics.surrogate.presses == PRESSES
+    assert bars.presses == PRESSES
     np.testing.assert_allclose(mechanics.depth_mm, [1.0, 2.0])
 
 
