@@ -110,8 +110,10 @@ if TYPE_CHECKING:
         SensorScene,
         changed_numbers,
         light_by_light,
+        light_paths,
         powered_lights,
         value_at,
+        with_one_panel,
     )
     from sim.experiments._sensor_press import (
         BallPresses,
@@ -196,6 +198,7 @@ __all__ = [
     "is_of_light",
     "light_angle_sweep",
     "light_by_light",
+    "light_paths",
     "map_axis",
     "map_designs",
     "paint_finger",
@@ -233,4 +236,5 @@ __all__ = [
     "usual_parameters",
     "value_at",
     "varied_finger",
+    "with_one_panel",
 ]

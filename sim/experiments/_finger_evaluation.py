@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from data_schemas import CameraCalibration, FingerDesign, NormalErrorChange, SimulateError
 from finray_calib.decide import LightBasis, error_change
 from finray_calib.sensing import uniformity
+from sim.experiments import light_paths, with_one_panel
 from sim.experiments._light_angle import (
     OTHER_TILTS_DEG,
     POINTS_ACROSS,
@@ -40,7 +41,6 @@ from sim.experiments._light_angle import (
 from sim.experiments._optics_products import tactile_sensor
 from sim.experiments._paint_choice import BareFinger, PaintDraws, PaintEmission, camera_column, camera_radiance
 from sim.experiments._painted_finger import COLOURS, CameraResponse
-from sim.experiments._sensor_layers import light_paths, with_one_panel
 from sim.optics import (
     BAND_NAMES,
     SCALAR_VARIANT,
