@@ -493,3 +493,11 @@ class LightPowers(Record):
             raise ValueError("light powers are of a finger (design) or of a classic sensor (sensor), of one of them")
         check_dimensions(self)
         return self
+
+    @property
+    def subject(self) -> FingerDesign | PlainSensor:
+        """Whose lights they are."""
+        subject = self.design or self.sensor
+        if subject is None:  # the validator has refused it
+            raise AttributeError("light powers without a design")
+        return subject

@@ -327,8 +327,7 @@ def _store_powers(out: Path, record: "LightPowers", origin: "Provenance") -> Non
     from sim.experiments import changed_numbers
 
     page, file = new_page_beside(out), require_new(out.with_suffix(".toml"))
-    now = record.design or record.sensor
-    changed = changed_numbers(now, {row.field: round(row.power_rel, 4) for row in record.rows})
+    changed = changed_numbers(record.subject, {row.field: round(row.power_rel, 4) for row in record.rows})
     text = design_toml(changed) if isinstance(changed, FingerDesign) else sensor_toml(changed)
     with ProductSet(out) as products:
         products.add(page, light_powers_page(record, origin.command, origin.input_sha256).encode())

@@ -27,9 +27,11 @@ from data_schemas import (
     ForceInput,
     ForcePoint,
     ForceRow,
+    ForceSlope,
     ForceThird,
     Interval,
     PressMechanics,
+    VariedPress,
 )
 from finray_calib.force._force_curves import ForceCurve, MeasuredForce, log_sensitivity
 
@@ -85,9 +87,10 @@ def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
     """Return the uncertain inputs of a press at pushes (n,): those whose effect it tells."""
     again = press.sensitivities
     varied = again.varied if again is not None else ()
-    known = [*(again.slopes if again is not None else ()), *(v for v in varied if len(v.depth_mm) > 1)]
+    known: list[ForceSlope | VariedPress] = list(again.slopes if again is not None else ())
+    known += [v for v in varied if len(v.depth_mm) > 1]
     effects = [log_sensitivity(again, v, depth_mm) for v in known] if again is not None else []
-    stated = set(press.design.uncertainty_rel) - {v.field for v in (*known, *varied)}
+    stated = set(press.design.uncertainty_rel) - {v.field for v in known} - {v.field for v in varied}
     uncertain = [input_uncertainty(press.design, v.field) for v in known]
     return ForceInputs(
         names=tuple(v.field for v in known),

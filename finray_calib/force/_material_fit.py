@@ -223,7 +223,7 @@ class _Problem:
         touch, _, scale = self.nuisances(curve, theta).T
         push = self.curves[curve].displacement_mm - touch[:, None]
         model = self.models[curve]
-        return np.exp(scale)[:, None] * model.force_n(self.moduli_of(model, theta), push)
+        return np.asarray(np.exp(scale)[:, None] * model.force_n(self.moduli_of(model, theta), push))
 
     def log_posterior(self, theta: Floats) -> Floats:
         """Return the log density (m,) of parameters (m, D), b_0 and b_1 integrated."""
@@ -353,7 +353,8 @@ def _maxima(problem: _Problem) -> Maxima:
     """Return the greatest densities at some K/mu each, with the curvature of all parameters there."""
     prior = problem.prior
     unit = np.where(np.isfinite(prior.high - prior.low), np.minimum(prior.sd, 0.1 * (prior.high - prior.low)), prior.sd)
-    bulks = np.linspace(*np.log(BULK_RANGE), _STARTS_BULK + 2)[1:-1]
+    low, high = (float(np.log(end)) for end in BULK_RANGE)
+    bulks = np.linspace(low, high, _STARTS_BULK + 2)[1:-1]
     free = np.array([k for k in range(prior.size) if k != 1])
     found = []
     for bulk in bulks:
@@ -381,7 +382,8 @@ def _maxima(problem: _Problem) -> Maxima:
 def _first_gel(problem: _Problem, bulk_ln: float) -> float:
     """Return the ln C10 at which the computed work of the first curve is the measured one."""
     curve, model = problem.curves[0], problem.models[0]
-    ln_gel = np.linspace(*np.log(GEL_RANGE_MPA), 60)
+    low, high = (float(np.log(end)) for end in GEL_RANGE_MPA)
+    ln_gel = np.linspace(low, high, 60)
     rows = np.column_stack([ln_gel, np.full(60, bulk_ln), np.tile(np.log(model.others_reference), (60, 1))])
     push = np.maximum(curve.displacement_mm, 0.0)
     whole = model.force_n(rows, np.tile(push, (60, 1))).sum(axis=1)

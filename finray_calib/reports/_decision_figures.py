@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import cycle
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,7 +18,6 @@ from data_schemas import (
     LightAngleSweep,
     LightPlaceMap,
     LightPowers,
-    PlainSensor,
     SimulateError,
 )
 from finray_calib.reports._finger_views import FingerOutline, draw_body, finger_outline
@@ -341,7 +340,7 @@ def _panel(axes: Axes, place_mm: tuple[float, float], angle_deg: float, height_m
 
 #: Two fingers of a map differ where their difference is that many standard uncertainties.
 _REAL_U: Final = 2.0
-_MARGIN_MM: Final = 9.0
+_LIT_MARGIN_MM: Final = 9.0
 _SIDES: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _COLOURS: Final = {"red": CHANNELS[0][2], "green": CHANNELS[1][2], "blue": CHANNELS[2][2], "white": "#d9d9d9"}
 
@@ -350,14 +349,7 @@ def _frame_of(record: LightPowers, number: int) -> PanelFrame:
     """Return where a light stands."""
     if record.sensor is not None:
         return light_frame(record.sensor, record.sensor.lights[number])
-    return panel_frame(_subject(record).lights[number])
-
-
-def _subject(record: LightPowers) -> FingerDesign | PlainSensor:
-    """Return whose lights they are."""
-    if record.design is not None:
-        return record.design
-    return record.sensor or PlainSensor()  # the record holds one of them
+    return panel_frame((record.design or FingerDesign()).lights[number])
 
 
 @styled()
@@ -389,11 +381,11 @@ def _aspect(record: LightPowers) -> float:
 
 def _extent_mm(record: LightPowers) -> tuple[Floats, Floats]:
     """Return the corners (x, z) around pad and lights."""
-    pad = _subject(record).pad
+    pad = record.subject.pad
     corners = [_corners_xz(_frame_of(record, k)) for k in range(len(record.rows))]
     corners.append(np.array([[-pad.width_mm / 2.0, 0.0], [pad.width_mm / 2.0, pad.length_mm]]))
     whole = np.concatenate(corners)
-    return whole.min(axis=0) - _MARGIN_MM, whole.max(axis=0) + _MARGIN_MM
+    return whole.min(axis=0) - _LIT_MARGIN_MM, whole.max(axis=0) + _LIT_MARGIN_MM
 
 
 def _corners_xz(frame: PanelFrame) -> Floats:
@@ -410,12 +402,12 @@ def _over_mean(brightness: Floats, at_rest: int) -> Floats:
 
 def _draw_lit(axes: Axes, record: LightPowers, brightness: Floats, top: float) -> PathCollection:
     """Draw the pad and the brightness of its places, z to the right."""
-    pad = _subject(record).pad
+    pad = record.subject.pad
     axes.add_patch(
         Rectangle((0.0, -pad.width_mm / 2.0), pad.length_mm, pad.width_mm, facecolor="#30363d", edgecolor=MUTED)
     )
     x, z = record.places_mm.T
-    style = {"cmap": "inferno", "vmin": 0.0, "vmax": top, "edgecolors": "white", "linewidths": 0.3}
+    style: dict[str, Any] = {"cmap": "inferno", "vmin": 0.0, "vmax": top, "edgecolors": "white", "linewidths": 0.3}
     rest = slice(None, record.at_rest), slice(record.at_rest, None)
     # a finger is touched where it is looked at at rest: beside each other both can be seen
     aside = 0.022 * pad.length_mm if np.array_equal(record.places_mm[rest[0]], record.places_mm[rest[1]]) else 0.0
@@ -429,9 +421,9 @@ def _draw_lit(axes: Axes, record: LightPowers, brightness: Floats, top: float) -
 
 def _draw_powers(axes: Axes, record: LightPowers, powers: Sequence[float]) -> None:
     """Draw the lights, each with its power."""
-    middle = _subject(record).pad.length_mm / 2.0
+    middle = record.subject.pad.length_mm / 2.0
     for number, power in enumerate(powers):
-        light, frame = _subject(record).lights[number], _frame_of(record, number)
+        light, frame = record.subject.lights[number], _frame_of(record, number)
         colour = _COLOURS[light.channel] if isinstance(light, ColouredLight) else BLUE
         axes.add_patch(
             Polygon(_corners_xz(frame)[:, ::-1], facecolor=colour, edgecolor=colour, linewidth=2.0, zorder=4)

@@ -219,6 +219,8 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
         for k, point in enumerate(shown):
             row, column = divmod(k, columns)
             for below, image in enumerate((point.no_contact, point.contact)):
+                if image is None:
+                    continue
                 axes = figure.add_subplot(2 * rows, columns, (2 * row + below) * columns + column + 1)
                 axes.imshow(to_display(_small(image), white, True), interpolation="bicubic")
                 axes.set_axis_off()
@@ -229,7 +231,7 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
                     axes.set_title(_names(point), fontsize=8, loc="left", color=INK)
         figure.suptitle("Above without contact, below with it", fontsize=8, x=0.01, ha="left", color=MUTED)
         png = png_bytes(figure)
-    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    picture = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR))
     return bytes(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])[1])
 
 

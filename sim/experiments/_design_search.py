@@ -369,10 +369,10 @@ def map_designs(
         raise SimulateError(f"--map: no finger of the map can be built; the first: {refused}")
     best = min(errors.values(), key=lambda one: float(one.mean()))
     mean, above_u = np.full(shape, np.nan), np.full(shape, np.nan)
-    for place, error in errors.items():
-        mean[place] = error.mean()
+    for place, by_draw in errors.items():
+        mean[place] = by_draw.mean()
         # a real finger has one draw of the paints, not the mean of some
-        above_u[place] = (error - best).std(ddof=1) * np.sqrt(1.0 + 1.0 / len(error))
+        above_u[place] = (by_draw - best).std(ddof=1) * np.sqrt(1.0 + 1.0 / len(by_draw))
     return LightPlaceMap(
         fields=(first, second), units=(_unit_of(first), _unit_of(second)), first=at_first, second=at_second,
         normal_error_deg=mean, above_best_u_deg=above_u, evenness_rel=values[0], brightness_rel=values[1],

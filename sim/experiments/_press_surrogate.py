@@ -161,7 +161,11 @@ def likeliest_kernel(samples: Floats, products: Floats) -> TaughtKernel:
 
     start: Floats = np.log(np.array([2.0] * width + [1.0, 1e-4]))
     bounds = [(float(np.log(low)), float(np.log(high))) for low, high in [*[_LENGTHS] * width, _LINEAR, _NOISE]]
-    best = minimize(lambda p: taught(p)[0], start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
+
+    def misfit(parameters: Floats) -> float:
+        return taught(parameters)[0]
+
+    best = minimize(misfit, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
     return taught(best.x)[1]
 
 

@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.interpolate import RegularGridInterpolator
 
-from data_schemas import CHANNELS, ColouredLight, FingerDesign, PaintCalibration, PlainSensor, SimulateError
+from data_schemas import CHANNELS, ColouredLight, FingerDesign, LightPanel, PaintCalibration, PlainSensor, SimulateError
 from finray_calib.decide import LightBasis, PoweredLight
 from sim.experiments import PressedCoat, pressed_coat
 from sim.experiments._painted_finger import COLOURS, PaintedFinger
@@ -38,6 +38,7 @@ from sim.optics import (
 
 Floats = NDArray[np.float64]
 Design = FingerDesign | PlainSensor
+D = TypeVar("D", bound=Design)
 _POWER_U_REL, _BATCH_U_REL = 0.2, 0.1
 _DIM: Final = 1e-6  # power of the other lights while one is rendered
 #: Cells that the middle four fifths of a pad are cut into, about; and pixels that a mean is taken of, at least.
@@ -440,17 +441,16 @@ def powered_lights(design: Design) -> tuple[list[PoweredLight], Floats]:
 
     A panel of radiance L cos^(m-1) along its normal and of area A emits :math:`2 \pi L A / (m + 1)`.
     """
+    lights: tuple[LightPanel | ColouredLight, ...] = design.lights
     found = []
-    for number, (path, light) in enumerate(zip(light_paths(design), design.lights, strict=True), start=1):
+    for number, (path, light) in enumerate(zip(light_paths(design), lights, strict=True), start=1):
         if isinstance(light, ColouredLight):
             words = f"light {number} ({light.channel})"
         else:
             x, _, z = light.position_mm
             words = f"the panel at z = {z:.0f} mm" + (f", x = {x:.0f} mm" if x else "")
         found.append(PoweredLight(f"{path}.power_rel", words, light.power_rel))
-    emitted = np.array(
-        [one.power_rel * one.width_mm * one.height_mm / (one.beam_exponent + 1.0) for one in design.lights]
-    )
+    emitted = np.array([one.power_rel * one.width_mm * one.height_mm / (one.beam_exponent + 1.0) for one in lights])
     return found, emitted / emitted.sum()
 
 
@@ -493,7 +493,7 @@ def value_at(design: Any, name: str) -> Any:
     return design
 
 
-def changed_numbers(design: Design, values: Mapping[str, float]) -> Design:
+def changed_numbers(design: D, values: Mapping[str, float]) -> D:
     """Return a design with values at dotted paths changed.
 
     Raises
@@ -511,7 +511,8 @@ def changed_numbers(design: Design, values: Mapping[str, float]) -> Design:
             place = place[int(part)] if part.isdecimal() else place[part]
         place[last] = value
     try:
-        return type(design).model_validate(whole)
+        changed: D = type(design).model_validate(whole)
+        return changed
     except ValidationError as refused:
         fields = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
         raise SimulateError(

@@ -333,7 +333,7 @@ class TestFilesPeopleWrite:
             ),
             (
                 '[origin]\nxyz = "measured"\n',
-                r"'xyz' is not a field of the design; fields are pad\.parameters, pad\.package, pad\.shape, pad\.length_mm, pad\.width_mm",
+                r"'xyz' is not a field of the design; fields are pad\.parameters, pad\.package, pad\.shape",
             ),
         ],
     )
