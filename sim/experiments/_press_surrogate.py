@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
@@ -144,8 +144,7 @@ def _covariance(first: Floats, second: Floats, lengths: Floats, linear_rel: floa
 def likeliest_kernel(samples: Floats, products: Floats) -> TaughtKernel:
     """Return the kernel of greatest likelihood for values with these products (s, s) among each other.
 
-    The variance is that of greatest likelihood, and the values of all components have it; a weak prior holds lengths
-    near two half widths where the samples say nothing of them.
+    So is the variance, one for all components; a weak prior holds lengths near two half widths.
     """
     count, width = samples.shape
     scale = float(np.trace(products)) / count
@@ -160,13 +159,12 @@ def likeliest_kernel(samples: Floats, products: Floats) -> TaughtKernel:
         return misfit, kernel.model_copy(update={"variance_rel": variance * scale})
 
     start: Floats = np.log(np.array([2.0] * width + [1.0, 1e-4]))
-    bounds = [(float(np.log(low)), float(np.log(high))) for low, high in [*[_LENGTHS] * width, _LINEAR, _NOISE]]
+    limits = Bounds(*np.log(np.array([*[_LENGTHS] * width, _LINEAR, _NOISE])).T)
 
-    def misfit(parameters: Floats) -> float:
+    def misfit_of(parameters: Floats) -> float:
         return taught(parameters)[0]
 
-    best = minimize(misfit, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
-    return taught(best.x)[1]
+    return taught(minimize(misfit_of, start, method="L-BFGS-B", bounds=limits, options={"maxiter": 40}).x)[1]
 
 
 @dataclass(frozen=True, slots=True)
