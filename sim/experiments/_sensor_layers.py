@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Literal, Protocol, TypeVar
+from typing import Any, Final, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -511,8 +511,7 @@ def changed_numbers(design: D, values: Mapping[str, float]) -> D:
             place = place[int(part)] if part.isdecimal() else place[part]
         place[last] = value
     try:
-        changed: D = type(design).model_validate(whole)
-        return changed
+        return cast("D", type(design).model_validate(whole))
     except ValidationError as refused:
         fields = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
         raise SimulateError(
