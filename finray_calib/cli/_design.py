@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._design_search import add_assess, add_lights, add_optimise, add_tolerances
+from finray_calib.cli._decide import add_lights
+from finray_calib.cli._design_search import add_assess, add_optimise, add_tolerances
 from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_engine,

@@ -4,6 +4,7 @@ What goes before it: do the images belong together, and does the camera stand wh
 reader must know, namely what the intervals cover, what they leave out, and what is withheld.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -18,6 +19,7 @@ from data_schemas import (
     MonteCarlo,
     NormalMapRecord,
     ObjectiveError,
+    PackagedMetric,
     PhotometricErrorReport,
     PixelScale,
     SensingError,
@@ -233,7 +235,6 @@ def _report(
     records = region_records(comparison, draws, candidates, images.clipped, capture, conditioned)
     headline = next(row for row in records[-1].rows if row.candidate == "simulation")
     statements = _statements(comparison, images.distance, capture, draws, rng)
-    images_by_name = {name: candidate.image for name, candidate in candidates.items()}
     exposure = None if draws.propagated is None else draws.propagated.draws["exposure"]
     attributed = partial(attribute_error, comparison, images.distance, images.block_px, full_scale_dn(capture))
     red, green, blue = (float(w) for w in comparison.channel_weights)
@@ -264,8 +265,16 @@ def _report(
         withheld=withheld(press, capture, draws.propagated is not None, statements.objective is not None),
         findings=(OWN_NOISE,) if prepared.holds_noise_of_render else (),
         notes=notes_of(press, capture, images.block_px, nuisances),
-        packaged_metrics=tuple(packaged_metric(name, comparison, images_by_name, conditioned) for name in metrics),
+        packaged_metrics=_packaged(metrics, comparison, candidates, conditioned),
     )
+
+
+def _packaged(
+    metrics: tuple[str, ...], comparison: Comparison, candidates: Mapping[str, ShownCandidate], drawn: Drawn | None
+) -> tuple[PackagedMetric, ...]:
+    """Return the metrics of other packages."""
+    images = {name: candidate.image for name, candidate in candidates.items()}
+    return tuple(packaged_metric(name, comparison, images, drawn) for name in metrics)
 
 
 OWN_NOISE: Final = (

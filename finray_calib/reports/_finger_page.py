@@ -6,7 +6,7 @@ A browser draws the parts: triangles, the edges that are seen as lines, colours 
 """
 
 import base64
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -366,6 +366,20 @@ def stiffness_rows(study: FingerStiffness) -> tuple[tuple[str, str, str, str], .
     return tuple(rows)
 
 
+def _assessed_numbers(
+    decision: LightAngleDecision, tolerances: FingerTolerances, rows: Sequence[tuple[str, ...]]
+) -> tuple[KeyNumber, ...]:
+    """Return the three numbers of the first screen."""
+    band, factor = decision.tolerance_deg, tolerances.together_factor
+    around = "" if band is None else f"{band[0]:.0f} to {band[1]:.0f} deg lose little"
+    times = f"over {tolerances.box_factor:.2g}" if factor is None else f"{factor:.2g}"
+    return (
+        KeyNumber("Light angle", f"{decision.angle_deg:.0f} deg", around),
+        KeyNumber("All half-ranges times", times, "95 % of fingers stay within a tenth more error"),
+        KeyNumber("Stiffness under the pad", rows[2][1], rows[2][2]),
+    )
+
+
 def assessment_page(
     decision: LightAngleDecision,
     tolerances: FingerTolerances,
@@ -386,8 +400,7 @@ def assessment_page(
     """
     rows = stiffness_rows(stiffness)
     design, factor = tolerances.design, tolerances.together_factor
-    times = f"over {tolerances.box_factor:.2g}" if factor is None else f"{factor:.2g}"
-    band, words = decision.tolerance_deg, verdict_words(decision).capitalize()
+    words = verdict_words(decision).capitalize()
     length_mm, width_mm = design.pad.length_mm, design.pad.width_mm
     parts = (
         _assessed("Light angle", f"{decision.headline} {words}.", "light-angle-decision.html"),
@@ -409,12 +422,7 @@ def assessment_page(
             light=verdict_light(decision),
             sentence=decision.headline,
             picture=None,
-            key_numbers=(
-                KeyNumber("Light angle", f"{decision.angle_deg:.0f} deg",
-                          "" if band is None else f"{band[0]:.0f} to {band[1]:.0f} deg lose little"),
-                KeyNumber("All half-ranges times", times, "95 % of fingers stay within a tenth more error"),
-                KeyNumber("Stiffness under the pad", rows[2][1], rows[2][2]),
-            ),
+            key_numbers=_assessed_numbers(decision, tolerances, rows),
             parts=parts,
             command=command,
             origin=files_table(digests, package_version()),

@@ -125,6 +125,16 @@ def _jacobi(c: FloatArray, w: FloatArray, v: FloatArray) -> None:
 
 
 @compiled
+def given_energy(parameters: FloatArray, first: FloatArray, second: FloatArray) -> float:
+    """Return psi in MPa and fill psi_i and psi_ij of a law that was evaluated before, from its row."""
+    for i in range(3):
+        first[i] = parameters[2 + i]
+        for j in range(3):
+            second[i, j] = parameters[5 + 3 * i + j]
+    return float(parameters[1])
+
+
+@compiled
 def stretch_energy(
     law: int, parameters: FloatArray, stretch: FloatArray, first: FloatArray, second: FloatArray, curve: FloatArray
 ) -> float:
@@ -135,11 +145,7 @@ def stretch_energy(
             second[i, j] = 0.0
     energy = 0.0
     if law == GIVEN:
-        for i in range(3):
-            first[i] = parameters[2 + i]
-            for j in range(3):
-                second[i, j] = parameters[5 + 3 * i + j]
-        return float(parameters[1])
+        return given_energy(parameters, first, second)
     if law == ST_VENANT_KIRCHHOFF:
         lame, shear = parameters[1], parameters[2]
         trace = 0.5 * ((stretch[0] ** 2 - 1.0) + (stretch[1] ** 2 - 1.0) + (stretch[2] ** 2 - 1.0))
