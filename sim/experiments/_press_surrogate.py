@@ -508,11 +508,6 @@ class SurrogateFinger:
         What :func:`teach_surrogate` returned.
     limit_rel
         A bar over the force, or over the coat's own displacement, from which an answer is doubted.
-
-    Raises
-    ------
-    SimulateError
-        When the record is of a mesh that this version makes no more.
     """
 
     def __init__(self, record: PressSurrogate, limit_rel: float = LIMIT_REL) -> None:
