@@ -195,6 +195,7 @@ if TYPE_CHECKING:
         numbers_of,
         plug_ins,
     )
+    from data_schemas._press_surrogate import PressFamily, PressSurrogate, TaughtKernel, TaughtPress
     from data_schemas._provenance import Provenance, digest_of_input, note_renderer, package_version, provenance
     from data_schemas._radiometry import (
         FEWEST_LEVELS,
@@ -257,17 +258,13 @@ if TYPE_CHECKING:
         KnownInputs,
         LightAngleSweep,
         PoseResponse,
-        PressFamily,
         PressIncrement,
         PressMechanics,
         PressMotion,
         PressSensitivities,
-        PressSurrogate,
         RenderedLight,
         SimulatedPress,
         SurrogateBars,
-        TaughtKernel,
-        TaughtPress,
         VariedPress,
         look_like_radians,
         narrow_sweep_text,

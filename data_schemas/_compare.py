@@ -609,7 +609,7 @@ class MaterialFit(Record):
         description="K of the gel, which a confined block tells although neither of its two factors is told apart"
     )
     curves: tuple[FittedForceCurve, ...]
-    effective_draws: Annotated[float, Field(gt=0.0)]
+    effective_samples: Annotated[float, Field(gt=0.0)]
     pareto_k: float
     trusted: bool = Field(description="the draws cover the posterior, and enough of them count")
     design_toml: str = Field(description="lines of a finger's design with what was measured of the gel; may be empty")

@@ -154,8 +154,8 @@ def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():
-        share = f"{taught.level_share:.0%} by up to {most:.2%}"
-        say(f"  {name}: half of the presses that were left out are off by up to {half:.2%}, {share}")
+        share = f"{100 * taught.level_share:.0f} % by up to {100 * most:.2f} %"
+        say(f"  {name}: half of the presses that were left out are off by up to {100 * half:.2f} %, {share}")
     if taught.crossed_features is not None:
         say("  ribs pass through each other or buckle in some presses: near them finite elements press instead")
     say(f"  {taught.processor_s / 60.0:.1f} min of processor time")

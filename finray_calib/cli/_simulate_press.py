@@ -274,24 +274,16 @@ def _pressed(
         engine = f"CalculiX {calculix_version()}"
         pressed = press_finger_calculix(design, None, count, threads, progress)
         return pressed, {"engine": engine, "notes": calculix_notes(design)}
-    if design.indenter.path:
-        return _moved(arguments, design, threads, progress), {}
-    if arguments.force is not None:
-        from sim.mechanics import PressSettings, press_to_force
+    from sim.mechanics import PressSettings, press_as_designed, press_to_force
 
+    if design.indenter.path:
+        settings = PressSettings(None, count, threads, arguments.contact, arguments.budget)
+        return press_as_designed(design, settings, folder=folder, progress=progress), {}
+    if arguments.force is not None:
         settings = PressSettings(None, count, threads, budget_s=arguments.budget)
         pressed = press_to_force(design, arguments.force, settings, folder=folder, progress=progress)
         return pressed, {"wanted_force_n": arguments.force}
     return _pressed_to_depth(arguments, design, count, resume, increments, origin, progress), {}
-
-
-def _moved(arguments: argparse.Namespace, design: "FingerDesign", threads: int, progress: Progress) -> "PressedFinger":
-    """Move the indenter along the design's path."""
-    from sim.mechanics import PressSettings, press_as_designed
-
-    count = arguments.increments or DEFAULT_INCREMENTS
-    settings = PressSettings(None, count, threads, arguments.contact, arguments.budget)
-    return press_as_designed(design, settings, folder=arguments.design.parent, progress=progress)
 
 
 def _vary(
@@ -454,8 +446,8 @@ def _tell_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     for depth, force, bar, surface in rows:
         say(f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat +- {1e3 * surface:.0f} um")
     say(
-        f"  an answer of a surrogate: in {bars.level_share:.0%} of presses the bars hold its error beside finite "
-        "elements; what those are off by themselves comes on top"
+        f"  a surrogate's answer: in {100 * bars.level_share:.0f} % of presses the bars hold its error beside finite "
+        "elements, whose own errors come on top"
     )
 
 
@@ -482,8 +474,7 @@ def _three(values: "NDArray[np.float64]", digits: str) -> str:
     return " ".join(f"{value:{'7' + digits}}" for value in values + 0.0)
 
 
-LARGEST_FORCE_N = 1000.0
-LARGEST_BUDGET_S = 1e6
+LARGEST_FORCE_N, LARGEST_BUDGET_S = 1000.0, 1e6
 
 
 PRESS_HELP = "press the indenter into a finger by finite elements"

@@ -462,20 +462,20 @@ def powers_sentence(record: LightPowers) -> str:
     if len(record.rows) == 1:
         return (
             f"There is one light, so its power changes no evenness: the brightness of the coat varies by "
-            f"{now.estimate:.0%} over the pad ({now.low95:.0%} to {now.high95:.0%})."
+            f"{100 * now.estimate:.0f} % over the pad ({100 * now.low95:.0f} % to {100 * now.high95:.0f} %)."
         )
     told = ", ".join(f"{row.light} at {row.power_rel:.3g}" for row in record.rows[:_MOST_NAMED])
     more = f" and {len(record.rows) - _MOST_NAMED} more as listed" if len(record.rows) > _MOST_NAMED else ""
     if gain.high95 <= _NO_GAIN:
         sentence = (
             f"No allowed powers are more even: keep {told}{more}, where the brightness of the coat varies by "
-            f"{then.estimate:.0%} over the pad."
+            f"{100 * then.estimate:.0f} % over the pad."
         )
     else:
         sentence = (
-            f"Set {told}{more}: the brightness of the coat then varies by {then.estimate:.0%} over the pad in place of "
-            f"{now.estimate:.0%}, {gain.estimate:.0%} less ({gain.low95:.0%} to {gain.high95:.0%}), at "
-            f"{record.brightness_rel:.2f} times the brightness."
+            f"Set {told}{more}: the brightness of the coat then varies by {100 * then.estimate:.0f} % over the pad in "
+            f"place of {100 * now.estimate:.0f} %, {100 * gain.estimate:.0f} % less ({100 * gain.low95:.0f} to "
+            f"{100 * gain.high95:.0f} %), at {record.brightness_rel:.2f} times the brightness."
         )
     error = record.normal_error
     if error is None:
@@ -483,10 +483,10 @@ def powers_sentence(record: LightPowers) -> str:
     if error.low95_rel <= 0.0 <= error.high95_rel:
         what = "does not change for certain"
     else:
-        what = f"{'grows' if error.change_rel > 0.0 else 'falls'} by {abs(error.change_rel):.1%}"
+        what = f"{'grows' if error.change_rel > 0.0 else 'falls'} by {100 * abs(error.change_rel):.1f} %"
     return (
-        f"{sentence} The expected error of the sensed normal {what} ({error.low95_rel:+.1%} to "
-        f"{error.high95_rel:+.1%}), from {error.now_deg:.2f} to {error.recommended_deg:.2f} deg."
+        f"{sentence} The expected error of the sensed normal {what} ({100 * error.low95_rel:+.1f} to "
+        f"{100 * error.high95_rel:+.1f} %), from {error.now_deg:.2f} to {error.recommended_deg:.2f} deg."
     )
 
 

@@ -74,7 +74,7 @@ class ForceModel:
         Tabulated C10 (g,), and there ln F and d ln F / d ln C10 (g, k); with one C10 alone, a power law.
     bulk, ln_force_bulk, slope_bulk
         The same of K/mu, (b,) and (b, k), at the reference of the rest.
-    bulk_reference
+    bulk_over_shear
         K/mu at which the gel's table is.
     others, others_reference, slope_others
         Further moduli: fields (p,), their values (p,) and d ln F / d ln x (g, p, k).
@@ -92,7 +92,7 @@ class ForceModel:
     bulk: Floats
     ln_force_bulk: Floats
     slope_bulk: Floats
-    bulk_reference: float
+    bulk_over_shear: float
     others: tuple[str, ...] = ()
     others_reference: tuple[float, ...] = ()
     slope_others: Floats | None = None
@@ -149,7 +149,7 @@ class ForceModel:
         """Return ln F (m, k) of logarithms of C10, K/mu and the others (m, 2 + p)."""
         gel, bulk = np.log(self.gel_mpa), np.log(self.bulk)
         out = _cubic(gel, self.ln_force_gel, self.slope_gel, ln_moduli[:, 0])
-        reference = np.array([math.log(self.bulk_reference)])
+        reference = np.array([math.log(self.bulk_over_shear)])
         out = out + _cubic(bulk, self.ln_force_bulk, self.slope_bulk, ln_moduli[:, 1])
         out = out - _cubic(bulk, self.ln_force_bulk, self.slope_bulk, reference)
         if self.slope_others is None or not self.others:
@@ -341,7 +341,7 @@ def fit_material(
         # K = (K/mu) mu with mu = 2 C10
         bulk_modulus_mpa=estimate(2.0 * np.exp(draws[:, 0] + draws[:, 1])),
         curves=tuple(_curve(problem, k, draws, rng) for k in range(len(curves))),
-        effective_draws=float(sample.effective),
+        effective_samples=float(sample.effective),
         pareto_k=float(sample.pareto_k),
         trusted=bool(sample.trusted),
         design_toml=_toml(moduli),
@@ -369,9 +369,9 @@ def _maxima(problem: _Problem) -> Maxima:
         off = float(np.sqrt(((problem.with_drift_n(k, best)[0] - curve.force_n) ** 2).mean()) / curve.force_n.max())
         if not (kept.any() and off < _UNEXPLAINED_REL):
             raise CompareError(
-                f"{curve.name}: no modulus explains this curve; the nearest is off by {off:.0%} of its largest force "
-                f"(rms, {_UNEXPLAINED_REL:.0%} allowed). Are displacements in mm, forces in N, and the specimen as "
-                "given?"
+                f"{curve.name}: no modulus explains this curve; the nearest is off by {100 * off:.0f} % of its largest "
+                f"force (rms, {100 * _UNEXPLAINED_REL:.0f} % allowed). Are displacements in mm, forces in N, and the "
+                "specimen as given?"
             )
     # the components share what K/mu leaves open between them
     apart = float(bulks[1] - bulks[0])
@@ -506,7 +506,9 @@ def _notes(problem: _Problem, moduli: Sequence[FittedModulus], trusted: bool) ->
             "but the same; a confined block of the same gel measures it"
         )
     for curve, model in zip(problem.curves, problem.models, strict=True):
-        notes.append(f"{curve.name}: the computed force may be wrong by {model.scale_u_rel:.1%} (mesh, dimensions)")
+        notes.append(
+            f"{curve.name}: the computed force may be wrong by {100 * model.scale_u_rel:.1f} % (mesh, dimensions)"
+        )
     if not trusted:
         notes.append("the draws are NOT trusted: the intervals may be too narrow; give more points or a longer curve")
     return tuple(notes)

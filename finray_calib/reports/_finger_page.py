@@ -360,7 +360,7 @@ def stiffness_rows(study: FingerStiffness) -> tuple[tuple[str, str, str, str], .
         limits = most = ""
         if changed:
             found = [other for other, _ in changed]
-            limits = f"{min(found):.3g} to {max(found):.3g} with one assumed dimension {study.share:.0%} off"
+            limits = f"{min(found):.3g} to {max(found):.3g} with one assumed dimension {100 * study.share:.0f} % off"
             most = max(changed, key=lambda pair: abs(pair[0] - value))[1].changed
         rows.append((name, f"{value:.3g} {unit}", limits, most))
     return tuple(rows)

@@ -571,7 +571,7 @@ class SurrogateFinger:
         """Return why an answer is not to be taken."""
         for what, share in zip(("force", "surface"), shares, strict=True):
             if not share <= self.limit_rel:
-                return f"its {what} may be off by {share:.1%}, and {self.limit_rel:.1%} is the limit"
+                return f"its {what} may be off by {100 * share:.1f} %, and {100 * self.limit_rel:.1f} % is the limit"
         if self.record.crossed_features is not None:
             sets = (self.record.crossed_features, self.record.sample_features)
             ways = [(places - place) / self.record.surface_kernel.lengths for places in sets]
@@ -651,8 +651,8 @@ class SurrogateFinger:
             surface_bar_mm=np.array([answer.surface_bar_mm for answer in answers]),
         )
         notes = (
-            f"a surrogate: in {bars.level_share:.0%} of presses the force is within {last.force_bar_n:.2g} N and the "
-            f"coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the finite elements that taught it",
+            f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within {last.force_bar_n:.2g} N, "
+            f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the elements that taught it",
             "energies are not told; pressures are those of the condensed contact, made to add up to the force",
         )
         return pressed, bars, notes, last.doubt

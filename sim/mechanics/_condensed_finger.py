@@ -2,7 +2,7 @@
 
 One factorisation at rest tells how every node moves under a force on each node of the coat. Online only the contact is
 left to be found, with the sampling points, penalty and distances of the finite elements. What large strains of the gel
-and bending of the ribs add is not in it: :class:`~sim.experiments.TaughtFinger` learns that and tells its error.
+and bending of the ribs add is not in it: :class:`~sim.experiments.SurrogateFinger` learns that and tells its error.
 """
 
 from collections.abc import Callable

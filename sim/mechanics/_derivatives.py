@@ -47,18 +47,18 @@ class DesignChange:
     ----------
     low, high
         The design with the number below and above; the meshes must have the same hexahedra.
-    apart
+    step
         By how much the number, or its logarithm, differs between them: some 1e-5 of it.
     """
 
     low: FingerDesign
     high: FingerDesign
-    apart: float
+    step: float
 
 
 @dataclass(frozen=True, slots=True)
 class PressDerivatives:
-    """Derivatives of a press of k increments by p numbers, each over :attr:`DesignChange.apart`.
+    """Derivatives of a press of k increments by p numbers, each over :attr:`DesignChange.step`.
 
     Attributes
     ----------
@@ -283,11 +283,11 @@ class _Base:
         found = []
         for name, pair in sides.items():
             (low, low_contact, less), (high, high_contact, more) = (side.at(state, depth_mm) for side in pair)
-            apart = changes[name].apart
-            moved = stable.moved_mm((high - low) / apart)
-            force = (high_contact - low_contact).sum(axis=0) / apart
+            step = changes[name].step
+            moved = stable.moved_mm((high - low) / step)
+            force = (high_contact - low_contact).sum(axis=0) / step
             force += sum(((pull @ moved.ravel()).reshape(-1, 3).sum(axis=0) for pull in pulls), np.zeros(3))
-            found.append((force, (more - less) / apart, moved))
+            found.append((force, (more - less) / step, moved))
         return found
 
     def _equilibrium(self, pressed: PressedFinger, increment: int, depth_mm: float) -> tuple[State, Supports]:

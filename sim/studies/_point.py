@@ -10,7 +10,7 @@ import hashlib
 import itertools
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -34,7 +34,15 @@ from data_schemas import (
     StudyPoint,
     explain,
 )
-from data_schemas.storage import ProductSet, clear_leftovers, read_bytes, read_record, read_toml, write_record
+from data_schemas.storage import (
+    ProductSet,
+    clear_leftovers,
+    read_bytes,
+    read_record,
+    read_toml,
+    write_bytes,
+    write_record,
+)
 from finray_calib.compare import srgb_to_lab
 from sim import PRESETS, preset_design, read_design
 from sim.experiments import camera_rgb, coat_cells, imprinted_shapes, paint_finger, press_records
@@ -50,8 +58,7 @@ from sim.optics import (
     render_press,
     stream_seed,
 )
-from sim.studies._everyday_objects import write_everyday_objects
-from sim.surface_meshes import FingerShape, check_no_intersections, restore_shapes
+from sim.surface_meshes import FingerShape, check_no_intersections, everyday_objects, restore_shapes
 
 _PLANS: Final = Path(__file__).parent / "plans"
 SHIPPED_PLANS: Final[tuple[str, ...]] = tuple(sorted(path.stem for path in _PLANS.glob("*.toml")))
@@ -217,7 +224,7 @@ def design_folder(path: Path, points: Sequence[PlannedPoint], out: Path) -> Path
     if path.parent != _PLANS:
         return path.parent.absolute()
     folder = out.absolute() / OBJECTS
-    write_everyday_objects({point.design.indenter.file or "" for point in points} - {""}, folder)
+    _write_everyday_objects({point.design.indenter.file or "" for point in points} - {""}, folder)
     return folder
 
 
@@ -602,3 +609,12 @@ def _metric(name: str, value: float, reach95: float | None) -> StudyMetric:
     unit, meaning = _MEANINGS[name]
     low, high = (None, None) if reach95 is None else (value - reach95, value + reach95)
     return StudyMetric(name=name, value=value, low95=low, high95=high, unit=unit, meaning=meaning)
+
+
+def _write_everyday_objects(names: Iterable[str], folder: Path) -> None:
+    """Write those of the named objects that are not in a folder yet."""
+    missing = {name for name in names if not (folder / name).exists()}
+    for name, content in everyday_objects().items() if missing else ():
+        if name in missing:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_bytes(folder / name, content)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from sim.surface_meshes._everyday_objects import everyday_objects
     from sim.surface_meshes._finger_shape import (
         GEL_FACES,
         FingerShape,
@@ -87,6 +88,7 @@ __all__ = [
     "contact_half_width_mm",
     "corner_jacobians_mm3",
     "crossing_pair",
+    "everyday_objects",
     "gel_faces",
     "height_over_pad_mm",
     "imprinted_height_mm",

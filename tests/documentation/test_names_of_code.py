@@ -16,7 +16,19 @@ TEXTS = [name for name in TEXTS if name not in ("CHANGELOG.md", Path(__file__).r
 FOLDERS = "data_schemas|rigs|finray_calib|sim|tests|benchmarks|docs"
 PATH = re.compile(rf"(?<![\w./-])((?:{FOLDERS})/[\w./-]*\w)")
 DOTTED = re.compile(r"(?<![\w./-])((?:data_schemas|rigs|finray_calib|sim|tests)(?:\.[A-Za-z_]\w*)+)")
-GROUPS = {f"finray_calib.{kind}" for kind in ("cameras", "filter_wheels", "lights", "import_formats")}
+GROUPS = {
+    f"finray_calib.{kind}"
+    for kind in (
+        "cameras",
+        "filter_wheels",
+        "lights",
+        "import_formats",
+        "materials",
+        "indenter_shapes",
+        "pad_shapes",
+        "metrics",
+    )
+}
 """Groups of entry points: names of no module."""
 OF_EVERY_MODULE = {"__file__", "__name__", "__path__"}
 

@@ -31,9 +31,8 @@ from sim.studies import (
     study_points,
 )
 from sim.studies._engine import _client, _each, _Steps, each_computed
-from sim.studies._everyday_objects import everyday_objects
 from sim.studies._point import _metrics, _root_of_products, _Seen, point_key, press_file, stored_point, vividness
-from sim.surface_meshes import pressed_height_mm
+from sim.surface_meshes import everyday_objects, pressed_height_mm
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = 'name = "a study"\n'

@@ -5,15 +5,13 @@ side that touches matters to a rigid indenter: each body is a height over an out
 It looks along -y; depths count from where it first touches the pad.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas.storage import write_bytes
-from sim.surface_meshes import stl_bytes
+from sim.surface_meshes._solid import stl_bytes
 
 Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats], Floats]
@@ -37,15 +35,6 @@ def everyday_objects() -> dict[str, bytes]:
     return {
         f"{name}.stl": _body(outline, height, f"{name}: {what}") for name, (what, outline, height) in outlines.items()
     }
-
-
-def write_everyday_objects(names: Iterable[str], folder: Path) -> None:
-    """Write those of the named objects that are not in a folder yet."""
-    missing = {name for name in names if not (folder / name).exists()}
-    for name, content in everyday_objects().items() if missing else ():
-        if name in missing:
-            folder.mkdir(parents=True, exist_ok=True)
-            write_bytes(folder / name, content)
 
 
 def _body(outline: Floats, height_mm: Height, title: str) -> bytes:
