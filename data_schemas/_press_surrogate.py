@@ -10,7 +10,9 @@ from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._design import FingerDesign
 from data_schemas._design_parts import Indenter, Preset
 from data_schemas._model import Model, Record
-from data_schemas._simulate import Floats, PerIncrement
+
+Floats = NDArray[np.float64]
+PerIncrement = NDArray[np.float64]
 
 OfForces = Annotated[NDArray[np.float32], ArraySpec("<f4", ("coat unknown", "coat unknown"), "mm/N")]
 Range = tuple[float, float]

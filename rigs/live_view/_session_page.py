@@ -299,8 +299,8 @@ def panel_lines(screen: Screen, numbers: SessionNumbers, height: int) -> list[st
         line(f"{duration(numbers.exposure_s)}, brightest {100 * numbers.brightest_fraction:.0f} %"
              + (" HOT" if is_hot else ""), RED if is_hot else PLAIN),
         *(line(text, style) for text, style in filter_lines(numbers)),
-        *(line(f"drift {100 * d.change_rel:+.2f}\u00b1{100 * d.uncertainty_rel:.2f} % {d.label}")
-          for d in numbers.drifts),
+        *(line(f"{'  ' if k else 'drift '}{100 * d.change_rel:+.2f}\u00b1{100 * d.uncertainty_rel:.2f} % {d.label}")
+          for k, d in enumerate(numbers.drifts)),
         *([] if numbers.drifts else [line("drift: no reference seen twice")]),
         line(f"healed: {numbers.repeated} repeated, {numbers.retaken} retaken"),
         line(f"{numbers.lights_lost} lights lost, {numbers.repairs} repairs"),

@@ -249,6 +249,12 @@ class OwnSurfaces:
             f"({x:.1f}, {y:.1f}, {z:.1f}) mm of the undeformed finger"
         )
 
+    def is_crossed_by(self, vertices_mm: NDArray[np.float64], triangles: NDArray[np.int64]) -> bool:
+        """Return whether a body's surface, of vertices (m, 3), passes through these surfaces at rest."""
+        rest = self._mesh.nodes_mm
+        whole = np.concatenate([self._triangles, triangles + len(rest)])
+        return crossing_pair(np.concatenate([rest, vertices_mm]), np.ascontiguousarray(whole)) is not None
+
     def _part(self, node: int) -> str:
         """Return the name of a part that a node is of."""
         return next(b.name.replace("_", " ") for b in self._mesh.blocks if (b.hexahedra == node).any())

@@ -7,7 +7,7 @@ exact distances, or the barrier with contact of the ribs; both with friction.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,9 @@ def chosen_contact(wanted: ContactChoice = "auto") -> ContactKind:
     return "barrier"
 
 
+_LIFT_MM: Final = 1e-3  # a body that just touches does not cross
+
+
 def press_contact(
     design: FingerDesign,
     mesh: FingerMesh,
@@ -133,6 +136,13 @@ def press_contact(
     kind = chosen_contact(wanted)
     indenter = rigid_indenter(design, folder)
     if kind == "penalty":
+        if indenter.body is None and OwnSurfaces(mesh).is_crossed_by(
+            indenter.vertices_mm(_LIFT_MM), indenter.surface.triangles
+        ):
+            raise SimulateError(
+                "the indenter starts inside the finger: it must be outside before the push; check indenter.file, "
+                "position_mm, across_mm and rotation_deg"
+            )
         stiffness = penalty_mpa_per_mm(design, step_mm)
         if design.indenter.friction > 0.0:
             return SlidingPress(mesh, indenter, stiffness, design.indenter.friction)

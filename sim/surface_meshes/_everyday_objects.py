@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.surface_meshes._solid import stl_bytes
+from sim.surface_meshes import stl_bytes
 
 Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats], Floats]

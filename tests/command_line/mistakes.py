@@ -555,7 +555,7 @@ CASES = (
         "newer record",
         "decide {tmp}/sweep.json",
         rf"sweep\.json: schema_version 9 was written by a newer finray; .* update with {NEW}",
-        edited("sweep.json", '"schema_version": 4', '"schema_version": 9'),
+        edited("sweep.json", '"schema_version": 5', '"schema_version": 9'),
     ),
     Case(
         "record without its arrays",
@@ -910,7 +910,7 @@ CASES = (
     Case(
         "out below a file",
         CAPTURE + " --out {lab}/plan.toml/s",
-        r"plan\.toml/s: cannot be written, because .* no folder",
+        r"plan\.toml/s: cannot be written, because .* not a folder",
     ),
     Case(
         "out where nothing can be", CAPTURE + " --out /proc/session", r"/proc/session: No such file .*; check the path"
