@@ -54,10 +54,10 @@ class RegionDraws:
     pixels: int
 
     def skill(self, candidate: str, channel_weights: Floats) -> Floats:
-        """Return draws of 1 - sum w error / sum w signal."""
-        return np.asarray(
-            1.0 - (self.error[candidate] @ channel_weights) / (self.error["do nothing"] @ channel_weights)
-        )
+        """Return draws of 1 - sum w error / sum w signal, but for those of parts without any signal."""
+        signal = self.error["do nothing"] @ channel_weights
+        drawn = signal != 0.0
+        return np.asarray(1.0 - (self.error[candidate] @ channel_weights)[drawn] / signal[drawn])
 
     def channel_skill(self, candidate: str) -> Floats:
         """Return draws (draws, 3) of the skill of each channel; not finite where contact changes nothing."""

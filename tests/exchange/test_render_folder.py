@@ -51,7 +51,7 @@ def test_from_a_folder_of_light_to_a_page_in_two_commands(tmp_path, monkeypatch)
     assert report.headline_skill.estimate > 0.9
     assert report.tone_curve is not None
     assert any("rendered by: simulate ball" in note for note in report.notes)
-    assert (tmp_path / "photometric-error.html").read_text().count('id="the-camera-between-render-and-capture"') == 1
+    assert (tmp_path / "photometric-error.html").read_text().count('id="tone-curve-of-the-camera"') == 1
     again = finray("import render ball")
     assert again.status == 2
     assert "exists already" in again.err
