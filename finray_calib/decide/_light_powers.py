@@ -293,7 +293,9 @@ class EvenPowers:
     @property
     def gain_rel_draws(self) -> Floats:
         """By which share the variation falls, (draw,)."""
-        return np.asarray(1.0 - self.variation_draws / self.variation_now_draws)
+        now = self.variation_now_draws
+        # a draw without any variation, once noise is taken out of it, can lose none
+        return np.asarray(1.0 - np.divide(self.variation_draws, now, out=np.ones_like(now), where=now > 0.0))
 
 
 def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: int = DRAWS) -> EvenPowers:

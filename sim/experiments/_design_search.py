@@ -122,7 +122,7 @@ class _Field:
         found = _FIELD.fullmatch(text)
         if found is None:
             raise SimulateError(
-                f"--within: '{text}' is not a field of a design, such as light.angle_deg or light.position_mm[y]"
+                f"'{text}' is not a field of a design, such as light.angle_deg or light.position_mm[y]"
             )
         return cls(found[1], None if found[2] is None else _AXES.index(found[2]))
 
@@ -132,14 +132,14 @@ class _Field:
             value = design_value(design, self.path)
         except AttributeError:
             raise SimulateError(
-                f"--within: '{self.path}' is not a field of a design; 'finray design init' writes all fields"
+                f"'{self.path}' is not a field of a design; 'finray design init' writes all fields"
             ) from None
         if self.axis is not None and isinstance(value, tuple):
             value = value[self.axis]
         if isinstance(value, bool) or not isinstance(value, int | float):
             hint = "; for a place, name its coordinate, as in light.position_mm[y]" if isinstance(value, tuple) else ""
             hint = "; write it into the design file first" if value is None else hint
-            raise SimulateError(f"--within: '{self.path}' of this finger is {value!r}, no number{hint}")
+            raise SimulateError(f"'{self.path}' of this finger is {value!r}, no number{hint}")
         return value
 
     def changed(self, design: FingerDesign, value: float) -> FingerDesign:
