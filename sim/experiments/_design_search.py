@@ -121,9 +121,7 @@ class _Field:
     def of(cls, text: str) -> "_Field":
         found = _FIELD.fullmatch(text)
         if found is None:
-            raise SimulateError(
-                f"'{text}' is not a field of a design, such as light.angle_deg or light.position_mm[y]"
-            )
+            raise SimulateError(f"'{text}' is not a field of a design, such as light.angle_deg or light.position_mm[y]")
         return cls(found[1], None if found[2] is None else _AXES.index(found[2]))
 
     def value(self, design: FingerDesign) -> float:

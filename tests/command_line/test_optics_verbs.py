@@ -79,7 +79,9 @@ def test_camera_that_sees_nothing_and_missing_calibration_are_told(design, tmp_p
 def test_an_earlier_spelling_says_what_to_type_now(before, now, capsys):
     names = {"design": "a/my.toml", "paints": "--paint red=r.json --paint green=g.json"}
     assert spelled_now(f"simulate {before.format(**names)}".split()) == f"simulate {now.format(**names)}".split()
-    assert f"will be removed in the next one; type now: finray simulate {now.format(**names)}\n" in capsys.readouterr().err
+    assert (
+        f"will be removed in the next one; type now: finray simulate {now.format(**names)}\n" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize("words", ["", "fit a.json --map", "simulate", "simulate --help", "simulate press d.toml"])

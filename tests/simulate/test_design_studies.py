@@ -137,7 +137,9 @@ def test_a_plan_that_contradicts_itself_is_refused(tmp_path, text, message):
 
 
 def test_a_plan_that_is_not_there_names_those_that_come_with_the_package():
-    with pytest.raises(RecordError, match=r"no such plan; give a plan file \(TOML\), or one of the shipped plans: everyday-objects, f"):
+    with pytest.raises(
+        RecordError, match=r"no such plan; give a plan file \(TOML\), or one of the shipped plans: everyday-objects, f"
+    ):
         read_plan("pads.toml")
 
 
