@@ -511,7 +511,7 @@ def run_assess(arguments: argparse.Namespace) -> None:
         store("light-angle-decision", decision, decision_page(decision, [*sweeps.values()], command_line(), inputs))
         light = design.light.model_copy(update={"angle_deg": decision.angle_deg})
         design = design.model_copy(update={"light": light})
-        write_bytes(out / "finger.toml", design_toml(design).encode())
+        write_bytes(out / "finger.toml", design_toml(_with_whole_paths(design, folder)).encode())
         tolerances = _tolerances(arguments, design, folder, paints, settings)
         store("tolerances", tolerances, tolerance_page(tolerances, command_line(), inputs))
         stiffness = _stiffness(arguments, design)
@@ -546,7 +546,7 @@ def _decided(
 def _with_whole_paths(design: "FingerDesign", folder: Path) -> "FingerDesign":
     """Return a design whose files are found from anywhere."""
     camera = {name: str((folder / file).absolute()) for name in ("calibration", "response")
-              if (file := getattr(design.camera, name)) is not None}  # fmt: skip
+              if (file := getattr(design.camera, name)) not in (None, "ideal", "assumed")}  # fmt: skip
     file = design.indenter.file
     indenter = {} if file is None else {"file": str((folder / file).absolute())}
     parts = {
