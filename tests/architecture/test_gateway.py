@@ -105,6 +105,19 @@ ALLOWED = {
         ),
         "the list of exports in a face of this package",
     ),
+    **dict.fromkeys(
+        (
+            ("data_schemas/_plug_ins.py", "plug_in.load"),
+            ("finray_calib/compare/_candidate_errors.py", "plug_in.load"),
+            ("finray_calib/demo/_machine_checks.py", "find_plug_in(part.kind, part.name).load"),
+            ("finray_calib/exchange/_record_formats.py", "plug_in.load"),
+            ("rigs/_drivers.py", "driver.plug_in.load"),
+            ("sim/mechanics/_indenters.py", "plug_in.load"),
+            ("sim/mechanics/_materials.py", "plug_in.load"),
+        ),
+        "a module of another package, which its entry point names",
+    ),
+    ("finray_calib/reports/_design_study_page.py", "cv2.imdecode"): "the picture that this function has just drawn",
 }
 # Devices, too, are opened.
 DEVICES = re.compile(r"(camera|light|self|self\._guard|self\._light|CameraWatch\(.*\))\.open")
