@@ -75,14 +75,15 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     assert early.unreached
     assert early.mesh_excess_rel == FORCE_EXCESS_REL["coarse"]
     assert early.depth_mm[-1] == pytest.approx(0.1)
-    assert any("friction 0.3 between indenter and finger" in note for note in early.notes)
+    assert any("Coulomb friction 0.3 that remembers" in note for note in early.notes)
     assert (tmp_path / "early.mechanics.png").read_bytes().startswith(b"\x89PNG")
     # what --surfaces restores for the optics
     _, shape = restore_shapes(read_record(tmp_path / "early.surfaces.json", FingerSurfaces))
     check_no_intersections(shape.gel)
 
-    resumed = succeed(f"{press}/whole.press.json --resume {tmp_path}/early.increments")
-    assert "push  0.200 mm" in resumed
+    resumed = finray(f"{press}/whole.press.json --resume {tmp_path}/early.increments")
+    assert resumed.status == 0
+    assert "push  0.200 mm" in resumed.out
     whole = read_record(tmp_path / "whole.mechanics.json", PressMechanics)
     assert not whole.unreached
     assert whole.force_n[0, 1] == early.force_n[-1, 1]
@@ -247,7 +248,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
     record = read_record(tmp_path / "lone.mechanics.json", PressMechanics)
     assert record.depth_mm[-1] == pytest.approx(0.2)
     assert record.sensitivities is None
-    assert any("there are no presses with one number changed" in note for note in record.notes)
+    assert any("what the force depends on could not be found" in note for note in record.notes)
 
 
 @pytest.mark.parametrize(
