@@ -1,10 +1,8 @@
 """The base package: what is stored in files or typed on the command line, with units, versions, provenance and errors.
 
-There is one module per stage word (capture, radiometry, fit, simulate, compare, decide), further ones for what people
-write (rig, design, check) and for what all records share (model, units, arrays, curves, provenance, errors).
-Records are frozen pydantic models: unknown keys are errors, every number carries its bounds and its unit, arrays are
-checked and read-only. Reading and writing is :mod:`data_schemas.storage`; :mod:`data_schemas.json_schemas` writes the
-JSON Schema of each. It imports nothing of the other packages, and every name is loaded when it is asked for.
+One module for each stage word (capture to decide), further ones for what people write (rig, design, check) and what
+records share. Records are frozen pydantic models: unknown keys are errors, numbers carry bounds and units, arrays are
+checked. :mod:`data_schemas.storage` reads and writes. It imports no other package; names load when asked for.
 """
 
 from typing import TYPE_CHECKING
@@ -257,6 +255,7 @@ if TYPE_CHECKING:
         ForceSlope,
         KnownInputs,
         LightAngleSweep,
+        ObjectGrasp,
         PoseResponse,
         PressIncrement,
         PressMechanics,
@@ -514,6 +513,7 @@ __all__ = [
     "NoEquilibriumError",
     "NormalErrorChange",
     "NormalMapRecord",
+    "ObjectGrasp",
     "ObjectiveError",
     "OgdenSolid",
     "OpticalDensity",

@@ -552,3 +552,56 @@ class FingerSurfaces(Record):
             if (counts < 0).any() or counts.sum() != len(rows):
                 raise ValueError(f"the counts of the parts add up to {counts.sum()}, but there are {len(rows)} rows")
         return self
+
+
+class ObjectGrasp(Record):
+    """Two facing fingers that close on a free rigid object and carry its weight; each finger has records of its own.
+
+    Axes are those of the near finger: across it, along its pad's outward normal, along it. The far finger faces it,
+    turned by 180 deg about the third axis.
+    """
+
+    written_by: ClassVar[str] = "'finray simulate grasp'"
+
+    name: str
+    label: str
+    preset: Preset
+    design: FingerDesign = Field(description="both fingers, and as its indenter the object")
+    wanted_force_n: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "N"})] = Field(
+        description="force that each finger shall close with"
+    )
+    mass_kg: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "kg"})] = Field(description="of the object")
+    weight_n: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "N"})] = Field(
+        description="of the object, at standard gravity"
+    )
+    down: Literal["tip", "side", "near"] = Field(
+        description="where the weight pulls: along the fingers to the tip, across them, or into the near finger"
+    )
+    closing_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
+        description="way of each finger since both touched the object"
+    )
+    closing_force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
+        description="mean of both fingers' forces along the closing"
+    )
+    carried_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
+        description="part of the weight that the fingers carry"
+    )
+    moves_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "mm")] = Field(
+        description="of the object's middle from where both fingers touch it"
+    )
+    turns_deg: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "deg")] = Field(
+        description="rotation vector of the object about its middle"
+    )
+    unbalanced_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
+        description="size of the force that is left over on the object"
+    )
+    stiffness_n_per_mm: Annotated[float, Field(json_schema_extra={"unit": "N/mm"})] = Field(
+        description="least resistance to a move of the object at the last increment; negative: squeezed out at a touch"
+    )
+    lost: str = Field(description="why the fingers do not close or carry as wanted; empty when they do")
+    notes: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _lengths_agree(self) -> "ObjectGrasp":
+        check_dimensions(self)
+        return self

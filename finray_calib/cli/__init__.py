@@ -12,8 +12,7 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from finray_calib.cli._bench import add_bench
     from finray_calib.cli._capture import add_capture
-    from finray_calib.cli._certificate import add_certificate
-    from finray_calib.cli._check import add_check, add_history
+    from finray_calib.cli._check import add_certificate, add_check, add_history
     from finray_calib.cli._compare import add_compare
     from finray_calib.cli._decide import add_decide
     from finray_calib.cli._demo import add_demo, add_doctor

@@ -29,6 +29,7 @@ from finray_calib.cli._run import (
     require_new,
     working_engine,
 )
+from finray_calib.cli._simulate_grasp import add_grasp
 from finray_calib.cli._simulate_press import add_press
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ def add_simulate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     parser = verbs.add_parser("simulate", help=SIMULATE_HELP, description=SIMULATE_DESCRIPTION)
     jobs = parser.add_subparsers(dest="job", metavar="JOB", title="jobs", required=True)
     add_press(jobs)
+    add_grasp(jobs)
     add_teach(jobs)
     add_render(jobs)
     add_sweep(jobs)

@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._fit_page import fit_parts, no_emission_page, paint_report
     from finray_calib.reports._fit_statements import model_statement, paint_sentence, signals_table
     from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth, fit_summary
+    from finray_calib.reports._grasp_pictures import grasp_png
     from finray_calib.reports._images import (
         ByteImage,
         ContactSheet,
@@ -211,6 +212,7 @@ __all__ = [
     "force_figure_png",
     "force_lines",
     "found_part",
+    "grasp_png",
     "grid_phrase",
     "headline",
     "history_page",

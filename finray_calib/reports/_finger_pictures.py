@@ -191,7 +191,7 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, fold
     columns = figure.add_gridspec(1, 2, width_ratios=(2.0, 1.0))
     views, curve = (figure.add_subfigure(columns[k]) for k in range(2))
     before, after = views.subplots(2, 1, sharex=True, sharey=True)
-    _draw_before(before, rest)
+    draw_shape(before, rest)
     _draw_indenter(before, mechanics.design, 0.0, folder)
     shown = _draw_after(after, rest, pressed)
     _draw_indenter(after, mechanics.design, depth_mm, folder)
@@ -244,7 +244,7 @@ def indenter_path_png(mechanics: PressMechanics) -> bytes:
     for place in axes.flat[len(shown) :]:
         place.set_visible(False)
     for place, k in zip(axes.flat, shown, strict=False):
-        drawn = _draw_patch(place, motion, int(k))
+        drawn = draw_patch(place, motion, int(k))
     below.colorbar(drawn, ax=axes, shrink=0.8, label="pressure (MPa)")
     below.supxlabel("x across the pad (mm); ringed: slips in this increment; arrows: friction on the coat")
     below.supylabel("z along the finger (mm)")
@@ -273,7 +273,7 @@ def _draw_wrench(figure: SubFigure, mechanics: PressMechanics, motion: PressMoti
     sticks.legend()
 
 
-def _draw_patch(axes: Axes, motion: PressMotion, k: int) -> PathCollection:
+def draw_patch(axes: Axes, motion: PressMotion, k: int) -> PathCollection:
     """Draw pressure, slip and friction of one increment at its points."""
     x, z = motion.points_mm[:, 0], motion.points_mm[:, 2]
     touches = motion.pressure_mpa[k] > 0.0
@@ -322,7 +322,7 @@ def untouched_finger_png(design: FingerDesign, why: str, folder: Path | None = N
     mesh = finger_mesh(design)
     figure = new_figure(13.0, 6.0)
     axes = figure.subplots()
-    _draw_before(axes, shape_from_mesh(design, mesh.nodes_mm, mesh.hexahedra))
+    draw_shape(axes, shape_from_mesh(design, mesh.nodes_mm, mesh.hexahedra))
     _draw_indenter(axes, design, 0.0, folder)
     axes.set_title("\n".join(textwrap.wrap(f"stopped where the indenter first touches: {why}", 120)))
     axes.set(aspect="equal", xlabel="z along the finger, from the base of the pad (mm)", ylabel="y (mm)")
@@ -331,7 +331,7 @@ def untouched_finger_png(design: FingerDesign, why: str, folder: Path | None = N
     return png_bytes(figure)
 
 
-def _draw_before(axes: Axes, rest: FingerShape) -> None:
+def draw_shape(axes: Axes, rest: FingerShape) -> None:
     """Draw the finger at rest, coloured by part."""
     for name in _farthest_first(rest):
         polygons = _polygons(rest.surfaces[name], _facing(rest.surfaces[name]))

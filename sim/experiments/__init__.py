@@ -54,7 +54,7 @@ if TYPE_CHECKING:
         render_noise_rel,
     )
     from sim.experiments._light_angle import light_angle_sweep
-    from sim.experiments._mechanical_press import increment_record, press_records, stored_press
+    from sim.experiments._mechanical_press import grasp_record, increment_record, press_records, stored_press
     from sim.experiments._optics_products import (
         OpticsProducts,
         capture_twin,
@@ -192,6 +192,7 @@ __all__ = [
     "finger_scene",
     "fit_sensor",
     "fitted_design",
+    "grasp_record",
     "hidden_design",
     "imprinted_shapes",
     "increment_record",

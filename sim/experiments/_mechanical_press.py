@@ -1,4 +1,4 @@
-"""A finger pressed by finite elements: the record of the press, and the surfaces that the optics renders."""
+"""A finger pressed by finite elements: records of a press or a grasp, and the surfaces that the optics renders."""
 
 from dataclasses import replace
 
@@ -8,6 +8,7 @@ from data_schemas import (
     ContactKind,
     FingerDesign,
     FingerSurfaces,
+    ObjectGrasp,
     Preset,
     PressIncrement,
     PressMechanics,
@@ -21,6 +22,8 @@ from sim.mechanics import (
     ContactChoice,
     ContactMotion,
     FingerMesh,
+    Grasp,
+    GraspTask,
     PressedFinger,
     chord_shortfall_rel,
     chosen_contact,
@@ -68,6 +71,42 @@ def press_records(
     mechanics = _mechanics(design, preset or design.mesh.preset, pressed, engine, notes)
     mechanics = mechanics.model_copy(update={"sensitivities": sensitivities, "wanted_force_n": wanted_force_n})
     return mechanics, _surfaces(design, pressed, engine)
+
+
+def grasp_record(design: FingerDesign, task: GraspTask, grasp: Grasp, preset: Preset | None = None) -> ObjectGrasp:
+    """Return a grasp as a record.
+
+    Parameters
+    ----------
+    design, task, preset
+        As they went into :func:`sim.mechanics.grasp_object`.
+    grasp
+        What came out.
+    """
+    mesh = preset or design.mesh.preset
+    return ObjectGrasp(
+        name=design.name,
+        label=f"finite elements, {mesh} mesh, two fingers close with {grasp.force_n[-1]:.3g} N",
+        preset=mesh,
+        design=design,
+        wanted_force_n=task.force_n,
+        mass_kg=task.mass_kg,
+        weight_n=task.weight_n,
+        down=task.down,
+        closing_mm=grasp.closing_mm,
+        closing_force_n=grasp.force_n,
+        carried_n=grasp.weight_n,
+        moves_mm=grasp.moves_mm,
+        turns_deg=grasp.turns_deg,
+        unbalanced_n=grasp.unbalanced_n,
+        stiffness_n_per_mm=grasp.stiffness_n_per_mm,
+        lost=grasp.lost,
+        notes=(
+            grasp.near.contact,
+            "the object is rigid and of even density; jaws do not give way, and nothing else touches the object; the "
+            "least resistance takes the limits of friction as they are at the last increment",
+        ),
+    )
 
 
 def increment_record(

@@ -5,10 +5,11 @@ is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newto
 
 `press_finger` pushes the indenter of a design to a depth, `press_to_force` to a force; both return a `PressedFinger`.
 `press_along` moves it along a path of poses (press, slide, twist, roll, release) with friction that remembers where the
-coat sticks; `press_as_designed` does what the design says. Contact is a penalty on exact distances (fast) or a barrier
-that never lets surfaces cross, both with friction. `LoadedFinger` bends and twists a finger without an indenter,
-`compress_block` presses a block of gel between plates. `press_derivatives` tells what a press answers to each number of
-its design. Lengths in mm, forces in N, stresses in MPa. It knows no light: mechanics and optics meet in the studies.
+coat sticks; `press_as_designed` does what the design says. `grasp_object` closes two fingers on a free object. Contact
+is a penalty on exact distances (fast) or a barrier that never lets surfaces cross, both with friction. `LoadedFinger`
+bends and twists a finger without an indenter, `compress_block` presses a block of gel between plates.
+`press_derivatives` tells what a press answers to each number of its design. Lengths in mm, forces in N, stresses in
+MPa. It knows no light: mechanics and optics meet in the studies.
 
 The design leads: the shape of the pad and the constants of the materials are those of `FingerDesign` (`GelPad`,
 `MechanicalMaterials`). A rigid shape that presses is a distance with its derivatives, in `_rigid_bodies.py`.
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
         finger_mesh,
         pad_mesh,
     )
+    from sim.mechanics._grasp import Grasp, GraspTask, facing_design, grasp_object
     from sim.mechanics._indenter_path import IndenterPath, moved_pose, press_along, press_as_designed, read_path
     from sim.mechanics._indenters import (
         IndenterShape,
@@ -99,6 +101,8 @@ __all__ = [
     "DesignChange",
     "FingerMesh",
     "GelBlock",
+    "Grasp",
+    "GraspTask",
     "IndenterPath",
     "IndenterShape",
     "LinearElastic",
@@ -133,9 +137,11 @@ __all__ = [
     "contact_distance",
     "contact_forces_n",
     "contact_pressure_mpa",
+    "facing_design",
     "finger_materials",
     "finger_mesh",
     "frictionless_torque_n_mm",
+    "grasp_object",
     "mould_sizes",
     "mould_solid",
     "mould_stl",

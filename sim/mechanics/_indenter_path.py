@@ -169,13 +169,13 @@ def moved_pose(indenter: RigidIndenter, move_mm: FloatArray, turn_deg: FloatArra
     return Pose((float(x), float(y), float(z)), turned)
 
 
-class _MovedIndenter(SlidingTouch):
-    """The coat against an indenter on its path, and what is kept of each increment."""
+class MovedIndenter(SlidingTouch):
+    """The coat against an indenter that moves in any way, and what is kept of each increment."""
 
-    def __init__(self, design: FingerDesign, path: IndenterPath, settings: PressSettings, folder: Path) -> None:
+    def __init__(self, design: FingerDesign, settings: PressSettings, folder: Path) -> None:
         indenter, mesh = rigid_indenter(design, folder), finger_mesh(design, settings.preset)
         body = indenter.exact_body()
-        self._indenter, self._path = indenter, path
+        self.indenter = indenter
         self._pad_mm = STEPS[settings.preset or design.mesh.preset].pad_mm
         eps = penalty_mpa_per_mm(design, self._pad_mm)
         contact = SlidingContact(
@@ -184,17 +184,17 @@ class _MovedIndenter(SlidingTouch):
         super().__init__(mesh, contact)
         self._rows: list[tuple[FloatArray, ...]] = []
 
-    def move(self, share: float) -> Supports:
-        """Put the indenter where it is after a share of its path, for an increment from where the last one ended."""
-        self.sliding.restart(moved_pose(self._indenter, *self._path.at(share)))
+    def move(self, move_mm: FloatArray, turn_deg: FloatArray) -> Supports:
+        """Put the indenter at a move and a turn from first touch, for an increment from where the last one ended."""
+        self.sliding.restart(moved_pose(self.indenter, move_mm, turn_deg))
         return self.supports
 
-    def keep(self, share: float, state: State) -> None:
+    def keep(self, move_mm: FloatArray, turn_deg: FloatArray, state: State) -> None:
         """Keep what the contact does at an equilibrium."""
         u, contact = state.u_mm, self.sliding
         self._rows.append(
             (
-                *self._path.at(share), np.array(contact.pose.position_mm), contact.torque_n_mm(u),
+                move_mm, turn_deg, np.array(contact.pose.position_mm), contact.torque_n_mm(u),
                 contact.pressures_mpa(u), contact.shears_mpa(u), contact.slips_mm(u),
             )
         )  # fmt: skip
@@ -258,13 +258,13 @@ def press_along(
     if settings.contact == "barrier":
         raise SimulateError("--contact barrier cannot follow a path: its indenter does not turn; leave it out")
     watch = Watch(progress, path.total, settings.budget_s)
-    touch = _MovedIndenter(design, path, settings, folder)
+    touch = MovedIndenter(design, settings, folder)
     ties = finger_ties(design, touch.mesh, STEPS[settings.preset or design.mesh.preset].skeleton_mm)
     elasticity = Elasticity(touch.mesh, finger_materials(design), settings.threads)
     assembly = Assembly(elasticity, [touch.sliding, *ties])
     history = PressHistory(assembly, ties, touch)
     load = Load(
-        at=touch.move,
+        at=lambda share: touch.move(*path.at(share)),
         settle=touch.settle if touch.sliding.friction_ratio > 0.0 else None,
         refuse=lambda state, share: touch.passed_through(state),
         accept=touch.accept,
@@ -281,7 +281,7 @@ def press_along(
             predict=_StraightOn(path),
         ):
             reached = step.fraction
-            touch.keep(step.fraction, step.equilibrium.state)
+            touch.keep(*path.at(step.fraction), step.equilibrium.state)
             history.add(-float(path.at(step.fraction)[0][1]), step.equilibrium)
             done = step.fraction * total
             watch.reached(math.floor(done + _AT_A_CORNER), f"moved {done:.4g} of {total} increments")

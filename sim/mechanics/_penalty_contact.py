@@ -388,6 +388,14 @@ class SlidingContact(PenaltyContact):
         self._anchors = self._begin.anchors_mm.copy()
         self._lag = self._lagged(self._begin.gaps_mm, self._begin.normals)
 
+    def follow(self, pose: Pose) -> None:
+        """Move the body a little, with the places that points hold on to; the limits of friction stay as they are."""
+        to_body, before = self.pose.rotation, np.array(self.pose.position_mm)
+        held, normals = (self._lag.anchors_mm - before) @ to_body, self._lag.normals @ to_body
+        self.place(pose)
+        in_space = held @ pose.rotation.T + np.array(pose.position_mm)
+        self._lag = _Lag(in_space, self._lag.limits_mpa, normals @ pose.rotation.T)
+
     def settle(self, u: FloatArray) -> bool:
         """Renew the limits of friction at an equilibrium; return whether friction stayed as it was."""
         if self.friction_ratio == 0.0:
