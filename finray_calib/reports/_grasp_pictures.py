@@ -85,7 +85,7 @@ def _draw_side(
         axes.add_patch(Polygon(outline, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.6, ls="--"))
         axes.text(*outline.mean(axis=0), grasp.design.indenter.shape, ha="center", va="center", fontsize=8)
     for name, y, edge in (("near", 0.02, "bottom"), ("far", 0.98, "top")):
-        axes.text(0.02, y, f"{name} finger", transform=axes.transAxes, va=edge, color=MUTED)
+        axes.text(0.98, y, f"{name} finger", transform=axes.transAxes, ha="right", va=edge, color=MUTED)
     axes.set(aspect="equal", xlabel="z along the fingers, from the base of the pads (mm)", ylabel="y (mm)")
     axes.set_title("the grasp at its end, to scale (dashed: the coats along the middle)")
     axes.grid(visible=False)

@@ -18,7 +18,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import g as GRAVITY_M_PER_S2
+from scipy import constants
 
 from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, State
@@ -43,7 +43,7 @@ _BALANCED_REL: Final = 5e-3  # of the closing force: friction of each finger is 
 _MOST_STEPS: Final = 15
 _PATIENCE: Final = 5  # steps that together must win something
 _LONGEST_MM, _LONGEST_DEG = 1.0, 5.0  # of a step
-_TURN_DEG, _MOVE_MM = 0.01, 1e-3  # for differences
+_TURN_DEG, _MOVE_MM = 1e-5, 1e-6  # for differences: so short that hardly a point begins to touch
 _FREE_REL: Final = 1e-4  # of the largest stiffness: what gives way more than this is held by nothing
 _LEAST_SHARE: Final = 1.0 / 8.0  # of an increment
 
@@ -117,7 +117,7 @@ class GraspTask:
     @property
     def weight_n(self) -> float:
         """Weight of the object."""
-        return self.mass_kg * GRAVITY_M_PER_S2
+        return self.mass_kg * constants.g
 
     @property
     def steps(self) -> list[tuple[float, float]]:
@@ -198,7 +198,10 @@ class _GrippingFinger:
         if self._found is None:
             raise SimulateError("a finger has a stiffness at an equilibrium only")
         state, contact, fixed = self._found.state, self.touch.sliding, self.touch.supports.fixed
+        # forces nearly cancel in the answer: on an edge the whole second derivative counts
+        contact.curvature = True
         self._assembly.assemble(state, project=False)
+        contact.curvature = False
         self._assembly.matrix.constrain(fixed.ravel())
         self._solver.factorise(self._assembly.matrix.upper(), self._assembly.matrix.version)
         here, found = contact.pose, np.zeros((6, 6))
@@ -339,7 +342,7 @@ class _Gripper:
             sizes.append(float(np.abs(left).max()))
             if sizes[-1] <= allowed:
                 return _Balance(place, closing, weight_n, float(np.linalg.norm(left[:3])), self.stiffness())
-            if len(sizes) == 1:
+            if len(sizes) % _PATIENCE == 1:
                 stiffness = self.stiffness()
             else:
                 # slip gives way more than the limits of friction tell before it: learn from what the step did

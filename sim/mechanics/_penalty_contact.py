@@ -96,7 +96,7 @@ class PenaltyContact:
         self.quads = quads
         self._rest = nodes_mm
         self._eps = stiffness_mpa_per_mm
-        self._curvature = curvature
+        self.curvature = curvature
         self._reference = reference_node
         self._shapes, slopes = quad_shapes(GAUSS_POINTS)
         tangents = np.einsum("kai,qaj->kqij", nodes_mm[quads], slopes)
@@ -110,7 +110,7 @@ class PenaltyContact:
     def with_curvature(self) -> "PenaltyContact":
         """Return this contact with its whole second derivative."""
         exact = copy(self)
-        exact._curvature = True  # noqa: SLF001 - its own
+        exact.curvature = True
         return exact
 
     def _offset(self, u: FloatArray) -> FloatArray:
@@ -178,7 +178,7 @@ class PenaltyContact:
         kept = (distance < 0.0) if self._reference is None else np.ones(len(face), dtype=bool)
         scale = self._eps * self._areas.ravel()[kept] * (distance[kept] < 0.0)
         blocks = normal[kept, :, None] * normal[kept, None, :]
-        if self._curvature and not project:
+        if self.curvature and not project:
             blocks = blocks + distance[kept, None, None] * curvature[kept]
         nodes, weights = self.quads[face[kept]], self._shapes[number[kept]]
         if self._reference is not None:
