@@ -28,7 +28,7 @@ from sim.mechanics._indenter_path import MovedIndenter, moved_pose
 from sim.mechanics._indenters import RigidIndenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._newton import Equilibrium, NewtonOptions
-from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, check_no_path
+from sim.mechanics._press import PressedFinger, PressHistory, PressSettings
 
 FloatArray = NDArray[np.float64]
 
@@ -473,9 +473,18 @@ def grasp_object(
     Raises
     ------
     SimulateError
-        When the design's indenter has a path, or the object is lost at first touch.
+        When the indenter has a path, a weight has no friction to carry it, or the object is lost at first touch.
     """
-    check_no_path(design)
+    if design.indenter.path:
+        raise SimulateError(
+            f"indenter.path: has {len(design.indenter.path)} poses, and a grasped object finds its own way; leave "
+            "[[indenter.path]] out of the design"
+        )
+    if task.mass_kg > 0.0 and task.down != "near" and design.indenter.friction == 0.0:
+        raise SimulateError(
+            "indenter.friction = 0: nothing but friction carries a weight along or across the fingers; give the "
+            "coefficient between object and coat, or no mass"
+        )
     settings = settings or PressSettings()
     steps = task.steps
     watch = Watch(progress, len(steps), settings.budget_s)
