@@ -22,6 +22,7 @@ BESIDE = {
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
     "paper-experiments.md": "The paper's experiments: what it says, what comes out here, why they differ",
     "moduli-by-force-curves.md": "Moduli by force curves: what is given, fitted and not known; derivatives of a press",
+    "other-simulators.md": "Other simulators of touch, and when to take them",
     "published-fin-ray.md": "A published Fin Ray finger, pressed: force and direction against measured ones",
     "taught-surrogates.md": "Surrogates of a finger: presses in milliseconds, and how far they are off",
     "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",
