@@ -22,6 +22,7 @@ from scipy import constants
 
 from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, State
+from sim.mechanics._derivatives import StableEquilibrium
 from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_ties
 from sim.mechanics._increments import Load, Watch, load_increments
 from sim.mechanics._indenter_path import MovedIndenter, moved_pose
@@ -197,13 +198,13 @@ class _GrippingFinger:
         """
         if self._found is None:
             raise SimulateError("a finger has a stiffness at an equilibrium only")
-        state, contact, fixed = self._found.state, self.touch.sliding, self.touch.supports.fixed
+        state, contact = self._found.state, self.touch.sliding
         # forces nearly cancel in the answer: on an edge the whole second derivative counts
         contact.curvature = True
-        self._assembly.assemble(state, project=False)
-        contact.curvature = False
-        self._assembly.matrix.constrain(fixed.ravel())
-        self._solver.factorise(self._assembly.matrix.upper(), self._assembly.matrix.version)
+        try:
+            stable = StableEquilibrium(self._assembly, self.touch.supports, state, self._solver)
+        finally:
+            contact.curvature = False
         here, found = contact.pose, np.zeros((6, 6))
         for k, step in enumerate(np.diag([_MOVE_MM] * 3 + [_TURN_DEG] * 3)):
             poses = [moved_pose(self.touch.indenter, *np.split(self._at + way * step, 2)) for way in (-1.0, 1.0)]
@@ -212,7 +213,7 @@ class _GrippingFinger:
                 contact.follow(pose)
                 pulls.append(contact.gradient(state.u_mm))
             contact.follow(here)
-            answer = self._solver.solve(np.where(fixed, 0.0, pulls[0] - pulls[1]).ravel()).reshape(-1, 3) / 2.0
+            answer = stable.moved_mm((pulls[1] - pulls[0]) / 2.0)
             wrenches = []
             for pose, way in zip(poses, (-1.0, 1.0), strict=True):
                 contact.follow(pose)
