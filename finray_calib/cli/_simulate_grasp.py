@@ -167,7 +167,8 @@ def _tell(record: "ObjectGrasp", files: dict[str, Path]) -> None:
         say(f"  the fingers do not get further: {record.lost}")
     elif record.mass_kg > 0.0:
         say(f"  the fingers hold the whole weight of {weight_n:.3g} N")
-    say(f"  least resistance to a move of the object: {record.stiffness_n_per_mm:.3g} N/mm")
+    squeezed = ": it is not stable there, and slips out at a touch" if record.stiffness_n_per_mm < 0.0 else ""
+    say(f"  least resistance to a move of the object: {record.stiffness_n_per_mm:.3g} N/mm{squeezed}")
     for side in ("near", "far"):
         wrote(files[side], f"forces, torques and slip on the {side} finger")
         wrote(files[f"{side} surfaces"], f"the {side} finger, to be rendered")
