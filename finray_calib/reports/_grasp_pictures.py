@@ -83,7 +83,8 @@ def _draw_side(
     outline = _object_outline(grasp, motions[0], folder)
     if outline is not None:
         axes.add_patch(Polygon(outline, facecolor=HAIRLINE, edgecolor=MUTED, alpha=0.6, ls="--"))
-        axes.text(*outline.mean(axis=0), grasp.design.indenter.shape, ha="center", va="center", fontsize=8)
+        z, y = outline.mean(axis=0)
+        axes.text(float(z), float(y), grasp.design.indenter.shape, ha="center", va="center", fontsize=8)
     for name, y, edge in (("near", 0.02, "bottom"), ("far", 0.98, "top")):
         axes.text(0.98, y, f"{name} finger", transform=axes.transAxes, ha="right", va=edge, color=MUTED)
     axes.set(aspect="equal", xlabel="z along the fingers, from the base of the pads (mm)", ylabel="y (mm)")
