@@ -43,7 +43,7 @@ _WIDTH_REACH_SD = 2.0
 _PROCESS_LENGTH_NM, _PROCESS_FLOOR = 14.0, 0.03
 _DETAIL_LENGTH_NM, _DETAIL_SHARE = 5.0, 0.15
 """Part of the variance of the process that changes within a filter: vibronic detail, which smooth curves lack."""
-_SIZES: Final = ((0.03, 0.55), (0.1, 0.3), (0.3, 0.15))
+_SIZES: Final = ((0.03, 0.45), (0.09, 0.35), (0.22, 0.2))
 """Size and prior share: most paints are near a learned shape and a few far from all, so that one size for all is too
 wide for the most and too narrow for the few. Chosen on half of the fluorophores (docs/verification.md)."""
 _SECOND_DYE: Final = ((0.0, 0.8), (0.3, 0.2))
