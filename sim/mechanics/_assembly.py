@@ -194,7 +194,7 @@ Modes = tuple[FloatArray, ...]
 """Incompatible modes of each block in mm: (m, 3, 3), or (m, 0, 3) for elements that have none."""
 
 Pressures = tuple[FloatArray, ...]
-"""Pressures p of each block in MPa, positive in tension: of its elements (m, 1), of their points (m, 8), or none held
+"""Pressures p of each block in MPa, positive in tension: of its elements (m, 1), linear in them (m, 4), or none held
 (m, 0)."""
 
 _TOGETHER = 256  # elements of one call: their tangents (1.2 MB) stay in the cache
@@ -213,9 +213,10 @@ class ElementMatrices:
 class Elasticity:
     """Elastic energy of the blocks of a mesh with their materials.
 
-    Of elements with mean dilatation, and at the points of others whose K/mu is above 20, the pressure p is an unknown
-    of the iteration, eliminated in the element (J. C. Simo, R. L. Taylor, K. S. Pister, 1985): at the equilibrium
-    p = K (v/V - 1). A step of u with the matrix at hand leads to p^ = K (theta + dtheta), with theta = v/V - 1 and
+    Of elements with mean dilatation, constant, and of others whose K/mu is above 20, linear, the pressure p is an
+    unknown of the iteration, eliminated in the element (J. C. Simo, R. L. Taylor, K. S. Pister, 1985): at the
+    equilibrium p = K (v/V - 1), which is projected on these fields. A pressure of each of eight points would lock: in
+    bent ribs of K/mu = 2400 it swung by eight shear moduli from point to point, and no equilibrium was found. A step of u with the matrix at hand leads to p^ = K (theta + dtheta), with theta = v/V - 1 and
     dtheta its linear change. Along the step, with p^ held,
 
         M = sum V (W_shear + p^ theta + rho/2 (theta - p^/K)^2) + other energies,  rho = min(K, 20 mu)
@@ -259,7 +260,7 @@ class Elasticity:
         self._moduli = [_volumetric_moduli_mpa(m) for m in self._materials]
         # a tangent by the energy alone where nothing is nearly incompressible
         held = [
-            1 if not m else 8 if law.law == OGDEN and rho < k else 0
+            1 if not m else 4 if law.law == OGDEN and rho < k else 0
             for m, law, (k, rho) in zip(mode_counts, self._materials, self._moduli, strict=True)
         ]
         self._swelling = [

@@ -27,6 +27,11 @@ _NEARLY_LINEAR = 0.3
 # root: no more than its worth is spent on avoiding one
 _REFINEMENTS_PER_ROOT = 0.07
 _FEWEST_REFINEMENTS = 10
+# a step of which less than this share is taken is led astray by what hardly resists, a rib that begins to fold: the
+# next tangent resists it more, so that everything else goes its whole way
+_LED_ASTRAY = 0.3
+_BOLDER = 3.0  # by which what hardly resists may then go further than it went
+_STIFFER, _SOFTER = 4.0, 0.2  # by what this changes when a step was short again, or whole
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
 
 
@@ -115,6 +120,8 @@ class _Search:
         self.shares: list[float] = []
         self.bar_n = 0.0  # what the residual must reach
         self.factors = -1  # version of the pattern whose factors the solver holds
+        self._least_damping = 0.0  # below which damping ends
+        self.damping_n_per_mm = 0.0  # added to each unknown's own stiffness
 
     def run(self, state: State) -> Equilibrium:
         energy = self.assembly.energy(state)
@@ -155,6 +162,24 @@ class _Search:
             project = found is None
             if found is not None:
                 state, energy = found
+                self._damp(du, rise, moving)
+
+    def _damp(self, du: FloatArray, rise: float, moving: bool) -> None:
+        """Choose the damping of the next step (Levenberg 1944) by the share of this one that was taken.
+
+        What a shortened step follows has the stiffness k = -rise / du^2, and with k / share added would have gone as
+        far as it went.
+        """
+        share = self.shares[-1]
+        if moving or share >= 1.0:
+            self.damping_n_per_mm *= _SOFTER if self.damping_n_per_mm > self._least_damping else 0.0
+        elif share < _LED_ASTRAY:
+            stiffness = abs(rise) / max(_dot(du.ravel(), du.ravel()), 1e-300)
+            if self.damping_n_per_mm == 0.0:
+                self.damping_n_per_mm = stiffness / (_BOLDER * share)
+                self._least_damping = stiffness
+            else:
+                self.damping_n_per_mm *= _STIFFER
 
     def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
         return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved)
@@ -193,6 +218,7 @@ class _Search:
             right -= matrix.times(prescribed)
         right[fixed] = prescribed[fixed]
         stiffness = matrix.values.copy() if moving else None
+        matrix.values[matrix.indptr[:-1]] += self.damping_n_per_mm
         matrix.constrain(fixed)
         self.solved += 1
         du = None if moving else self._with_old_factors(right)
