@@ -347,6 +347,30 @@ class Elasticity:
             steps.append(-(np.einsum("eij,ej->ei", solved[:, :, :24], local) + solved[:, :, 24]).reshape(-1, 3, 3))
         return tuple(steps)
 
+    def relaxed(self, u: FloatArray, modes: Modes) -> Modes:
+        """Return modes nearer to those that belong to u: Newton's steps, of each element as long as its energy falls.
+
+        A step of all unknowns is shortened for the worst element; the modes of needles in a folding rib are that.
+        """
+        for _ in range(_RELAXATIONS):
+            for _ in self.matrices(u, modes):
+                pass
+            before = [energies.copy() for energies in self._energies]
+            step = self.mode_step(np.zeros_like(u))
+            shares = [np.ones((len(cells), 1, 1)) for cells in self.cells]
+            for _ in range(_RELAXATIONS):
+                tried = tuple(m + s * d for m, s, d in zip(modes, shares, step, strict=True))
+                self.energy(u, tried)
+                worse = [~(new <= old) for new, old in zip(self._energies, before, strict=True)]
+                if not any(w.any() for w in worse):
+                    break
+                for share, bad in zip(shares, worse, strict=True):
+                    share[bad] *= _RELAXED_LESS
+            modes = tuple(
+                np.where(bad[:, None, None], old, new) for bad, old, new in zip(worse, modes, tried, strict=True)
+            )
+        return modes
+
     def mode_work_n_mm(self) -> float:
         """Return sum f_a . K_aa^-1 f_a over the modes: by what the energy's slope lies below that of u alone."""
         pairs = zip(self._mode_force, self._solved, strict=True)
@@ -413,6 +437,7 @@ class Elasticity:
 
 
 _SEARCH_BULK_OVER_SHEAR = 20.0
+_RELAXATIONS, _RELAXED_LESS = 3, 0.25  # steps of the modes alone, tries of each, and by what these are shortened
 
 
 def _volumetric_moduli_mpa(material: Material) -> tuple[float, float]:

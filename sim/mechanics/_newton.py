@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -163,6 +163,9 @@ class _Search:
             if found is not None:
                 state, energy = found
                 self._damp(du, rise, moving)
+                if not moving and self.shares[-1] < _LED_ASTRAY:
+                    state = replace(state, modes=self.assembly.elasticity.relaxed(state.u_mm, state.modes))
+                    energy = self.assembly.energy(state)
 
     def _damp(self, du: FloatArray, rise: float, moving: bool) -> None:
         """Choose the damping of the next step (Levenberg 1944) by the share of this one that was taken.
