@@ -216,8 +216,9 @@ class Elasticity:
     Of elements with mean dilatation, constant, and of others whose K/mu is above 20, linear, the pressure p is an
     unknown of the iteration, eliminated in the element (J. C. Simo, R. L. Taylor, K. S. Pister, 1985): at the
     equilibrium p = K (v/V - 1), which is projected on these fields. A pressure of each of eight points would lock: in
-    bent ribs of K/mu = 2400 it swung by eight shear moduli from point to point, and no equilibrium was found. A step of u with the matrix at hand leads to p^ = K (theta + dtheta), with theta = v/V - 1 and
-    dtheta its linear change. Along the step, with p^ held,
+    bent ribs of K/mu = 2400 it swung by eight shear moduli from point to point, and no equilibrium was found. A step
+    of u with the matrix at hand leads to p^ = K (theta + dtheta), with theta = v/V - 1 and dtheta its linear change.
+    Along the step, with p^ held,
 
         M = sum V (W_shear + p^ theta + rho/2 (theta - p^/K)^2) + other energies,  rho = min(K, 20 mu)
 
@@ -260,8 +261,8 @@ class Elasticity:
         self._moduli = [_volumetric_moduli_mpa(m) for m in self._materials]
         # a tangent by the energy alone where nothing is nearly incompressible
         held = [
-            1 if not m else 4 if law.law == OGDEN and rho < k else 0
-            for m, law, (k, rho) in zip(mode_counts, self._materials, self._moduli, strict=True)
+            1 if not m else 4 if law.law == OGDEN and k > _POINTS_UP_TO * law.shear_modulus_mpa else 0
+            for m, law, (k, _) in zip(mode_counts, self._materials, self._moduli, strict=True)
         ]
         self._swelling = [
             np.zeros((len(c), p, 24 + 3 * m)) for c, p, m in zip(self.cells, held, mode_counts, strict=True)
@@ -437,6 +438,7 @@ class Elasticity:
 
 
 _SEARCH_BULK_OVER_SHEAR = 20.0
+_POINTS_UP_TO = 20.0  # K/mu up to which elements with modes have a pressure of each point
 _RELAXATIONS, _RELAXED_LESS = 3, 0.25  # steps of the modes alone, tries of each, and by what these are shortened
 
 

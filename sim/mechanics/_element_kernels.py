@@ -331,11 +331,15 @@ def _weigh_rows(
 
 
 @compiled
-def _linear_fields(volume: FloatArray, fields: FloatArray, weight: FloatArray) -> None:
-    """Fill 1, xi, eta, zeta at the points (4, 8), made orthogonal over the element, and the integrals of their squares.
+def _linear_volumes(
+    bulk_mpa: float, volume: FloatArray, jacobians: FloatArray, fields: FloatArray, volume_strain: FloatArray
+) -> float:
+    """Return K/2 times the integral of the square of v/V - 1, projected on four fields.
 
-    The first integral is the volume.
+    The fields (4, 8) are 1, xi, eta and zeta at the points, made orthogonal over the element; of each,
+    `volume_strain` (4, 2) receives the integral of its square and the coefficient.
     """
+    energy = 0.0
     for m in range(4):
         for q in range(8):
             fields[m, q] = 1.0 if m == 0 else GAUSS_POINTS[q, m - 1]
@@ -344,10 +348,33 @@ def _linear_fields(volume: FloatArray, fields: FloatArray, weight: FloatArray) -
             for q in range(8):
                 shared += volume[q] * fields[m, q] * fields[n, q]
             for q in range(8):
-                fields[m, q] -= shared / weight[n] * fields[n, q]
-        weight[m] = 0.0
+                fields[m, q] -= shared / volume_strain[n, 0] * fields[n, q]
+        weight, change = 0.0, 0.0
         for q in range(8):
-            weight[m] += volume[q] * fields[m, q] * fields[m, q]
+            weight += volume[q] * fields[m, q] * fields[m, q]
+            change += volume[q] * fields[m, q] * (jacobians[q] - 1.0)
+        volume_strain[m, 0], volume_strain[m, 1] = weight, change / weight
+        energy += 0.5 * bulk_mpa * change * change / weight
+    return energy
+
+
+@compiled
+def _add_held(
+    bulk_mpa: float,
+    held_mpa: FloatArray,
+    volume_strain: FloatArray,
+    swelling: FloatArray,
+    force: FloatArray,
+    tangent: FloatArray,
+) -> None:
+    """Add to forces and tangent what the pressures K (v/V - 1) are beyond those held, and their rate."""
+    for m in range(len(held_mpa)):
+        beyond, rate = bulk_mpa * volume_strain[m, 1] - held_mpa[m], bulk_mpa / volume_strain[m, 0]
+        for r in range(len(force)):
+            force[r] += beyond * swelling[m, r]
+            scaled = rate * swelling[m, r]
+            for s in range(len(force)):
+                tangent[r, s] += scaled * swelling[m, s]
 
 
 @compiled
@@ -380,9 +407,9 @@ def hexahedron(
     held_mpa
         Pressure p that weighs the second derivative of the volume in the tangent, in place of K (v/V - 1), which
         differs from it before the equilibrium: of the element with the mean dilatation (1,); else the coefficients of
-        four fields, linear in the element, on which v/V - 1 is projected (4,), so that the pressure is free of the
-        checks that eight constraints on an element with nine modes bring; or none (0,): the energy of each point's
-        volume, and its tangent. The force is always that of K (v/V - 1).
+        four fields, linear in the element, on which v/V - 1 is projected (4,), because eight pressures would lock nine
+        modes and swing from point to point; or none (0,): the energy of each point's volume, and its tangent. The
+        force is always that of K (v/V - 1).
     level
         0 energy only, 1 forces and tangent, 2 forces and a tangent without negative curvature.
     force, tangent
@@ -411,15 +438,10 @@ def hexahedron(
     material, spatial, work, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     rows, weighted, dilation = np.empty((72, 3 * nodes)), np.empty((72, 3 * nodes)), np.zeros(3 * nodes)
     linear = not mean_dilatation and len(held_mpa) > 0
-    fields, weight = np.empty((4, 8)), np.empty(4)
+    fields = np.empty((4, 8))
     if linear:
-        _linear_fields(volume, fields, weight)
-        for m in range(4):
-            change = 0.0
-            for q in range(8):
-                change += volume[q] * fields[m, q] * (jacobians[q] - 1.0)
-            volume_strain[m, 0], volume_strain[m, 1] = weight[m], change / weight[m]
-            energy += 0.5 * bulk * change * change / weight[m]
+        energy += _linear_volumes(bulk, volume, jacobians, fields, volume_strain)
+    if linear and level > 0:
         swelling[:] = 0.0
     force[:] = 0.0
     for q in range(8):
@@ -461,20 +483,8 @@ def hexahedron(
     if level > 0:
         np.dot(rows.T, weighted, tangent)
         if mean_dilatation:
-            for r in range(3 * nodes):
-                force[r] += (shared - held_mpa[0]) * dilation[r]
-                swelling[0, r] = dilation[r]
-                scaled = bulk / total * dilation[r]
-                for s in range(3 * nodes):
-                    tangent[r, s] += scaled * dilation[s]
-        if linear:
-            for m in range(4):
-                missing = bulk * volume_strain[m, 1] - held_mpa[m]
-                for r in range(3 * nodes):
-                    force[r] += missing * swelling[m, r]
-                    scaled = bulk / weight[m] * swelling[m, r]
-                    for s in range(3 * nodes):
-                        tangent[r, s] += scaled * swelling[m, s]
+            swelling[0] = dilation
+        _add_held(bulk, held_mpa, volume_strain, swelling, force, tangent)
     return float(energy)
 
 
