@@ -194,7 +194,7 @@ Modes = tuple[FloatArray, ...]
 """Incompatible modes of each block in mm: (m, 3, 3), or (m, 0, 3) for elements that have none."""
 
 Pressures = tuple[FloatArray, ...]
-"""Pressures p of each block in MPa, positive in tension: of its elements (m, 1), of their points (m, 8), or none held
+"""Pressures p of each block in MPa, positive in tension: of its elements (m, 1), linear in them (m, 4), or none held
 (m, 0)."""
 
 _TOGETHER = 256  # elements of one call: their tangents (1.2 MB) stay in the cache
@@ -213,10 +213,12 @@ class ElementMatrices:
 class Elasticity:
     """Elastic energy of the blocks of a mesh with their materials.
 
-    Of elements with mean dilatation, and at the points of others whose K/mu is above 20, the pressure p is an unknown
-    of the iteration, eliminated in the element (J. C. Simo, R. L. Taylor, K. S. Pister, 1985): at the equilibrium
-    p = K (v/V - 1). A step of u with the matrix at hand leads to p^ = K (theta + dtheta), with theta = v/V - 1 and
-    dtheta its linear change. Along the step, with p^ held,
+    Of elements with mean dilatation, constant, and of others whose K/mu is above 20, linear, the pressure p is an
+    unknown of the iteration, eliminated in the element (J. C. Simo, R. L. Taylor, K. S. Pister, 1985): at the
+    equilibrium p = K (v/V - 1), which is projected on these fields. A pressure of each of eight points would lock: in
+    bent ribs of K/mu = 2400 it swung by eight shear moduli from point to point, and no equilibrium was found. A step
+    of u with the matrix at hand leads to p^ = K (theta + dtheta), with theta = v/V - 1 and dtheta its linear change.
+    Along the step, with p^ held,
 
         M = sum V (W_shear + p^ theta + rho/2 (theta - p^/K)^2) + other energies,  rho = min(K, 20 mu)
 
@@ -259,8 +261,8 @@ class Elasticity:
         self._moduli = [_volumetric_moduli_mpa(m) for m in self._materials]
         # a tangent by the energy alone where nothing is nearly incompressible
         held = [
-            1 if not m else 8 if law.law == OGDEN and rho < k else 0
-            for m, law, (k, rho) in zip(mode_counts, self._materials, self._moduli, strict=True)
+            1 if not m else 4 if law.law == OGDEN and k > _POINTS_UP_TO * law.shear_modulus_mpa else 0
+            for m, law, (k, _) in zip(mode_counts, self._materials, self._moduli, strict=True)
         ]
         self._swelling = [
             np.zeros((len(c), p, 24 + 3 * m)) for c, p, m in zip(self.cells, held, mode_counts, strict=True)
@@ -346,6 +348,30 @@ class Elasticity:
             steps.append(-(np.einsum("eij,ej->ei", solved[:, :, :24], local) + solved[:, :, 24]).reshape(-1, 3, 3))
         return tuple(steps)
 
+    def relaxed(self, u: FloatArray, modes: Modes) -> Modes:
+        """Return modes nearer to those that belong to u: Newton's steps, of each element as long as its energy falls.
+
+        A step of all unknowns is shortened for the worst element; the modes of needles in a folding rib are that.
+        """
+        for _ in range(_RELAXATIONS):
+            for _ in self.matrices(u, modes):
+                pass
+            before = [energies.copy() for energies in self._energies]
+            step = self.mode_step(np.zeros_like(u))
+            shares = [np.ones((len(cells), 1, 1)) for cells in self.cells]
+            for _ in range(_RELAXATIONS):
+                tried = tuple(m + s * d for m, s, d in zip(modes, shares, step, strict=True))
+                self.energy(u, tried)
+                worse = [~(new <= old) for new, old in zip(self._energies, before, strict=True)]
+                if not any(w.any() for w in worse):
+                    break
+                for share, bad in zip(shares, worse, strict=True):
+                    share[bad] *= _RELAXED_LESS
+            modes = tuple(
+                np.where(bad[:, None, None], old, new) for bad, old, new in zip(worse, modes, tried, strict=True)
+            )
+        return modes
+
     def mode_work_n_mm(self) -> float:
         """Return sum f_a . K_aa^-1 f_a over the modes: by what the energy's slope lies below that of u alone."""
         pairs = zip(self._mode_force, self._solved, strict=True)
@@ -412,6 +438,8 @@ class Elasticity:
 
 
 _SEARCH_BULK_OVER_SHEAR = 20.0
+_POINTS_UP_TO = 20.0  # K/mu up to which elements with modes have a pressure of each point
+_RELAXATIONS, _RELAXED_LESS = 3, 0.25  # steps of the modes alone, tries of each, and by what these are shortened
 
 
 def _volumetric_moduli_mpa(material: Material) -> tuple[float, float]:

@@ -331,6 +331,53 @@ def _weigh_rows(
 
 
 @compiled
+def _linear_volumes(
+    bulk_mpa: float, volume: FloatArray, jacobians: FloatArray, fields: FloatArray, volume_strain: FloatArray
+) -> float:
+    """Return K/2 times the integral of the square of v/V - 1, projected on four fields.
+
+    The fields (4, 8) are 1, xi, eta and zeta at the points, made orthogonal over the element; of each,
+    `volume_strain` (4, 2) receives the integral of its square and the coefficient.
+    """
+    energy = 0.0
+    for m in range(4):
+        for q in range(8):
+            fields[m, q] = 1.0 if m == 0 else GAUSS_POINTS[q, m - 1]
+        for n in range(m):
+            shared = 0.0
+            for q in range(8):
+                shared += volume[q] * fields[m, q] * fields[n, q]
+            for q in range(8):
+                fields[m, q] -= shared / volume_strain[n, 0] * fields[n, q]
+        weight, change = 0.0, 0.0
+        for q in range(8):
+            weight += volume[q] * fields[m, q] * fields[m, q]
+            change += volume[q] * fields[m, q] * (jacobians[q] - 1.0)
+        volume_strain[m, 0], volume_strain[m, 1] = weight, change / weight
+        energy += 0.5 * bulk_mpa * change * change / weight
+    return energy
+
+
+@compiled
+def _add_held(
+    bulk_mpa: float,
+    held_mpa: FloatArray,
+    volume_strain: FloatArray,
+    swelling: FloatArray,
+    force: FloatArray,
+    tangent: FloatArray,
+) -> None:
+    """Add to forces and tangent what the pressures K (v/V - 1) are beyond those held, and their rate."""
+    for m in range(len(held_mpa)):
+        beyond, rate = bulk_mpa * volume_strain[m, 1] - held_mpa[m], bulk_mpa / volume_strain[m, 0]
+        for r in range(len(force)):
+            force[r] += beyond * swelling[m, r]
+            scaled = rate * swelling[m, r]
+            for s in range(len(force)):
+                tangent[r, s] += scaled * swelling[m, s]
+
+
+@compiled
 def hexahedron(
     x: FloatArray,
     displacement: FloatArray,
@@ -356,18 +403,20 @@ def hexahedron(
         See the module.
     mean_dilatation
         Whether the volumetric energy K/2 (v/V - 1)^2 V uses the whole element's volume (J. C. Nagtegaal, D. M. Parks,
-        J. R. Rice, 1974) or that of each point.
+        J. R. Rice, 1974).
     held_mpa
         Pressure p that weighs the second derivative of the volume in the tangent, in place of K (v/V - 1), which
-        differs from it before the equilibrium: of the element with the mean dilatation (1,), else of each point (8,),
-        or of none (0,), where the tangent is the energy's. The force is always that of K (v/V - 1).
+        differs from it before the equilibrium: of the element with the mean dilatation (1,); else the coefficients of
+        four fields, linear in the element, on which v/V - 1 is projected (4,), because eight pressures would lock nine
+        modes and swing from point to point; or none (0,): the energy of each point's volume, and its tangent. The
+        force is always that of K (v/V - 1).
     level
         0 energy only, 1 forces and tangent, 2 forces and a tangent without negative curvature.
     force, tangent
         Filled: (3 nodes,) in N, (3 nodes, 3 nodes) in N/mm.
     swelling, volume_strain
-        Filled for each pressure that is held: dv/du (1, 24) or (8, 33) in mm^2, at level 0 not; V in mm^3 and v/V - 1,
-        (1, 2) or (8, 2).
+        Filled for each pressure that is held: dv/du (1, 24) or (4, 33) in mm^2, at level 0 not; V in mm^3 and v/V - 1,
+        (1, 2) or (4, 2). Of the linear fields f: sum f dv, sum f^2 V, and the ratio of sum f (v - V) to that.
     """
     nodes = displacement.shape[0]
     gradients, volume, f, jacobians = np.empty((8, nodes, 3)), np.empty(8), np.empty((8, 3, 3)), np.empty(8)
@@ -388,7 +437,12 @@ def hexahedron(
     stretch, first, second, shear, curve = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(3)
     material, spatial, work, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     rows, weighted, dilation = np.empty((72, 3 * nodes)), np.empty((72, 3 * nodes)), np.zeros(3 * nodes)
-    at_points = not mean_dilatation and len(held_mpa) > 0
+    linear = not mean_dilatation and len(held_mpa) > 0
+    fields = np.empty((4, 8))
+    if linear:
+        energy += _linear_volumes(bulk, volume, jacobians, fields, volume_strain)
+    if linear and level > 0:
+        swelling[:] = 0.0
     force[:] = 0.0
     for q in range(8):
         _principal_frame(f[q], stretch, material, spatial, work)
@@ -396,12 +450,16 @@ def hexahedron(
         energy += volume[q] * stretch_energy(law, row, stretch, first, second, curve)
         if bulk > 0.0:
             own = bulk * (jacobians[q] - 1.0)
-            pressure = held_mpa[0] if mean_dilatation else held_mpa[q] if at_points else own
-            if not mean_dilatation:
+            if mean_dilatation:
+                _add_volumetric(held_mpa[0], 0.0, jacobians[q:], stretch, first, second)
+            elif linear:
+                pressure = 0.0
+                for m in range(4):
+                    pressure += held_mpa[m] * fields[m, q]
+                _add_volumetric(pressure, 0.0, jacobians[q:], stretch, first, second)
+            else:
                 energy += 0.5 * own * (jacobians[q] - 1.0) * volume[q]
-            _add_volumetric(pressure, 0.0 if mean_dilatation else bulk, jacobians[q:], stretch, first, second)
-        if at_points:
-            volume_strain[q, 0], volume_strain[q, 1] = volume[q], jacobians[q] - 1.0
+                _add_volumetric(own, bulk, jacobians[q:], stretch, first, second)
         if level == 0:
             continue
         here = rows[9 * q : 9 * q + 9]
@@ -411,11 +469,11 @@ def hexahedron(
             for r in range(3 * nodes):
                 force[r] += pull * here[i, r]
                 dilation[r] += swell * here[i, r]
-        if at_points:
-            for r in range(3 * nodes):
-                swelling[q, r] = dilation[r]
-                force[r] += (own - held_mpa[q]) * dilation[r]
-                dilation[r] = 0.0
+        if linear:
+            for m in range(4):
+                for r in range(3 * nodes):
+                    swelling[m, r] += fields[m, q] * dilation[r]
+            dilation[:] = 0.0
         _shear_modes(stretch, first, second, shear)
         if level == 2:
             _without_negative(second, curve, axes, work)
@@ -425,12 +483,8 @@ def hexahedron(
     if level > 0:
         np.dot(rows.T, weighted, tangent)
         if mean_dilatation:
-            for r in range(3 * nodes):
-                force[r] += (shared - held_mpa[0]) * dilation[r]
-                swelling[0, r] = dilation[r]
-                scaled = bulk / total * dilation[r]
-                for s in range(3 * nodes):
-                    tangent[r, s] += scaled * dilation[s]
+            swelling[0] = dilation
+        _add_held(bulk, held_mpa, volume_strain, swelling, force, tangent)
     return float(energy)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,11 @@ _NEARLY_LINEAR = 0.3
 # root: no more than its worth is spent on avoiding one
 _REFINEMENTS_PER_ROOT = 0.07
 _FEWEST_REFINEMENTS = 10
+# a step of which less than this share is taken was led astray by what hardly resists, a rib that begins to fold: the
+# next tangent resists that more, so that everything else goes its whole way
+_LED_ASTRAY = 0.3
+_BOLDER = 3.0  # by which what hardly resists may then go further than it went
+_STIFFER, _SOFTER = 4.0, 0.2  # by what this changes when a step was short again, or whole
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
 
 
@@ -72,7 +77,7 @@ class NewtonOptions:
     force_floor_n: float = 1e-2
     step_floor_mm: float = 1e-10
     longest_step_mm: float = 8.0
-    iterations: int = 40
+    iterations: int = 50
     stalled_after: int = 8
     tell: Callable[[str], None] | None = None
 
@@ -113,8 +118,11 @@ class _Search:
         self.residuals: list[float] = []
         self.solved = 0
         self.shares: list[float] = []
+        self.taken = 1.0  # of the last step, the share of what the terms allowed
         self.bar_n = 0.0  # what the residual must reach
         self.factors = -1  # version of the pattern whose factors the solver holds
+        self._least_damping = 0.0  # below which damping ends
+        self.damping_n_per_mm = 0.0  # added to each unknown's own stiffness
 
     def run(self, state: State) -> Equilibrium:
         energy = self.assembly.energy(state)
@@ -155,6 +163,27 @@ class _Search:
             project = found is None
             if found is not None:
                 state, energy = found
+                self._damp(du, rise, moving)
+                if not moving and self.taken < 1.0:
+                    state = replace(state, modes=self.assembly.elasticity.relaxed(state.u_mm, state.modes))
+                    energy = self.assembly.energy(state)
+
+    def _damp(self, du: FloatArray, rise: float, moving: bool) -> None:
+        """Choose the damping of the next step (K. Levenberg, 1944) by the share of this one that was taken.
+
+        What a shortened step follows has the stiffness k = -rise / du^2, and with k / share added would have gone as
+        far as it went.
+        """
+        share = self.taken
+        if moving or share >= 1.0:
+            self.damping_n_per_mm *= _SOFTER if self.damping_n_per_mm > self._least_damping else 0.0
+        elif share < _LED_ASTRAY:
+            stiffness = abs(rise) / max(_dot(du.ravel(), du.ravel()), 1e-300)
+            if self.damping_n_per_mm == 0.0:
+                self.damping_n_per_mm = stiffness / (_BOLDER * share)
+                self._least_damping = stiffness
+            else:
+                self.damping_n_per_mm *= _STIFFER
 
     def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
         return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved)
@@ -193,6 +222,7 @@ class _Search:
             right -= matrix.times(prescribed)
         right[fixed] = prescribed[fixed]
         stiffness = matrix.values.copy() if moving else None
+        matrix.values[matrix.indptr[:-1]] += self.damping_n_per_mm
         matrix.constrain(fixed)
         self.solved += 1
         du = None if moving else self._with_old_factors(right)
@@ -236,6 +266,7 @@ class _Search:
             return None
         share = min(1.0, self.options.longest_step_mm / max(float(np.abs(du).max()), 1e-300))
         share *= self.assembly.max_step(state, share * du)
+        whole = share
         noise = _NOISE * (sum(map(abs, elasticity.energy_of_blocks().values())) + abs(energy) + abs(merit))
 
         def trial(share: float) -> _Trial:
@@ -253,6 +284,7 @@ class _Search:
                 if refused is not None and not moving:
                     tried = _nearer_to_least(trial, merit, rise, tried, refused)
                 self.shares.append(tried.share)
+                self.taken = tried.share / whole
                 return tried.state.towards(pressures, tried.share), tried.energy_n_mm
             refused = tried
             # minimum of the parabola through both energies and the slope, kept between a tenth and a half
@@ -322,7 +354,8 @@ def find_equilibrium(
 
     Newton's method on displacements, incompatible modes and the pressures of nearly incompressible elements; each step
     must lower the energy (Armijo), in which the change of volume counts softly; one that has to be shortened goes near
-    to the least energy along it. Where the exact tangent's step leads uphill, as in buckling, the other way is taken;
+    to the least energy along it, the modes of each element then follow by themselves, and what hardly resisted is
+    damped in the next step. Where the exact tangent's step leads uphill, as in buckling, the other way is taken;
     where neither lowers the energy, the next one uses a tangent without negative curvature. Supports that
     are not yet where they shall be move there in the first step, or in several where that turns an element inside out
     or a term allows less.
