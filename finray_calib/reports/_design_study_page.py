@@ -1,6 +1,7 @@
 """The page of a design study, and its table as text: pictures of all points, numbers with intervals, what matters."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import cv2
@@ -135,6 +136,100 @@ def study_text(result: StudyResult) -> str:
     widths = [max(len(line[k]) for line in [head, *rows]) for k in range(len(head))]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip()
                      for line in [head, *rows])  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class MetricDifference:
+    """A metric at the same point of two studies.
+
+    Attributes
+    ----------
+    changes
+        What the point changes, in both studies.
+    name, unit
+        Of the metric.
+    first, second
+        Its values.
+    difference, low95, high95
+        Second less first, with limits as of two independent studies; None where a study gives no limits.
+    is_apart
+        Whether 0 lies outside limits that are so wide that they hold for all compared numbers together (Bonferroni);
+        None without limits.
+    """
+
+    changes: Mapping[str, DesignValue]
+    name: str
+    unit: str
+    first: float
+    second: float
+    difference: float
+    low95: float | None
+    high95: float | None
+    is_apart: bool | None
+
+
+def study_differences(first: StudyResult, second: StudyResult) -> list[MetricDifference]:
+    r"""Return the metrics of all points that two studies have in common, and what they differ by.
+
+    .. math:: d = b - a, \quad [d - \sqrt{(b - b_-)^2 + (a_+ - a)^2},\; d + \sqrt{(b_+ - b)^2 + (a - a_-)^2}]
+
+    Parameters
+    ----------
+    first, second
+        The studies; points are the same where they change the same fields to the same values.
+    """
+    others = {tuple(sorted(row.changes.items())): row for row in second.points}
+    pairs = [
+        (row, one, two)
+        for row in first.points
+        if (like := others.get(tuple(sorted(row.changes.items())))) is not None
+        for one in row.metrics
+        if (two := _found(like, one.name)) is not None
+    ]
+    normal = NormalDist()
+    factor = normal.inv_cdf(1.0 - 0.025 / max(len(pairs), 1)) / normal.inv_cdf(0.975)
+    return [_difference(row.changes, one, two, factor) for row, one, two in pairs]
+
+
+def _difference(
+    changes: Mapping[str, DesignValue], one: StudyMetric, two: StudyMetric, factor: float
+) -> MetricDifference:
+    """Return what a metric differs by, apart where limits that are wider by a factor leave 0 out."""
+    gap, below, above = two.value - one.value, None, None
+    if one.low95 is not None and one.high95 is not None and two.low95 is not None and two.high95 is not None:
+        below = float(np.hypot(two.value - two.low95, one.high95 - one.value))
+        above = float(np.hypot(two.high95 - two.value, one.value - one.low95))
+    return MetricDifference(
+        changes, one.name, one.unit, one.value, two.value, gap,
+        None if below is None else gap - below,
+        None if above is None else gap + above,
+        None if below is None or above is None else gap > factor * below or -gap > factor * above,
+    )  # fmt: skip
+
+
+def study_differences_text(differences: Sequence[MetricDifference]) -> str:
+    """Return differences as aligned text: a line a number, the points under their changes."""
+    lines, at = [], None
+    widths = [max(len(cell(d)) for d in differences) for cell in (lambda d: d.name, _ends)]
+    for d in differences:
+        if d.changes != at:
+            at = d.changes
+            lines.append(f"{_words(at)}:")
+        lines.append(f"  {d.name.ljust(widths[0])}  {_ends(d).ljust(widths[1])}  {_judged(d)}".rstrip())
+    return "\n".join(lines)
+
+
+def _ends(d: MetricDifference) -> str:
+    """Return both values of a number."""
+    return f"{d.first:.4g} -> {d.second:.4g}{'' if d.unit == '1' else f' {d.unit}'}"
+
+
+def _judged(d: MetricDifference) -> str:
+    """Return a difference with its limits, and whether it is one."""
+    if d.low95 is None or d.high95 is None:
+        return f"{d.difference:+.3g}, without limits" if d.difference else "the same"
+    told = interval_text(d.difference, d.low95, d.high95)
+    return f"{told}{', differs' if d.is_apart else ', no difference shown'}"
 
 
 def _sentence(result: StudyResult) -> str:

@@ -5,6 +5,7 @@ of the coat, how the touch shows, and force. The 95 % interval of a number of an
 of the point and from their halves: it knows their noise (that of the baked walls included) and nothing of materials,
 geometry or camera, which are the design's.
 """
+
 import hashlib
 import itertools
 import json
