@@ -46,6 +46,7 @@ _MEDIAN_PX, _FEWEST_LIT = 5, 0.05
 """A single bright pixel is the render's noise, and a row or column with fewer lit pixels than this is left out."""
 _CHANGE_SHOWN_REL, _DARK_REL = 0.5, 0.02
 """Change of light that is shown as black or white, and what is added to dark pixels, as a share of white."""
+_UNITS: Mapping[str, str] = {"_mm": "mm", "_deg": "deg", "_nm": "nm", "_mpa": "MPa"}
 _VIEWS = ("without contact", "with contact", "what the touch changes")
 _SHOWN = ("vividness", "variation_rel", "touch_rel", "brightness_rel", "force_n", "seen_area_mm2")
 """Metrics with a panel of their own, and the order in which a sentence is made of them."""
@@ -343,11 +344,17 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
 
 
 def _names(point: StudyPoint) -> str:
-    """Return what a point changes, a value a line; a number with its field's name, which ends in the unit."""
-    return "\n".join(
-        str(value) if isinstance(value, str) else f"{field.rsplit('.', 1)[-1]} {_short(value)}"
-        for field, value in point.changes.items()
-    )
+    """Return what a point changes, a value a line."""
+    return "\n".join(map(_named, point.changes, point.changes.values()))
+
+
+def _named(field: str, value: DesignValue) -> str:
+    """Return a value by itself where it is a name, else as "depth 0.8 mm"."""
+    if isinstance(value, str):
+        return value
+    name = field.rsplit(".", 1)[-1]
+    ending = next((ending for ending in _UNITS if name.endswith(ending)), "")
+    return f"{name.removesuffix(ending).replace('_', ' ')} {_short(value)} {_UNITS.get(ending, '')}".rstrip()
 
 
 def _common_white(points: Sequence[StudyPoint]) -> NDArray[np.float64]:

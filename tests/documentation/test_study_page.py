@@ -7,7 +7,7 @@ from html_page import Page, assert_stands_alone
 
 from data_schemas import FingerDesign, StudyMetric, StudyPoint, StudyResult, StudyRow
 from finray_calib.reports import design_study_page, study_differences, study_differences_text, study_pictures_webp
-from finray_calib.reports._design_study_page import _changed, _views
+from finray_calib.reports._design_study_page import _changed, _names, _views
 from finray_calib.reports._methods import study_methods
 
 
@@ -106,6 +106,11 @@ def test_pictures_are_cut_to_what_is_lit_and_show_what_the_touch_changes():
     assert (before == 255).all()
     assert (change[5:10, 10:20, 0] == 255).all()
     assert set(change[..., 1:].ravel()) == {128}
+
+
+def test_a_point_is_named_by_what_it_changes_with_its_unit():
+    point = pictured(1, {"preset": "flat-70x35", "indenter.depth_mm": 0.8, "skeleton.rib_count": 5})
+    assert _names(point) == "flat-70x35\ndepth 0.8 mm\nrib count 5"
 
 
 def study(values: dict[float, float], half: float | None, name: str = "one") -> StudyResult:
