@@ -154,8 +154,8 @@ class PositionMap:
         SimulateError
             When the texture coordinates fold, or the mesh leaves every smooth map by more than 0.3 mm.
         """
-        key = hashlib.blake2b(b"".join(np.ascontiguousarray(a) for a in (surface.vertices_mm, surface.triangles,
-                                                                         surface.uv))).digest()  # fmt: skip
+        arrays = (surface.vertices_mm, surface.triangles, surface.uv)
+        key = hashlib.blake2b(b"".join(array.tobytes() for array in arrays)).digest()
         if key not in _FITTED:
             fitted = cls._fitted(surface, name)
             fitted.coefficients_mm.flags.writeable = False  # it is shared
