@@ -107,7 +107,7 @@ def design_study_page(
             ),
             parts=(
                 *found_part(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
-                trust_part(_LIMITS, notes),
+                trust_part(_limits(result), notes),
                 *_sections(result, points),
                 methods_part(study_methods(result), result.provenance),
             ),
@@ -118,15 +118,29 @@ def design_study_page(
     )
 
 
-_LIMITS = (
-    "Intervals (95 %) of what images show come from independent renders of each point: they include the noise of the "
-    "renders, and leave out assumed materials, dimensions and camera response, which all points share.",
+_IMAGE_LIMITS = (
+    "Intervals (95 %) of what images show come from independent renders of each point, and the halves of each: they "
+    "include the noise of the renders, and leave out assumed materials, dimensions and camera response, which all "
+    "points share.",
     "All points share their random numbers, so the difference of two points is more certain than each of them.",
-    "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
-    "Their limits show the uncertainty that comes from the mesh, which moves all points alike for the most part.",
     "Vividness takes the camera's channels for those of sRGB, exposed and white-balanced on the coat itself; it "
     "ranks fingers with one camera and is not an absolute measure of colour.",
 )
+_FORCE_LIMITS = (
+    "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
+    "Their limits show the uncertainty that comes from the mesh, which moves all points alike for the most part.",
+)
+_NO_FORCE_LIMITS = (
+    "No mechanics: the pad takes the shape of what is pressed in at once, with a bulge around it; there is no force, "
+    "and neither finger nor object bends.",
+)
+
+
+def _limits(result: StudyResult) -> tuple[str, ...]:
+    """Return what the numbers of a study do not know."""
+    names = _metric_names(result)
+    of_images = _IMAGE_LIMITS if "vividness" in names else ()
+    return (*of_images, *(_FORCE_LIMITS if "force_n" in names else _NO_FORCE_LIMITS))
 
 
 def study_text(result: StudyResult) -> str:
@@ -244,7 +258,7 @@ def _sentence(result: StudyResult) -> str:
         (best, where), (second, _) = rows[0], rows[1]
         sure = "" if _apart(best, second) else ", within its interval of the next"
         sure = ", as at other points" if best.value == second.value else sure
-        parts.append(f"{words} at {_words(where.changes)} ({_value(best)}{sure})")
+        parts.append(f"{words} at {_spoken(where.changes)} ({_value(best)}{sure})")
     told = "; ".join(parts)
     return f"{told[:1].upper()}{told[1:]}." if parts else "One point was computed."
 
@@ -345,16 +359,28 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
 
 def _names(point: StudyPoint) -> str:
     """Return what a point changes, a value a line."""
-    return "\n".join(map(_named, point.changes, point.changes.values()))
+    return "\n".join(_named(point.changes))
 
 
-def _named(field: str, value: DesignValue) -> str:
+def _spoken(changes: Mapping[str, DesignValue]) -> str:
+    """Return what a point changes in a line: names by themselves, numbers with their unit."""
+    return ", ".join(_named(changes)) or "all"
+
+
+def _named(changes: Mapping[str, DesignValue]) -> Iterator[str]:
+    """Yield each change; a field by its last part where no other has the same."""
+    lasts = [field.rsplit(".", 1)[-1] for field in changes]
+    for (field, value), last in zip(changes.items(), lasts, strict=True):
+        yield _with_unit(last if lasts.count(last) == 1 else field, value)
+
+
+def _with_unit(name: str, value: DesignValue) -> str:
     """Return a value by itself where it is a name, else as "depth 0.8 mm"."""
     if isinstance(value, str):
         return value
-    name = field.rsplit(".", 1)[-1]
     ending = next((ending for ending in _UNITS if name.endswith(ending)), "")
-    return f"{name.removesuffix(ending).replace('_', ' ')} {_short(value)} {_UNITS.get(ending, '')}".rstrip()
+    words = name.removesuffix(ending).replace("_", " ").replace(".", " ")
+    return f"{words} {_short(value)} {_UNITS.get(ending, '')}".rstrip()
 
 
 def _common_white(points: Sequence[StudyPoint]) -> NDArray[np.float64]:
@@ -404,11 +430,12 @@ def _pictures(points: Sequence[StudyPoint]) -> Content:
     rows: list[tuple[Picture, ...]] = []
     pictures = [
         raster(_stacked(_views(point, white)), f"Point {point.number}, {_words(point.changes)}.",
-               f"{point.number}: {_words(point.changes)}. {_caption(point)}")
+               f"{point.number}: {_spoken(point.changes)}. {_caption(point)}")
         for point in points
     ]  # fmt: skip
-    for start in range(0, len(pictures), 3):
-        rows.append(tuple(pictures[start : start + 3]))
+    # a picture alone in a row would be as wide as three
+    for row in np.array_split(np.arange(len(pictures)), -(-len(pictures) // 3)):
+        rows.append(tuple(pictures[k] for k in row))
     lead = (
         "What the camera sees, cut to what is lit: without contact, with it, and what the touch changes in each "
         f"channel (grey: nothing; black and white: {100 * _CHANGE_SHOWN_REL:.0f} % and more). Each channel is balanced "

@@ -48,7 +48,7 @@ def test_the_page_shows_three_numbers_and_says_how_it_was_done():
     assert_stands_alone(html)
     text = Page(html).prose
     assert "evenness 0.2 to 0.6 darkest over brightest \u2713 good : the points differ by more than" in text
-    assert "The force is lowest at light.angle_deg 30 (3, as at other points)." in text
+    assert "The force is lowest at angle 30 deg (3, as at other points)." in text
     assert "Computed 3 of 3 points \u2713 good : none failed" in text
     told = " ".join(study_methods(result))
     assert told in text
@@ -111,6 +111,8 @@ def test_pictures_are_cut_to_what_is_lit_and_show_what_the_touch_changes():
 def test_a_point_is_named_by_what_it_changes_with_its_unit():
     point = pictured(1, {"preset": "flat-70x35", "indenter.depth_mm": 0.8, "skeleton.rib_count": 5})
     assert _names(point) == "flat-70x35\ndepth 0.8 mm\nrib count 5"
+    twice = pictured(2, {"light.angle_deg": 30.0, "second_light.angle_deg": 20.0})
+    assert _names(twice) == "light angle 30 deg\nsecond light angle 20 deg"
 
 
 def study(values: dict[float, float], half: float | None, name: str = "one") -> StudyResult:
