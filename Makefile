@@ -163,10 +163,12 @@ docs: $(VENV)/installed-docs
 pictures: $(VENV)/installed-dev llvm
 	$(BIN)/python -m docs.touch_picture
 
-# Those of docs/reference/paper-experiments.md, by its studies; a quarter of an hour on two cores, and it continues.
+# Those of docs/reference/paper-experiments.md, by its studies; it continues within a commit, and begins again with another.
+PAPER_STUDIES = $(VENV)/studies/$$(git rev-parse --short HEAD)
 paper-pictures: $(VENV)/installed-dev llvm
-	@for study in pad-shapes everyday-objects; do \
-	  $(BIN)/finray study run $$study --out $(VENV)/studies/$$study && cp $(VENV)/studies/$$study/pictures.webp docs/images/$$study.webp || exit 1; \
+	@for study in pad-shapes finger-family everyday-objects; do \
+	  $(BIN)/finray study run $$study --out $(PAPER_STUDIES)/$$study && \
+	  cp $(PAPER_STUDIES)/$$study/pictures.webp docs/images/$$study.webp || exit 1; \
 	done
 
 # The pictures of docs/gallery.md, by running what stands there; some ten minutes.

@@ -1,4 +1,4 @@
-"""``finray study run``, ``show`` and ``dataset``: a design study by its plan, its table, and a data set for learning.
+"""``finray study run``, ``show``, ``compare`` and ``dataset``: a study by its plan, its table, and data for learning.
 
 And the paints of a study: calibrated ones, or those of the simulated rig in their place.
 """
@@ -78,6 +78,11 @@ examples:
 The workers of a Dask scheduler must see the same folders.
 Plans that come with finray: """
 SHOW_HELP = "show the table of a design study"
+COMPARE_HELP = "compare two design studies point by point: what differs by more than both studies leave open"
+COMPARE_DESCRIPTION = """\
+Compare the points that two design studies have in common: those that change the same fields to the same values. Each
+number is told with its difference and the 95 % limits of it, as of two independent studies. "differs" holds for all
+numbers together; where both studies have the same seed they share part of their noise, and more may differ."""
 DATASET_HELP = "make a data set for learning: random presses of a finger, rendered, with depth, normals and labels"
 DATASET_DESCRIPTION = """\
 Draw random presses of a finger, render each without and with contact under several draws of the light and of the
@@ -99,7 +104,7 @@ TABLE_NAME, RESULT_NAME, PAGE_NAME, PICTURES_NAME = "table.csv", "study.json", "
 
 
 def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register ``run`` and ``show``."""
+    """Register ``run``, ``dataset``, ``show`` and ``compare``."""
     run = studies.add_parser(
         "run",
         help=RUN_HELP,
@@ -118,6 +123,10 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
     show = studies.add_parser("show", help=SHOW_HELP, description=SHOW_HELP)
     show.add_argument("study", type=Path, metavar="DIR", help="folder that 'finray study run' wrote")
     show.set_defaults(run=show_study)
+    compare = studies.add_parser("compare", help=COMPARE_HELP, description=COMPARE_DESCRIPTION)
+    for name in ("first", "second"):
+        compare.add_argument(name, type=Path, metavar=name.upper(), help="folder that 'finray study run' wrote")
+    compare.set_defaults(run=compare_studies)
 
 
 def _add_dataset(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -482,14 +491,44 @@ def _three(metric: "StudyMetric | None") -> tuple[float | None, float | None, fl
 
 def show_study(arguments: argparse.Namespace) -> None:
     """Show the table of a study."""
-    from data_schemas import RecordError, StudyResult
-    from data_schemas.storage import read_record
-
-    if not (arguments.study / RESULT_NAME).exists():
-        raise RecordError(f"{arguments.study}: holds no {RESULT_NAME}; give the folder that 'finray study run' wrote")
-    _tell(read_record(arguments.study / RESULT_NAME, StudyResult))
+    _tell(_stored_study(arguments.study))
     if (arguments.study / PAGE_NAME).exists():
         look_at(arguments.study / PAGE_NAME)
 
 
-#: The covariance of as many designs is factored before each proposal.
+def compare_studies(arguments: argparse.Namespace) -> None:
+    """Show what two studies differ by."""
+    from data_schemas import RecordError
+    from finray_calib.reports import study_differences, study_differences_text
+
+    first, second = _stored_study(arguments.first), _stored_study(arguments.second)
+    differences = study_differences(first, second)
+    if not differences:
+        raise RecordError(
+            f"{arguments.first}, {arguments.second}: have no point in common; they change {', '.join(first.varied)}, "
+            f"and {', '.join(second.varied)}. Give two studies whose plans share points"
+        )
+    shared = [d.changes for d in differences]
+    alone = {
+        name: [row.changes for row in study.points if row.changes not in shared]
+        for name, study in (("only_first", first), ("only_second", second))
+    }
+    give(first=first.name, second=second.name, differences=differences, **alone)
+    say(study_differences_text(differences))
+    apart, judged = (sum(1 for d in differences if d.is_apart in wanted) for wanted in ((True,), (True, False)))
+    say(f"{apart} of {judged} numbers with limits differ, judged all together at 95 %")
+    for name, rows in alone.items():
+        if rows:
+            say(f"points in the {name.removeprefix('only_')} study only: {len(rows)}")
+    if (arguments.second / PAGE_NAME).exists():
+        look_at(arguments.second / PAGE_NAME)
+
+
+def _stored_study(folder: Path) -> "StudyResult":
+    """Return the result of a study by its folder."""
+    from data_schemas import RecordError, StudyResult
+    from data_schemas.storage import read_record
+
+    if not (folder / RESULT_NAME).exists():
+        raise RecordError(f"{folder}: holds no {RESULT_NAME}; give the folder that 'finray study run' wrote")
+    return read_record(folder / RESULT_NAME, StudyResult)

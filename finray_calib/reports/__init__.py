@@ -48,7 +48,14 @@ if TYPE_CHECKING:
         verdict_sentence,
         verdict_words,
     )
-    from finray_calib.reports._design_study_page import design_study_page, study_pictures_webp, study_text
+    from finray_calib.reports._design_study_page import (
+        MetricDifference,
+        design_study_page,
+        study_differences,
+        study_differences_text,
+        study_pictures_webp,
+        study_text,
+    )
     from finray_calib.reports._finger_page import assessment_page, finger_page, stiffness_rows
     from finray_calib.reports._finger_pictures import (
         finger_page_png,
@@ -162,6 +169,7 @@ __all__ = [
     "Json",
     "KeyNumber",
     "Light",
+    "MetricDifference",
     "PaintTruth",
     "Part",
     "PartLabel",
@@ -269,6 +277,8 @@ __all__ = [
     "spots_note",
     "spread_sentence",
     "stiffness_rows",
+    "study_differences",
+    "study_differences_text",
     "study_pictures_webp",
     "study_text",
     "styled",

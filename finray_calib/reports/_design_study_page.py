@@ -1,6 +1,7 @@
 """The page of a design study, and its table as text: pictures of all points, numbers with intervals, what matters."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import cv2
@@ -38,13 +39,27 @@ _LARGEST_SIDE_PX = 200
 _PANELS_IN_A_ROW = 2
 _PICTURES_IN_A_ROW = 4
 _WEBP_QUALITY = 85
-_WHITE_PERCENTILE = 95.0  # brighter are the walls and, at some angles, the panel itself
+_LIT_PERCENTILE, _LIT_SHARE = 95.0, 0.05
+"""Pictures are cut to the pixels that have at least this share of the light of the brightest five per cent."""
+_WHITE_PERCENTILE = 97.0  # of what is lit: brighter are the base and, at some angles, the panel itself
+_MEDIAN_PX, _FEWEST_LIT = 5, 0.05
+"""A single bright pixel is the render's noise, and a row or column with fewer lit pixels than this is left out."""
+_CHANGE_SHOWN_REL, _DARK_REL = 0.5, 0.02
+"""Change of light that is shown as black or white, and what is added to dark pixels, as a share of white."""
+_UNITS: Mapping[str, str] = {"_mm": "mm", "_deg": "deg", "_nm": "nm", "_mpa": "MPa"}
+_VIEWS = ("without contact", "with contact", "what the touch changes")
 _SHOWN = ("vividness", "variation_rel", "touch_rel", "brightness_rel", "force_n", "seen_area_mm2")
 """Metrics with a panel of their own, and the order in which a sentence is made of them."""
 
 _SHARES = tuple((f"{name}_share", marker, colour) for name, marker, colour in CHANNELS)
 """Metrics of one panel, the share of the coat where each light leads, with their markers and colours."""
-_IN_CAPTIONS = ("variation_rel", "vividness", "touch_rel", "force_n")
+_IN_CAPTIONS: Mapping[str, str] = {
+    "variation_rel": "spread of the light over its mean",
+    "vividness": "vividness",
+    "touch_rel": "change by the touch",
+    "force_n": "force in N",
+}
+"""Metrics below a picture, in words."""
 _MOST_NAMED_POINTS = 12
 _LONGEST_POINT_NAME = 22
 
@@ -92,7 +107,7 @@ def design_study_page(
             ),
             parts=(
                 *found_part(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
-                trust_part(_LIMITS, notes),
+                trust_part(_limits(result), notes),
                 *_sections(result, points),
                 methods_part(study_methods(result), result.provenance),
             ),
@@ -103,15 +118,29 @@ def design_study_page(
     )
 
 
-_LIMITS = (
-    "Intervals (95 %) of what images show come from independent renders of each point: they include the noise of the "
-    "renders, and leave out assumed materials, dimensions and camera response, which all points share.",
+_IMAGE_LIMITS = (
+    "Intervals (95 %) of what images show come from independent renders of each point, and the halves of each: they "
+    "include the noise of the renders, and leave out assumed materials, dimensions and camera response, which all "
+    "points share.",
     "All points share their random numbers, so the difference of two points is more certain than each of them.",
-    "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
-    "Their limits show the uncertainty that comes from the mesh, which moves all points alike for the most part.",
     "Vividness takes the camera's channels for those of sRGB, exposed and white-balanced on the coat itself; it "
     "ranks fingers with one camera and is not an absolute measure of colour.",
 )
+_FORCE_LIMITS = (
+    "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
+    "Their limits show the uncertainty that comes from the mesh, which moves all points alike for the most part.",
+)
+_NO_FORCE_LIMITS = (
+    "No mechanics: the pad takes the shape of what is pressed in at once, with a bulge around it; there is no force, "
+    "and neither finger nor object bends.",
+)
+
+
+def _limits(result: StudyResult) -> tuple[str, ...]:
+    """Return what the numbers of a study do not know."""
+    names = _metric_names(result)
+    of_images = _IMAGE_LIMITS if "vividness" in names else ()
+    return (*of_images, *(_FORCE_LIMITS if "force_n" in names else _NO_FORCE_LIMITS))
 
 
 def study_text(result: StudyResult) -> str:
@@ -122,6 +151,100 @@ def study_text(result: StudyResult) -> str:
     widths = [max(len(line[k]) for line in [head, *rows]) for k in range(len(head))]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip()
                      for line in [head, *rows])  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class MetricDifference:
+    """A metric at the same point of two studies.
+
+    Attributes
+    ----------
+    changes
+        What the point changes, in both studies.
+    name, unit
+        Of the metric.
+    first, second
+        Its values.
+    difference, low95, high95
+        Second less first, with limits as of two independent studies; None where a study gives no limits.
+    is_apart
+        Whether 0 lies outside limits that are so wide that they hold for all compared numbers together (Bonferroni);
+        None without limits.
+    """
+
+    changes: Mapping[str, DesignValue]
+    name: str
+    unit: str
+    first: float
+    second: float
+    difference: float
+    low95: float | None
+    high95: float | None
+    is_apart: bool | None
+
+
+def study_differences(first: StudyResult, second: StudyResult) -> list[MetricDifference]:
+    r"""Return the metrics of all points that two studies have in common, and what they differ by.
+
+    .. math:: d = b - a, \quad [d - \sqrt{(b - b_-)^2 + (a_+ - a)^2},\; d + \sqrt{(b_+ - b)^2 + (a - a_-)^2}]
+
+    Parameters
+    ----------
+    first, second
+        The studies; points are the same where they change the same fields to the same values.
+    """
+    others = {tuple(sorted(row.changes.items())): row for row in second.points}
+    pairs = [
+        (row, one, two)
+        for row in first.points
+        if (like := others.get(tuple(sorted(row.changes.items())))) is not None
+        for one in row.metrics
+        if (two := _found(like, one.name)) is not None
+    ]
+    normal = NormalDist()
+    factor = normal.inv_cdf(1.0 - 0.025 / max(len(pairs), 1)) / normal.inv_cdf(0.975)
+    return [_difference(row.changes, one, two, factor) for row, one, two in pairs]
+
+
+def _difference(
+    changes: Mapping[str, DesignValue], one: StudyMetric, two: StudyMetric, factor: float
+) -> MetricDifference:
+    """Return what a metric differs by, apart where limits that are wider by a factor leave 0 out."""
+    gap, below, above = two.value - one.value, None, None
+    if one.low95 is not None and one.high95 is not None and two.low95 is not None and two.high95 is not None:
+        below = float(np.hypot(two.value - two.low95, one.high95 - one.value))
+        above = float(np.hypot(two.high95 - two.value, one.value - one.low95))
+    return MetricDifference(
+        changes, one.name, one.unit, one.value, two.value, gap,
+        None if below is None else gap - below,
+        None if above is None else gap + above,
+        None if below is None or above is None else gap > factor * below or -gap > factor * above,
+    )  # fmt: skip
+
+
+def study_differences_text(differences: Sequence[MetricDifference]) -> str:
+    """Return differences as aligned text: a line a number, the points under their changes."""
+    lines, at = [], None
+    widths = [max(len(cell(d)) for d in differences) for cell in (lambda d: d.name, _ends)]
+    for d in differences:
+        if d.changes != at:
+            at = d.changes
+            lines.append(f"{_words(at)}:")
+        lines.append(f"  {d.name.ljust(widths[0])}  {_ends(d).ljust(widths[1])}  {_judged(d)}".rstrip())
+    return "\n".join(lines)
+
+
+def _ends(d: MetricDifference) -> str:
+    """Return both values of a number."""
+    return f"{d.first:.4g} -> {d.second:.4g}{'' if d.unit == '1' else f' {d.unit}'}"
+
+
+def _judged(d: MetricDifference) -> str:
+    """Return a difference with its limits, and whether it is one."""
+    if d.low95 is None or d.high95 is None:
+        return f"{d.difference:+.3g}, without limits" if d.difference else "the same"
+    told = interval_text(d.difference, d.low95, d.high95)
+    return f"{told}{', differs' if d.is_apart else ', no difference shown'}"
 
 
 def _sentence(result: StudyResult) -> str:
@@ -135,7 +258,7 @@ def _sentence(result: StudyResult) -> str:
         (best, where), (second, _) = rows[0], rows[1]
         sure = "" if _apart(best, second) else ", within its interval of the next"
         sure = ", as at other points" if best.value == second.value else sure
-        parts.append(f"{words} at {_words(where.changes)} ({_value(best)}{sure})")
+        parts.append(f"{words} at {_spoken(where.changes)} ({_value(best)}{sure})")
     told = "; ".join(parts)
     return f"{told[:1].upper()}{told[1:]}." if parts else "One point was computed."
 
@@ -205,31 +328,30 @@ def _sections(result: StudyResult, points: Sequence[StudyPoint]) -> Iterator[Par
 
 
 def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
-    """Return one picture (WebP) of all points, each without contact above with contact; None without images.
+    """Return one picture (WebP) of all points: without contact, with it, and what changes; None without images.
 
-    All are balanced alike, as on the page. The name of a point is what it changes; below it stand its numbers.
+    All are cut to what is lit and balanced alike, as on the page. The name of a point is what it changes; below it
+    stand its numbers.
     """
     shown = [point for point in points if point.contact is not None and point.no_contact is not None][:MOST_PICTURES]
     if not shown:
         return None
     white, columns = _common_white(shown), min(len(shown), _PICTURES_IN_A_ROW)
-    rows = -(-len(shown) // columns)
+    rows, views = -(-len(shown) // columns), len(_VIEWS)
     with styled():
-        figure = new_figure(2.5 * columns, 4.7 * rows)
+        figure = new_figure(2.5 * columns, 5.4 * rows)
         for k, point in enumerate(shown):
             row, column = divmod(k, columns)
-            for below, image in enumerate((point.no_contact, point.contact)):
-                if image is None:
-                    continue
-                axes = figure.add_subplot(2 * rows, columns, (2 * row + below) * columns + column + 1)
-                axes.imshow(to_display(_small(image), white, True), interpolation="bicubic")
+            for below, image in enumerate(_views(point, white)):
+                axes = figure.add_subplot(views * rows, columns, (views * row + below) * columns + column + 1)
+                axes.imshow(image, interpolation="bicubic")
                 axes.set_axis_off()
-                if below:
+                if below == views - 1:
                     words = _caption(point).replace("; ", "\n")
                     axes.text(0.0, -0.04, words, fontsize=6, va="top", color=INK, transform=axes.transAxes)
-                else:
+                elif not below:
                     axes.set_title(_names(point), fontsize=8, loc="left", color=INK)
-        figure.suptitle("Above without contact, below with it", fontsize=8, x=0.01, ha="left", color=MUTED)
+        figure.suptitle(f"From above: {', '.join(_VIEWS)}", fontsize=8, x=0.01, ha="left", color=MUTED)
         png = png_bytes(figure)
     picture = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR))
     return bytes(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])[1])
@@ -237,14 +359,50 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
 
 def _names(point: StudyPoint) -> str:
     """Return what a point changes, a value a line."""
-    return "\n".join(map(_short, point.changes.values()))
+    return "\n".join(_named(point.changes))
+
+
+def _spoken(changes: Mapping[str, DesignValue]) -> str:
+    """Return what a point changes in a line: names by themselves, numbers with their unit."""
+    return ", ".join(_named(changes)) or "all"
+
+
+def _named(changes: Mapping[str, DesignValue]) -> Iterator[str]:
+    """Yield each change; a field by its last part where no other has the same."""
+    lasts = [field.rsplit(".", 1)[-1] for field in changes]
+    for (field, value), last in zip(changes.items(), lasts, strict=True):
+        yield _with_unit(last if lasts.count(last) == 1 else field, value)
+
+
+def _with_unit(name: str, value: DesignValue) -> str:
+    """Return a value by itself where it is a name, else as "depth 0.8 mm"."""
+    if isinstance(value, str):
+        return value
+    ending = next((ending for ending in _UNITS if name.endswith(ending)), "")
+    words = name.removesuffix(ending).replace("_", " ").replace(".", " ")
+    return f"{words} {_short(value)} {_UNITS.get(ending, '')}".rstrip()
 
 
 def _common_white(points: Sequence[StudyPoint]) -> NDArray[np.float64]:
-    """Return the white of all pictures."""
-    pixels = np.concatenate([p.no_contact.reshape(-1, 3) for p in points if p.no_contact is not None])
+    """Return the white of all pictures, by what is lit in those without contact."""
+    lit = [image[_lit(image)].reshape(-1, 3) for p in points if (image := p.no_contact) is not None]
+    pixels = np.concatenate(lit)
     white = np.percentile(pixels, _WHITE_PERCENTILE, axis=0).astype(np.float64)
     return np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
+
+
+def _lit(image: NDArray[np.float32]) -> tuple[slice, slice]:
+    """Return the rows and columns of a picture that are lit, so that the dark around the coat can be left out."""
+    level = np.percentile(image, _LIT_PERCENTILE, axis=(0, 1))
+    light = (image / np.where(level > 0.0, level, 1.0)).mean(axis=-1, dtype=np.float32)
+    is_lit = cv2.medianBlur(light, _MEDIAN_PX) > _LIT_SHARE
+    return _reach(is_lit.mean(axis=1)), _reach(is_lit.mean(axis=0))
+
+
+def _reach(share: NDArray[np.floating]) -> slice:
+    """Return from the first to the last place with enough lit pixels; all where there is none."""
+    found = np.flatnonzero(share > _FEWEST_LIT)
+    return slice(int(found[0]), int(found[-1]) + 1) if found.size else slice(None)
 
 
 def _small(image: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -255,22 +413,36 @@ def _small(image: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float64)
 
 
+def _views(point: StudyPoint, white: NDArray[np.float64]) -> list[ByteImage]:
+    """Return a point's pictures without contact and with it, and what the touch changes: grey is no change."""
+    if point.no_contact is None or point.contact is None:
+        return []
+    lit = _lit(point.no_contact)
+    before, after = (_small(image[lit]) for image in (point.no_contact, point.contact))
+    change = (after - before) / (0.5 * (before + after) + _DARK_REL * white) / _CHANGE_SHOWN_REL
+    grey = np.rint(127.5 + 127.5 * np.clip(change, -1.0, 1.0)).astype(np.uint8)
+    return [to_display(before, white, True), to_display(after, white, True), grey]
+
+
 def _pictures(points: Sequence[StudyPoint]) -> Content:
     """Show each point without and with contact, all balanced alike."""
     white = _common_white(points)
     rows: list[tuple[Picture, ...]] = []
     pictures = [
-        raster(_pair(point, white), f"Point {point.number}, {_words(point.changes)}.",
-               f"{point.number}: {_words(point.changes)}. {_caption(point)}")
+        raster(_stacked(_views(point, white)), f"Point {point.number}, {_words(point.changes)}.",
+               f"{point.number}: {_spoken(point.changes)}. {_caption(point)}")
         for point in points
     ]  # fmt: skip
-    for start in range(0, len(pictures), 3):
-        rows.append(tuple(pictures[start : start + 3]))
+    # a picture alone in a row would be as wide as three
+    for row in np.array_split(np.arange(len(pictures)), -(-len(pictures) // 3)):
+        rows.append(tuple(pictures[k] for k in row))
     lead = (
-        "What the camera sees: left without contact, right with it. Each channel is balanced for the screen, in the "
-        "same way in all pictures. Base of the finger at the left, tip at the right; red paint on one wall, green on "
-        "the other, blue light from the base. Below each picture: the share of the coat where each light leads, and "
-        "how even, how vivid, and how much changed by the touch it is ('What the metrics are', below, says how)."
+        "What the camera sees, cut to what is lit: without contact, with it, and what the touch changes in each "
+        f"channel (grey: nothing; black and white: {100 * _CHANGE_SHOWN_REL:.0f} % and more). Each channel is balanced "
+        "for the screen, in the same way in all pictures. Base of the finger at the left, tip at the right; red paint "
+        "on one wall, green on the other, blue light from the base. Below each picture: the share of the coat where "
+        "each light leads, and how even, how vivid, and how much changed by the touch it is ('What the metrics are', "
+        "below, says how)."
     )
     return Content(lead, tuple(rows))
 
@@ -280,17 +452,14 @@ def _caption(point: StudyPoint) -> str:
     found = {metric.name: metric for metric in point.metrics}
     shares = [found[name].value for name, _, _ in _SHARES if name in found]
     parts = [f"Red, green, blue lead {', '.join(f'{100.0 * share:.0f}' for share in shares)} %"] if shares else []
-    parts += [f"{name} {_value(found[name])}" for name in _IN_CAPTIONS if name in found]
+    parts += [f"{words} {_value(found[name])}" for name, words in _IN_CAPTIONS.items() if name in found]
     return f"{'; '.join(parts)}."
 
 
-def _pair(point: StudyPoint, white: NDArray[np.float64]) -> ByteImage:
-    """Return both images of a point side by side, small."""
-    sides = []
-    for image in (image for image in (point.no_contact, point.contact) if image is not None):
-        sides.append(to_display(_small(image), white, True))
-    gap = np.full((sides[0].shape[0], 4, 3), 255, dtype=np.uint8)
-    return np.concatenate([sides[0], gap, sides[1]], axis=1)
+def _stacked(images: Sequence[ByteImage]) -> ByteImage:
+    """Return images of one size as one above the other, with a gap."""
+    gap = np.full((4, images[0].shape[1], 3), 255, dtype=np.uint8)
+    return np.concatenate([part for image in images for part in (image, gap)][:-1])
 
 
 def _curves(result: StudyResult, names: Sequence[str]) -> str:

@@ -6,6 +6,8 @@ direction, `cells` cells have `cells + 3` coefficients; one piece of arithmetic 
 renderer's.
 """
 
+import hashlib
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -97,6 +99,9 @@ _MOST_CELLS = 64
 _SMOOTHNESS = 1e-7
 # a map this near to a plane is one: below the rounding of single precision at 100 mm
 _PLANE_MM = 1e-5
+# faces of some fingers without and with contact
+_MOST_FITTED = 64
+_FITTED: "OrderedDict[bytes, PositionMap]" = OrderedDict()
 # a mesh that leaves its smooth map by more than this is crumpled, or its texture coordinates are wrong
 _LARGEST_GAP_MM = 0.3
 
@@ -132,6 +137,7 @@ class PositionMap:
     def of(cls, surface: Surface, name: str = "face") -> "PositionMap":
         """Fit the map to a mesh by least squares.
 
+        The same mesh is fitted once: a render asks for the map of each face several times, and repeats of it again.
         Minimises the squared distance at the vertices plus a vanishing share of the squared third differences, which
         fills cells without a vertex smoothly. Exact for planes; for smooth faces of cell size h the
         error is of order h^4.
@@ -148,6 +154,19 @@ class PositionMap:
         SimulateError
             When the texture coordinates fold, or the mesh leaves every smooth map by more than 0.3 mm.
         """
+        arrays = (surface.vertices_mm, surface.triangles, surface.uv)
+        key = hashlib.blake2b(b"".join(array.tobytes() for array in arrays)).digest()
+        if key not in _FITTED:
+            fitted = cls._fitted(surface, name)
+            fitted.coefficients_mm.flags.writeable = False  # it is shared
+            _FITTED[key] = fitted
+            if len(_FITTED) > _MOST_FITTED:
+                _FITTED.popitem(last=False)
+        return _FITTED[key]
+
+    @classmethod
+    def _fitted(cls, surface: Surface, name: str) -> "PositionMap":
+        """Fit the map; see `of`."""
         turn = _turn(surface, name)
         cells = _cells(surface)
         fit = design_matrix(surface.uv, cells)

@@ -57,6 +57,7 @@ EXCEPTIONS = {
         "a summary of another quantity, in its unit",
     ),
     **dict.fromkeys(("low90", "high90", "margin", "difference", "standard_uncertainty"), "of another, in its unit"),
+    **dict.fromkeys(("first", "second"), "a metric of two studies, in its unit"),
     **dict.fromkeys(("mean_square", "variance"), "of values of any unit, in its square"),
     **dict.fromkeys(("p", "pooled_above", "risk"), "probability"),
     "size_pt": "points, as matplotlib counts",

@@ -445,6 +445,11 @@ CASES = (
         file("plan.toml", STUDY),
     ),
     Case(
+        "study compared with no folder",
+        "study compare {tmp}/nothing {tmp}/neither",
+        r"nothing: holds no study\.json; give the folder that 'finray study run' wrote",
+    ),
+    Case(
         "study of no folder",
         "study show {tmp}/nothing",
         r"nothing: holds no study\.json; give the folder that 'finray study run' wrote",

@@ -1,6 +1,7 @@
 """``finray study run``: killed in the middle it goes on, and its table, page and records say the same."""
 
 import csv
+import json
 import os
 import signal
 import subprocess
@@ -10,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import StudyPoint, StudyResult
-from data_schemas.storage import read_record
+from data_schemas import StudyMetric, StudyPoint, StudyResult, StudyRow, provenance
+from data_schemas.storage import read_record, write_record
 from finray_calib.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -103,3 +104,27 @@ def test_mistakes_in_a_plan_are_one_sentence(tmp_path, capsys):
 def test_a_study_that_was_never_run_cannot_be_shown(tmp_path, capsys):
     assert main(["study", "show", str(tmp_path)]) == 2
     assert "study.json" in capsys.readouterr().err
+
+
+def test_two_studies_are_compared_by_the_points_that_they_share(tmp_path, capsys):
+    for name, field in (("a", "light.angle_deg"), ("b", "light.angle_deg"), ("c", "pad.thickness_mm")):
+        rows = tuple(
+            StudyRow(number=k, changes={field: 10.0 * k}, metrics=(
+                StudyMetric(name="vividness", value=v, low95=v - 0.1, high95=v + 0.1, unit="1", meaning="chroma"),))
+            for k, v in enumerate((5.0, 6.0 if name == "a" else 7.0, 8.0)[: 3 if name == "a" else 2], start=1)
+        )  # fmt: skip
+        result = StudyResult(name=name, about="", varied=(field,), points=rows, failures=())
+        (tmp_path / name).mkdir()
+        write_record(result, tmp_path / name / "study.json", provenance("made up", {}, 1))
+    a, b, c = (str(tmp_path / name) for name in "abc")
+    assert main(["study", "compare", a, b]) == 0
+    said = capsys.readouterr().out
+    assert "vividness  6 -> 7  1.00 [0.86, 1.14], differs" in said
+    assert "1 of 2 numbers with limits differ" in said
+    assert "points in the first study only: 1" in said
+    assert main(["study", "compare", a, b, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["result"]
+    assert [d["is_apart"] for d in found["differences"]] == [False, True]
+    assert found["only_first"] == [{"light.angle_deg": 30.0}]
+    assert main(["study", "compare", a, c]) == 2
+    assert "have no point in common; they change light.angle_deg, and pad.thickness_mm" in capsys.readouterr().err

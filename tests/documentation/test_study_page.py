@@ -6,8 +6,8 @@ import pytest
 from html_page import Page, assert_stands_alone
 
 from data_schemas import FingerDesign, StudyMetric, StudyPoint, StudyResult, StudyRow
-from finray_calib.reports import design_study_page, study_pictures_webp
-from finray_calib.reports._design_study_page import _changed
+from finray_calib.reports import design_study_page, study_differences, study_differences_text, study_pictures_webp
+from finray_calib.reports._design_study_page import _changed, _names, _views
 from finray_calib.reports._methods import study_methods
 
 
@@ -48,7 +48,7 @@ def test_the_page_shows_three_numbers_and_says_how_it_was_done():
     assert_stands_alone(html)
     text = Page(html).prose
     assert "evenness 0.2 to 0.6 darkest over brightest \u2713 good : the points differ by more than" in text
-    assert "The force is lowest at light.angle_deg 30 (3, as at other points)." in text
+    assert "The force is lowest at angle 30 deg (3, as at other points)." in text
     assert "Computed 3 of 3 points \u2713 good : none failed" in text
     told = " ".join(study_methods(result))
     assert told in text
@@ -92,3 +92,54 @@ def test_pictures_have_their_numbers_and_points_their_names(changes):
     assert pictures.shape[1] > pictures.shape[0] / 2
     assert pictures.std() > 20.0
     assert study_pictures_webp([]) is None
+
+
+def test_pictures_are_cut_to_what_is_lit_and_show_what_the_touch_changes():
+    point = pictured(1, {"preset": "flat-70x35"})
+    dark = np.full((60, 80, 3), 1e-3, dtype=np.float32)
+    rest, pressed = dark.copy(), dark.copy()
+    rest[20:40, 30:70] = pressed[20:40, 30:70] = 1.0
+    pressed[25:30, 40:50, 0] = 2.0
+    rest[5, 5] = pressed[5, 5] = 9.0  # one bright pixel is noise
+    before, after, change = _views(point.model_copy(update={"no_contact": rest, "contact": pressed}), np.ones(3))
+    assert before.shape == after.shape == change.shape == (20, 40, 3)
+    assert (before == 255).all()
+    assert (change[5:10, 10:20, 0] == 255).all()
+    assert set(change[..., 1:].ravel()) == {128}
+
+
+def test_a_point_is_named_by_what_it_changes_with_its_unit():
+    point = pictured(1, {"preset": "flat-70x35", "indenter.depth_mm": 0.8, "skeleton.rib_count": 5})
+    assert _names(point) == "flat-70x35\ndepth 0.8 mm\nrib count 5"
+    twice = pictured(2, {"light.angle_deg": 30.0, "second_light.angle_deg": 20.0})
+    assert _names(twice) == "light angle 30 deg\nsecond light angle 20 deg"
+
+
+def study(values: dict[float, float], half: float | None, name: str = "one") -> StudyResult:
+    rows = tuple(
+        StudyRow(number=k, changes={"light.angle_deg": angle}, metrics=(metric(value, half),))
+        for k, (angle, value) in enumerate(values.items(), start=1)
+    )
+    return StudyResult(name=name, about="", varied=("light.angle_deg",), points=rows, failures=())
+
+
+def test_two_studies_of_equal_points_seldom_differ_and_a_real_difference_is_found():
+    """In at most 5 % of pairs of studies does any of 20 equal points differ; single limits would say so in most."""
+    rng = np.random.default_rng(3)
+    called, alone = 0, 0
+    for _ in range(400):
+        one, two = (dict(enumerate(rng.standard_normal(20))) for _ in range(2))
+        found = study_differences(study(one, 1.96), study(two, 1.96))
+        called += any(d.is_apart for d in found)
+        alone += any(not d.low95 <= 0.0 <= d.high95 for d in found)
+    assert called <= 400 * 0.05 + 2 * np.sqrt(400 * 0.05 * 0.95)
+    assert alone > 200
+    found = study_differences(study({0.0: 1.0, 30.0: 2.0, 60.0: 3.0}, 0.05), study({30.0: 2.5, 60.0: 3.0}, 0.05))
+    assert [(d.changes["light.angle_deg"], d.is_apart) for d in found] == [(30.0, True), (60.0, False)]
+    assert found[0].low95 == pytest.approx(0.5 - 0.05 * np.sqrt(2.0))
+    text = study_differences_text(found)
+    assert "light.angle_deg 30:\n  evenness  2 -> 2.5  0.500 [0.429, 0.571], differs" in text
+    assert text.endswith("no difference shown")
+    (same,) = study_differences(study({0.0: 1.0}, None), study({0.0: 1.0}, None))
+    assert same.is_apart is None
+    assert study_differences_text([same]).endswith("the same")

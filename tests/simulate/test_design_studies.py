@@ -5,6 +5,7 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,9 +17,11 @@ import pytest
 from data_schemas import RecordError, SimulateError, StudyPoint, provenance
 from data_schemas.storage import write_record
 from data_schemas.storage._whole_files import part_name
+from finray_calib.cli._study_run import stand_in_paints
 from sim import preset_design
-from sim.experiments import imprinted_shapes
+from sim.experiments import imprinted_shapes, paint_finger
 from sim.mechanics._rigid_bodies import read_body
+from sim.optics import BAKE_SAMPLES, RenderSettings, choose_variant, open_renderer, render_press
 from sim.studies import (
     SHIPPED_PLANS,
     StudyPaints,
@@ -31,7 +34,17 @@ from sim.studies import (
     study_points,
 )
 from sim.studies._engine import _client, _each, _Steps, each_computed
-from sim.studies._point import _metrics, _root_of_products, _Seen, point_key, press_file, stored_point, vividness
+from sim.studies._point import (
+    _metrics,
+    _root_of_products,
+    _Seen,
+    _seen,
+    independent_halves,
+    point_key,
+    press_file,
+    stored_point,
+    vividness,
+)
 from sim.surface_meshes import everyday_objects, pressed_height_mm
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -241,6 +254,31 @@ def test_shares_and_variation_are_those_of_a_coat_whose_light_is_known():
     assert found["variation_rel"] == pytest.approx(np.std([1, 2, 3, 2]) / 2.0)
     assert found["touch_rel"] == pytest.approx(0.25)
     assert found["brightness_rel"] == pytest.approx(2.0)
+
+
+@pytest.mark.renderer
+def test_the_halves_of_a_render_are_independent_and_make_it_together(monkeypatch):
+    """Their noise, of few paths and a coarse bake, over cells of the coat; a common bake would make them alike."""
+    monkeypatch.setitem(BAKE_SAMPLES, False, 8_000)
+    camera = preset_design("flat-70x35").camera.model_copy(update={"width_px": 160, "height_px": 120})
+    design = preset_design("flat-70x35").model_copy(update={"camera": camera})
+    optics, _ = stand_in_paints()
+    renderer = open_renderer(choose_variant("auto"), threads=1)
+    finger = paint_finger(design, optics, Path(), renderer)
+    renders = [render_press(design, finger.paints, renderer, RenderSettings("b", seed, 32)) for seed in range(6)]
+    halves = [independent_halves(render) for render in renders]
+    for render, (one, two) in zip(renders, halves, strict=True):
+        assert np.allclose(0.5 * (one.contact_bands + two.contact_bands), render.contact_bands, atol=1e-9)
+        assert np.abs(one.no_contact_bands - two.no_contact_bands).max() > 0.0
+    matrix = finger.camera_matrix(renders[0].bands)
+    light = np.array([[_seen(design, half, matrix).light for half in pair] for pair in halves])
+    noise = (light - light.mean(axis=(0, 1))) / light.mean(axis=(0, 1, 2))
+    one, two = noise[:, 0].ravel(), noise[:, 1].ravel()
+    # each has its own noise, less the mean of all twelve, which alone makes them alike by -1/11
+    alike = (one @ two) / np.sqrt((one @ one) * (two @ two))
+    assert -0.4 < alike < 0.2
+    whole = replace(renders[0], variant="scalar_rgb")
+    assert independent_halves(whole) == (whole,)
 
 
 # workers

@@ -1,5 +1,7 @@
 """The smooth map of a face against closed forms of its shape."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
@@ -100,3 +102,16 @@ def test_folded_texture_coordinates_and_crumpled_faces_are_refused():
     fine = grid_surface(np.repeat(np.repeat(crumpled, 8, 0), 8, 1), np.linspace(0, 1, 72), np.linspace(0, 1, 72))
     with pytest.raises(SimulateError, match=r"the inner face is not a smooth face: .* \(0.3 mm allowed\)"):
         PositionMap.of(fine, "inner face")
+
+
+def test_the_same_mesh_is_fitted_once_and_a_changed_one_again():
+    surface = rest_shape(FingerDesign()).surfaces["inner"]
+    face = PositionMap.of(surface)
+    copy = replace(surface, vertices_mm=surface.vertices_mm.copy())
+    assert PositionMap.of(copy) is face
+    copy.vertices_mm[:, 1] += 1.0
+    assert PositionMap.of(copy).positions_mm(np.array([0.3, 0.6]))[1] == pytest.approx(
+        face.positions_mm(np.array([0.3, 0.6]))[1] + 1.0, abs=1e-6
+    )
+    with pytest.raises(ValueError, match="read-only"):
+        face.coefficients_mm[0] = 0.0
