@@ -211,7 +211,7 @@ class ArduinoSwitch:
                     line = self._link.read_until(b"\n", end_s)
                     heard.append(line)
                     if (match := LINE.fullmatch(line)) and match[2]:
-                        self._link.drain(QUIET_S, time.monotonic() + RESET_WITHIN_S)
+                        self._out_of_step = True  # more may come; "off" need not wait for the silence after it
                         return parse(line, self._name)
         if heard:
             raise RefusedError(
@@ -246,8 +246,8 @@ class ArduinoSwitch:
         """Send a command and return what answers it, not what answers an earlier command."""
         end_s = time.monotonic() + deadline_s
         if self._out_of_step:
-            # The command goes out before the silence is waited for, so that "off" loses no time; all can be repeated.
-            self._link.write(command.encode() + b"\n", end_s)
+            if command == "L0":  # before the silence is waited for, and once more after it
+                self._link.write(b"L0\n", end_s)
             self._link.drain(QUIET_S, end_s)
             self._unanswered, self._out_of_step = 0, False
         self._send(command, end_s)
