@@ -5,12 +5,13 @@ random instant after "on". ``python benchmarks/light_off_times.py --light indi -
 bench-out/light-off.jsonl`` appends one line for each try and goes on where it was stopped; busy loops run from "on" to
 "off"; ``--table`` prints what the file holds. ``--stay-lit 5 --guards 4``
 keeps four lights lit for five minutes and tells how long their boards heard nothing: a dead-man would trip at 0.39 s.
-The lights are those of
-other people: INDI's simulated panel, the ASCOM Alpaca simulators, and our firmware in QEMU's Arduino. A witness (a
-second INDI client, a poll every 5 ms, the bytes on the serial line) sees the light on before each mishap; times are
-those at which it heard "off", so upper bounds. Of the firmware the file also holds when "off" was said to the board,
-and of its dead-man the silence that it waited for: what the emulator adds shows there. A try in which the board tripped
-before it can have been silent for long was one of a starved emulator; it is counted apart and taken again.
+The lights are those of other people: INDI's simulated panel, the ASCOM Alpaca simulators, and our firmware in QEMU's
+Arduino; and a board without a dead-man (``board``) that answers as our firmware does and takes a tenth of QEMU's
+work, for all mishaps that leave a process of ours. A witness (a second INDI client, a poll every 5 ms, the bytes on
+the serial line) sees the light on before each mishap; times are those at which it heard "off", so upper bounds. Of
+the firmware the file also holds when "off" was said to the board, and of its dead-man the silence that it waited for:
+what the emulator adds shows there. A try in which the board tripped before it can have been silent for long was one
+of a starved emulator; it is counted apart and taken again.
 """
 
 import argparse
@@ -30,6 +31,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from http.client import HTTPConnection
+from importlib import import_module
 from itertools import pairwise, product
 from pathlib import Path
 from statistics import median
@@ -97,6 +99,7 @@ class Lamp(NamedTuple):
     address: str
     witness: Callable[[], Witness]
     boards: tuple[int, ...] = ()
+    words_heard: Callable[[], int] = lambda: 0
 
 
 def words(mishap: Mishap) -> str:
@@ -105,6 +108,7 @@ def words(mishap: Mishap) -> str:
 
 def hold(driver: str, address: str, ask_every_s: float) -> None:
     """For every line of standard input light it in a child, which a mishap may befall."""
+    import_module("serial.urlhandler.protocol_socket")  # a real port needs no such module to be opened in a hurry
     for _ in sys.stdin:
         child = os.fork()
         if child == 0:
@@ -152,14 +156,19 @@ def once(
     settled_s: float,
 ) -> Seen:
     """Light it, strike, and return what the witness saw."""
+    before = lamp.words_heard()
+    process.stdin.write("\n")
+    process.stdin.flush()
+    while lamp.boards and lamp.words_heard() == before:  # an emulated board that nobody asks costs a core
+        time.sleep(POLL_S)
+    for pid in lamp.boards:
+        os.kill(pid, signal.SIGCONT)
     with hurried(os.getpid(), *lamp.boards):  # from "on": a board that starved meanwhile trips when it is let go
-        process.stdin.write("\n")
-        process.stdin.flush()
         if not select.select([process.stdout], [], [], 60.0)[0]:
             raise TimeoutError("the light did not go on")
         held = Held(*json.loads(process.stdout.readline()))
         try:
-            with awake(loops):
+            with awake(loops), as_urgent_as_any(*held, *(loop.pid for loop in loops)):
                 time.sleep(settled_s)
                 off_after_s = lamp.witness()
                 began_s = time.monotonic()
@@ -172,6 +181,8 @@ def once(
                     os.kill(pid, signal.SIGKILL)
     label = {"wavelength_nm": 450.0, "power_mw": 1.0, "laser_class": "2"}
     make_off(LaserSettings(driver=lamp.driver, address=lamp.address, **label))
+    for pid in lamp.boards:
+        os.kill(pid, signal.SIGSTOP)
     return seen
 
 
@@ -269,7 +280,10 @@ def arduino(folder: Path) -> Iterator[Lamp]:
                 raise StarvedError
             return off_s
 
-        yield Lamp("arduino", board.address, witness, tuple(children("qemu-system-avr")))
+        def words_heard() -> int:
+            return sum(line.who == "host" for line in board.lines)
+
+        yield Lamp("arduino", board.address, witness, tuple(children("qemu-system-avr")), words_heard)
 
 
 def children(name: str) -> list[int]:
@@ -294,8 +308,29 @@ def hurried(*pids: int) -> Iterator[None]:
         schedule(pids, os.SCHED_OTHER, 0)
 
 
+@contextmanager
+def as_urgent_as_any(*pids: int) -> Iterator[None]:
+    """Give processes the priority of ordinary programs for a ``with`` block, where permitted: a capture has it."""
+    usual = os.getpriority(os.PRIO_PROCESS, 0)
+    for thread in threads(pids):
+        with suppress(PermissionError, ProcessLookupError):
+            os.setpriority(os.PRIO_PROCESS, thread, min(usual, 0))
+    try:
+        yield
+    finally:
+        for thread in threads(pids):
+            with suppress(PermissionError, ProcessLookupError):
+                os.setpriority(os.PRIO_PROCESS, thread, usual)
+
+
+def threads(pids: tuple[int, ...]) -> Iterator[int]:
+    for pid in pids:
+        with suppress(FileNotFoundError):
+            yield from [int(task.name) for task in Path(f"/proc/{pid}/task").iterdir()]
+
+
 def schedule(pids: tuple[int, ...], policy: int, priority: int) -> None:
-    for thread in (int(task.name) for pid in pids for task in Path(f"/proc/{pid}/task").iterdir()):
+    for thread in threads(pids):
         with suppress(PermissionError, ProcessLookupError):
             os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
@@ -311,11 +346,13 @@ class TimedBoards(threading.Thread):
         self._servers = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
         self.addresses = [f"socket://127.0.0.1:{server.getsockname()[1]}" for server in self._servers]
         self.heard_s: dict[int, list[float]] = defaultdict(list)
+        self.off_s: dict[int, list[float]] = defaultdict(list)
+        self.lit: dict[int, bool] = defaultdict(bool)
         self.start()
 
     def run(self) -> None:
         """Answer for ever."""
-        poll, ends, lit, begun = select.poll(), {}, defaultdict(bool), defaultdict(bytes)
+        poll, ends, lit, begun = select.poll(), {}, self.lit, defaultdict(bytes)
         for number, server in enumerate(self._servers):
             ends[server.fileno()] = (number, server)
             poll.register(server, select.POLLIN)
@@ -327,7 +364,10 @@ class TimedBoards(threading.Thread):
                     ends[line.fileno()] = (number, line)
                     poll.register(line, select.POLLIN)
                     continue
-                data = end.recv(256)
+                try:
+                    data = end.recv(256)
+                except ConnectionResetError:  # the host was killed
+                    data = b""
                 if not data:
                     poll.unregister(end)
                     end.close()
@@ -335,10 +375,32 @@ class TimedBoards(threading.Thread):
                 now_s = time.monotonic()
                 *whole, begun[number] = (begun[number] + data).split(b"\n")
                 for word in whole:
+                    if lit[number] and word == b"L0":
+                        self.off_s[number].append(now_s)
                     lit[number] = word == b"L1" or (lit[number] and word != b"L0")
-                    end.sendall(b"LASER 1.2\n" if word == b"I" else b"ON\n" if lit[number] else b"OFF\n")
+                    with suppress(ConnectionError):
+                        end.sendall(b"LASER 1.2\n" if word == b"I" else b"ON\n" if lit[number] else b"OFF\n")
                     if lit[number]:
                         self.heard_s[number].append(now_s)
+
+
+@contextmanager
+def board(folder: Path) -> Iterator[Lamp]:
+    """A board without a dead-man, which notes when "off" came."""
+    boards = TimedBoards(1)
+
+    def off_s(began_s: float) -> Seen:
+        while time.monotonic() - began_s < WATCHED_S:
+            if told_s := [at_s for at_s in boards.off_s[0] if at_s >= began_s]:
+                return Seen(min(told_s) - began_s)
+            time.sleep(POLL_S)
+        return Seen(None)
+
+    def witness() -> Witness:
+        assert boards.lit[0]
+        return off_s
+
+    yield Lamp("arduino", boards.addresses[0], witness)
 
 
 def stay_lit(busy: int, guards: int, minutes: float) -> int:
@@ -374,7 +436,7 @@ def stay_lit(busy: int, guards: int, minutes: float) -> int:
     return trips + lost
 
 
-LIGHTS = {"indi": indi, "alpaca": alpaca, "arduino": arduino}
+LIGHTS = {"indi": indi, "alpaca": alpaca, "arduino": arduino, "board": board}
 
 
 def done(path: Path) -> list[dict[str, Any]]:
@@ -479,7 +541,8 @@ def main() -> int:
         return int(stay_lit(arguments.busy, arguments.guards, arguments.stay_lit) > 0)
     if not arguments.table:
         for name in arguments.light or sorted(LIGHTS):
-            mishaps = [mishap for mishap in MISHAPS if not arguments.all_three or len(mishap) == 3]
+            mishaps = [mishap for mishap in MISHAPS if len(mishap) == 3 or not arguments.all_three]
+            mishaps = [mishap for mishap in mishaps if len(mishap) < 3 or name != "board"]
             measure(name, arguments.busy, arguments.tries, arguments.out, mishaps)
     return table(arguments.out)
 
