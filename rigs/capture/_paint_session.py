@@ -49,7 +49,7 @@ from rigs.capture._filter_proof import (
     signal_floor,
 )
 from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbered
-from rigs.capture._journal import Journal, fault_notes, faults_noted
+from rigs.capture._journal import Journal, fault_notes, faults_noted, healing_s
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import (
     AS_BEFORE_EVENT,
@@ -516,7 +516,10 @@ def capture_with(
             _go_on(journal, out, interrupted)
         for note in opened.notes:
             journal.append("note", text=note)
-        with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted, watch) as store:
+        with (
+            faults_noted(journal, out, forecast(plan, rig, steps).healing_s),
+            FrameStore(opened, rig, plan.region, out, journal, interrupted, watch) as store,
+        ):
             recorder = PaintRecorder(opened, rig, plan, store, journal, request, interrupted)
             recorder.record(steps, last_good, mend)
         session = CaptureSession(
@@ -597,6 +600,8 @@ class Forecast:
         Space on disk for `most_frames`.
     typical_s, longest_s
         Duration with typical exposures, and if every frame took the camera's longest (s); operator not counted.
+    healing_s
+        How long faults may hold it up besides (s); more ends it, to be resumed.
     """
 
     steps: int
@@ -606,6 +611,12 @@ class Forecast:
     disk_bytes: int
     typical_s: float
     longest_s: float
+    healing_s: float
+
+    @property
+    def stated_s(self) -> float:
+        """What it takes at the longest, with all that is healed in it (s)."""
+        return self.longest_s + self.healing_s
 
 
 def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
@@ -623,6 +634,7 @@ def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
     darks = 2 * ((plan.darks_per_exposure + 1) // 2) * min(rungs, lit)
     moves = 2 * sum(a.slot != b.slot for a, b in pairwise(steps))
     frames, metering = lit + darks, METERING_FRAMES * len(steps)
+    longest_s = moves * WHEEL_MOVE_S + (frames + metering) * rig.camera.longest_exposure_s
     return Forecast(
         steps=len(steps),
         most_frames=frames,
@@ -630,7 +642,8 @@ def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
         moves=moves,
         disk_bytes=BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px * frames,
         typical_s=moves * WHEEL_MOVE_S + (frames + metering) * LIT_SESSION_EXPOSURE_S,
-        longest_s=moves * WHEEL_MOVE_S + (frames + metering) * rig.camera.longest_exposure_s,
+        longest_s=longest_s,
+        healing_s=healing_s(longest_s),
     )
 
 
