@@ -155,13 +155,13 @@ class Journal:
             )
 
 
-LEAST_HEALING_S: Final = 120.0
-HEALING_SHARE: Final = 0.25
+LEAST_HEALING_S: Final = 300.0
+HEALING_SHARE: Final = 0.5
 
 
-def healing_s(longest_s: float) -> float:
-    """Return how long faults may hold a session up (s): a quarter of its longest duration, two minutes at least."""
-    return max(LEAST_HEALING_S, HEALING_SHARE * longest_s)
+def healing_s(typical_s: float) -> float:
+    """Return how long faults may hold a session up (s): half of its typical duration, five minutes at least."""
+    return max(LEAST_HEALING_S, HEALING_SHARE * typical_s)
 
 
 class HealingTimeError(CaptureError):

@@ -613,11 +613,6 @@ class Forecast:
     longest_s: float
     healing_s: float
 
-    @property
-    def stated_s(self) -> float:
-        """What it takes at the longest, with all that is healed in it (s)."""
-        return self.longest_s + self.healing_s
-
 
 def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
     """Return what a paint session of these steps will take.
@@ -634,16 +629,16 @@ def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
     darks = 2 * ((plan.darks_per_exposure + 1) // 2) * min(rungs, lit)
     moves = 2 * sum(a.slot != b.slot for a, b in pairwise(steps))
     frames, metering = lit + darks, METERING_FRAMES * len(steps)
-    longest_s = moves * WHEEL_MOVE_S + (frames + metering) * rig.camera.longest_exposure_s
+    typical_s = moves * WHEEL_MOVE_S + (frames + metering) * LIT_SESSION_EXPOSURE_S
     return Forecast(
         steps=len(steps),
         most_frames=frames,
         targets=2 * len(list(groupby(steps, key=lambda step: step.target))) - 1,
         moves=moves,
         disk_bytes=BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px * frames,
-        typical_s=moves * WHEEL_MOVE_S + (frames + metering) * LIT_SESSION_EXPOSURE_S,
-        longest_s=longest_s,
-        healing_s=healing_s(longest_s),
+        typical_s=typical_s,
+        longest_s=moves * WHEEL_MOVE_S + (frames + metering) * rig.camera.longest_exposure_s,
+        healing_s=healing_s(typical_s),
     )
 
 
