@@ -367,7 +367,7 @@ def judge_lamp(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     spread = float(number @ number)
     slope, free = float(number @ rounds) / spread, rounds.size - 2
     scatter = rounds - rounds.mean() - slope * number
-    name, what = "lamp is warm", "change of the lamp from the first to the last white frame of the exposures"
+    name, what = "lamp is steady", "change of the lamp from the first to the last white frame of the exposures"
     if free < 3:
         reason = f"{rounds.size} rounds do not show how sure it is; raise exposure_rounds to 5 or more"
         return (unmeasured("exposures", name, what, "UNDECIDED", reason),)

@@ -248,6 +248,8 @@ class ArduinoSwitch:
         if self._out_of_step:
             if command == "L0":  # before the silence is waited for, and once more after it
                 self._link.write(b"L0\n", end_s)
+                with contextlib.suppress(TimedOutError):  # its answer is no answer to the next command
+                    self._link.read_until(b"\n", min(end_s, time.monotonic() + ASK_WITHIN_S))
             self._link.drain(QUIET_S, end_s)
             self._unanswered, self._out_of_step = 0, False
         self._send(command, end_s)

@@ -59,7 +59,7 @@ def test_a_steady_lamp_passes_at_the_stated_rate_and_the_uncertainty_of_its_drif
         for t in (1, 2, 4):
             white_dn = 16.0 + 100.0 * t * (1.0 + 0.01 * np.linspace(-0.5, 0.5, 6) + rng.normal(0.0, 2e-3, 6))
             levels.append(ExposureLevel(exposure_s=t, white_dn=tuple(white_dn), dark_dn=(15.99, 16.01) * 3))
-        (found,) = [one for one in judge(spoilt(levels=levels), PLAN, rig).results if one.name == "lamp is warm"]
+        (found,) = [one for one in judge(spoilt(levels=levels), PLAN, rig).results if one.name == "lamp is steady"]
         held += abs(found.value - 1.0) <= 1.96 * found.sd
         passed += found.verdict == "PASS"
     assert abs(held / 400 - 0.95) < 4 * np.sqrt(0.05 * 0.95 / 400)  # few rounds: the enlarged uncertainty is no less
@@ -90,9 +90,9 @@ def test_a_flawless_rig_passes_every_check(rig):
         ({"reconnect": reconnect(5.0, *[hand.identity for hand in HANDSHAKES[:3]])}, "devices come back", "FAIL",
          "another lamp answers than before"),
         ({"frame_overheads_s": (0.1, 1.5)}, "frames in time", "FAIL", "mean 0.8 s of 2 frames"),
-        ({"levels": tuple(drifting(t, 100.0 * t, 0.02) for t in (1, 2, 4))}, "lamp is warm", "FAIL",
+        ({"levels": tuple(drifting(t, 100.0 * t, 0.02) for t in (1, 2, 4))}, "lamp is steady", "FAIL",
          "6 rounds of 3 exposures within 20 s"),
-        ({"levels": tuple(drifting(t, 100.0 * t, 0.01) for t in (1, 2, 4))}, "lamp is warm", "UNDECIDED", "6 rounds"),
+        ({"levels": tuple(drifting(t, 100.0 * t, 0.01) for t in (1, 2, 4))}, "lamp is steady", "UNDECIDED", "6 rounds"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=3, duration_s=1.0),)}, "wheel arrives", "FAIL",
          "sent from slot 1 to 2, reads 3"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=9.0),)}, "wheel moves in time", "FAIL",
