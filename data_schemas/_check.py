@@ -143,14 +143,6 @@ class ExposureLevel(Model):
     dark_dn: tuple[float, ...] = Field(min_length=4)
 
 
-class Reconnect(Model):
-    """All devices closed and opened again."""
-
-    duration_s: DurationS = Field(description="from closed to the last answer")
-    before: tuple[DeviceIdentity, ...] = Field(description="what they said of themselves before")
-    after: tuple[DeviceIdentity, ...]
-
-
 class LightOff(Model):
     """Mishaps that one safety layer of the laser had to meet.
 
@@ -182,7 +174,10 @@ class CheckFacts(Model):
     frame_overheads_s: tuple[DurationS, ...] = Field(
         default=(), description="time of each frame of the levels beyond its exposure"
     )
-    reconnect: Reconnect | None = None
+    reconnect_s: DurationS | None = Field(
+        default=None, description="from all devices closed to the last answer after they were opened again"
+    )
+    reconnected: tuple[DeviceIdentity, ...] = Field(default=(), description="what they then said of themselves")
     light_off: tuple[LightOff, ...] = ()
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 

@@ -391,17 +391,18 @@ def judge_frames(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
 
 def judge_reconnect(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     """Return whether the same devices answer after they were closed and opened again, and how soon."""
-    if facts.reconnect is None:
+    if facts.reconnect_s is None:
         return ()
-    name, what, found = "devices come back", "time until all devices answer after they were closed", facts.reconnect
-    said = {identity.role: identity for identity in found.after}
-    others = [one.role for one in found.before if said.get(one.role) != one]
+    name, what = "devices come back", "time until all devices answer after they were closed"
+    said = {identity.role: identity for identity in facts.reconnected}
+    before = [hand.identity for hand in facts.handshakes if hand.identity is not None]
+    others = [one.role for one in before if said.get(one.role) != one]
     if others:
         reason = f"another {others[0]} answers than before, or it names itself differently: {said.get(others[0])}"
         return (unmeasured("reconnect", name, what, "FAIL", reason),)
     limits = ToleranceInterval(None, plan.limits.reconnect_s)
-    evidence = f"{len(found.after)} devices, the same as before"
-    return (measured("reconnect", name, what, found.duration_s, CLOCK_SD_S, "s", evidence, limits=limits),)
+    evidence = f"{len(said)} devices, the same as before"
+    return (measured("reconnect", name, what, facts.reconnect_s, CLOCK_SD_S, "s", evidence, limits=limits),)
 
 
 def rate_dn_per_s(level: ExposureLevel) -> tuple[float, float]:

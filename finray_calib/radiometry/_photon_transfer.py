@@ -278,17 +278,17 @@ def _rows_and_columns(image: Frame) -> RowsAndColumns:
     squares = np.asarray(rest**2)
     pixels = SpatialVariance(float(squares.sum()) / degrees, float(np.sqrt(squares.var() / squares.size)))
 
-    def without_pixels(variance: float, degrees: float, averaged: int) -> SpatialVariance:
-        sd = np.hypot(variance * np.sqrt(2.0 / degrees), pixels.sd_dn2 / averaged)
+    def without_pixels(variance: float, sd_rel: float, averaged: int) -> SpatialVariance:
+        sd = np.hypot(variance * sd_rel, pixels.sd_dn2 / averaged)
         return SpatialVariance(variance - pixels.variance_dn2 / averaged, float(sd))
 
     def lines(means: Floats, averaged: int) -> SpatialVariance:
-        return without_pixels(float(means.var(ddof=1)), means.size - 1, averaged)
+        return without_pixels(float(means.var(ddof=1)), np.sqrt(2.0 / (means.size - 1)), averaged)
 
     def line_to_line(means: Floats, averaged: int) -> SpatialVariance:
         bent = np.diff(means, 2)
         variance = float(np.mean(bent**2)) / LINE_DIFFERENCE_GAIN
-        return without_pixels(variance, bent.size / LINE_DIFFERENCE_CORRELATION, averaged)
+        return without_pixels(variance, np.sqrt(2.0 * LINE_DIFFERENCE_CORRELATION / bent.size), averaged)
 
     return RowsAndColumns(
         rows=lines(rows, len(columns)),

@@ -25,7 +25,6 @@ from data_schemas import (
     FilterProof,
     Handshake,
     LightOff,
-    Reconnect,
     Revisit,
     RigFile,
     SaturatedError,
@@ -349,7 +348,7 @@ class _Recorder:
                 self._with_open_rig(opened)
             closing = stack.pop_all()
         self._attempt("closing", closing.close, also_when_ended=True)
-        self._keep(reconnect=self._attempt("reconnect", lambda: self._reconnect(operator)))
+        self._attempt("reconnect", lambda: self._reconnect(operator))
         layers = self._attempt("light off", self._without_rig) or ()
         self._keep(light_off=(*self._facts.light_off, *layers), errors=self._errors)
         return self._facts, notes
@@ -382,9 +381,8 @@ class _Recorder:
         self._attempt("light off", lambda: self._block_layer(opened))
         self._lights_are_off(opened, "light off")
 
-    def _reconnect(self, operator: Operator) -> Reconnect:
-        """Open the closed rig once more, and compare what the devices say of themselves."""
-        before = tuple(hand.identity for hand in self._facts.handshakes if hand.identity is not None)
+    def _reconnect(self, operator: Operator) -> None:
+        """Open the closed rig once more, and note what the devices say of themselves."""
         start_s = time.monotonic()
         with open_rig(self._rig, self._folder, operator) as opened:
             again = handshakes(opened, self._rig, asked=1)
@@ -392,7 +390,7 @@ class _Recorder:
             if hand.error is not None:
                 raise CaptureError(hand.error)
         after = tuple(hand.identity for hand in again if hand.identity is not None)
-        return Reconnect(duration_s=time.monotonic() - start_s, before=before, after=after)
+        self._keep(reconnect_s=time.monotonic() - start_s, reconnected=after)
 
     def _attempt(self, section: Section, act: Callable[[], T], *, also_when_ended: bool = False) -> T | None:
         """Return what `act` returns; note its error and return None."""

@@ -508,18 +508,15 @@ def capture_with(
         require_same_inputs(interrupted, inputs)
         opened = _as_before(opened, rig, camera, interrupted)
     out.mkdir(parents=True, exist_ok=True)
-    watch = request.watch
-    with Journal(out, opened.clock, resumed=interrupted is not None, told=watch.noted) as journal:
+    with Journal(out, opened.clock, resumed=interrupted is not None, told=request.watch.noted) as journal:
         if interrupted is None:
             write_start(journal, plan, rig, request, inputs, camera)
         else:
             _go_on(journal, out, interrupted)
         for note in opened.notes:
             journal.append("note", text=note)
-        with (
-            faults_noted(journal, out, forecast(plan, rig, steps).healing_s),
-            FrameStore(opened, rig, plan.region, out, journal, interrupted, watch) as store,
-        ):
+        recorded = FrameStore(opened, rig, plan.region, out, journal, interrupted, request.watch)
+        with faults_noted(journal, out, forecast(plan, rig, steps).healing_s), recorded as store:
             recorder = PaintRecorder(opened, rig, plan, store, journal, request, interrupted)
             recorder.record(steps, last_good, mend)
         session = CaptureSession(

@@ -9,7 +9,6 @@ from data_schemas import (
     FilterProof,
     Handshake,
     LightOff,
-    Reconnect,
     RegionOfInterest,
     Revisit,
     WheelMove,
@@ -43,11 +42,6 @@ def level(exposure_s: float, signal_dn: float, scatter_dn: float = 0.1) -> Expos
 HANDSHAKES = (handshake(), handshake("filter wheel"), handshake("laser"), handshake("lamp"))
 
 
-def reconnect(duration_s: float, *after: object) -> Reconnect:
-    before = [hand.identity for hand in HANDSHAKES]
-    return Reconnect.model_validate({"duration_s": duration_s, "before": before, "after": after or before})
-
-
 GOOD = CheckFacts(
     handshakes=HANDSHAKES,
     moves=tuple(WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=s) for s in (0.5, 1.5)),
@@ -58,7 +52,8 @@ GOOD = CheckFacts(
     levels=(level(0.1, 100.0), level(0.2, 200.0), level(0.4, 400.0)),
     white_span_s=20.0,
     frame_overheads_s=(0.2, 0.3),
-    reconnect=reconnect(8.0),
+    reconnect_s=8.0,
+    reconnected=tuple(hand.identity for hand in HANDSHAKES if hand.identity is not None),
     light_off=(
         LightOff(layer="block", witness="its own connection", earliest_s=(0.0,), latest_s=(0.1,)),
         LightOff(layer="guard", witness="a new connection", earliest_s=(0.0, 0.1), latest_s=(0.1, 0.3)),

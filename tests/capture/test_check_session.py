@@ -164,9 +164,9 @@ def test_another_device_at_the_second_opening_is_seen(rig, plan, monkeypatch):
         )
 
     facts = facts_of(rig, plan, monkeypatch, change)
-    assert facts.reconnect is not None
-    assert facts.reconnect.after[0].serial == "another"
-    assert facts.reconnect.before[1:] == facts.reconnect.after[1:]
+    assert facts.reconnect_s is not None
+    assert facts.reconnected[0].serial == "another"
+    assert [hand.identity for hand in facts.handshakes][1:] == list(facts.reconnected[1:])
     assert len(facts.frame_overheads_s) == 2 * 3 * plan.exposure_rounds
     assert facts.white_span_s > 0.0
 
