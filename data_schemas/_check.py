@@ -13,7 +13,16 @@ CheckVerdict = Literal["PASS", "FAIL", "UNDECIDED", "ERROR"]
 LightLayer = Literal["block", "guard", "dead-man"]
 Witness = Literal["its own connection", "a new connection", "the camera"]
 Section = Literal[
-    "opening", "handshake", "wheel", "dark frames", "filters", "revisits", "exposures", "light off", "closing"
+    "opening",
+    "handshake",
+    "wheel",
+    "dark frames",
+    "filters",
+    "revisits",
+    "exposures",
+    "light off",
+    "closing",
+    "reconnect",
 ]
 RateDnPerS = Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "DN/s"})]
 PositiveS = Annotated[float, Field(gt=0.0, le=60.0, json_schema_extra={"unit": "s"})]
@@ -41,6 +50,15 @@ class CheckLimits(Model):
         default=0.01,
         description="largest difference of the signals at 2 t and 4 t from 2 and 4 times that at t, relative to them",
     )
+    frame_overhead_s: PositiveS = Field(
+        default=1.0, description="time until a checked frame is there, beyond its exposure"
+    )
+    lamp_drift_rel: RelativeUncertainty = Field(
+        default=0.01, description="change of the lamp from the first to the last white frame of the exposures"
+    )
+    reconnect_s: PositiveS = Field(
+        default=45.0, description="time until all devices answer again after they were closed"
+    )
     light_off_s: PositiveS = Field(
         default=1.0, description="time from the mishap until the laser is off, for each layer"
     )
@@ -48,6 +66,8 @@ class CheckLimits(Model):
 
 class CheckPlan(Record):
     """Plan of an acceptance check (TOML): where to look, how often, and what is allowed."""
+
+    schema_version: ClassVar[int] = 2
 
     kind: Literal["check"] = "check"
     check_name: str = Field(description="names the folder of the report")
@@ -150,6 +170,14 @@ class CheckFacts(Model):
     revisit_filter: str | None = None
     revisits: tuple[Revisit, ...] = ()
     levels: tuple[ExposureLevel, ...] = ()
+    white_span_s: DurationS = Field(default=0.0, description="from the first to the last white frame of the levels")
+    frame_overheads_s: tuple[DurationS, ...] = Field(
+        default=(), description="time of each frame of the levels beyond its exposure"
+    )
+    reconnect_s: DurationS | None = Field(
+        default=None, description="from all devices closed to the last answer after they were opened again"
+    )
+    reconnected: tuple[DeviceIdentity, ...] = Field(default=(), description="what they then said of themselves")
     light_off: tuple[LightOff, ...] = ()
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 
@@ -176,7 +204,7 @@ class CheckResult(Model):
 class AcceptanceReport(Record):
     """The outcome of an acceptance check of a rig: one result for each check, and the facts they follow from."""
 
-    schema_version: ClassVar[int] = 6
+    schema_version: ClassVar[int] = 7
     written_by: ClassVar[str] = "'finray check run'"
     plan: CheckPlan
     rig: RigFile

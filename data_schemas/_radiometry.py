@@ -319,10 +319,19 @@ class ChannelCharacterisation(Model):
     linearity_lowest_rel: float = Field(description="most negative deviation")
     linearity_highest_rel: float = Field(description="most positive deviation")
     dsnu_dn: Resolvable = Field(description="dark signal non-uniformity")
+    dsnu_rows_dn: Resolvable | None = Field(
+        default=None, description="its part of whole rows of the channel; none: an older version did not separate them"
+    )
+    dsnu_columns_dn: Resolvable | None = Field(default=None, description="its part of whole columns")
+    dsnu_pixels_dn: Resolvable | None = Field(default=None, description="its part of single pixels")
     prnu_rel: Resolvable = Field(
         description="photo response non-uniformity from pixel to pixel: second differences remove uneven light, and "
         "with it whole rows and columns"
     )
+    prnu_rows_rel: Resolvable | None = Field(
+        default=None, description="the same of whole rows, from one to the next; none: not separated"
+    )
+    prnu_columns_rel: Resolvable | None = Field(default=None, description="the same of whole columns")
     flat_nonuniformity_rel: Resolvable = Field(
         description="PRNU of EMVA 1288 without high-pass: sensor, lens, lamp and tile together"
     )
@@ -335,7 +344,7 @@ class ChannelCharacterisation(Model):
 class CameraCharacterisation(Record):
     """A camera characterised by photon transfer; :meth:`applied_to` gives the rest of the chain its numbers."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray radiometry'"
 
     camera_name: str

@@ -371,6 +371,11 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PixelSignals", 3): _as_it_is,
     ("PaintCalibration", 5): _as_it_is,
     ("PaintWithoutEmission", 2): _as_it_is,
+    # whether devices come back, how long frames take, drift of the lamp; limits for them, and none: not tried
+    ("CheckPlan", 1): _as_it_is,
+    ("AcceptanceReport", 6): _as_it_is,
+    # whole rows and columns in the fixed pattern; none: not separated
+    ("CameraCharacterisation", 3): _as_it_is,
     # a fitted tone curve and the gains far from the contact; none: not known
     ("PhotometricErrorReport", 2): _as_it_is,
     # the lamp's temperature and its uncertainty, 50 K where it was not stated

@@ -37,6 +37,7 @@ SECTIONS: Final[dict[Section, str]] = {
     "exposures": "exposure ratios",
     "light off": "laser off after a mishap",
     "closing": "rig closes with its lights off",
+    "reconnect": "devices come back",
 }
 SIMULATED_NOTE: Final = "the rig is simulated: times are those of its simulated clock, and no device was tried"
 
@@ -61,9 +62,10 @@ def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ..
         "dark frames": judge_dark_frames(facts, plan, rig.camera),
         "filters": judge_filters(facts),
         "revisits": judge_revisits(facts, plan),
-        "exposures": judge_exposures(facts, plan),
+        "exposures": (*judge_exposures(facts, plan), *judge_lamp(facts, plan), *judge_frames(facts, plan)),
         "light off": judge_light_off(facts, plan),
         "closing": (),
+        "reconnect": judge_reconnect(facts, plan),
     }
     for section, title in SECTIONS.items():
         results += judged[section]
@@ -348,6 +350,59 @@ def judge_exposures(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ..
             )
         )
     return tuple(results)
+
+
+def judge_lamp(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
+    r"""Return how far the lamp drifts while the white frames of the exposures are taken.
+
+    Each frame relative to the mean of its exposure, averaged over the exposures of a round, gives a line through the n
+    rounds; the change is its slope times n - 1. Its uncertainty is that of the scatter about the line, enlarged for
+    few rounds (GUM Supplement 1, 6.4.9).
+    """
+    if not facts.levels or min(rate_dn_per_s(level)[0] for level in facts.levels) <= 0.0:
+        return ()
+    levels = [np.array(level.white_dn) - np.mean(level.dark_dn) for level in facts.levels]
+    rounds = np.mean([level / level.mean() for level in levels], axis=0)
+    number = np.arange(rounds.size) - 0.5 * (rounds.size - 1)
+    spread = float(number @ number)
+    slope, free = float(number @ rounds) / spread, rounds.size - 2
+    scatter = rounds - rounds.mean() - slope * number
+    name, what = "lamp is steady", "change of the lamp from the first to the last white frame of the exposures"
+    if free < 3:
+        reason = f"{rounds.size} rounds do not show how sure it is; raise exposure_rounds to 5 or more"
+        return (unmeasured("exposures", name, what, "UNDECIDED", reason),)
+    sd = math.sqrt(float(scatter @ scatter) / free / spread * free / (free - 2)) * (rounds.size - 1)
+    most = 100 * plan.limits.lamp_drift_rel
+    evidence = f"{rounds.size} rounds of {len(levels)} exposures within {facts.white_span_s:.3g} s"
+    limits = ToleranceInterval(-most, most)
+    change = 100 * slope * (rounds.size - 1)
+    return (measured("exposures", name, what, change, 100 * sd, "%", evidence, limits=limits),)
+
+
+def judge_frames(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
+    """Return how long a frame takes beyond its exposure."""
+    if not (times_s := facts.frame_overheads_s):
+        return ()
+    what = "longest time from asking for a frame until it is checked, beyond its exposure: trigger, readout, transfer"
+    evidence = f"mean {sum(times_s) / len(times_s):.3g} s of {len(times_s)} frames"
+    limits = ToleranceInterval(None, plan.limits.frame_overhead_s)
+    return (measured("exposures", "frames in time", what, max(times_s), CLOCK_SD_S, "s", evidence, limits=limits),)
+
+
+def judge_reconnect(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
+    """Return whether the same devices answer after they were closed and opened again, and how soon."""
+    if facts.reconnect_s is None:
+        return ()
+    name, what = "devices come back", "time until all devices answer after they were closed"
+    said = {identity.role: identity for identity in facts.reconnected}
+    before = [hand.identity for hand in facts.handshakes if hand.identity is not None]
+    others = [one.role for one in before if said.get(one.role) != one]
+    if others:
+        reason = f"another {others[0]} answers than before, or it names itself differently: {said.get(others[0])}"
+        return (unmeasured("reconnect", name, what, "FAIL", reason),)
+    limits = ToleranceInterval(None, plan.limits.reconnect_s)
+    evidence = f"{len(said)} devices, the same as before"
+    return (measured("reconnect", name, what, facts.reconnect_s, CLOCK_SD_S, "s", evidence, limits=limits),)
 
 
 def rate_dn_per_s(level: ExposureLevel) -> tuple[float, float]:

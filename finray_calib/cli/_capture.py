@@ -187,14 +187,11 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         expected = forecast(plan, rig, steps)
         give(
             steps=expected.steps, most_frames=expected.most_frames, disk_bytes=expected.disk_bytes,
-            typical_s=expected.typical_s, longest_s=expected.longest_s,
+            typical_s=expected.typical_s, longest_s=expected.longest_s, healing_s=expected.healing_s,
         )  # fmt: skip
         say(f"{expected.steps} steps, at most {expected.most_frames} frames, {1e-6 * expected.disk_bytes:.0f} MB")
         say(f"{expected.targets} changes of the target, {expected.moves} moves of the wheel")
-        say(
-            f"about {expected.typical_s / 60:.0f} min; {expected.longest_s / 60:.0f} min if every exposure is the "
-            f"longest"
-        )
+        say(_stated(expected.typical_s, expected.longest_s, expected.healing_s))
         for instruction in dict.fromkeys(nobody.instructions):
             say(f"would be asked during the capture: {instruction}")
         say("the rig is ready; nothing was moved, lit or stored")
@@ -203,10 +200,20 @@ def capture_paint(arguments: argparse.Namespace) -> None:
     last_good = None if arguments.like is None else read_session(arguments.like)
     out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
     sources = input_digests([arguments.plan, arguments.rig])
+    expected = forecast(plan, rig, steps)
+    say(_stated(expected.typical_s, expected.longest_s, expected.healing_s))
     with interruptible(out), arguments.attend(rig, plan, out) as attended:
         request = attended.request(out, arguments.rig.parent, sources)
         session = capture_paint_session(rig, plan, request, last_good=last_good, mend=attended.mend)
     _report(out, session, plan.paint_name)
+
+
+def _stated(typical_s: float, longest_s: float, healing_s: float) -> str:
+    """Return how long a session takes at the most, as it is told before it begins."""
+    return (
+        f"about {typical_s / 60:.0f} min; {longest_s / 60:.0f} min if every exposure is the longest; "
+        f"faults may hold it up for {healing_s / 60:.0f} min besides: it ends by then, and can be resumed"
+    )
 
 
 def _ask_to_mend(what: str) -> bool:

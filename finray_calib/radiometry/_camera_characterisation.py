@@ -32,8 +32,10 @@ from finray_calib.radiometry._photon_transfer import (
     LineFit,
     PhotonTransfer,
     Sites,
+    SpatialVariance,
     StackStatistics,
     fit_line,
+    line_nonuniformity,
     linearity,
     non_negative,
     nonuniformity,
@@ -240,7 +242,12 @@ class _FixedPattern:
     """Differences between pixels that stay from frame to frame."""
 
     dsnu_dn: Resolvable
+    dsnu_rows_dn: Resolvable
+    dsnu_columns_dn: Resolvable
+    dsnu_pixels_dn: Resolvable
     prnu_rel: Resolvable
+    prnu_rows_rel: Resolvable
+    prnu_columns_rel: Resolvable
     flat_nonuniformity_rel: Resolvable
 
 
@@ -294,7 +301,12 @@ def characterise_channel(
         linearity_lowest_rel=float(np.nanmin(linear.deviation_rel)),
         linearity_highest_rel=float(np.nanmax(linear.deviation_rel)),
         dsnu_dn=pattern.dsnu_dn,
+        dsnu_rows_dn=pattern.dsnu_rows_dn,
+        dsnu_columns_dn=pattern.dsnu_columns_dn,
+        dsnu_pixels_dn=pattern.dsnu_pixels_dn,
         prnu_rel=pattern.prnu_rel,
+        prnu_rows_rel=pattern.prnu_rows_rel,
+        prnu_columns_rel=pattern.prnu_columns_rel,
         flat_nonuniformity_rel=pattern.flat_nonuniformity_rel,
         chi_square=transfer.line.chi_square,
         degrees_of_freedom=transfer.line.degrees_of_freedom,
@@ -398,11 +410,23 @@ def _fixed_pattern(levels: ChannelLevels, usable: Bools) -> _FixedPattern:
     level = max(np.flatnonzero(usable), key=lambda i: (levels.lit[i].frames, signal_dn[i]))
     lit, dark = levels.lit[level], levels.dark[level]
     pixel, flat = nonuniformity(lit, dark, "pixel_to_pixel"), nonuniformity(lit, dark, "spatial")
-    offset = nonuniformity(max(levels.all_dark, key=lambda s: s.frames), None, "spatial")
+    darkest = max(levels.all_dark, key=lambda s: s.frames)
+
+    def offset(found: SpatialVariance) -> Resolvable:
+        return root_of(found.variance_dn2, found.sd_dn2)
+
+    def response(found: SpatialVariance) -> Resolvable:
+        return root_of(found.variance_dn2, found.sd_dn2, 1.0 / float(signal_dn[level]))
+
     return _FixedPattern(
-        dsnu_dn=root_of(offset.variance_dn2, offset.sd_dn2),
-        prnu_rel=root_of(pixel.variance_dn2, pixel.sd_dn2, 1.0 / float(signal_dn[level])),
-        flat_nonuniformity_rel=root_of(flat.variance_dn2, flat.sd_dn2, 1.0 / float(signal_dn[level])),
+        dsnu_dn=offset(nonuniformity(darkest, None, "spatial")),
+        dsnu_rows_dn=offset(line_nonuniformity(darkest, None, "rows")),
+        dsnu_columns_dn=offset(line_nonuniformity(darkest, None, "columns")),
+        dsnu_pixels_dn=offset(line_nonuniformity(darkest, None, "pixels")),
+        prnu_rel=response(pixel),
+        prnu_rows_rel=response(line_nonuniformity(lit, dark, "row_to_row")),
+        prnu_columns_rel=response(line_nonuniformity(lit, dark, "column_to_column")),
+        flat_nonuniformity_rel=response(flat),
     )
 
 

@@ -127,7 +127,10 @@ def capture_camera_with(
         else:
             take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames))
-        with faults_noted(journal), FrameStore(opened, rig, whole_cells, out, journal, interrupted, watch) as store:
+        with (
+            faults_noted(journal, out),
+            FrameStore(opened, rig, whole_cells, out, journal, interrupted, watch) as store,
+        ):
             recorder = _Recorder(opened, rig, plan, step, store, journal, request)
             recorder.record(None if interrupted is None else interrupted.levels)
         notes = (*opened.notes, *recorder.notes, *resume_notes(interrupted), *fault_notes(out))

@@ -4,6 +4,7 @@ Who the devices say they are, where the wheel goes, what the frames show, and ho
 reduced at once to what is judged: dark level, white rates, revisits, ratios.
 """
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
@@ -83,6 +84,8 @@ class CheckFrames:
             slice(row, row + (plan.region.height_px & ~1)),
             slice(column, column + (plan.region.width_px & ~1)),
         )
+        self.white_span_s = 0.0
+        self.overheads_s: list[float] = []
         self._metered_s: dict[str, float] = {}
         self._signals_dn: dict[str, float] = {}
 
@@ -172,15 +175,21 @@ class CheckFrames:
         white = self.white_step(band)
         dark = replace(white, frame_type="dark", light="off")
         taken: dict[str, list[list[float]]] = {}
-        read_back_s = list(exposures_s)
+        read_back_s, clock = list(exposures_s), self._opened.clock
         for step in (white, dark):
             values: list[list[float]] = [[], [], []]
             with shine(self._opened, step.light):
+                self._camera.expose(step, exposures_s[0])  # the wheel is there before times count
+                began_s = clock.monotonic_s()
                 for turn in range(self._plan.exposure_rounds):
                     for k in (0, 1, 2) if turn % 2 == 0 else (2, 1, 0):
+                        asked_s = clock.monotonic_s()
                         raw = self._camera.expose(step, exposures_s[k]).raw
+                        self.overheads_s.append(max(clock.monotonic_s() - asked_s - raw.exposure_s, 0.0))
                         values[k].append(float(raw.counts[self._region].mean()))
                         read_back_s[k] = raw.exposure_s
+                if step is white:
+                    self.white_span_s = clock.monotonic_s() - began_s
             taken[step.light] = values
         return tuple(
             ExposureLevel(exposure_s=read_back_s[k], white_dn=tuple(taken["lamp"][k]), dark_dn=tuple(taken["off"][k]))
@@ -260,8 +269,8 @@ QUIET_SHARE: Final = 0.95
 WITH_OPEN_RIG: Final[tuple[Section, ...]] = (
     "handshake", "wheel", "dark frames", "filters", "revisits", "exposures", "light off",
 )  # fmt: skip
-STEPS: Final = len(WITH_OPEN_RIG) + 3
-"""Opening, these, closing, and the laser's layers without the rig."""
+STEPS: Final = len(WITH_OPEN_RIG) + 4
+"""Opening, these, closing, opening once more, and the laser's layers without the rig."""
 
 
 def check_filters(plan: CheckPlan, rig: RigFile) -> list[BandPassFilter]:
@@ -339,6 +348,7 @@ class _Recorder:
                 self._with_open_rig(opened)
             closing = stack.pop_all()
         self._attempt("closing", closing.close, also_when_ended=True)
+        self._attempt("reconnect", lambda: self._reconnect(operator))
         layers = self._attempt("light off", self._without_rig) or ()
         self._keep(light_off=(*self._facts.light_off, *layers), errors=self._errors)
         return self._facts, notes
@@ -366,9 +376,21 @@ class _Recorder:
         self._keep(revisits=self._attempt("revisits", frames.revisits) or (), revisit_filter=frames.revisit_filter)
         self._lights_are_off(opened, "revisits")
         self._keep(levels=self._attempt("exposures", frames.exposure_levels) or ())
+        self._keep(white_span_s=frames.white_span_s, frame_overheads_s=tuple(frames.overheads_s))
         self._lights_are_off(opened, "exposures")
         self._attempt("light off", lambda: self._block_layer(opened))
         self._lights_are_off(opened, "light off")
+
+    def _reconnect(self, operator: Operator) -> None:
+        """Open the closed rig once more, and note what the devices say of themselves."""
+        start_s = time.monotonic()
+        with open_rig(self._rig, self._folder, operator) as opened:
+            again = handshakes(opened, self._rig, asked=1)
+        for hand in again:
+            if hand.error is not None:
+                raise CaptureError(hand.error)
+        after = tuple(hand.identity for hand in again if hand.identity is not None)
+        self._keep(reconnect_s=time.monotonic() - start_s, reconnected=after)
 
     def _attempt(self, section: Section, act: Callable[[], T], *, also_when_ended: bool = False) -> T | None:
         """Return what `act` returns; note its error and return None."""
@@ -465,22 +487,25 @@ class _Named(Protocol):
         ...
 
 
-def handshakes(opened: OpenRig, rig: RigFile) -> tuple[Handshake, ...]:
-    """Ask every device who it is and how it stands."""
+def handshakes(opened: OpenRig, rig: RigFile, asked: int = HANDSHAKES) -> tuple[Handshake, ...]:
+    """Ask every device who it is and how it stands, so many times."""
     return (
-        _handshake(opened, "camera", rig.camera.driver, opened.camera, lambda: None),
-        _handshake(opened, "filter wheel", rig.filter_wheel.driver, opened.wheel, opened.wheel.position),
-        _handshake(opened, "laser", rig.laser.driver, opened.laser, opened.laser.state),
-        _handshake(opened, "lamp", rig.lamp.driver, opened.lamp, opened.lamp.state),
+        _handshake(opened, ("camera", rig.camera.driver), opened.camera, lambda: None, asked),
+        _handshake(opened, ("filter wheel", rig.filter_wheel.driver), opened.wheel, opened.wheel.position, asked),
+        _handshake(opened, ("laser", rig.laser.driver), opened.laser, opened.laser.state, asked),
+        _handshake(opened, ("lamp", rig.lamp.driver), opened.lamp, opened.lamp.state, asked),
     )
 
 
-def _handshake(opened: OpenRig, role: object, driver: str, device: _Named, state: Callable[[], object]) -> Handshake:
-    """Ask one device some times."""
+def _handshake(
+    opened: OpenRig, role_and_driver: tuple[str, str], device: _Named, state: Callable[[], object], asked: int
+) -> Handshake:
+    """Ask one device so many times."""
+    role, driver = role_and_driver
     durations_s: list[float] = []
     identity, error = None, None
     try:
-        for _ in range(HANDSHAKES):
+        for _ in range(asked):
             start_s = opened.clock.monotonic_s()
             identity = device.identity()
             state()

@@ -30,6 +30,7 @@ from data_schemas import (
     WrongPositionError,
 )
 from rigs import Camera, OpenRig, RawFrame
+from rigs.capture._journal import beginning, lost_since
 from rigs.capture._plan import Step
 from rigs.light_guard import LightLostError
 
@@ -112,11 +113,12 @@ def under_light(
     LightLostError
         The light was lost again and again, or the operator did not allow it, or could not be asked; it is off.
     """
-    lost = 0
+    lost, began = 0, beginning()
     while tasks:
         try:
             with around(), shine(opened, light):
                 while tasks:
+                    began = beginning()
                     tasks[0]()
                     tasks.popleft()
                     lost = 0
@@ -127,6 +129,7 @@ def under_light(
                 return
             if lost > RELIGHTS:
                 raise
+            lost_since(began)
             if not must_ask:
                 time.sleep(RELIGHT_PAUSE_S)
             elif not opened.operator.allows(
@@ -339,10 +342,12 @@ def within_attempts(once: Callable[[int], T], on_refusal: Callable[[str], None],
         Every attempt failed.
     TimedOutError
         Two attempts were late.
+    HealingTimeError
+        Faults have held the session up for longer than it stated.
     """
     attempt = late = 0
     while True:
-        attempt += 1
+        attempt, began = attempt + 1, beginning()
         try:
             return once(attempt), attempt
         except LightLostError:
@@ -352,6 +357,7 @@ def within_attempts(once: Callable[[int], T], on_refusal: Callable[[str], None],
             if late > 1 or attempt == ATTEMPTS:
                 raise type(error)(f"{error} ({attempt} attempts at {what})") from error
             on_refusal(f"{what}, attempt {attempt}: {error}")
+            lost_since(began)
 
 
 DEADLINE_EXPOSURES: Final = 3.0

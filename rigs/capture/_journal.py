@@ -11,18 +11,20 @@ import json
 import os
 import re
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from data_schemas import CaptureError
 from data_schemas.storage import LARGEST_TEXT_BYTES, parse_json, read_bytes
 from rigs import CallThread, Clock, NoAnswerError
-from rigs.transports import faults_told
+from rigs.transports import Fault, faults_told
 
 JOURNAL_NAME = "journal.jsonl"
 DISK_WITHIN_S: Final = 60.0
@@ -153,11 +155,94 @@ class Journal:
             )
 
 
+LEAST_HEALING_S: Final = 300.0
+HEALING_SHARE: Final = 0.5
+
+
+def healing_s(typical_s: float) -> float:
+    """Return how long faults may hold a session up (s): half of its typical duration, five minutes at least."""
+    return max(LEAST_HEALING_S, HEALING_SHARE * typical_s)
+
+
+class HealingTimeError(CaptureError):
+    """Faults have held a session up for longer than it stated."""
+
+
+class HealingTime:
+    """The time that faults have cost a session.
+
+    Parameters
+    ----------
+    most_s
+        More than that ends the session.
+    folder
+        Folder of the session, for the message.
+    """
+
+    def __init__(self, most_s: float, folder: Path) -> None:
+        self._most_s, self._folder = most_s, folder
+        self.lost_s = 0.0
+
+    def lose(self, spent_s: float) -> None:
+        """Count time.
+
+        Raises
+        ------
+        HealingTimeError
+            It is used up.
+        """
+        self.lost_s += spent_s
+        if self.lost_s > self._most_s:
+            raise HealingTimeError(
+                f"{self._folder}: faults that were healed have held the session up for {self.lost_s:.0f} s, and it "
+                f"stated {self._most_s:.0f} s at most; {JOURNAL_NAME} lists each: mend the device that it names most "
+                f"often, then finray capture --resume {self._folder}"
+            )
+
+
+_HEALING: ContextVar[HealingTime | None] = ContextVar("time that faults have cost", default=None)
+
+
+class Began(NamedTuple):
+    """When something began that may have to be done again, and what faults had cost until then (s)."""
+
+    at_s: float
+    lost_s: float
+
+
+def beginning() -> Began:
+    """Return that something begins now."""
+    healing = _HEALING.get()
+    return Began(time.monotonic(), 0.0 if healing is None else healing.lost_s)
+
+
+def lost_since(began: Began) -> None:
+    """Count all time since then as lost, once.
+
+    Raises
+    ------
+    HealingTimeError
+        The session has lost more than it stated.
+    """
+    if (healing := _HEALING.get()) is not None:
+        healing.lose(max(time.monotonic() - began.at_s - (healing.lost_s - began.lost_s), 0.0))
+
+
 @contextmanager
-def faults_noted(journal: Journal) -> Iterator[None]:
-    """Note every fault after which an exchange is repeated, for a ``with`` block."""
-    with faults_told(lambda fault: journal.append("fault", **fault._asdict())):
-        yield
+def faults_noted(journal: Journal, folder: Path, most_s: float = LEAST_HEALING_S) -> Iterator[None]:
+    """Note every fault after which an exchange is repeated, for a ``with`` block; end it when they cost too much."""
+    healing = HealingTime(most_s, folder)
+
+    def note(fault: Fault) -> None:
+        journal.append("fault", **fault._asdict())
+        healing.lose(fault.spent_s)
+
+    token = _HEALING.set(healing)
+    try:
+        with faults_told(note):
+            yield
+    finally:
+        _HEALING.reset(token)
 
 
 def fault_notes(folder: Path) -> tuple[str, ...]:

@@ -49,7 +49,7 @@ from rigs.capture._filter_proof import (
     signal_floor,
 )
 from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbered
-from rigs.capture._journal import Journal, fault_notes, faults_noted
+from rigs.capture._journal import Journal, fault_notes, faults_noted, healing_s
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import (
     AS_BEFORE_EVENT,
@@ -508,15 +508,15 @@ def capture_with(
         require_same_inputs(interrupted, inputs)
         opened = _as_before(opened, rig, camera, interrupted)
     out.mkdir(parents=True, exist_ok=True)
-    watch = request.watch
-    with Journal(out, opened.clock, resumed=interrupted is not None, told=watch.noted) as journal:
+    with Journal(out, opened.clock, resumed=interrupted is not None, told=request.watch.noted) as journal:
         if interrupted is None:
             write_start(journal, plan, rig, request, inputs, camera)
         else:
             _go_on(journal, out, interrupted)
         for note in opened.notes:
             journal.append("note", text=note)
-        with faults_noted(journal), FrameStore(opened, rig, plan.region, out, journal, interrupted, watch) as store:
+        recorded = FrameStore(opened, rig, plan.region, out, journal, interrupted, request.watch)
+        with faults_noted(journal, out, forecast(plan, rig, steps).healing_s), recorded as store:
             recorder = PaintRecorder(opened, rig, plan, store, journal, request, interrupted)
             recorder.record(steps, last_good, mend)
         session = CaptureSession(
@@ -597,6 +597,8 @@ class Forecast:
         Space on disk for `most_frames`.
     typical_s, longest_s
         Duration with typical exposures, and if every frame took the camera's longest (s); operator not counted.
+    healing_s
+        How long faults may hold it up besides (s); more ends it, to be resumed.
     """
 
     steps: int
@@ -606,6 +608,7 @@ class Forecast:
     disk_bytes: int
     typical_s: float
     longest_s: float
+    healing_s: float
 
 
 def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
@@ -623,14 +626,16 @@ def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
     darks = 2 * ((plan.darks_per_exposure + 1) // 2) * min(rungs, lit)
     moves = 2 * sum(a.slot != b.slot for a, b in pairwise(steps))
     frames, metering = lit + darks, METERING_FRAMES * len(steps)
+    typical_s = moves * WHEEL_MOVE_S + (frames + metering) * LIT_SESSION_EXPOSURE_S
     return Forecast(
         steps=len(steps),
         most_frames=frames,
         targets=2 * len(list(groupby(steps, key=lambda step: step.target))) - 1,
         moves=moves,
         disk_bytes=BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px * frames,
-        typical_s=moves * WHEEL_MOVE_S + (frames + metering) * LIT_SESSION_EXPOSURE_S,
+        typical_s=typical_s,
         longest_s=moves * WHEEL_MOVE_S + (frames + metering) * rig.camera.longest_exposure_s,
+        healing_s=healing_s(typical_s),
     )
 
 

@@ -333,7 +333,7 @@ def capture_tactile_session(
                 take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
                 journal.append("resume", frames=len(interrupted.frames))
-            with faults_noted(journal):
+            with faults_noted(journal, out):
                 recorder.record(shots)
             notes = (*driver_notes(rig), *(interrupted.notes if interrupted else ()), *fault_notes(out))
             session = _session_of(plan, rig, presses, recorder.frames, device, notes)

@@ -45,7 +45,7 @@ from rigs.light_guard._held_light import (
     receive,
     send,
 )
-from rigs.light_guard.watch import LOOK_IN_THE_DARK_S, LOOK_S, OtherProcess
+from rigs.light_guard.watch import LOOK_IN_THE_DARK_S, LOOK_S, OffLine, OtherProcess
 from rigs.transports import RECOVERS_WITHIN_S, Fault, repeated, tell_fault
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ class GuardClient:
         self._number, self._lease_s = 0, lease_s
         self._may_be_lit = self._is_on_unanswered = False
         self._ending: FinrayError | None = None
+        self._off_line: OffLine | None = None
         self._end_once = threading.Lock()
         self._channel, theirs = channel()
         # -P: a file of the user's folder must not stand in for a module of ours.
@@ -154,9 +155,9 @@ class GuardClient:
                 self._guard.wait(LEAVE_WITHIN_S)
             is_off = self._guard.poll() == EXIT_OFF
             error = None if is_off else self._end()
-            for process in (self._process, self._watch):
-                if process is not None:
-                    process.close()
+            for end in (self._process, self._watch, self._off_line):
+                if end is not None:
+                    end.close()
             self._watch = None
             if isinstance(error, UnsafeError):
                 raise error
@@ -179,6 +180,8 @@ class GuardClient:
         number = self._number
         if ask in ("on", "prove the dead-man"):
             self._is_on_unanswered = self._may_be_lit = True
+            with contextlib.suppress(OSError):  # nobody looks after a guard that has ended
+                self._close_it.send(b"\n")  # it looks more often from now on, not after its long pause in the dark
         self._say(number=number, ask=ask, deadline_s=deadline_s, lease_s=self._lease_s)
         while True:
             message = self._listen(max(deadline_s + ANSWER_MARGIN_S, GUARD_SILENT_S))
@@ -191,6 +194,10 @@ class GuardClient:
             if ask in ("on", "off", "prove the dead-man"):
                 self._is_on_unanswered = False
                 self._may_be_lit = ask == "on" or message["value"] is not None
+            if ask == "on" and message["value"] is not None:
+                host, port, words = message["value"]
+                with contextlib.suppress(OSError):  # a rescue opens the light anew
+                    self._off_line = OffLine(words.encode("latin-1"), (host, port))
             return message["value"]
 
     def switch_off(self) -> None:
@@ -237,7 +244,7 @@ class GuardClient:
             poll.register(descriptor, select.POLLIN)
         while True:
             ended = poll.poll(1e3 * (LOOK_S if self._may_be_lit else LOOK_IN_THE_DARK_S))
-            if self._closing.fileno() in dict(ended):
+            if self._closing.fileno() in dict(ended) and not self._closing.recv(64):
                 return
             if self._process.missing():
                 self._end()
@@ -261,6 +268,9 @@ class GuardClient:
 
     def _find_ending(self, farewell: dict[str, Any]) -> FinrayError:
         end_s = time.monotonic() + END_WITHIN_S
+        if self._may_be_lit and self._off_line is not None:
+            with contextlib.suppress(OSError):  # the rescue opens the light and confirms it, which takes longer
+                self._off_line.say_off()
         # One that has hung up or said farewell ends by itself; one that is stopped does not.
         while self._guard.poll() is None and not self._process.missing() and time.monotonic() < end_s:
             time.sleep(LOOK_S)

@@ -399,8 +399,8 @@ class Guard:
                 return switch.identity().model_dump()
             if ask == "state":
                 return switch.state(deadline_s)
-            self._lit = True
-            self._watch.arm(self._lease_until_s, switch.off_words())
+            self._lit, words = True, switch.off_words()
+            self._watch.arm(self._lease_until_s, words)
             self._light.expect_late_on()
             if ask == "on":
                 switch.switch(True, deadline_s)
@@ -408,7 +408,7 @@ class Guard:
                 switch.prove_dead_man(deadline_s)
             self._light.confirm_on()
             self._looked_s = time.monotonic()
-        return None if ask == "on" else self._make_off()
+        return _for_the_owner(words) if ask == "on" else self._make_off()
 
     def _make_off(self) -> str | None:
         """Switch off; return why the light does not go off, None when it is confirmed off."""
@@ -428,6 +428,11 @@ class Guard:
         """Tell the owner, if it is there and listens."""
         with contextlib.suppress(HungUpError, BlockingIOError):
             send(self._owner, **message)
+
+
+def _for_the_owner(words: "OffWords") -> tuple[str, int, str] | None:
+    """Return host, port and words for the light's owner; None where the line is a port that has one opener."""
+    return None if isinstance(words.line, int) else (*words.line, words.data.decode("latin-1"))
 
 
 def go_on_alone(light: HeldLight, why_not: str | None) -> str | None:

@@ -99,7 +99,7 @@ class ArduinoSwitch:
         self._link, self._role, self._address = link, role, address
         self._name = f"{role} at {address}"
         self._unanswered = self._missed = 0
-        self._out_of_step = False
+        self._out_of_step = self._is_fresh = False
         self._require_version(self._greet())
 
     def identity(self) -> DeviceIdentity:
@@ -211,7 +211,7 @@ class ArduinoSwitch:
                     line = self._link.read_until(b"\n", end_s)
                     heard.append(line)
                     if (match := LINE.fullmatch(line)) and match[2]:
-                        self._link.drain(QUIET_S, time.monotonic() + RESET_WITHIN_S)
+                        self._is_fresh = True  # more may come; "off" need not wait for the silence after it
                         return parse(line, self._name)
         if heard:
             raise RefusedError(
@@ -245,6 +245,13 @@ class ArduinoSwitch:
     ) -> Said:
         """Send a command and return what answers it, not what answers an earlier command."""
         end_s = time.monotonic() + deadline_s
+        if self._is_fresh and command == "L0":  # at once, and once more after the silence
+            self._link.write(b"L0\n", end_s)
+            with contextlib.suppress(TimedOutError):  # its answer is no answer to the next command
+                self._link.read_until(b"\n", min(end_s, time.monotonic() + ASK_WITHIN_S))
+        if self._is_fresh:
+            self._link.drain(QUIET_S, max(end_s, time.monotonic() + RESET_WITHIN_S))
+            self._unanswered, self._is_fresh = 0, False
         if self._out_of_step:
             # The command goes out before the silence is waited for, so that "off" loses no time; all can be repeated.
             self._link.write(command.encode() + b"\n", end_s)

@@ -44,6 +44,7 @@ ENDS_WITHIN_S: Final = 10.0
 STALLS_AFTER_S: Final = 5.0
 MOST_LINES_SAID: Final = 6
 GOOD_SHARE: Final = (0.6, 0.8)
+DARK_SHARE: Final = 0.1
 REGION_STEP: Final = 0.04
 REGION_FINE_STEP_PX: Final = 2
 REGION_FACTOR: Final = 1.25
@@ -368,7 +369,7 @@ def panel_lines(screen: Screen, numbers: LiveNumbers, live: LiveRig) -> list[str
     return [
         lamp + laser,
         line(),
-        line(f"FOCUS {100 * sharp:4.0f} % of the best", BOLD),
+        line(f"FOCUS {100 * sharp:4.0f} % of the best" if numbers.best_focus > 0 else "FOCUS too dark", BOLD),
         line(bar(screen, sharp), GREEN if sharp >= FOCUS_GOOD else PLAIN),
         line(f"now {max(numbers.focus, 0.0):.3g}, best {numbers.best_focus:.3g}"),
         line(),
@@ -392,6 +393,8 @@ def exposure_aid(numbers: LiveNumbers) -> tuple[str, str]:
         return "waiting for a frame", PLAIN
     if numbers.saturated_fraction > 0:
         return "clipped: expose less [-]", RED
+    if numbers.brightest_fraction < DARK_SHARE and not numbers.lamp:
+        return "the lamp is off: [o] lights it", YELLOW
     if numbers.brightest_fraction < GOOD_SHARE[0]:
         return "expose more [+], 70 % is wanted", YELLOW
     if numbers.brightest_fraction > GOOD_SHARE[1]:

@@ -39,14 +39,21 @@ def level(exposure_s: float, signal_dn: float, scatter_dn: float = 0.1) -> Expos
     )
 
 
+HANDSHAKES = (handshake(), handshake("filter wheel"), handshake("laser"), handshake("lamp"))
+
+
 GOOD = CheckFacts(
-    handshakes=(handshake(), handshake("filter wheel"), handshake("laser"), handshake("lamp")),
+    handshakes=HANDSHAKES,
     moves=tuple(WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=s) for s in (0.5, 1.5)),
     darks=(dark(0.001, 16.0, 16.01), dark(0.5, 16.1, 16.11), dark(1.0, 16.2, 16.21)),
     filter_proof=FilterProof(verdict="confirmed", text="the frames show every filter in its slot"),
     revisit_filter="600",
     revisits=tuple(Revisit(still_rel=0.001, moved_rel=sign * 0.002) for sign in (1, -1, 1, -1)),
     levels=(level(0.1, 100.0), level(0.2, 200.0), level(0.4, 400.0)),
+    white_span_s=20.0,
+    frame_overheads_s=(0.2, 0.3),
+    reconnect_s=8.0,
+    reconnected=tuple(hand.identity for hand in HANDSHAKES if hand.identity is not None),
     light_off=(
         LightOff(layer="block", witness="its own connection", earliest_s=(0.0,), latest_s=(0.1,)),
         LightOff(layer="guard", witness="a new connection", earliest_s=(0.0, 0.1), latest_s=(0.1, 0.3)),

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from scipy.stats import binom, linregress
 
-from data_schemas import AcceptanceReport, CheckResult, FilterProof, LightOff, Revisit, RigFile, WheelMove, provenance
+from data_schemas import (
+    AcceptanceReport,
+    CheckResult,
+    ExposureLevel,
+    FilterProof,
+    LightOff,
+    Revisit,
+    RigFile,
+    WheelMove,
+    provenance,
+)
 from data_schemas.storage import read_record, write_record
 from finray_calib.acceptance import SECTIONS, judge, result_line, value_text
 from finray_calib.acceptance._acceptance_report import (
@@ -17,7 +27,7 @@ from finray_calib.acceptance._acceptance_report import (
     slowest_off,
 )
 from rigs import simulated_rig
-from tests.acceptance.facts import GOOD, PLAN, dark, handshake, level, spoilt
+from tests.acceptance.facts import GOOD, HANDSHAKES, PLAN, dark, handshake, level, spoilt
 
 
 @pytest.fixture(scope="module")
@@ -34,11 +44,33 @@ def bad(report: AcceptanceReport) -> dict[str, str]:
     return {result.name: result.verdict for result in report.results if result.verdict != "PASS"}
 
 
+def drifting(exposure_s: float, signal_dn: float, drift_rel: float) -> ExposureLevel:
+    """Return a level whose white frames grow by so much from the first to the last, with a little noise."""
+    noise_dn = signal_dn * np.random.default_rng(int(signal_dn)).normal(0.0, 5e-4, 6)
+    white_dn = 16.0 + signal_dn * (1.0 + drift_rel * np.linspace(-0.5, 0.5, 6)) + noise_dn
+    return ExposureLevel(exposure_s=exposure_s, white_dn=tuple(white_dn), dark_dn=(15.99, 16.01) * 3)
+
+
+def test_a_steady_lamp_passes_at_the_stated_rate_and_the_uncertainty_of_its_drift_covers(rig):
+    rng = np.random.default_rng(3)
+    held = passed = 0
+    for _ in range(400):
+        levels = []
+        for t in (1, 2, 4):
+            white_dn = 16.0 + 100.0 * t * (1.0 + 0.01 * np.linspace(-0.5, 0.5, 6) + rng.normal(0.0, 2e-3, 6))
+            levels.append(ExposureLevel(exposure_s=t, white_dn=tuple(white_dn), dark_dn=(15.99, 16.01) * 3))
+        (found,) = [one for one in judge(spoilt(levels=levels), PLAN, rig).results if one.name == "lamp is steady"]
+        held += abs(found.value - 1.0) <= 1.96 * found.sd
+        passed += found.verdict == "PASS"
+    assert abs(held / 400 - 0.95) < 4 * np.sqrt(0.05 * 0.95 / 400)  # few rounds: the enlarged uncertainty is no less
+    assert passed / 400 < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 400)  # the drift is at its limit
+
+
 def test_a_flawless_rig_passes_every_check(rig):
     report = judge(GOOD, PLAN, rig)
     assert bad(report) == {}
     assert report.verdict == "PASS"
-    assert len(results(report)) == len(report.results) == 16
+    assert len(results(report)) == len(report.results) == 19
     assert {result.section for result in report.results} == set(SECTIONS) - {"opening", "closing"}
     assert "simulated clock" in report.notes[0]
 
@@ -51,9 +83,19 @@ def test_a_flawless_rig_passes_every_check(rig):
         ({"handshakes": (handshake(durations_s=(0.1, 2.1)),)}, "camera answers", "FAIL", "model X1, serial 007"),
         ({"handshakes": (handshake(driver="indi", identity=handshake().identity),)}, "camera answers", "FAIL",
          "a camera behind driver 'aravis' answers"),
-        ({"handshakes": (handshake(identity={"role": "camera", "driver": "aravis"}),)}, "camera answers", "UNDECIDED",
+        ({"handshakes": (handshake(identity={"role": "camera", "driver": "aravis"}),),
+          "reconnected": ({"role": "camera", "driver": "aravis"},)}, "camera answers", "UNDECIDED",
          "does not identify itself"),
-        ({"handshakes": (handshake("lamp", "manual"),)}, "lamp answers", "UNDECIDED", "it is switched by hand"),
+        ({"handshakes": (handshake("lamp", "manual"),),
+          "reconnected": (handshake("lamp", "manual").identity,)}, "lamp answers", "UNDECIDED",
+         "it is switched by hand"),
+        ({"reconnect_s": 50.0}, "devices come back", "FAIL", "4 devices, the same as before"),
+        ({"reconnected": tuple(hand.identity for hand in HANDSHAKES[:3])}, "devices come back", "FAIL",
+         "another lamp answers than before"),
+        ({"frame_overheads_s": (0.1, 1.5)}, "frames in time", "FAIL", "mean 0.8 s of 2 frames"),
+        ({"levels": tuple(drifting(t, 100.0 * t, 0.02) for t in (1, 2, 4))}, "lamp is steady", "FAIL",
+         "6 rounds of 3 exposures within 20 s"),
+        ({"levels": tuple(drifting(t, 100.0 * t, 0.01) for t in (1, 2, 4))}, "lamp is steady", "UNDECIDED", "6 rounds"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=3, duration_s=1.0),)}, "wheel arrives", "FAIL",
          "sent from slot 1 to 2, reads 3"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=9.0),)}, "wheel moves in time", "FAIL",

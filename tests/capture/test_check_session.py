@@ -105,8 +105,8 @@ def test_facts_of_the_simulated_rig(rig: RigFile, plan: CheckPlan) -> None:
     block, guard, dead_man = facts.light_off
     assert (block.layer, block.latest_s, block.still_on) == ("block", (0.0, 0.0, 0.0), 0)
     assert {guard.missing, dead_man.missing} == {"no guard on the simulated rig"}
-    assert [done for done, total, _ in calls] == list(range(10))
-    assert {total for _, total, _ in calls} == {10}
+    assert [done for done, total, _ in calls] == list(range(11))
+    assert {total for _, total, _ in calls} == {11}
 
 
 def test_moves_are_those_of_the_seed(rig: RigFile, plan: CheckPlan) -> None:
@@ -153,13 +153,31 @@ def test_wheel_that_falls_silent_keeps_the_moves_before(rig, plan, monkeypatch):
     assert facts.errors["wheel"] == "wheel: gone"
 
 
+def test_another_device_at_the_second_opening_is_seen(rig, plan, monkeypatch):
+    openings: list[int] = []
+
+    def change(opened: OpenRig) -> OpenRig:
+        openings.append(1)
+        other = opened.camera.identity().model_copy(update={"serial": "another"})
+        return (
+            replace(opened, camera=Device(opened.camera, {"identity": lambda: other})) if len(openings) > 1 else opened
+        )
+
+    facts = facts_of(rig, plan, monkeypatch, change)
+    assert facts.reconnect_s is not None
+    assert facts.reconnected[0].serial == "another"
+    assert [hand.identity for hand in facts.handshakes][1:] == list(facts.reconnected[1:])
+    assert len(facts.frame_overheads_s) == 2 * 3 * plan.exposure_rounds
+    assert facts.white_span_s > 0.0
+
+
 def test_mute_device_is_an_error_of_its_own_handshake(rig, plan, monkeypatch):
     def change(opened: OpenRig) -> OpenRig:
         return replace(opened, lamp=Device(opened.lamp, {"identity": raising(LostError("lamp: gone"))}))
 
     facts = facts_of(rig, plan, monkeypatch, change)
     assert [hand.error for hand in facts.handshakes] == [None, None, None, "lamp: gone"]
-    assert facts.errors == {}
+    assert facts.errors == {"reconnect": "lamp: gone"}
 
 
 def test_camera_that_fails_ends_its_sections_only(rig, plan, monkeypatch):
@@ -246,7 +264,10 @@ def test_unsafe_laser_ends_the_check(rig, plan, monkeypatch):
         return replace(opened, laser=Device(opened.laser, {"lit": raising(UnsafeError("laser: NOT CONFIRMED OFF"))}))
 
     facts = facts_of(rig, plan, monkeypatch, change)
-    assert facts.errors == {"light off": "laser: NOT CONFIRMED OFF"}
+    assert facts.errors == {
+        "light off": "laser: NOT CONFIRMED OFF",
+        "reconnect": "not tried: a light is not confirmed off",
+    }
     assert facts.light_off == ()
 
 
@@ -270,7 +291,8 @@ def test_rig_that_does_not_open_or_close_is_reported(rig, plan, monkeypatch):
     facts, notes = record_facts(rig, plan, Path())
     assert notes == ()
     assert facts.errors.pop("opening") == "camera: not there"
-    assert facts.errors == dict.fromkeys(check_session.WITH_OPEN_RIG, "not tried: the rig could not be opened")
+    sections = (*check_session.WITH_OPEN_RIG, "reconnect")
+    assert facts.errors == dict.fromkeys(sections, "not tried: the rig could not be opened")
 
     @contextmanager
     def stuck(*given: Any) -> Iterator[OpenRig]:

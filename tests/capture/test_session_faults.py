@@ -4,11 +4,13 @@ import errno
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,10 +32,10 @@ from data_schemas import (
 )
 from data_schemas.storage import sha256_of
 from rigs import Camera, Clock, FilterWheel, Light, OpenRig, Operator, RawFrame, open_laser, open_rig
-from rigs.capture import Interrupted, SessionRequest, paint_steps, read_interrupted, read_session
+from rigs.capture import Interrupted, SessionRequest, forecast, paint_steps, read_interrupted, read_session
 from rigs.capture import _exposure as exchange
 from rigs.capture import _frame_store as frame_store
-from rigs.capture._journal import read_journal
+from rigs.capture._journal import HealingTimeError, read_journal
 from rigs.capture._paint_session import capture_with
 from rigs.filter_wheels.thorlabs import open_wheel
 from rigs.light_guard import GuardedLight, LightLostError
@@ -572,3 +574,40 @@ def test_faults_are_noted_and_told_at_the_end(rig: RigFile, small: PaintPlan, tm
         f"faults that did not stop the session: {wheel.moves} exchanges were repeated (filter wheel at /dev/ttyUSB0 "
         f"{wheel.moves}), 1 frames were taken again; journal.jsonl lists each ({1.25 * wheel.moves:.1f} s lost)"
     )
+
+
+@pytest.mark.parametrize("kind", ["exchanges", "frames"])
+def test_faults_that_cost_more_than_the_session_stated_end_it_in_the_dark(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was told before the start holds: plan and healing time, with one fault beyond it at the most."""
+    stated = forecast(small, rig, paint_steps(small, rig))
+    each_s, late_s = stated.healing_s / 5.5, 0.0
+    monkeypatch.setattr("rigs.capture._journal.time", SimpleNamespace(monotonic=lambda: time.monotonic() + late_s))
+
+    class Repeating(TurningBench):
+        def go_to(self, slot: int, deadline_s: float) -> None:
+            if kind == "exchanges":
+                tell_fault(Fault("filter wheel at /dev/ttyUSB0", "did not answer", 1, each_s))
+            super().go_to(slot, deadline_s)
+
+    def torn(number: int, raw: RawFrame) -> RawFrame:
+        nonlocal late_s
+        if kind == "frames" and number % 2:
+            late_s += each_s
+            raise BadFrameError("camera: torn")
+        return raw
+
+    with open_rig(rig, Path()) as opened:
+        wheel = Repeating(opened.wheel, opened.wheel)
+        failing = replace(opened, wheel=wheel, camera=ChangedCamera(opened.camera, torn))
+        with pytest.raises(
+            HealingTimeError, match=rf"stated {stated.healing_s:.0f} s at most; journal\.jsonl lists each: mend the"
+        ):
+            capture(failing, rig, small, tmp_path)
+        assert dark(opened)
+    event = "fault" if kind == "exchanges" else "refused"
+    assert sum(line["event"] == event for line in read_journal(tmp_path)) == 6
+    with open_rig(rig, Path()) as opened:
+        session = capture(opened, rig, small, tmp_path, read_interrupted(tmp_path))
+    assert session.frames

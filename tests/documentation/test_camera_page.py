@@ -13,6 +13,7 @@ from html_page import Page, assert_stands_alone
 
 from data_schemas import CameraCharacterisation, Resolvable, provenance
 from finray_calib.radiometry import characterise_camera, sensitivity_threshold_e
+from finray_calib.radiometry._photon_transfer import MONOCHROME, FrameStack, line_nonuniformity, root_of
 from finray_calib.reports.camera import camera_page
 from tests.radiometry.camera_sessions import (
     BLACK_LEVEL_DN,
@@ -52,7 +53,7 @@ def test_every_quantity_has_an_expanded_uncertainty(camera):
     assert told["coverage_factor"] == 2.0
     for c in camera.channels:
         channel = told["channels"][c.channel]
-        assert len(channel) == 18
+        assert len(channel) == 23
         for found in channel.values():
             assert found["expanded_uncertainty"] > 0
         assert channel["dark_noise_e"]["expanded_uncertainty"] == 2 * c.read_noise_e.sd
@@ -86,9 +87,18 @@ def test_the_threshold_is_that_of_the_standard_and_its_uncertainty_covers():
 
 def test_what_was_not_measured_is_said(camera):
     prose = Page(camera_page(camera)).prose
-    for words in ("Quantum efficiency", "known irradiance", "Rows, columns and pixels are not separated",
+    for words in ("Quantum efficiency", "known irradiance", "There are no spectrograms", "every second one",
                   "rig's own lamp", "temperature of the sensor"):  # fmt: skip
         assert words in prose
+
+
+def test_a_record_of_an_older_version_says_that_rows_and_columns_are_not_measured(camera):
+    lost = dict.fromkeys(("dsnu_rows_dn", "dsnu_columns_dn", "dsnu_pixels_dn", "prnu_rows_rel", "prnu_columns_rel"))
+    old = camera.model_copy(update={"channels": tuple(c.model_copy(update=lost) for c in camera.channels)})
+    html = camera_page(old)
+    assert "Rows, columns and pixels are not separated" in Page(html).prose
+    assert html.count("not measured") == 5 * len(camera.channels)
+    assert numbers(html)["channels"]["red"]["dsnu_rows_dn"] is None
 
 
 def test_a_channel_that_does_not_saturate_says_so():
@@ -187,3 +197,62 @@ def test_the_non_uniformities_of_the_page_are_those_of_the_emva_package(tmp_path
     # it leaves the flicker of the frame mean in the temporal variance: 1/4096 of it, 16 frames
     assert ours["flat_nonuniformity_percent"]["estimate"] == pytest.approx(theirs["prnu_percent"], rel=1e-3)
     assert ours["dsnu_dn"]["estimate"] == pytest.approx(theirs["dsnu_e"] * theirs["k_dn_per_e"], rel=1e-3)
+
+
+ROW_SD_DN, COLUMN_SD_DN, ROW_GAIN_SD, COLUMN_GAIN_SD = 3.0, 2.0, 0.02, 0.03
+
+
+def striped(session: SyntheticCameraSession, rng: np.random.Generator, side_px: int) -> SyntheticCameraSession:
+    """Give every row and column an offset and a response of its own."""
+    row_dn, column_dn = ROW_SD_DN * rng.standard_normal(side_px), COLUMN_SD_DN * rng.standard_normal(side_px)
+    row_gain, column_gain = ROW_GAIN_SD * rng.standard_normal(side_px), COLUMN_GAIN_SD * rng.standard_normal(side_px)
+
+    def stripe(frame, counts):
+        gain = 1.0 + row_gain[:, None] + column_gain
+        signal = (counts - BLACK_LEVEL_DN) * (gain if frame.frame_type == "white" else 1.0)
+        return np.rint(np.clip(signal + BLACK_LEVEL_DN + row_dn[:, None] + column_dn, 0, 4095)).astype(np.uint16)
+
+    return session.change(stripe)
+
+
+def test_rows_columns_and_pixels_of_the_page_are_those_of_the_emva_package(tmp_path):
+    rng = np.random.default_rng(9)
+    session = striped(camera_session(rng, side_px=128, repeats=14), rng, 128)
+    theirs = emva(session, tmp_path)
+    ours = numbers(camera_page(characterised(session)))["channels"]["red"]
+    # its factors differ by terms of the order 1 / 64, the number of rows and columns of a channel here
+    for name, part in (("rows", "row"), ("columns", "col"), ("pixels", "pixel")):
+        their_dn = theirs[f"dsnu_{part}_e"] * theirs["k_dn_per_e"]
+        assert ours[f"dsnu_{name}_dn"]["estimate"] == pytest.approx(their_dn, rel=1 / 64)
+    # it takes no high-pass; both estimate the same of independent rows, with some 10 % each
+    for name, part in (("rows", "row"), ("columns", "col")):
+        found, their_percent = ours[f"prnu_{name}_percent"], theirs[f"prnu_{part}_percent"]
+        assert abs(found["estimate"] - their_percent) < 2 * found["expanded_uncertainty"]
+    assert ours["prnu_percent"]["estimate"] == pytest.approx(theirs["prnu_pixel_percent"], rel=0.1)
+
+
+def test_intervals_of_rows_and_columns_hold_the_truth():
+    """With the rows and columns of a small region: where the truth is resolved and where there is nothing."""
+    rng = np.random.default_rng(10)
+    runs = 150
+    held, empty = dict.fromkeys(("rows", "columns", "row_to_row", "column_to_column"), 0), 0
+    truth = {"rows": ROW_SD_DN, "columns": COLUMN_SD_DN, "row_to_row": ROW_SD_DN, "column_to_column": COLUMN_SD_DN}
+    for _ in range(runs):
+        fixed = ROW_SD_DN * rng.standard_normal((96, 1)) + COLUMN_SD_DN * rng.standard_normal((1, 128))
+        for pattern in (fixed, 0.0):
+            stack = FrameStack("a test", [MONOCHROME], 65535)
+            for _ in range(3):
+                stack.add(1000.0 + pattern + 8.0 * rng.standard_normal((96, 128)))
+            (found,) = stack.statistics()
+            if pattern is fixed:
+                for kind in held:
+                    variance = line_nonuniformity(found, None, kind)
+                    told = root_of(variance.variance_dn2, variance.sd_dn2)
+                    held[kind] += told.low95 <= truth[kind] <= told.high95
+            else:
+                rows = line_nonuniformity(found, None, "rows")
+                empty += not root_of(rows.variance_dn2, rows.sd_dn2).resolved
+    # a variance of 96 rows is not quite normal: 95 % becomes 93 to 94 %
+    for kind, number in held.items():
+        assert abs(number / runs - 0.94) < 4 * np.sqrt(0.06 * 0.94 / runs), (kind, number)
+    assert empty / runs > 0.975 - 4 * np.sqrt(0.025 * 0.975 / runs)

@@ -182,6 +182,11 @@ def expanded(value: Estimate | None, factor: float = 1.0) -> str:
     return f"{factor * value.estimate:.{decimals}f} \u00b1 {uncertainty:.{decimals}f}"
 
 
+def _told(value: Estimate | None, factor: float, name: str) -> str:
+    """Return a quantity of the table; one that an older version did not take is "not measured"."""
+    return "not measured" if value is None and name in OF_LINES else expanded(value, factor)
+
+
 def in_decibels(value: Estimate | None) -> Estimate | None:
     """Return a ratio in decibels."""
     if value is None:
@@ -221,18 +226,27 @@ QUANTITIES: Final[tuple[tuple[str, str, str, Quantity, float], ...]] = (
      lambda c: c.linearity_error_rel, 100.0),
     ("DSNU", "DN", "dsnu_dn", lambda c: c.dsnu_dn, 1.0),
     ("The same in electrons", "e", "dsnu_e", dsnu_e, 1.0),
+    ("DSNU of rows", "DN", "dsnu_rows_dn", lambda c: c.dsnu_rows_dn, 1.0),
+    ("DSNU of columns", "DN", "dsnu_columns_dn", lambda c: c.dsnu_columns_dn, 1.0),
+    ("DSNU of pixels", "DN", "dsnu_pixels_dn", lambda c: c.dsnu_pixels_dn, 1.0),
     ("PRNU from pixel to pixel, high-pass", "%", "prnu_percent", lambda c: c.prnu_rel, 100.0),
+    ("PRNU from row to row, high-pass", "%", "prnu_rows_percent", lambda c: c.prnu_rows_rel, 100.0),
+    ("PRNU from column to column, high-pass", "%", "prnu_columns_percent", lambda c: c.prnu_columns_rel, 100.0),
     ("Non-uniformity with lamp, lens and tile", "%", "flat_nonuniformity_percent",
      lambda c: c.flat_nonuniformity_rel, 100.0),
 )  # fmt: skip
 """What it is, unit, name in the page's data, where it comes from, and factor to the unit."""
+OF_LINES: Final = frozenset(
+    ("dsnu_rows_dn", "dsnu_columns_dn", "dsnu_pixels_dn", "prnu_rows_percent", "prnu_columns_percent")
+)
+"""What records of an older version lack."""
 
 
 def _quantities(camera: CameraCharacterisation) -> ReportTable:
     """List every quantity of every channel."""
     rows = [
-        (words if not unit else f"{words} ({unit})", *(expanded(found(c), factor) for c in camera.channels))
-        for words, unit, _, found, factor in QUANTITIES
+        (words if not unit else f"{words} ({unit})", *(_told(found(c), factor, name) for c in camera.channels))
+        for words, unit, name, found, factor in QUANTITIES
     ]
     rows += [
         ("Lowest and highest deviation from linearity (%)",
@@ -284,10 +298,10 @@ def _limits(camera: CameraCharacterisation) -> tuple[str, ...]:
         "Quantum efficiency, responsivity, and threshold and saturation in photons are not known: they need a light "
         "source of known irradiance.",
         "The light is the rig's own lamp on the white tile. It is not as even as the standard asks for, so the "
-        "non-uniformity without high-pass includes lamp, lens and tile. The high-pass removes these, and also "
-        "whatever whole rows and columns share.",
-        "Rows, columns and pixels are not separated in DSNU and PRNU, and there are no spectrograms and no counts of "
-        "defect pixels.",
+        "non-uniformity without high-pass includes lamp, lens and tile. The high-pass removes these: what changes "
+        "slowly from row to row or column to column is in no PRNU.",
+        _of_lines(camera),
+        "There are no spectrograms and no counts of defect pixels.",
         f"One exposure of the lamp repeats within {percent(camera.light_repeatability_rel)} (one standard deviation, "
         "with drift). A linearity error below that cannot be seen.",
         "The exposure times are those that the camera reports: an offset of its shutter shows in the linearity line, "
@@ -295,6 +309,19 @@ def _limits(camera: CameraCharacterisation) -> tuple[str, ...]:
         "The temperature of the sensor was not recorded. Dark current doubles every 6 to 10 degrees, and the numbers "
         "hold for these settings of the camera.",
         "Saturation lies between two exposures: its interval reaches from one to the other.",
+    )
+
+
+def _of_lines(camera: CameraCharacterisation) -> str:
+    """Say what is separated in the fixed pattern."""
+    if any(c.dsnu_rows_dn is None for c in camera.channels):
+        return (
+            "Rows, columns and pixels are not separated, because an older version made this record: run 'finray "
+            "radiometry' again on the camera session."
+        )
+    return (
+        "Rows and columns are those of one channel, so every second one of a Bayer sensor. Their uncertainties are "
+        "those of normally distributed rows and columns of this region."
     )
 
 
@@ -315,7 +342,9 @@ def _methods(camera: CameraCharacterisation) -> tuple[str, ...]:
         "(1/12 DN\u00b2). Saturation is where the variance is largest. The linearity error is the mean absolute "
         "deviation from a line with relative weights between 5 and 95 % of saturation. DSNU and PRNU are spatial "
         "standard deviations of mean images without the temporal noise left in them, the high-pass by second "
-        "differences along rows and columns.",
+        "differences along rows and columns. Rows, columns and pixels of the mean dark image are separated by the "
+        "variances of its row means, column means and residuals, those of PRNU by second differences of row and "
+        "column means.",
         f"Uncertainties are those of the noise of the frames; U = {COVERAGE_FACTOR:g} u. A line that does not fit "
         f"(chi-square probability below {SMALLEST_CHI_SQUARE_P:g}) widens them.",
     )

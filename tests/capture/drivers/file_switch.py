@@ -4,8 +4,8 @@ The address is a folder. ``on`` exists while the light is on; ``refuse_off`` hol
 makes them return without effect, ``refuse_keep_alive`` makes keep-alives fail, ``refuse_state`` the state and
 ``refuse_opening`` the opening; ``slow_on`` makes the confirmation of "on" wait, ``late_on`` lets it fail and happen
 later, after the seconds that it holds, ``slow_state`` holds back the state, and ``hang`` makes a keep-alive hang where
-no alarm wakes it; ``no_line`` holds a port where nobody listens. The watch's own line is a pipe to a shell that removes
-``on``.
+no alarm wakes it; ``line_port`` holds a port of this computer for the words of "off". Without it the watch's line is
+a pipe to a shell that removes ``on``.
 """
 
 import os
@@ -82,7 +82,7 @@ class FileSwitch:
         return (self.folder / "on").exists()
 
     def off_words(self) -> OffWords:
-        if (port := self.folder / "no_line").exists():
+        if (port := self.folder / "line_port").exists():
             return OffWords(b"\noff\n", ("127.0.0.1", int(port.read_text())))
         return OffWords(b"\noff\n", self._line)
 

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -497,6 +498,30 @@ class TestFewerThanThree:
                 process.send_signal(signal.SIGCONT)
                 assert "LostError" in process.stdout.readline()
 
+    def test_owner_alone_says_off_before_it_opens_the_light(self, folder):
+        """Guard and watch are gone, and the light cannot be opened anew: the words that the guard left must do."""
+        with socket.create_server(("127.0.0.1", 0)) as server:
+
+            def obey() -> None:
+                while True:
+                    try:
+                        line = server.accept()[0]
+                    except OSError:
+                        return
+                    with line:
+                        if b"off" in line.recv(64):
+                            (folder / "on").unlink(missing_ok=True)
+
+            threading.Thread(target=obey, daemon=True).start()
+            (folder / "line_port").write_text(str(server.getsockname()[1]))
+            with file_owner(folder, "asks"):
+                (folder / "refuse_opening").touch()
+                began_s = time.monotonic()
+                for pid in (the_watch(str(folder)), the_guard(str(folder))):
+                    os.kill(pid, signal.SIGKILL)
+                wait_until(lambda: not (folder / "on").exists(), "the light to go off", OFF_WITHIN_S)
+                assert time.monotonic() - began_s <= OFF_WITHIN_S
+
     def test_all_three_leave_it_on(self, folder):
         """What is said of a light without a layer outside the computer is true.
 
@@ -532,7 +557,7 @@ class TestFewerThanThree:
             wait_until(lambda: not (folder / "on").exists(), "the light to go off")
 
     def test_watch_without_a_line_keeps_the_light_dark(self, folder):
-        (folder / "no_line").write_text(str(free_port()))
+        (folder / "line_port").write_text(str(free_port()))
         with guarded_light("laser", "indi", str(folder)) as light:
             with (
                 pytest.raises(LostError, match=r"its watch is not armed \(.*refused.*a connection of its own"),

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+PARTS = ("row", "col", "pixel")
+
 
 def main(folder: Path) -> None:
     # The package calls a function that NumPy 2 no longer has.
@@ -39,6 +41,8 @@ def main(folder: Path) -> None:
                 "highest_percent": float(linearity["linearity_error_max"]),
                 "dsnu_e": float(results.DSNU1288),
                 "prnu_percent": float(results.PRNU1288),
+                **{f"dsnu_{part}_e": float(getattr(results, f"DSNU1288_{part}")) for part in PARTS},
+                **{f"prnu_{part}_percent": float(getattr(results, f"PRNU1288_{part}")) for part in PARTS},
                 "saturation_capacity_e": float(results.u_e_sat),
                 "threshold_e": float(results.u_e_min),
                 "snr_max_db": float(results.SNR_max_dB()),
