@@ -81,7 +81,7 @@ SHOW_HELP = "show the table of a design study"
 COMPARE_HELP = "compare two design studies point by point: what differs by more than both studies leave open"
 COMPARE_DESCRIPTION = """\
 Compare the points that two design studies have in common: those that change the same fields to the same values. Each
-number is told with its difference and the 95 % limits of it, as of two independent studies. "differs" holds for all
+number has its difference with 95 % limits, as of two independent studies. "differs" holds for all
 numbers together; where both studies have the same seed they share part of their noise, and more may differ."""
 DATASET_HELP = "make a data set for learning: random presses of a finger, rendered, with depth, normals and labels"
 DATASET_DESCRIPTION = """\
