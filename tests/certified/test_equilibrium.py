@@ -366,3 +366,21 @@ def test_without_pardiso_superlu_takes_over(monkeypatch):
     assert type(linear_solver()).__name__ == "SuperLU"
     with pytest.raises(MissingExtraError, match=r"needs pypardiso.*elsewhere choose superlu"):
         linear_solver("pardiso")
+
+
+def test_the_modes_of_each_element_follow_a_displacement_by_themselves():
+    cells = unit_cells(1, 2, 8, size=(1.0, 1.0, 8.0))
+    elasticity = assemble(cells.mesh("incompatible_modes"), Ogden((6.279, 1.639), (1.6663, -7.136), 26.0)).elasticity
+    u = np.zeros_like(cells.nodes_mm)
+    u[:, 1] = 0.02 * cells.nodes_mm[:, 2] ** 2
+    u[:, 2] = -0.04 * cells.nodes_mm[:, 2] * cells.nodes_mm[:, 1]
+    far = tuple(m + 0.05 for m in elasticity.no_modes)
+
+    def unbalanced(modes):
+        list(elasticity.matrices(u, modes))
+        return elasticity.mode_residual_n()
+
+    relaxed = elasticity.relaxed(u, far)
+    # three steps of Newton's method on nine unknowns in each element
+    assert unbalanced(relaxed) < 1e-2 * unbalanced(far)
+    assert elasticity.energy(u, relaxed) < elasticity.energy(u, far)
