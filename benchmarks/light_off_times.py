@@ -159,7 +159,9 @@ def once(
     before = lamp.words_heard()
     process.stdin.write("\n")
     process.stdin.flush()
-    while lamp.boards and lamp.words_heard() == before:  # an emulated board that nobody asks costs a core
+    while (
+        lamp.boards and process.poll() is None and lamp.words_heard() == before
+    ):  # an emulated board that nobody asks costs a core
         time.sleep(POLL_S)
     for pid in lamp.boards:
         os.kill(pid, signal.SIGCONT)
@@ -511,7 +513,9 @@ def table(path: Path) -> int:
         silences_s = [entry["silence_s"] for entry in ours if entry.get("silence_s")]
         added_s = [entry["off_s"] - entry["said_s"] for entry in ours if entry.get("said_s")]
         loads = sorted(entry["load"] for entry in ours if "load" in entry)
-        print(f"{column}: load {loads[0]} to {loads[-1]}; starved {sum('starved' in entry for entry in ours)}", end="")
+        print(
+            f"{column}: load {loads[:1]} to {loads[-1:]}; starved {sum('starved' in entry for entry in ours)}", end=""
+        )
         for text, values_s in (("dead-man after a silence of", silences_s), ('"off" said to off heard', added_s)):
             if values_s:
                 print(f"; {text} {min(values_s):.3f} to {max(values_s):.3f} s, n {len(values_s)}", end="")

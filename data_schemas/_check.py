@@ -54,7 +54,7 @@ class CheckLimits(Model):
         default=1.0, description="time until a checked frame is there, beyond its exposure"
     )
     lamp_drift_rel: RelativeUncertainty = Field(
-        default=0.01, description="change of the lamp from the first to the last white frame of the exposures"
+        default=0.01, description="change of the lamp from the first to the last round of white frames"
     )
     reconnect_s: PositiveS = Field(
         default=45.0, description="time until all devices answer again after they were closed"

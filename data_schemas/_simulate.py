@@ -568,7 +568,7 @@ class ObjectGrasp(Record):
     preset: Preset
     design: FingerDesign = Field(description="both fingers, and as its indenter the object")
     wanted_force_n: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "N"})] = Field(
-        description="force that each finger shall close with"
+        description="mean of the forces that both fingers shall close with"
     )
     mass_kg: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "kg"})] = Field(description="of the object")
     weight_n: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "N"})] = Field(
@@ -587,7 +587,7 @@ class ObjectGrasp(Record):
         description="part of the weight that the fingers carry"
     )
     moves_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "mm")] = Field(
-        description="of the object's middle from where both fingers touch it"
+        description="of the object's middle (a mesh: its origin) from where both fingers touch it"
     )
     turns_deg: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "deg")] = Field(
         description="rotation vector of the object about its middle"
@@ -596,7 +596,8 @@ class ObjectGrasp(Record):
         description="size of the force that is left over on the object"
     )
     stiffness_n_per_mm: Annotated[float, Field(json_schema_extra={"unit": "N/mm"})] = Field(
-        description="least resistance to a move of the object at the last increment; negative: squeezed out at a touch"
+        description="least resistance to a move or turn of the object at the last increment, turns at half the pad's "
+        "width; negative: squeezed out, or tips over, at a touch; 0: a way is free"
     )
     lost: str = Field(description="why the fingers do not close or carry as wanted; empty when they do")
     notes: tuple[str, ...] = ()

@@ -114,7 +114,9 @@ class SimulateError(FinrayError):
 
 
 class NoEquilibriumError(SimulateError):
-    """A press found no equilibrium beyond some share of its load."""
+    """A press found no equilibrium beyond some share of its load; `reason` says what ended its search."""
+
+    reason = ""
 
 
 class CompareError(FinrayError):

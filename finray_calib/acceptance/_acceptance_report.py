@@ -39,7 +39,9 @@ SECTIONS: Final[dict[Section, str]] = {
     "closing": "rig closes with its lights off",
     "reconnect": "devices come back",
 }
-SIMULATED_NOTE: Final = "the rig is simulated: times are those of its simulated clock, and no device was tried"
+SIMULATED_NOTE: Final = (
+    "the rig is simulated: times, but for that until devices come back, are of its simulated clock; no device was tried"
+)
 
 
 def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ...] = ()) -> AcceptanceReport:
@@ -367,7 +369,7 @@ def judge_lamp(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     spread = float(number @ number)
     slope, free = float(number @ rounds) / spread, rounds.size - 2
     scatter = rounds - rounds.mean() - slope * number
-    name, what = "lamp is steady", "change of the lamp from the first to the last white frame of the exposures"
+    name, what = "lamp is steady", "change of the lamp from the first to the last round of white frames"
     if free < 3:
         reason = f"{rounds.size} rounds do not show how sure it is; raise exposure_rounds to 5 or more"
         return (unmeasured("exposures", name, what, "UNDECIDED", reason),)
@@ -383,7 +385,7 @@ def judge_frames(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     """Return how long a frame takes beyond its exposure."""
     if not (times_s := facts.frame_overheads_s):
         return ()
-    what = "longest time from asking for a frame until it is checked, beyond its exposure: trigger, readout, transfer"
+    what = "longest time of a frame beyond its exposure: questions to wheel and lights, trigger, readout, transfer"
     evidence = f"mean {sum(times_s) / len(times_s):.3g} s of {len(times_s)} frames"
     limits = ToleranceInterval(None, plan.limits.frame_overhead_s)
     return (measured("exposures", "frames in time", what, max(times_s), CLOCK_SD_S, "s", evidence, limits=limits),)
@@ -398,10 +400,17 @@ def judge_reconnect(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ..
     before = [hand.identity for hand in facts.handshakes if hand.identity is not None]
     others = [one.role for one in before if said.get(one.role) != one]
     if others:
-        reason = f"another {others[0]} answers than before, or it names itself differently: {said.get(others[0])}"
+        now = said.get(others[0])
+        named = "" if now is None else " ".join(filter(None, (now.vendor, now.model, now.serial, now.firmware)))
+        reason = (
+            f"another {others[0]} answers than before, or it names itself differently ({named or 'no name'}); give its "
+            "address by serial number in the rig file"
+        )
         return (unmeasured("reconnect", name, what, "FAIL", reason),)
     limits = ToleranceInterval(None, plan.limits.reconnect_s)
-    evidence = f"{len(said)} devices, the same as before"
+    unknown = sorted(set(said) - {one.role for one in before})
+    evidence = f"{len(before)} devices, the same as before"
+    evidence += f"; no name was given before by {', '.join(unknown)}" if unknown else ""
     return (measured("reconnect", name, what, facts.reconnect_s, CLOCK_SD_S, "s", evidence, limits=limits),)
 
 

@@ -41,7 +41,11 @@ def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = jobs.add_parser("grasp", help=GRASP_HELP, description=GRASP_DESCRIPTION)
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter is the object")
     parser.add_argument(
-        "--force", type=_force, required=True, metavar="NEWTON", help="force that each finger shall close with"
+        "--force",
+        type=_force,
+        required=True,
+        metavar="NEWTON",
+        help="mean of the forces that both fingers shall close with",
     )
     parser.add_argument(
         "--mass", type=_mass, default=0.0, metavar="KG", help="mass of the object that is carried (default: 0, none)"
@@ -66,24 +70,25 @@ def _long_grasp(arguments: argparse.Namespace) -> LongWork:
     )
 
 
-def _above(text: str, least: float, most: float, what: str) -> float:
+def _within(text: str, least: float, most: float, what: str) -> float:
+    """Parse a number within bounds."""
     try:
         number = float(text)
     except ValueError:
         number = math.nan
-    if not least <= number <= most or (least == 0.0 and number != 0.0 and number < 1e-6):
-        raise argparse.ArgumentTypeError(f"{text!r} must be {what}, {least:g} to {most:g}")
+    if not least <= number <= most:
+        raise argparse.ArgumentTypeError(f"{text!r} must be {what} of {least:g} to {most:g}")
     return number
 
 
 def _force(text: str) -> float:
     """Parse a closing force."""
-    return _above(text, 0.01, LARGEST_FORCE_N, "a force in N")
+    return _within(text, 0.01, LARGEST_FORCE_N, "a force in N")
 
 
 def _mass(text: str) -> float:
     """Parse a mass."""
-    return _above(text, 0.0, LARGEST_MASS_KG, "a mass in kg")
+    return 0.0 if text.strip() == "0" else _within(text, 1e-6, LARGEST_MASS_KG, "0 or a mass in kg")
 
 
 def _paths(out: Path) -> dict[str, Path]:
@@ -162,12 +167,14 @@ def _tell(record: "ObjectGrasp", files: dict[str, Path]) -> None:
         turned = " ".join(f"{value:6.2f}" for value in turn + 0.0)
         say(f"  {closing:6.3f}  {force:7.3f}  {carried:7.3f}   {where}   {turned}")
     if record.lost and record.mass_kg > 0.0 and held_n > 0.0:
-        say(f"  the fingers hold {held_n:.3g} of {weight_n:.3g} N of weight, then lose the object: {record.lost}")
+        say(f"  the fingers hold {held_n:.3g} of {weight_n:.3g} N of weight, then the grasp ends: {record.lost}")
     elif record.lost:
         say(f"  the fingers do not get further: {record.lost}")
     elif record.mass_kg > 0.0:
         say(f"  the fingers hold the whole weight of {weight_n:.3g} N")
-    squeezed = ": it is not stable there, and slips out at a touch" if record.stiffness_n_per_mm < 0.0 else ""
+    squeezed = (
+        ": it is not stable there, and slips out or tips over at a touch" if record.stiffness_n_per_mm < 0.0 else ""
+    )
     say(f"  least resistance to a move of the object: {record.stiffness_n_per_mm:.3g} N/mm{squeezed}")
     for side in ("near", "far"):
         wrote(files[side], f"forces, torques and slip on the {side} finger")

@@ -505,13 +505,12 @@ def compare_studies(arguments: argparse.Namespace) -> None:
     differences = study_differences(first, second)
     if not differences:
         raise RecordError(
-            f"{arguments.first}, {arguments.second}: have no point in common; they change {', '.join(first.varied)}, "
-            f"and {', '.join(second.varied)}. Give two studies whose plans share points"
+            f"{arguments.first}, {arguments.second}: have no number of a point in common; they change "
+            f"{', '.join(first.varied)}, and {', '.join(second.varied)}. Give two studies whose plans share points"
         )
-    shared = [d.changes for d in differences]
     alone = {
-        name: [row.changes for row in study.points if row.changes not in shared]
-        for name, study in (("only_first", first), ("only_second", second))
+        name: [row.changes for row in study.points if row.changes not in [other.changes for other in beside.points]]
+        for name, study, beside in (("only_first", first, second), ("only_second", second, first))
     }
     give(first=first.name, second=second.name, differences=differences, **alone)
     say(study_differences_text(differences))

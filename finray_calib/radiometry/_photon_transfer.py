@@ -278,17 +278,20 @@ def _rows_and_columns(image: Frame) -> RowsAndColumns:
     squares = np.asarray(rest**2)
     pixels = SpatialVariance(float(squares.sum()) / degrees, float(np.sqrt(squares.var() / squares.size)))
 
-    def without_pixels(variance: float, sd_rel: float, averaged: int) -> SpatialVariance:
-        sd = np.hypot(variance * sd_rel, pixels.sd_dn2 / averaged)
-        return SpatialVariance(variance - pixels.variance_dn2 / averaged, float(sd))
+    # light that is neither of a row nor of a column is no pixel's either, and would be taken off too much
+    single = _second_difference_variance(image)
+
+    def without(noise: SpatialVariance, variance: float, sd_rel: float, averaged: int) -> SpatialVariance:
+        sd = np.hypot(variance * sd_rel, noise.sd_dn2 / averaged)
+        return SpatialVariance(variance - noise.variance_dn2 / averaged, float(sd))
 
     def lines(means: Floats, averaged: int) -> SpatialVariance:
-        return without_pixels(float(means.var(ddof=1)), np.sqrt(2.0 / (means.size - 1)), averaged)
+        return without(pixels, float(means.var(ddof=1)), np.sqrt(2.0 / (means.size - 1)), averaged)
 
     def line_to_line(means: Floats, averaged: int) -> SpatialVariance:
         bent = np.diff(means, 2)
         variance = float(np.mean(bent**2)) / LINE_DIFFERENCE_GAIN
-        return without_pixels(variance, np.sqrt(2.0 * LINE_DIFFERENCE_CORRELATION / bent.size), averaged)
+        return without(single, variance, np.sqrt(2.0 * LINE_DIFFERENCE_CORRELATION / bent.size), averaged)
 
     return RowsAndColumns(
         rows=lines(rows, len(columns)),
@@ -587,11 +590,11 @@ def _limited(mean: float, sd: float, low: float, scale: Callable[[float], float]
         return scale(max(mean + z * sd - low * (z < 0), 0.0))
 
     resolved = end(-Z95) > 0.0
-    low68, high68 = end(-Z68), end(Z68)
+    # a mean below zero, by noise, is no better known
+    low68, high68 = end(-Z68), scale(max(mean, 0.0) + Z68 * sd)
     return Resolvable(
         estimate=scale(max(mean, 0.0)),
-        # a mean far below zero, by noise, is no better known
-        sd=0.5 * (scale(max(mean, 0.0) + Z68 * sd) - low68),
+        sd=0.5 * (high68 - low68),
         low68=low68,
         high68=high68,
         low95=end(-Z95),

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
+from scipy.stats import t as student_t
 
 from data_schemas import DesignValue, StudyMetric, StudyPoint, StudyResult, StudyRow
 from finray_calib.reports._images import ByteImage, to_display
@@ -201,8 +201,9 @@ def study_differences(first: StudyResult, second: StudyResult) -> list[MetricDif
         for one in row.metrics
         if (two := _found(like, one.name)) is not None
     ]
-    normal = NormalDist()
-    factor = normal.inv_cdf(1.0 - 0.025 / max(len(pairs), 1)) / normal.inv_cdf(0.975)
+    # limits of three renders, whose halves leave five degrees of freedom, and a difference ten
+    factor = float(student_t.ppf(1.0 - 0.025 / max(len(pairs), 1), 10) / student_t.ppf(0.975, 5))
+    factor = max(factor, 1.0)
     return [_difference(row.changes, one, two, factor) for row, one, two in pairs]
 
 
@@ -292,8 +293,7 @@ def _changed(ordered: Sequence[StudyMetric]) -> tuple[Light, str]:
         return "", "the same at all points"
     if lowest.high95 is None or highest.low95 is None:
         return "", "computed without an interval"
-    normal = NormalDist()
-    factor = normal.inv_cdf(1.0 - 0.025 / len(ordered)) / normal.inv_cdf(0.975)
+    factor = float(student_t.ppf(1.0 - 0.025 / len(ordered), 5) / student_t.ppf(0.975, 5))
     gap = highest.value - lowest.value
     if gap > factor * (lowest.high95 - lowest.value + highest.value - highest.low95):
         return "good", "the points differ by more than their intervals, which hold jointly for all points"
@@ -312,7 +312,7 @@ def _curves_picture(result: StudyResult) -> Picture:
 
 def _sections(result: StudyResult, points: Sequence[StudyPoint]) -> Iterator[Part]:
     """Yield pictures, curves, what matters, and all numbers."""
-    shown = [point for point in points if point.contact is not None][:MOST_PICTURES]
+    shown = [point for point in points if point.contact is not None and point.no_contact is not None][:MOST_PICTURES]
     if shown:
         yield Part("Pictures", _pictures(shown))
     names = _metric_names(result)

@@ -25,13 +25,12 @@ from finray_calib.reports._style import (
     png_bytes,
     styled,
 )
-from sim.mechanics import moved_pose, rigid_indenter
+from sim.mechanics import HALF_TURN, moved_pose, rigid_indenter
 from sim.surface_meshes import FingerShape, restore_shapes
 
 Floats = NDArray[np.float64]
 Finger = tuple[PressMechanics, FingerSurfaces]
 
-_HALF_TURN = np.array([-1.0, -1.0, 1.0])  # about the fingers' length
 _CHORD_MM = 0.05
 
 
@@ -96,7 +95,7 @@ def _draw_side(
 def _facing(far: FingerShape, here: Floats, there: Floats) -> FingerShape:
     """Return the far finger in the axes of the near one, by where the object's middle is in both."""
     turned = {
-        name: replace(surface, vertices_mm=(surface.vertices_mm - here) * _HALF_TURN + there)
+        name: replace(surface, vertices_mm=(surface.vertices_mm - here) * HALF_TURN + there)
         for name, surface in far.surfaces.items()
     }
     return replace(far, surfaces=turned)

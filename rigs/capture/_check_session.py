@@ -184,8 +184,10 @@ class CheckFrames:
                 for turn in range(self._plan.exposure_rounds):
                     for k in (0, 1, 2) if turn % 2 == 0 else (2, 1, 0):
                         asked_s = clock.monotonic_s()
-                        raw = self._camera.expose(step, exposures_s[k]).raw
-                        self.overheads_s.append(max(clock.monotonic_s() - asked_s - raw.exposure_s, 0.0))
+                        checked = self._camera.expose(step, exposures_s[k])
+                        raw = checked.raw
+                        if checked.attempts == 1:
+                            self.overheads_s.append(max(clock.monotonic_s() - asked_s - raw.exposure_s, 0.0))
                         values[k].append(float(raw.counts[self._region].mean()))
                         read_back_s[k] = raw.exposure_s
                 if step is white:
@@ -386,11 +388,12 @@ class _Recorder:
         start_s = time.monotonic()
         with open_rig(self._rig, self._folder, operator) as opened:
             again = handshakes(opened, self._rig, asked=1)
+            took_s = time.monotonic() - start_s
         for hand in again:
             if hand.error is not None:
                 raise CaptureError(hand.error)
         after = tuple(hand.identity for hand in again if hand.identity is not None)
-        self._keep(reconnect_s=time.monotonic() - start_s, reconnected=after)
+        self._keep(reconnect_s=took_s, reconnected=after)
 
     def _attempt(self, section: Section, act: Callable[[], T], *, also_when_ended: bool = False) -> T | None:
         """Return what `act` returns; note its error and return None."""

@@ -117,6 +117,8 @@ def under_light(
     while tasks:
         try:
             with around(), shine(opened, light):
+                if lost:
+                    lost_since(began)  # the pause and the new guard too; nothing is counted twice
                 while tasks:
                     began = beginning()
                     tasks[0]()
@@ -138,9 +140,10 @@ def under_light(
             ):
                 raise LightLostError(
                     f"{light}: was lost, is off, and is not lit again unless a person at the terminal says that the "
-                    f"box "
-                    f"is closed ({error}); find out why, close the box, then continue the capture with --resume"
+                    f"box is closed ({error}); find out why, close the box, then continue the capture with --resume"
                 ) from error
+            else:
+                began = beginning()  # the time of a person is no fault's
 
 
 class CheckedCamera:

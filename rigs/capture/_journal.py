@@ -194,8 +194,8 @@ class HealingTime:
         self.lost_s += spent_s
         if self.lost_s > self._most_s:
             raise HealingTimeError(
-                f"{self._folder}: faults that were healed have held the session up for {self.lost_s:.0f} s, and it "
-                f"stated {self._most_s:.0f} s at most; {JOURNAL_NAME} lists each: mend the device that it names most "
+                f"{self._folder}: faults that were healed have held the session up for {self.lost_s:.0f} s, and "
+                f"{self._most_s:.0f} s are allowed; {JOURNAL_NAME} lists each: mend the device that it names most "
                 f"often, then finray capture --resume {self._folder}"
             )
 

@@ -187,14 +187,16 @@ class GuardClient:
             message = self._listen(max(deadline_s + ANSWER_MARGIN_S, GUARD_SILENT_S))
             if message.get("number") != number:
                 continue  # it tries again, or an interrupted question is answered now
-            for fault in message.get("faults", ()):
-                tell_fault(Fault(*fault))
-            if "error" in message:
-                raise error_from(message)
-            if ask in ("on", "off", "prove the dead-man"):
+            if "error" not in message and ask in ("on", "off", "prove the dead-man"):
                 self._is_on_unanswered = False
                 self._may_be_lit = ask == "on" or message["value"] is not None
-            if ask == "on" and message["value"] is not None:
+            not_off = ask in ("off", "prove the dead-man") and message.get("value") is not None
+            if not not_off and message.get("error") != "UnsafeError":  # these say more than what faults have cost
+                for fault in message.get("faults", ()):
+                    tell_fault(Fault(*fault))
+            if "error" in message:
+                raise error_from(message)
+            if ask == "on" and message["value"] is not None and self._off_line is None:
                 host, port, words = message["value"]
                 with contextlib.suppress(OSError):  # a rescue opens the light anew
                     self._off_line = OffLine(words.encode("latin-1"), (host, port))

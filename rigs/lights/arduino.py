@@ -252,6 +252,7 @@ class ArduinoSwitch:
         if self._is_fresh:
             self._link.drain(QUIET_S, max(end_s, time.monotonic() + RESET_WITHIN_S))
             self._unanswered, self._is_fresh = 0, False
+            end_s = max(end_s, time.monotonic() + ASK_WITHIN_S)
         if self._out_of_step:
             # The command goes out before the silence is waited for, so that "off" loses no time; all can be repeated.
             self._link.write(command.encode() + b"\n", end_s)
@@ -285,8 +286,7 @@ class ArduinoSwitch:
                 if tell_trip:
                     raise WentOffError(
                         f"{self._name}: the dead-man switched it off, because the board had received nothing for 0.4 "
-                        f"s; close "
-                        f"other programs, check the cable, and repeat the command"
+                        f"s; close other programs, check the cable, and repeat the command"
                     )
                 continue
             if said.word == "LASER" and wanted != "LASER":

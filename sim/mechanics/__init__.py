@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         finger_mesh,
         pad_mesh,
     )
-    from sim.mechanics._grasp import Grasp, GraspTask, facing_design, grasp_object
+    from sim.mechanics._grasp import HALF_TURN, Grasp, GraspTask, facing_design, grasp_object
     from sim.mechanics._indenter_path import IndenterPath, moved_pose, press_along, press_as_designed, read_path
     from sim.mechanics._indenters import (
         IndenterShape,
@@ -86,6 +86,7 @@ else:
 
 __all__ = [
     "FORCE_EXCESS_REL",
+    "HALF_TURN",
     "LARGEST_UNTOLD_REL",
     "QUAD_CORNERS",
     "STEPS",

@@ -213,12 +213,12 @@ class ElementMatrices:
 class Elasticity:
     """Elastic energy of the blocks of a mesh with their materials.
 
-    Of elements with mean dilatation, constant, and of others whose K/mu is above 20, linear, the pressure p is an
-    unknown of the iteration, eliminated in the element (J. C. Simo, R. L. Taylor, K. S. Pister, 1985): at the
-    equilibrium p = K (v/V - 1), which is projected on these fields. A pressure of each of eight points would lock: in
-    bent ribs of K/mu = 2400 it swung by eight shear moduli from point to point, and no equilibrium was found. A step
-    of u with the matrix at hand leads to p^ = K (theta + dtheta), with theta = v/V - 1 and dtheta its linear change.
-    Along the step, with p^ held,
+    Of elements with mean dilatation, constant, and of others of Ogden's law whose K/mu is above 20, linear, the
+    pressure p is an unknown of the iteration, eliminated in the element (J. C. Simo, R. L. Taylor, K. S. Pister, 1985):
+    at the equilibrium p = K (v/V - 1), which is projected on these fields. A pressure of each of eight points would
+    lock: in bent ribs of K/mu = 2400 it swung by eight shear moduli from point to point, and no equilibrium was found.
+    A step of u with the matrix at hand leads to p^ = K (theta + dtheta), with theta = v/V - 1 and dtheta its linear
+    change. Along the step, with p^ held,
 
         M = sum V (W_shear + p^ theta + rho/2 (theta - p^/K)^2) + other energies,  rho = min(K, 20 mu)
 

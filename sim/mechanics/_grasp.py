@@ -4,8 +4,9 @@ r"""Two fingers of a gripper that close on a free rigid object, which finds its 
 
 q is the move and the turn of the object (six numbers), s how far each finger has closed since both touched it, W_1 and
 W_2 the forces and torques of the fingers on it, N the force that they close with. A finger is in equilibrium for every
-q and s, and answers to a change of them through its own stiffness, factorised once for each increment. Newton's method
-on these seven unknowns, then Broyden's; a step costs one equilibrium of each finger, from a start that is nearly right.
+q and s, and answers to a change of them through its own stiffness, factorised as an increment begins and ends. Newton's
+method on these seven unknowns, then Broyden's; a step costs one equilibrium of each finger, from a start that is nearly
+right.
 
 Axes are those of the near finger: x across it, y its pad's outward normal, z along it. The far finger faces it, turned
 by 180 deg about z. Jaws move along y, without giving way; nothing else touches the object; motions are slow.
@@ -26,7 +27,7 @@ from sim.mechanics._derivatives import StableEquilibrium
 from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_ties
 from sim.mechanics._increments import Load, Watch, load_increments
 from sim.mechanics._indenter_path import MovedIndenter, moved_pose
-from sim.mechanics._indenters import RigidIndenter
+from sim.mechanics._indenters import PackagedBody, RigidIndenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._newton import Equilibrium, NewtonOptions
 from sim.mechanics._press import PressedFinger, PressHistory, PressSettings
@@ -37,8 +38,12 @@ FloatArray = NDArray[np.float64]
 DOWN: Final = {"tip": (0.0, 0.0, 1.0), "side": (1.0, 0.0, 0.0), "near": (0.0, -1.0, 0.0)}
 Down = Literal["tip", "side", "near"]
 
-_TO_FAR: Final = np.array([-1.0, -1.0, 1.0])  # a half turn about z, its own inverse
+HALF_TURN: Final = np.array([-1.0, -1.0, 1.0])
+"""The half turn about z that takes one finger to the other, on vectors (3,): its own inverse."""
+
 _LONGEST_CLOSING_MM: Final = 0.4  # of an increment, so that the object turns little in it
+_LEAST_FIRST: Final = 1e-3  # of it: the least first closing
+_LOOSE_MM: Final = 5.0  # of closing without touch: the object has left the fingers
 _GRIPS_REL: Final = 0.1  # of the closing force: before, the object may still turn freely, and the closing is given
 _BALANCED_REL: Final = 5e-3  # of the closing force: friction of each finger is known to 1e-3 of its pushes
 _MOST_STEPS: Final = 15
@@ -56,7 +61,8 @@ class Grasp:
     Attributes
     ----------
     near, far
-        Each finger with the motion of the object as it sees it; forces and torques are on the object, in its own axes.
+        Each finger with the motion of the object as it sees it; forces and torques are on the object, in that finger's
+        axes.
     closing_mm
         How far each finger has closed since both touched the object, (k,).
     force_n
@@ -64,13 +70,14 @@ class Grasp:
     weight_n
         Of the object, as far as it is carried, (k,).
     moves_mm, turns_deg
-        Of the object from where both fingers touch it: move (k, 3) and rotation vector (k, 3) about its middle, in the
-        axes of the near finger.
+        Of the object from where both fingers touch it: move (k, 3) and rotation vector (k, 3) about its middle (a mesh:
+        its origin), in the axes of the near finger.
     unbalanced_n
         Size of the force that is left over on the object, (k,).
     stiffness_n_per_mm
-        Least resistance to a move of the object at the last increment, turns left free: below nought it is squeezed out
-        at the least touch, nought where a direction is free.
+        Least resistance to a move of the object at the last increment, turns left free, or to a turn at half the pad's
+        width: below nought it is squeezed out or tips over at the least touch, nought where a direction is free. How
+        its weight's torque turns with it is left out.
     lost
         Why the fingers do not close or carry as asked; empty when they do.
     """
@@ -112,6 +119,10 @@ class GraspTask:
     def __post_init__(self) -> None:
         if not 0.0 < self.force_n < np.inf:
             raise SimulateError(f"the fingers must close with a force above 0 N, not {self.force_n:g} N")
+        if min(self.closing_increments, self.lifting_increments) < 1:
+            raise SimulateError("a grasp needs at least 1 increment to close and 1 to lift")
+        if self.down not in DOWN:
+            raise SimulateError(f"down = {self.down!r}: give one of {', '.join(DOWN)}")
         if not 0.0 <= self.mass_kg < np.inf:
             raise SimulateError(f"the object's mass must be 0 kg or more, not {self.mass_kg:g} kg")
 
@@ -140,7 +151,7 @@ def facing_design(design: FingerDesign) -> FingerDesign:
 
 def centre_of_mass_mm(indenter: RigidIndenter) -> FloatArray:
     """Return the middle of a homogeneous object from its origin, in its own axes (3,); a body of ours has it there."""
-    if indenter.body is not None:
+    if indenter.body is not None and not isinstance(indenter.body, PackagedBody):
         return np.zeros(3)
     corners = indenter.surface.vertices_mm[indenter.surface.triangles]
     volumes = np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
@@ -185,7 +196,12 @@ class _GrippingFinger:
         found = load_increments(
             self._assembly, self._solver, load, [1.0], (0.0, begin), 1.0, self._options, lambda *_: guess
         )
-        self._found, self._at = next(iter(found)).equilibrium, pose
+        try:
+            self._found, self._at = next(iter(found)).equilibrium, pose
+        except NoEquilibriumError as stuck:
+            if not stuck.reason:  # the time is up
+                raise
+            raise NoEquilibriumError(f"a finger finds no equilibrium: {stuck.reason}; close with less force") from stuck
         return self._on_object(self._found.state.u_mm)
 
     def _on_object(self, u: FloatArray) -> FloatArray:
@@ -203,6 +219,8 @@ class _GrippingFinger:
         contact.curvature = True
         try:
             stable = StableEquilibrium(self._assembly, self.touch.supports, state, self._solver)
+        except NoEquilibriumError as snaps:
+            raise NoEquilibriumError("a rib of a finger is about to snap; close with less force") from snaps
         finally:
             contact.curvature = False
         here, found = contact.pose, np.zeros((6, 6))
@@ -281,7 +299,7 @@ class _Gripper:
         self, design: FingerDesign, task: GraspTask, settings: PressSettings, folder: Path, watch: Watch
     ) -> None:
         self.force_n, self.down = task.force_n, task.down
-        self.turned = (np.ones(3), _TO_FAR)
+        self.turned = (np.ones(3), HALF_TURN)
         designs = (design, facing_design(design))
         self.fingers = tuple(_GrippingFinger(one, settings, folder, watch) for one in designs)
         self._middle = centre_of_mass_mm(self.fingers[0].touch.indenter)
@@ -353,16 +371,13 @@ class _Gripper:
             before = left
             place, step = place.moved(self.step(stiffness, left, closes))
         raise NoEquilibriumError(
-            f"the object finds no balance in {len(sizes)} steps: {min(sizes):.2g} N are left over, {allowed:.1g} N "
-            "allowed"
+            f"the object finds no balance in {len(sizes)} steps: {min(sizes):.2g} N (torque over {self._arm_mm:g} mm) "
+            f"are left over, {allowed:.2g} N allowed; give more friction or closing force, or less mass"
         )
 
-    def least_resistance(self, stiffness: FloatArray) -> float:
-        """Return the least force per way that resists a move of the object, turns free and jaws held, in N/mm."""
-        whole = -(stiffness * self._scale)[:6, :6]
-        turns = np.linalg.pinv(whole[3:, 3:], rcond=_FREE_REL)
-        moves = whole[:3, :3] - whole[:3, 3:] @ turns @ whole[3:, :3]
-        return float(np.linalg.eigvalsh((moves + moves.T) / 2.0).min())
+    def least_resistance_n_per_mm(self, balance: _Balance) -> float:
+        """Return :func:`least_resistance` at a balance, turns at half the pad's width."""
+        return least_resistance(-(balance.stiffness * self._scale)[:6, :6])
 
     def keep(self, balance: _Balance) -> None:
         """Keep an increment."""
@@ -373,6 +388,24 @@ class _Gripper:
         """Go back to the last increment that was kept."""
         for finger in self.fingers:
             finger.forget()
+
+
+def least_resistance(stiffness: FloatArray) -> float:
+    """Return the least that resists a move of the object, its turns free, or a turn where that is below nought.
+
+    Parameters
+    ----------
+    stiffness : ndarray, shape (6, 6)
+        Resistance to moves and turns, jaws held, turns scaled to be alike. What is below 1e-4 of it counts as nought.
+    """
+    least_told = _FREE_REL * float(np.abs(stiffness).max())
+    tips = float(np.linalg.eigvalsh((stiffness[3:, 3:] + stiffness[3:, 3:].T) / 2.0).min())
+    if tips < -least_told:
+        return tips
+    turns = np.linalg.pinv(stiffness[3:, 3:], rcond=_FREE_REL)
+    moves = stiffness[:3, :3] - stiffness[:3, 3:] @ turns @ stiffness[3:, :3]
+    least = float(np.linalg.eigvalsh((moves + moves.T) / 2.0).min())
+    return least if abs(least) > least_told else 0.0
 
 
 class _Way:
@@ -416,23 +449,42 @@ class _Way:
         """Find and keep the next balance; return whether it is the last one."""
         gripper = self._gripper
         if not self.kept:
-            self._keep(gripper.settle(_Place(np.zeros(6), self._longest_mm), 0.0, 0.0, closes=False))
-            return False
+            return self._touch(force_n)
         last = self.kept[-1]
-        wanted_n = last.closing_n + share * (force_n - last.closing_n)
-        weight = last.weight_n + share * (weight_n - last.weight_n)
-        lifted = np.zeros(7)
-        lifted[:3] = (weight - last.weight_n) * np.array(DOWN[gripper.down])
-        lifted[6] = last.closing_n - wanted_n
-        step = gripper.step(last.stiffness, lifted, closes=True)
-        closes = abs(step[6]) <= self._longest_mm and last.closing_n > _GRIPS_REL * gripper.force_n
-        if not closes:
-            step = np.zeros(7)
-            step[6] = self._longest_mm
-            step[:6] = gripper.step(last.stiffness, last.stiffness[:, 6] * self._longest_mm, closes=False)[:6]
-            weight = last.weight_n
-        self._keep(gripper.settle(last.place.moved(step)[0], wanted_n, weight, closes))
-        return closes and share == 1.0
+        if last.closing_n <= _GRIPS_REL * gripper.force_n:
+            self._close_loosely(last)
+            return False
+        more_n, lifted_n = share * (force_n - last.closing_n), share * (weight_n - last.weight_n)
+        left = np.append(lifted_n * np.array(DOWN[gripper.down]), [0.0, 0.0, 0.0, -more_n])
+        step = gripper.step(last.stiffness, left, closes=True)
+        # force, weight and closing go on together, by no longer a closing than is looked at as small
+        part = min(1.0, self._longest_mm / max(abs(float(step[6])), 1e-12))
+        wanted_n, carried_n = last.closing_n + part * more_n, last.weight_n + part * lifted_n
+        self._keep(gripper.settle(last.place.moved(part * step)[0], wanted_n, carried_n, closes=True))
+        return part == share == 1.0
+
+    def _touch(self, force_n: float) -> bool:
+        """Close for the first time, by so little that the force is not passed; return False."""
+        while True:
+            first = self._gripper.settle(_Place(np.zeros(6), self._longest_mm), 0.0, 0.0, closes=False)
+            if first.closing_n <= force_n or self._longest_mm < _LONGEST_CLOSING_MM * _LEAST_FIRST:
+                self._keep(first)
+                return False
+            self._gripper.forget()
+            self._longest_mm /= 2.0
+
+    def _close_loosely(self, last: _Balance) -> None:
+        """Close by a way, where the object may still turn freely between the fingers."""
+        touched_mm = max((balance.place.closing_mm for balance in self.kept if balance.closing_n > 0.0), default=0.0)
+        if last.place.closing_mm - touched_mm > _LOOSE_MM:
+            raise NoEquilibriumError(
+                "the object has slipped out from between the fingers; put it nearer to the middle of the pad "
+                "(indenter.across_mm, position_mm), or give it friction"
+            )
+        step = np.zeros(7)
+        step[6] = self._longest_mm
+        step[:6] = self._gripper.step(last.stiffness, last.stiffness[:, 6] * self._longest_mm, closes=False)[:6]
+        self._keep(self._gripper.settle(last.place.moved(step)[0], 0.0, last.weight_n, closes=False))
 
     def _keep(self, balance: _Balance) -> None:
         self._gripper.keep(balance)
@@ -516,6 +568,6 @@ def _as_grasp(gripper: _Gripper, kept: list[_Balance], lost: str) -> Grasp:
         moves_mm=poses[:, :3],
         turns_deg=poses[:, 3:],
         unbalanced_n=np.array([balance.unbalanced_n for balance in kept]),
-        stiffness_n_per_mm=gripper.least_resistance(kept[-1].stiffness),
+        stiffness_n_per_mm=gripper.least_resistance_n_per_mm(kept[-1]),
         lost=lost,
     )

@@ -267,10 +267,12 @@ def load_increments(
             if reached.failure:
                 part /= 2.0
                 if part < shortest_share:
-                    raise NoEquilibriumError(
+                    stuck = NoEquilibriumError(
                         f"no equilibrium beyond {at:.4g} of the load: {reached.failure}. The increments up to there "
                         "are kept; try a finer mesh, smaller increments, or a smaller load"
                     )
+                    stuck.reason = reached.failure
+                    raise stuck
                 if options.tell is not None:
                     options.tell(f"an increment of {part:.3g} in place of {2.0 * part:.3g}: {reached.failure}")
                 continue

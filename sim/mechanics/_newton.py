@@ -150,7 +150,8 @@ class _Search:
             except SimulateError as failed:
                 why = str(failed)
             else:
-                if not moving and np.abs(du).max() <= self.options.step_floor_mm:
+                is_whole = self.damping_n_per_mm == 0.0
+                if not moving and is_whole and np.abs(du).max() <= self.options.step_floor_mm:
                     return self._result(self.assembly.with_own_pressures(state), gradient, energy)
                 if not moving and rise > _NOISE * abs(energy):
                     # uphill: curvature is negative along du, and the energy falls the other way, as by the modes

@@ -602,7 +602,7 @@ def test_faults_that_cost_more_than_the_session_stated_end_it_in_the_dark(
         wheel = Repeating(opened.wheel, opened.wheel)
         failing = replace(opened, wheel=wheel, camera=ChangedCamera(opened.camera, torn))
         with pytest.raises(
-            HealingTimeError, match=rf"stated {stated.healing_s:.0f} s at most; journal\.jsonl lists each: mend the"
+            HealingTimeError, match=rf"and {stated.healing_s:.0f} s are allowed; journal\.jsonl lists each: mend the"
         ):
             capture(failing, rig, small, tmp_path)
         assert dark(opened)

@@ -42,7 +42,8 @@ def test_a_ball_is_gripped_and_carried(tmp_path: Path) -> None:
     assert "the fingers hold the whole weight of 0.0981 N" in said
     # the weight pulls across the near finger, along its x; the far finger's x points the other way
     near, far = (read_record(tmp_path / f"ball.{side}.mechanics.json", PressMechanics) for side in ("near", "far"))
-    assert near.force_n[-1, 0] - far.force_n[-1, 0] == pytest.approx(-0.0981, abs=0.004)
+    balance_n = 0.005 * 0.5  # what a balance leaves over
+    assert near.force_n[-1, 0] - far.force_n[-1, 0] == pytest.approx(-0.0981, abs=balance_n)
     for side in ("near", "far"):
         assert read_record(tmp_path / f"ball.{side}.surfaces.json", FingerSurfaces).name.endswith("pressed")
     assert (tmp_path / "ball.grasp.png").read_bytes().startswith(b"\x89PNG")
@@ -51,11 +52,11 @@ def test_a_ball_is_gripped_and_carried(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "more", "message"),
     [
-        ("--force 0", "", "'0' must be a force in N, 0.01 to 200"),
-        ("--force strong", "", "'strong' must be a force in N, 0.01 to 200"),
+        ("--force 0", "", "'0' must be a force in N of 0.01 to 200"),
+        ("--force strong", "", "'strong' must be a force in N of 0.01 to 200"),
         ("", "", "--force"),
-        ("--force 1 --mass -1", "", "must be a mass in kg, 0 to 20"),
-        ("--force 1 --mass 1e-9", "", "must be a mass in kg, 0 to 20"),
+        ("--force 1 --mass -1", "", "must be 0 or a mass in kg of 1e-06 to 20"),
+        ("--force 1 --mass 1e-9", "", "must be 0 or a mass in kg of 1e-06 to 20"),
         ("--force 1 --down up", "", "invalid choice: 'up'"),
         ("--force 1 --out {tmp}/found.txt", "", "ends in .json"),
         ("--force 1", "[[indenter.path]]\npush_mm = 1.0\n", "indenter.path: has 1 poses"),
