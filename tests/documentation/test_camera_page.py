@@ -256,3 +256,16 @@ def test_intervals_of_rows_and_columns_hold_the_truth():
     for kind, number in held.items():
         assert abs(number / runs - 0.94) < 4 * np.sqrt(0.06 * 0.94 / runs), (kind, number)
     assert empty / runs > 0.975 - 4 * np.sqrt(0.025 * 0.975 / runs)
+
+
+def test_light_that_darkens_towards_a_corner_is_no_noise_of_rows():
+    rng = np.random.default_rng(11)
+    y, x = np.mgrid[0:240, 0:320] / np.array([240.0, 320.0])[:, None, None]
+    stack = FrameStack("a test", [MONOCHROME], 65535)
+    pattern = 1000.0 * (1.0 - 0.15 * x * y) + rng.standard_normal((240, 1))
+    for _ in range(3):
+        stack.add(pattern + 3.0 * rng.standard_normal((240, 320)))
+    variance = line_nonuniformity(stack.statistics()[0], None, "row_to_row")
+    # of 240 rows, after second differences some 13 %
+    assert variance.variance_dn2 == pytest.approx(1.0, abs=4 * 0.13)
+    assert variance.sd_dn2 < 0.3
