@@ -7,7 +7,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -201,9 +201,11 @@ def capture_paint(arguments: argparse.Namespace) -> None:
     out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
     sources = input_digests([arguments.plan, arguments.rig])
     expected = forecast(plan, rig, steps)
-    say(_stated(expected.typical_s, expected.longest_s, expected.healing_s))
+    stated = _stated(expected.typical_s, expected.longest_s, expected.healing_s)
     with interruptible(out), arguments.attend(rig, plan, out) as attended:
-        request = attended.request(out, arguments.rig.parent, sources)
+        request = replace(attended, progress=_told_first(stated, attended.progress)).request(
+            out, arguments.rig.parent, sources
+        )
         session = capture_paint_session(rig, plan, request, last_good=last_good, mend=attended.mend)
     _report(out, session, plan.paint_name)
 
@@ -214,6 +216,18 @@ def _stated(typical_s: float, longest_s: float, healing_s: float) -> str:
         f"about {typical_s / 60:.0f} min; {longest_s / 60:.0f} min if every exposure is the longest; "
         f"faults may hold it up for {healing_s / 60:.0f} min besides: it ends by then, and can be resumed"
     )
+
+
+def _told_first(text: str, progress: Progress) -> Progress:
+    """Return a progress that tells a text before its first step: once the rig is open, and no mistake can be told."""
+    left = [text]
+
+    def tell(done: int, total: int, what: str) -> None:
+        while left:
+            say(left.pop())
+        progress(done, total, what)
+
+    return tell
 
 
 def _ask_to_mend(what: str) -> bool:

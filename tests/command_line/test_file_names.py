@@ -47,7 +47,7 @@ def test_default_outputs_stay_in_the_working_directory(
     plain = {"../../evil": "evil", "a\\u0000b": "a-b"}[name]
     (here / "plan.toml").write_text((lab / "plan.toml").read_text())
     edit(here / "plan.toml", 'paint_name = "red"', f'paint_name = "{name}"')
-    assert succeed(f"capture plan.toml --rig {lab}/rig.toml").startswith(f"{plain}-session: ")
+    assert f"\n{plain}-session: " in succeed(f"capture plan.toml --rig {lab}/rig.toml")
     assert succeed(f"radiometry {plain}-session").startswith(f"{plain}.bands.json: ")
     assert succeed(f"fit {plain}.bands.json").startswith(f"{plain}.paint.json: ")
     assert {p.name for p in tmp_path.iterdir()} == {"one"}

@@ -200,7 +200,7 @@ def complete(folder: Path, *words: str) -> set[str]:
 
 def test_bash_completes_commands_options_and_choices(tmp_path):
     assert complete(tmp_path, "finray", "d") == {"decide", "design", "doctor", "demo"}
-    assert complete(tmp_path, "finray", "simulate", "") == {"fit", "press", "render", "sweep", "teach"}
+    assert complete(tmp_path, "finray", "simulate", "") == {"fit", "grasp", "press", "render", "sweep", "teach"}
     assert complete(tmp_path, "finray", "simulate", "press", "--cont") == {"--contact"}
     assert complete(tmp_path, "finray", "simulate", "press", "--contact", "") == {"auto", "penalty", "barrier"}
     # where a file is wanted nothing is offered, and bash offers files
