@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from data_schemas._design import FingerDesign, Origin, of_known_fields
-from data_schemas._design_parts import Coating, GelPad, Indenter
+from data_schemas._design_parts import Coating, GelPad, Indenter, PoissonRatio
 from data_schemas._model import Model, Record
 from data_schemas._units import (
     AngleDeg,
@@ -229,11 +229,14 @@ class PlainSensor(Record):
     The gel's index is that at 589 nm in all channels: over the visible range it differs by 0.01.
     """
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
 
     name: str = "plain-20x20"
     pad: GelPad = GelPad(length_mm=20.0, width_mm=20.0, thickness_mm=4.0)
     coating: SensorCoat = SensorCoat(diffuse_share=0.8)
+    gel_poisson_ratio: PoissonRatio = Field(
+        default=0.49, description="Poisson's ratio of the gel, of silicone above 0.47"
+    )
     walls: Literal["dark", "clear"] = Field(default="dark", description="sides of the gel: black-painted, or bare gel")
     wall_reflectance: Fraction = Field(default=0.05, description="reflectance of dark walls")
     box_reflectance: Fraction = Field(default=0.04, description="reflectance of the housing")

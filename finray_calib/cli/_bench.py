@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from finray_calib.cli._run import add_out, add_seed, command_line, distinct_file
 
 if TYPE_CHECKING:
     from data_schemas import ComparisonBatch, SimulatedPress, TactileCapture
+    from sim.experiments import GelNumber
 
 BENCH_HELP = "score a simulator on captures that it has not seen, by one protocol"
 TACTILE_DESCRIPTION = """\
@@ -28,11 +30,13 @@ judge it. Your command is run once, with these words replaced by folders:
   {judge}    a folder for each judged press: no_contact.png and press.json, without the contact
   {renders}  where it writes a folder of the same name for each judged press, as 'finray import render' reads it
 
-It is scored beside a table that the same presses taught, and beside doing nothing, which scores 0. Presses whose image
+It is scored beside a table that the same presses taught, and beside doing nothing, which scores 0; with --elastic-gel
+also beside our own physics, fitted to these presses: a ball in an elastic layer under three lights. Presses whose image
 taught are never judged. OUT gets the page of the comparison (scores/summary.html), row.json and row.csv: skill with its
 interval, digests of all captures, what the command was and how long it took. A run that was interrupted or failed
 starts from the beginning when the same OUT is given again."""
 TABLE, BLANK = "table of the teaching presses", "doing nothing"
+GEL = "elastic gel under three lights"
 MOST_TEACHING = 6
 CAPTURE = ".capture.json"
 ASKED, ROW = "asked.json", "row.json"
@@ -58,6 +62,10 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "--teach", type=int, default=MOST_TEACHING, metavar="N", help="presses that teach (default: 6)"
     )
     tactile.add_argument(
+        "--elastic-gel", action="store_true",
+        help="also fit our physical model of a gel to the teaching presses (balls with circles)",
+    )  # fmt: skip
+    tactile.add_argument(
         "--limit-s", type=float, default=3600.0, metavar="S", help="longest time of the command (default: 3600)"
     )
     add_out(tactile, "CAPTURES.bench, a folder")
@@ -80,13 +88,14 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
     taught, judged = _split(captures, arguments.teach)
     out = _begin(arguments.out or Path(f"{name}.bench"), arguments)
     seconds, presses = _presses(arguments, out, captures, taught, judged)
+    numbers = _add_gel(presses, captures, taught) if arguments.elastic_gel else ()
     _store(out, presses, arguments.seed)
     listed = _pairs_csv(out, presses, folder)
     scores = out / "scores"
     options = {"pairs": listed, "out": scores, "seed": arguments.seed, "register": False, "despite_mismatch": False}
     compare_folders(argparse.Namespace(**options, normal_map=None, scale=None))
     batch = read_record(scores / SUMMARY, ComparisonBatch)
-    row = _row(arguments, batch, captures, taught, seconds)
+    row = _row(arguments, batch, captures, taught, seconds, numbers)
     with ProductSet(out / ROW) as products:
         products.add(out / "row.csv", _as_csv(row).encode())
         products.add(out / ROW, (json.dumps(row, indent=1, sort_keys=True) + "\n").encode())
@@ -114,7 +123,8 @@ def _begin(out: Path, arguments: argparse.Namespace) -> Path:
     require_place(out / ROW)
     out.mkdir(parents=True, exist_ok=True)
     asked = {"captures": str(arguments.captures.resolve()), "teach": arguments.teach, "seed": arguments.seed,
-             "simulator": arguments.simulator, "command": arguments.simulator_command}  # fmt: skip
+             "simulator": arguments.simulator, "command": arguments.simulator_command,
+             "elastic_gel": arguments.elastic_gel}  # fmt: skip
     write_bytes(out / ASKED, (json.dumps(asked, indent=1) + "\n").encode())
     return out
 
@@ -204,6 +214,21 @@ def _presses(
     return seconds, {arguments.simulator: rendered, **presses}
 
 
+def _add_gel(
+    presses: "dict[str, dict[str, SimulatedPress]]", captures: "Mapping[str, TactileCapture]", taught: Sequence[str]
+) -> "tuple[GelNumber, ...]":
+    """Add what our model of a gel predicts, and return the numbers that the teaching presses gave it."""
+    from sim.experiments import predict_on_gel, teach_gel
+
+    say(f"fitting {GEL} to {len(taught)} presses: a minute")
+    gel = teach_gel([captures[name] for name in taught])
+    presses[GEL] = {name: predict_on_gel(gel, captures[name]) for name in presses[TABLE]}
+    for number in gel.numbers:
+        unit = "" if number.unit == "1" else f" {number.unit}"
+        say(f"  {number.name}: {number.value:.3g} [{number.low95:.3g}, {number.high95:.3g}]{unit}")
+    return gel.numbers
+
+
 def _write_requests(
     protocol: Path, captures: "Mapping[str, TactileCapture]", taught: Sequence[str], judged: Sequence[str]
 ) -> None:
@@ -277,13 +302,14 @@ def _row(
     captures: "Mapping[str, TactileCapture]",
     taught: Sequence[str],
     seconds: float | None,
+    numbers: "Sequence[GelNumber]",
 ) -> dict[str, Any]:
     """Return the row of the table, sealed by the SHA-256 of its other entries."""
     from data_schemas import package_version
     from finray_calib.sensing import contact_sha256
 
     named = {s.simulator: None if s.skill is None else s.skill.model_dump() for s in batch.simulators}
-    own = arguments.simulator or TABLE
+    own = arguments.simulator or (GEL if numbers else TABLE)
     digests = sorted(contact_sha256(capture) for capture in captures.values())
     blank = named[BLANK] or {}
     row: dict[str, Any] = {
@@ -302,6 +328,8 @@ def _row(
         "captures_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest(),
         "version": package_version(),
     }
+    if numbers:
+        row["elastic_gel"] = {"skill": named[GEL], "numbers": [asdict(number) for number in numbers]}
     row["row_sha256"] = hashlib.sha256(json.dumps(row, sort_keys=True).encode()).hexdigest()
     return row
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from finray_calib.compare._batch import (
         PairRow,
         PressTable,
+        levelled_images,
         pair_by_name,
         pairs_of_rows,
         predict_press,
@@ -65,6 +66,7 @@ __all__ = [
     "disc",
     "displayed_image",
     "find_mismatches",
+    "levelled_images",
     "multi_scale_similarity",
     "pair_by_name",
     "pairs_of_rows",

@@ -94,9 +94,7 @@ def teach_table(captures: Sequence[TactileCapture]) -> PressTable:
     for capture, distance in zip(captures, distances, strict=True):
         if distance.shape != shape:
             raise CompareError(f"{capture.name}: has another size than {captures[0].name}; teach with one camera")
-        contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
-        gain = far_gain((contact, no_contact), (no_contact, no_contact), distance, full_scale_dn(capture))
-        level = no_contact if gain is None else no_contact * np.exp(np.where(gain.to_correct, gain.log_captured, 0.0))
+        contact, level = levelled_images(capture, distance)
         used = _near(distance) & np.isfinite(contact + level).all(axis=-1) & (level > 0.0).all(axis=-1)
         used[np.arange(shape[0]) % _STRIDE_PX > 0] = False
         used[:, np.arange(shape[1]) % _STRIDE_PX > 0] = False
@@ -108,6 +106,27 @@ def teach_table(captures: Sequence[TactileCapture]) -> PressTable:
     coefficients = np.linalg.solve(normal + penalty, right)
     names, digests = zip(*((capture.name, contact_sha256(capture)) for capture in captures), strict=True)
     return PressTable(coefficients, width_px, (shape[0], shape[1]), names, digests)
+
+
+def levelled_images(capture: TactileCapture, distance: Floats) -> tuple[Floats, Floats]:
+    """Return the contact image of a capture and its no-contact image under the same light, (H, W, 3) in DN.
+
+    Parameters
+    ----------
+    capture
+        Its gain against the no-contact image is taken from pixels far from the contact, where there are enough.
+    distance
+        From the contact, half-widths, (H, W).
+
+    Returns
+    -------
+    contact, level
+        NaN where clipped.
+    """
+    contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
+    gain = far_gain((contact, no_contact), (no_contact, no_contact), distance, full_scale_dn(capture))
+    drift = 0.0 if gain is None else np.where(gain.to_correct, gain.log_captured, 0.0)
+    return contact, no_contact * np.exp(drift)
 
 
 def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:

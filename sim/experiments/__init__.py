@@ -124,6 +124,7 @@ if TYPE_CHECKING:
         render_finger_presses,
         simulate_sensor_press,
     )
+    from sim.experiments._taught_gel import GelNumber, TaughtGel, predict_on_gel, teach_gel
     from sim.experiments._tolerance_study import (
         FingerError,
         ToleranceFindings,
@@ -157,6 +158,7 @@ __all__ = [
     "FingerLayers",
     "FingerScene",
     "FreeNumber",
+    "GelNumber",
     "Layers",
     "LightMeasure",
     "LitFinger",
@@ -174,6 +176,7 @@ __all__ = [
     "SensorScene",
     "SurrogateFinger",
     "SurrogatePress",
+    "TaughtGel",
     "TeachSettings",
     "ToleranceFindings",
     "ToleranceInput",
@@ -207,6 +210,7 @@ __all__ = [
     "paint_pairs",
     "pose_response",
     "powered_lights",
+    "predict_on_gel",
     "press_family",
     "press_protocol",
     "press_record",
@@ -232,6 +236,7 @@ __all__ = [
     "study_light_angle",
     "study_tolerances",
     "study_two_lights",
+    "teach_gel",
     "teach_surrogate",
     "tolerance_inputs",
     "usual_parameters",

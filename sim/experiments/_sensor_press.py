@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 from data_schemas import CoatSurface, FingerDesign, Indenter, PlainSensor, SimulatedPress, SimulateError
 from sim.experiments._painted_finger import PaintedFinger
 from sim.experiments._rendered_press import camera_rgb
-from sim.mechanics import read_triangles, rigid_indenter
+from sim.mechanics import press_layer, read_triangles, rigid_indenter
 from sim.optics import (
     GelHeight,
     PixelMaps,
@@ -35,7 +35,6 @@ from sim.optics import (
 )
 from sim.surface_meshes import (
     FingerShape,
-    check_analytic_press,
     contact_distance,
     contact_half_width_mm,
     gel_faces,
@@ -83,8 +82,8 @@ class PressedCoat:
 def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
     """Return the coat of a sensor with what its design presses in.
 
-    A ball and a cylinder along x are pressed in by the analytic press, other bodies by the imprint of
-    :func:`sim.surface_meshes.imprinted_height_mm`; a [surface] is taken as it is.
+    The body is pressed into an elastic layer of the pad's thickness, :func:`sim.mechanics.press_layer`; a [surface] is
+    taken as it is. The depth counts from first touch. Where the pad is curved, the layer is that of its crown.
 
     Parameters
     ----------
@@ -96,33 +95,42 @@ def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
     Raises
     ------
     SimulateError
-        A file cannot be read, or what it holds does not fit the pad.
+        A file cannot be read, or what it holds does not fit the pad, or the body leaves no gel under it.
     """
     if sensor.surface is not None:
         return _given_coat(sensor, sensor.surface, folder)
-    design = sensor.pressed_pad()
+    rest, design = analytic_gel(sensor, False), sensor.pressed_pad()
+    if design.indenter.depth_mm == 0.0:
+        return PressedCoat(rest, rest, np.full(rest.height_mm.shape, np.nan), "at rest")
+    tool = _tool_mm(design, rest, folder)
+    _require_gel(tool, "indenter.depth_mm presses it in so far that it")
+    layer = press_layer(rest.height_mm - tool, rest.x_mm, rest.z_mm, sensor.pad.thickness_mm, sensor.gel_poisson_ratio)
+    pressed = replace(rest, height_mm=rest.height_mm - layer.sunk_mm)
+    files = () if design.indenter.file is None else (folder / design.indenter.file,)
+    label = f"elastic layer under a {design.indenter.shape}"
+    return PressedCoat(rest, pressed, _equal_circle(layer.pressure_rel > 0.0, rest), label, files)
+
+
+def _tool_mm(design: FingerDesign, rest: GelHeight, folder: Path) -> Floats:
+    """Return the lowest height of the indenter over each place of the pad, (nx, nz); inf where it is not."""
     indenter = design.indenter
-    if _is_by_formula(indenter):
-        check_analytic_press(design)
-        rest, pressed = (analytic_gel(sensor, state) for state in (False, True))
-        distance = contact_distance(design, rest.x_mm[:, None], rest.z_mm[None, :])
-        return PressedCoat(rest, pressed, distance, "analytic press" if indenter.depth_mm else "at rest")
-    return _imprint(sensor, folder)
+    if not _is_by_formula(indenter):
+        body = rigid_indenter(design, folder)
+        body.check_surface()
+        corners = body.vertices_mm(-indenter.depth_mm)[body.surface.triangles]
+        return np.nan_to_num(height_over_pad_mm(corners, rest.x_mm, rest.z_mm, "lowest"), nan=np.inf)
+    across = indenter.across_mm if indenter.shape == "ball" else 0.0
+    along = rest.z_mm - indenter.position_mm
+    offset = np.hypot(rest.x_mm[:, None] - across if indenter.shape == "ball" else 0.0 * rest.x_mm[:, None], along)
+    bottom = float(rest_height_mm(design, across, indenter.position_mm)) - indenter.depth_mm
+    radius = indenter.radius_mm
+    return np.where(offset < radius, bottom + radius - np.sqrt(np.maximum(radius**2 - offset**2, 0.0)), np.inf)
 
 
 def _is_by_formula(indenter: Indenter) -> bool:
     """Return whether the analytic press knows this indenter, or there is none."""
     is_straight = indenter.across_mm == 0.0 and not any(indenter.rotation_deg)
     return indenter.depth_mm == 0.0 or indenter.shape == "ball" or (indenter.shape == "cylinder" and is_straight)
-
-
-def _imprint(sensor: PlainSensor, folder: Path) -> PressedCoat:
-    """Press a rigid body of any shape in."""
-    design = sensor.pressed_pad()
-    rest = analytic_gel(sensor, False)
-    pressed, distance = _imprinted(design, rest, folder)
-    files = () if design.indenter.file is None else (folder / design.indenter.file,)
-    return PressedCoat(rest, pressed, distance, f"imprint of a {design.indenter.shape}", files)
 
 
 def _imprinted(design: FingerDesign, rest: GelHeight, folder: Path) -> tuple[GelHeight, Floats]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         condense_finger,
     )
     from sim.mechanics._derivatives import DesignChange, PressDerivatives, press_derivatives
+    from sim.mechanics._elastic_layer import PressedLayer, layer_compliance, press_layer
     from sim.mechanics._finger_mesh import (
         FORCE_EXCESS_REL,
         LARGEST_UNTOLD_REL,
@@ -119,6 +120,7 @@ __all__ = [
     "PressDerivatives",
     "PressSettings",
     "PressedFinger",
+    "PressedLayer",
     "RoundedBox",
     "ShapeBody",
     "SkeletonLayout",
@@ -143,6 +145,7 @@ __all__ = [
     "finger_mesh",
     "frictionless_torque_n_mm",
     "grasp_object",
+    "layer_compliance",
     "mould_sizes",
     "mould_solid",
     "mould_stl",
@@ -155,6 +158,7 @@ __all__ = [
     "press_as_designed",
     "press_derivatives",
     "press_finger",
+    "press_layer",
     "press_to_force",
     "quad_shapes",
     "read_path",

@@ -1,0 +1,421 @@
+r"""A few real ball presses of a flat sensor teach a physical model of it, which then predicts presses of other depth.
+
+The gel is an elastic layer under a ball, :func:`sim.mechanics.press_layer`, lit by three points of light. In channel c
+
+.. math:: S_c / B_c = \left( \frac{a_c + \sum_l w_{cl} E_l(n, u)}{a_c + \sum_l w_{cl} E_l(n_0, 0)} \right)^{\gamma},
+          \qquad E_l = \max(n \cdot d_l, 0) / |d_l|^3
+
+with the normal n and the place of the pressed coat, d_l from there to light l, and without contact n_0 = (0, 0, 1).
+The exponent is that of the camera's tone curve. A ratio needs neither the level of the light nor the paint's shade.
+Free are the lights' places and colours, light a_c that comes from everywhere, the exponent, the layer's thickness, and
+how much deeper a ball is than the cap of its labelled circle says: some 2 on a thick layer, 1 on a thin one.
+
+No shadows, no second bounce, no highlights: where these rule, the full renderer must be fitted in its place.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.special import stdtrit
+
+from data_schemas import CHANNELS, SimulatedPress, SimulateError, TactileCapture
+from finray_calib.compare import levelled_images
+from finray_calib.sensing import contact_distance, contact_sha256, full_scale_dn, rgb_image
+from sim.mechanics import press_layer
+
+Floats = NDArray[np.float64]
+
+GEL_LABEL: Final = "elastic gel under three lights, fitted to other presses"
+LEAST_TEACHING_PRESSES: Final = 3
+"""Fewer give no interval, which leaves out one press at a time."""
+
+POISSON_RATIO: Final = 0.49
+#: Thickness and depth in ball radii for which the pressed layer is computed; between them it is interpolated.
+_THICKNESSES: Final = 0.6 * 1.6 ** np.arange(7)
+_DEPTHS: Final = np.array([0.005, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0])
+#: Half-width of the grid and its step, and distances from the middle, in about contact radii.
+_HALF_GRID, _STEP = 6.0, 1.0 / 12.0
+_PLACES: Final = np.concatenate([np.linspace(0.0, 0.96, 13), np.linspace(0.98, 1.6, 32), np.linspace(1.65, 5.0, 50)])
+#: Steeper slopes are no part of a height map; pixels beyond this many half-widths teach nothing.
+_STEEPEST, _REACH = 4.0, 2.6
+_NEAREST_RIM: Final = 0.999
+#: What the model leaves unexplained, of the image's level, and how many independent places of a press show it.
+_MODEL_ERROR, _INDEPENDENT = 0.05, 50
+_STRIDE_PX, _LEAST_SEEN = 4, 0.2
+_COVERAGE: Final = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class GelNumber:
+    """One fitted number of the model with its interval over presses.
+
+    Attributes
+    ----------
+    name
+        In words.
+    value, low95, high95
+        Estimate and 95 % interval, by leaving out one press after the other (Student's t).
+    unit
+        "1" for a ratio.
+    """
+
+    name: str
+    value: float
+    low95: float
+    high95: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class TaughtGel:
+    """A model that presses of one sensor have taught.
+
+    Attributes
+    ----------
+    theta
+        Free numbers, standardised by their priors.
+    start
+        Directions of the lights from which the fit began, rad, (3,).
+    shape_px
+        Rows and columns of the images.
+    mm_per_px, ball_radius_mm
+        Of the presses that taught.
+    taught_by, taught_by_sha256
+        Names of the presses, and SHA-256 of their contact images.
+    numbers
+        What was found.
+    """
+
+    theta: Floats
+    start: Floats
+    shape_px: tuple[int, int]
+    mm_per_px: float
+    ball_radius_mm: float
+    taught_by: tuple[str, ...]
+    taught_by_sha256: tuple[str, ...]
+    numbers: tuple[GelNumber, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Press:
+    """Pixels of a press that teach, and where they lie.
+
+    ``across`` and ``down`` from the contact's middle and ``x``, ``y`` from the picture's are in ball radii; ``ratio``
+    (pixel, 3) is contact over no contact, with NaN where a channel is clipped.
+    """
+
+    cap: float
+    across: Floats
+    down: Floats
+    x: Floats
+    y: Floats
+    ratio: Floats
+
+
+@lru_cache(maxsize=1)
+def _pressed_layers() -> tuple[Floats, Floats]:
+    """Return contact radius (thickness, depth) and sunk depth (thickness, depth, place), all in ball radii.
+
+    Lengths scale: a ball of one radius stands for all.
+    """
+    radii = np.empty((len(_THICKNESSES), len(_DEPTHS)))
+    sunk = np.empty((*radii.shape, len(_PLACES)))
+    for j, depth in enumerate(_DEPTHS):
+        step = _STEP * min(np.sqrt(1.5 * depth), 1.0)
+        grid = step * np.arange(-round(_HALF_GRID / _STEP), round(_HALF_GRID / _STEP) + 1)
+        away, middle = np.hypot(grid[:, None], grid[None, :]), len(grid) // 2
+        cap = np.where(away < 1.0, 1.0 - np.sqrt(np.maximum(1.0 - away**2, 0.0)), np.inf)
+        for i, thickness in enumerate(_THICKNESSES):
+            layer = press_layer(depth - cap, grid, grid, float(thickness), POISSON_RATIO)
+            radii[i, j] = np.sqrt((layer.pressure_rel > 0.0).sum() / np.pi) * step
+            sunk[i, j] = np.interp(_PLACES * radii[i, j], grid[middle:], layer.sunk_mm[middle, middle:])
+    return radii, sunk
+
+
+def _profile(thickness: float, depth: float) -> tuple[Floats, Floats]:
+    """Return places and sunk depths along a radius, in ball radii, by interpolation; inside the contact the ball's."""
+    radii, sunk = _pressed_layers()
+    i, s = _between(np.log(_THICKNESSES), np.log(thickness))
+    j, t = _between(np.log(_DEPTHS), np.log(depth))
+    weights = np.outer([1.0 - s, s], [1.0 - t, t])
+    radius = float((weights / np.sqrt(_DEPTHS[None, j : j + 2]) * radii[i : i + 2, j : j + 2]).sum() * np.sqrt(depth))
+    outside = np.einsum("ij,ijp->p", weights / _DEPTHS[None, j : j + 2], sunk[i : i + 2, j : j + 2]) * depth
+    places = _PLACES * radius
+    inside = depth - 1.0 + np.sqrt(np.maximum(1.0 - places**2, 0.0))
+    return places, np.where((_PLACES <= 1.0) & (places < 1.0), inside, outside)
+
+
+def _between(grid: Floats, value: float) -> tuple[int, float]:
+    """Return the interval of a grid and the share of it, at the ends that of the first or last."""
+    at = int(np.clip(np.searchsorted(grid, value) - 1, 0, len(grid) - 2))
+    return at, float(np.clip((value - grid[at]) / (grid[at + 1] - grid[at]), 0.0, 1.0))
+
+
+# name in words, unit, mean and standard deviation of the prior; of all but directions the logarithm is normal
+_LIGHT = (
+    ("direction of the {} light", "deg", 0.0, 0.5),
+    ("its distance from the middle of the picture", "mm", 1.6, 1.0),
+    ("its height below the coat", "mm", 0.9, 1.0),
+)
+_COLOURS, _AMBIENT = (-2.0, 1.5), (-1.5, 1.5)
+_SHARED = (
+    ("exponent of the tone curve", "1", np.log(0.5), 0.3),
+    ("thickness of the gel", "mm", np.log(2.5), 0.8),
+    ("depth over that of the labelled cap", "1", np.log(1.8), 0.3),
+)
+# in ball radii: circles are drawn by hand, and a lens that looks askance moves them all alike
+_OFFSETS = (
+    ("contact right of its labelled circle", "mm", 0.0, 0.1),
+    ("contact below its labelled circle", "mm", 0.0, 0.1),
+)
+
+
+def _prior() -> tuple[Floats, Floats]:
+    """Return mean and standard deviation of all free numbers: 9 of places, 9 of colours, 3 shared, 2 offsets."""
+    places = [line[2:] for _ in range(3) for line in _LIGHT]
+    colours = [(_COLOURS, _COLOURS, _AMBIENT) for _ in range(3)]
+    lines = [*places, *(one for three in colours for one in three), *(line[2:] for line in (*_SHARED, *_OFFSETS))]
+    mean, sd = np.array(lines).T
+    return mean, sd
+
+
+@dataclass(frozen=True, slots=True)
+class _Lights:
+    """Free numbers in the units of the model: lengths in ball radii."""
+
+    azimuth: Floats
+    distance: Floats
+    height: Floats
+    weights: Floats
+    ambient: Floats
+    exponent: float
+    thickness: float
+    depth_over_cap: float
+    offset: Floats
+
+    @classmethod
+    def of(cls, theta: Floats, start: Floats) -> "_Lights":
+        """Return what standardised numbers mean."""
+        mean, sd = _prior()
+        values = mean + sd * theta
+        places, colours = values[:9].reshape(3, 3), np.exp(values[9:18].reshape(3, 3))
+        weights = np.eye(3)
+        for c in range(3):  # the first two are those of the other lights, in order
+            weights[c, [light for light in range(3) if light != c]] = colours[c, :2]
+        exponent, thickness, depth = np.exp(values[18:21])
+        return cls(
+            start + places[:, 0], np.exp(places[:, 1]), np.exp(places[:, 2]), weights, colours[:, 2], exponent,
+            thickness, depth, values[21:],
+        )  # fmt: skip
+
+    def ratio(self, press: _Press) -> Floats:
+        """Return contact over no contact of each pixel and channel, (pixel, 3)."""
+        places, sunk = _profile(self.thickness, self.depth_over_cap * press.cap)
+        across, down = press.across - self.offset[0], press.down - self.offset[1]
+        away = np.hypot(across, down)
+        outward = np.clip(np.interp(away, places, np.gradient(sunk, places), right=0.0), -_STEEPEST, _STEEPEST)
+        outward /= np.maximum(away, np.finfo(float).tiny)
+        slopes = outward * across, outward * down
+        pressed = self._light(press, slopes, np.interp(away, places, sunk))
+        rest = self._light(press, (0.0, 0.0), 0.0)
+        middle = self.height / (self.distance**2 + self.height**2) ** 1.5
+        lit, unlit = ((light / middle) @ self.weights.T + self.ambient for light in (pressed, rest))
+        return np.asarray((lit / unlit) ** self.exponent)
+
+    def _light(self, press: _Press, slopes: tuple[Floats | float, Floats | float], sunk: Floats | float) -> Floats:
+        """Return what each light gives to each pixel, (pixel, 3)."""
+        steep = np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
+        found = []
+        for azimuth, distance, height in zip(self.azimuth, self.distance, self.height, strict=True):
+            to = distance * np.cos(azimuth) - press.x, distance * np.sin(azimuth) - press.y, height - sunk
+            far = np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
+            facing = np.maximum(to[2] - slopes[0] * to[0] - slopes[1] * to[1], 0.0) / steep
+            found.append(facing / far**3)
+        return np.stack(found, axis=-1)
+
+
+def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
+    """Fit the model to ball presses of one sensor.
+
+    Parameters
+    ----------
+    captures
+        Three presses or more, each with the circle of its contact, the ball's radius and the scale. The gain of each
+        against its no-contact image is taken from pixels far from the contact.
+
+    Returns
+    -------
+    TaughtGel
+        The numbers with the greatest posterior density, and an interval over presses.
+
+    Raises
+    ------
+    SimulateError
+        There are too few, one lacks what is needed, or they are not of one sensor and ball.
+    """
+    if len(captures) < LEAST_TEACHING_PRESSES:
+        raise SimulateError(
+            f"{len(captures)} presses teach; the model of an elastic gel needs at least {LEAST_TEACHING_PRESSES}"
+        )
+    first = captures[0]
+    radius_mm, scale = _ball_and_scale(first)
+    for capture in captures[1:]:
+        if _ball_and_scale(capture) != (radius_mm, scale) or capture.contact.shape != first.contact.shape:
+            raise SimulateError(
+                f"{capture.name}: has another ball, scale or size than {first.name}; teach with one ball and one camera"
+            )
+    presses = [_press(capture, taught=True) for capture in captures]
+    seen = np.mean([np.isfinite(press.ratio).mean(axis=0) for press in presses], axis=0)
+    if seen.min() < _LEAST_SEEN:
+        raise SimulateError(
+            f"near the contacts {100 * (1.0 - seen.min()):.0f} % of the {CHANNELS[int(seen.argmin())]} values are "
+            "clipped; capture the presses at a shorter exposure"
+        )
+    start = _directions(presses)
+    theta = _fitted(presses, start, np.zeros(len(_prior()[0])))
+    without = np.array([_fitted([*presses[:k], *presses[k + 1 :]], start, theta) for k in range(len(presses))])
+    shape = _distance(first).shape
+    return TaughtGel(
+        theta, start, (shape[0], shape[1]), scale, radius_mm, tuple(c.name for c in captures),
+        tuple(contact_sha256(c) for c in captures), _numbers(theta, without, start, radius_mm),
+    )  # fmt: skip
+
+
+def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
+    """Return what the model makes of the no-contact image of a capture, with the contact where the capture has it.
+
+    Raises
+    ------
+    SimulateError
+        The capture lacks circle, ball or scale, has another size, or taught the model itself.
+    """
+    if contact_sha256(capture) in gel.taught_by_sha256:
+        raise SimulateError(
+            f"{capture.name}: its contact image taught the model ({', '.join(gel.taught_by)}), so its prediction for "
+            "this press proves nothing"
+        )
+    distance = _distance(capture)
+    if distance.shape != gel.shape_px:
+        raise SimulateError(f"{capture.name}: has another size than the presses that taught the model")
+    ratio = _Lights.of(gel.theta, gel.start).ratio(_press(capture, taught=False))
+    full_dn = full_scale_dn(capture)
+    no_contact = np.nan_to_num(rgb_image(capture.no_contact, capture), nan=full_dn)
+    contact = np.clip(no_contact * ratio.reshape(no_contact.shape), 0.0, full_dn)
+    return SimulatedPress(
+        name=f"{capture.name}, elastic gel",
+        label=GEL_LABEL,
+        method="rendered",
+        encoding=capture.encoding,
+        no_contact=no_contact.astype(np.float32),
+        contact=contact.astype(np.float32),
+        distance=distance.astype(np.float32),
+        variance=None,
+        light_angle_deg=None,
+        design=None,
+        notes=(
+            f"fitted to {len(gel.taught_by)} other presses: {', '.join(gel.taught_by)}",
+            "the contact is where the capture has it, and the no-contact image is the capture's",
+        ),
+    )
+
+
+def _ball_and_scale(capture: TactileCapture) -> tuple[float, float]:
+    """Return the ball's radius and the side of a pixel of the colour image, mm."""
+    pose, cell = capture.indenter, 1 if capture.layout == "RGB" else 2
+    if pose.shape != "ball" or pose.radius_mm is None or capture.mm_per_px is None or capture.contact_circle is None:
+        raise SimulateError(
+            f"{capture.name}: the model of an elastic gel needs the circle of a ball's contact, the ball's radius and "
+            "the scale (contact_circle, indenter.radius_mm, mm_per_px)"
+        )
+    return pose.radius_mm, capture.mm_per_px * cell
+
+
+def _distance(capture: TactileCapture) -> Floats:
+    """Return the distance from the contact of a capture that states it, half-widths."""
+    distance = contact_distance(capture)
+    if distance is None:
+        raise SimulateError(f"{capture.name}: does not state where its contact is")
+    return distance
+
+
+def _press(capture: TactileCapture, *, taught: bool) -> _Press:
+    """Return the pixels of a capture: those that teach, or all of them without what they show."""
+    radius_mm, scale = _ball_and_scale(capture)
+    distance = _distance(capture)
+    circle, cell, step = capture.contact_circle, 1 if capture.layout == "RGB" else 2, scale / radius_mm
+    if circle is None:
+        raise SimulateError(f"{capture.name}: has no contact circle")
+    half_width = min(circle.radius_px / cell * step, _NEAREST_RIM)
+    used = np.ones(distance.shape, dtype=np.bool_)
+    ratio = np.empty((0, 3))
+    if taught:
+        used = (distance < _REACH) & (np.indices(distance.shape) % _STRIDE_PX == 0).all(axis=0)
+        ratio = _seen_ratio(capture, distance)[used]
+    rows, columns = np.nonzero(used)
+    middle = [(value + 0.5) / cell - 0.5 for value in (circle.column_px, circle.row_px)]
+    return _Press(
+        1.0 - np.sqrt(1.0 - half_width**2),
+        (columns - middle[0]) * step,
+        (rows - middle[1]) * step,
+        (columns - (distance.shape[1] - 1) / 2.0) * step,
+        (rows - (distance.shape[0] - 1) / 2.0) * step,
+        ratio,
+    )
+
+
+def _seen_ratio(capture: TactileCapture, distance: Floats) -> Floats:
+    """Return contact over no contact, (H, W, 3), the gain between the two taken out; NaN where clipped."""
+    contact, level = levelled_images(capture, distance)
+    return np.divide(contact, level, out=np.full_like(level, np.nan), where=level > 0.0)
+
+
+def _directions(presses: Sequence[_Press]) -> Floats:
+    """Return from where each channel is lit, rad: the coat that bulges into the gel is brighter on that side."""
+    found = []
+    for channel in range(3):
+        pull = np.zeros(2)
+        for press in presses:
+            change = np.nan_to_num(press.ratio[:, channel] - 1.0)
+            pull += [float(change @ press.across), float(change @ press.down)]
+        found.append(np.arctan2(pull[1], pull[0]))
+    return np.array(found)
+
+
+def _fitted(presses: Sequence[_Press], start: Floats, theta: Floats) -> Floats:
+    """Return the numbers of greatest posterior density."""
+
+    def misfit(at: Floats) -> Floats:
+        lights = _Lights.of(at, start)
+        parts = [at]
+        for press in presses:
+            weight = np.sqrt(_INDEPENDENT / max(len(press.ratio), 1)) / _MODEL_ERROR
+            parts.append(weight * np.nan_to_num(lights.ratio(press) - press.ratio).ravel())
+        return np.concatenate(parts)
+
+    return np.asarray(least_squares(misfit, theta, max_nfev=60).x)
+
+
+def _numbers(theta: Floats, without: Floats, start: Floats, radius_mm: float) -> tuple[GelNumber, ...]:
+    """Return what was found, with intervals by leaving out one press after the other."""
+    count = len(without)
+    spread = np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+    reach = float(stdtrit(count - 1, 0.5 + _COVERAGE / 2.0)) * spread
+    mean, sd = _prior()
+    ends = mean + sd * np.stack([theta, theta - reach, theta + reach])
+    found = []
+    for light, channel in enumerate(CHANNELS):
+        for k, (words, unit, *_) in enumerate(_LIGHT):
+            values = ends[:, 3 * light + k]
+            told = np.degrees(start[light] + values) if unit == "deg" else radius_mm * np.exp(values)
+            found.append(GelNumber(words.format(channel), *map(float, told), unit))
+    for k, (words, unit, *_) in enumerate(_SHARED):
+        told = (radius_mm if unit == "mm" else 1.0) * np.exp(ends[:, 18 + k])
+        found.append(GelNumber(words, *map(float, told), unit))
+    for k, (words, unit, *_) in enumerate(_OFFSETS):
+        found.append(GelNumber(words, *map(float, radius_mm * ends[:, 21 + k]), unit))
+    return tuple(found)

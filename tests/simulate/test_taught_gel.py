@@ -1,0 +1,103 @@
+"""A model of a gel that presses teach, on a made-up sensor: Hertz's surface under lights, with no code of the model."""
+
+import numpy as np
+import pytest
+
+from data_schemas import ContactCircle, IndenterPose, SimulateError, TactileCapture
+from sim.experiments import predict_on_gel, teach_gel
+
+RADIUS_MM, MM_PER_PX, SHAPE = 6.0, 0.1, (120, 160)
+EXPONENT, DIRECTIONS_DEG, LEVEL = 0.45, (-160.0, -30.0, 85.0), 55.0
+WEIGHTS = np.array([[1.0, 0.1, 0.05], [0.2, 1.0, 0.1], [0.05, 0.15, 1.0]])
+
+
+def hertz_sunk_mm(away_mm, half_width_mm):
+    """Sunk face of a half-space under a ball, in closed form (Johnson, Contact Mechanics, 3.42)."""
+    s = np.minimum(half_width_mm / np.maximum(away_mm, 1e-9), 1.0)
+    inside = (2.0 * half_width_mm**2 - away_mm**2) / (2.0 * RADIUS_MM)
+    outside = half_width_mm**2 / (np.pi * RADIUS_MM) * ((2.0 - 1.0 / s**2) * np.arcsin(s) + np.sqrt(1.0 / s**2 - 1.0))
+    return np.where(away_mm <= half_width_mm, inside, outside)
+
+
+def channels(row_px, column_px, half_width_mm):
+    """Light of three channels, (H, W, 3), from lights 20 mm beside the picture's middle and 12 mm below the coat."""
+    rows, columns = np.indices(SHAPE)
+    away = np.hypot(rows - row_px, columns - column_px) * MM_PER_PX
+    sunk = hertz_sunk_mm(away, half_width_mm) if half_width_mm else np.zeros(SHAPE)
+    down, along = np.gradient(sunk, MM_PER_PX)
+    x, y = ((at - (size - 1) / 2.0) * MM_PER_PX for at, size in ((columns, SHAPE[1]), (rows, SHAPE[0])))
+    lights = []
+    for direction in np.radians(DIRECTIONS_DEG):
+        to = 20.0 * np.cos(direction) - x, 20.0 * np.sin(direction) - y, 12.0 - sunk
+        cosine = (to[2] - along * to[0] - down * to[1]) / np.sqrt(1.0 + along**2 + down**2)
+        lights.append(np.maximum(cosine, 0.0) / (to[0] ** 2 + to[1] ** 2 + to[2] ** 2) ** 1.5)
+    return (np.stack(lights, axis=-1) * 5000.0) @ WEIGHTS.T + 0.3
+
+
+def capture(number):
+    """One press in 8 bits with noise and another gain than its no-contact image."""
+    rng = np.random.default_rng(number)
+    row, column, half_width = rng.uniform(45, 75), rng.uniform(60, 100), rng.uniform(1.0, 1.6)
+    images = []
+    for width, gain in ((half_width, 1.0 + 0.03 * rng.standard_normal(3)), (0.0, np.ones(3)), (0.0, np.ones(3))):
+        dn = LEVEL * channels(row, column, width) ** EXPONENT * gain + rng.standard_normal((*SHAPE, 3))
+        images.append(np.rint(dn).clip(0, 255).astype(np.uint8))
+    return TactileCapture(
+        name=f"press {number}", contact=images[0], no_contact=images[1], repeat_no_contact=images[2], layout="RGB",
+        encoding="unknown", bit_depth=8, black_level_dn=0.0, exposure_s=0.02, light_angle_deg=None,
+        indenter=IndenterPose(shape="ball", radius_mm=RADIUS_MM, depth_mm=None, position_mm=None),
+        contact_circle=ContactCircle(row_px=row, column_px=column, radius_px=half_width / MM_PER_PX),
+        mm_per_px=MM_PER_PX, source="made up",
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def gel():
+    return teach_gel([capture(number) for number in range(6)])
+
+
+def test_it_finds_the_sensor_that_was_hidden(gel):
+    found = {number.name: number for number in gel.numbers}
+    # of touches that change the picture by a tenth, at a noise of one level of some 120
+    for channel, wanted in zip(("red", "green", "blue"), DIRECTIONS_DEG, strict=True):
+        turned = found[f"direction of the {channel} light"].value - wanted
+        assert abs((turned + 180.0) % 360.0 - 180.0) < 6.0
+    exponent = found["exponent of the tone curve"]
+    assert exponent.low95 - 0.05 < EXPONENT < exponent.high95 + 0.05
+    # a half-space: thicker than the contact is wide, and a ball twice as deep as its cap
+    assert found["thickness of the gel"].value > 6.0
+    assert found["depth over that of the labelled cap"].value == pytest.approx(2.0, rel=0.2)
+    assert all(number.low95 <= number.value <= number.high95 for number in gel.numbers)
+
+
+def test_it_predicts_presses_that_did_not_teach(gel):
+    lost = []
+    for number in range(20, 28):
+        press = predict_on_gel(gel, judged := capture(number))
+        circle, rest = judged.contact_circle, channels(0.0, 0.0, 0.0) ** EXPONENT
+        half_width = circle.radius_px * MM_PER_PX
+        change = (channels(circle.row_px, circle.column_px, half_width) ** EXPONENT / rest - 1.0)[press.distance < 2.0]
+        told = (press.contact / press.no_contact - 1.0)[press.distance < 2.0]
+        lost.append(((told - change) ** 2).sum() / (change**2).sum())
+    # the rim is found to half a step of a grid of a twelfth of the contact's radius
+    assert np.median(lost) < 0.02
+    assert max(lost) < 0.05
+
+
+def test_what_taught_is_not_predicted(gel):
+    with pytest.raises(SimulateError, match=r"press 3: its contact image taught the model"):
+        predict_on_gel(gel, capture(3).model_copy(update={"name": "press 3"}))
+
+
+def test_refusals():
+    presses = [capture(number) for number in range(3)]
+    with pytest.raises(SimulateError, match="2 presses teach; the model of an elastic gel needs at least 3"):
+        teach_gel(presses[:2])
+    for change in (
+        {"contact_circle": None}, {"mm_per_px": None},
+        {"indenter": IndenterPose(shape="cuboid", radius_mm=None, depth_mm=0.5, position_mm=None)},
+    ):  # fmt: skip
+        with pytest.raises(SimulateError, match="needs the circle of a ball's contact, the ball's radius"):
+            teach_gel([*presses[:2], presses[2].model_copy(update=change)])
+    with pytest.raises(SimulateError, match="press 2: has another ball, scale or size than press 0"):
+        teach_gel([*presses[:2], presses[2].model_copy(update={"mm_per_px": 0.2})])
