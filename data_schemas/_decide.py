@@ -455,7 +455,7 @@ class LightPlaceMap(Model):
 class LightPowers(Record):
     """Powers of the lights by which a coat is lit most evenly, and what they cost."""
 
-    schema_version: ClassVar[int] = 1
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray design lights'"
     shown: ClassVar[tuple[str, ...]] = ("sentence",)
 

@@ -294,7 +294,7 @@ class SensorFit(Record):
     that. The discrepancy is the size of a smooth relative error that the model cannot explain.
     """
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray simulate fit'"
 
     name: str

@@ -97,7 +97,7 @@ class SimulatedPress(Record):
     with ``rendered_light``; all its other images are those of ``shown_light``.
     """
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray simulate render'"
 
     name: str

@@ -459,6 +459,11 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("DesignOptimum", 2): _as_it_is,
     ("DatasetShard", 2): _as_it_is,
     ("LearningDataset", 2): _as_it_is,
+    # a classic sensor's gel is an elastic layer; before, what was pressed in left its shape and a bulge
+    ("PlainSensor", 4): _as_it_is,
+    ("SimulatedPress", 5): _as_it_is,
+    ("SensorFit", 2): _as_it_is,
+    ("LightPowers", 1): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

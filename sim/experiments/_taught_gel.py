@@ -105,11 +105,12 @@ class TaughtGel:
 class _Press:
     """Pixels of a press that teach, and where they lie.
 
-    ``across`` and ``down`` from the contact's middle and ``x``, ``y`` from the picture's are in ball radii; ``ratio``
+    In ball radii: ``cap_rel``, the height of the labelled circle's cap, ``across`` and ``down`` from the contact's middle,
+    ``x`` and ``y`` from the picture's; ``ratio``
     (pixel, 3) is contact over no contact, with NaN where a channel is clipped.
     """
 
-    cap: float
+    cap_rel: float
     across: Floats
     down: Floats
     x: Floats
@@ -194,8 +195,8 @@ class _Lights:
     weights: Floats
     ambient: Floats
     exponent: float
-    thickness: float
-    depth_over_cap: float
+    thickness_rel: float
+    depth_rel: float
     offset: Floats
 
     @classmethod
@@ -215,7 +216,7 @@ class _Lights:
 
     def ratio(self, press: _Press) -> Floats:
         """Return contact over no contact of each pixel and channel, (pixel, 3)."""
-        places, sunk = _profile(self.thickness, self.depth_over_cap * press.cap)
+        places, sunk = _profile(self.thickness_rel, self.depth_rel * press.cap_rel)
         across, down = press.across - self.offset[0], press.down - self.offset[1]
         away = np.hypot(across, down)
         outward = np.clip(np.interp(away, places, np.gradient(sunk, places), right=0.0), -_STEEPEST, _STEEPEST)

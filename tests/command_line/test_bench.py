@@ -168,3 +168,21 @@ def test_presses_that_are_all_one_image_cannot_be_judged(captures: Path) -> None
     outcome = finray("bench tactile set --teach 1 --out out")
     assert outcome.status == 2
     assert "no press is left to judge: every contact image is one of those that teach; give a set" in outcome.err
+
+
+def test_our_physics_beside_the_table(captures: Path) -> None:
+    run = finray("bench tactile set --elastic-gel --teach 3 --out gel")
+    assert run.status == 0, run.err
+    row = json.loads((captures.parent / "gel" / "row.json").read_text())
+    assert row["simulator"] == "elastic gel under three lights"
+    assert row["elastic_gel"]["skill"] == row["skill"]
+    names = [number["name"] for number in row["elastic_gel"]["numbers"]]
+    assert {"thickness of the gel", "exponent of the tone curve", "direction of the red light"} <= set(names)
+    assert "thickness of the gel: " in run.out
+    batch = read_record(captures.parent / "gel" / "scores" / "summary.json", ComparisonBatch)
+    assert {pair.simulator for pair in batch.pairs} == {
+        "elastic gel under three lights", "table of the teaching presses", "doing nothing"
+    }  # fmt: skip
+    refused = finray("bench tactile set --elastic-gel --teach 2 --out two")
+    assert refused.status == 2
+    assert "2 presses teach; the model of an elastic gel needs at least 3" in refused.err

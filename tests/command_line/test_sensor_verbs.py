@@ -50,7 +50,7 @@ def test_rendered_with_pictures(design, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     told = succeed("simulate render sensor.toml --engine scalar --samples 2 --images --seed 4")
     assert told.startswith(
-        "sensor.press.json: rendered, classic sensor, scalar_rgb; shape of the pressed coat: analytic"
+        "sensor.press.json: rendered, classic sensor, scalar_rgb; shape of the pressed coat: elastic layer under a ball"
     )
     press = read_record(tmp_path / "sensor.press.json", SimulatedPress)
     assert press.sensor is not None

@@ -175,7 +175,7 @@ def test_nine_dtact_darkens_with_depth_and_brightens_beside_it(llvm):
 def test_each_light_of_a_ready_made_sensor_finds_the_slope_that_faces_it(llvm, name):
     sensor = preset_sensor(name)
     camera = sensor.camera
-    small = camera.model_copy(update={"width_px": 60, "height_px": 60 * camera.height_px // camera.width_px})
+    small = camera.model_copy(update={"width_px": 80, "height_px": 80 * camera.height_px // camera.width_px})
     sensor = sensor.model_copy(update={"camera": small})
     press, _ = simulate_sensor_press(sensor, Path(), llvm, 4, 128)
     coat = pressed_coat(sensor)

@@ -1,4 +1,4 @@
-"""What is pressed into a classic sensor: imprints against the analytic press, height maps and meshes, and refusals."""
+"""What is pressed into a classic sensor: bodies, imprints against the analytic press, height maps, meshes, refusals."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def ball_facets(radius_mm, count=80):
     )
 
 
-class TestImprint:
+class TestIndenters:
     def test_of_a_ball_is_the_analytic_press(self):
         gel = analytic_gel(SENSOR, True)
         rest = analytic_gel(SENSOR, False)
@@ -43,6 +43,8 @@ class TestImprint:
         # the rim of the contact is found to a step of the grid (0.15 mm), at a slope of 0.6
         assert np.abs(found - gel.height_mm).max() < 0.06
         assert np.abs(found - gel.height_mm).mean() < 0.003
+        volume = np.trapezoid(np.trapezoid(rest.height_mm - found, gel.z_mm, axis=1), gel.x_mm)
+        assert abs(volume) < 1e-9 * PAD.length_mm * PAD.width_mm
 
     @pytest.mark.parametrize(
         "indenter",
@@ -52,18 +54,17 @@ class TestImprint:
         ],
         ids=["cuboid", "turned cylinder"],
     )
-    def test_other_bodies_reach_their_depth_and_keep_the_volume(self, indenter):
+    def test_other_bodies_press_an_elastic_layer_to_their_depth(self, indenter):
         coat = pressed_coat(SENSOR.model_copy(update={"indenter": indenter}))
         depth = coat.rest.height_mm - coat.pressed.height_mm
-        # the smooth minimum rounds by 0.15 ln 2 at most, where body and coat part
-        assert depth.max() == pytest.approx(0.7, abs=0.02)
+        # facets of the turned cylinder lie up to 0.004 mm inside it
+        assert depth.max() == pytest.approx(0.7, abs=6e-3)
         at = np.abs(coat.rest.x_mm).argmin(), np.abs(coat.rest.z_mm - 9.0).argmin()
-        assert depth[at] == pytest.approx(0.7, abs=0.02)
-        weights = np.ones_like(depth)
-        weights[[0, -1]] *= 0.5
-        weights[:, [0, -1]] *= 0.5
-        assert abs((depth * weights).sum()) < 1e-9 * weights.sum()
-        assert "imprint of a" in coat.label
+        assert depth[at] == pytest.approx(0.7, abs=6e-3)
+        # the gel goes aside; of the cylinder's bulge much lies beyond the pad, whose ends the layer does not know
+        assert -0.3 < depth.min() < -0.02
+        assert 0.3 < -depth[depth < 0.0].sum() / depth[depth > 0.0].sum() <= 1.0
+        assert coat.label == f"elastic layer under a {indenter.shape}"
         assert coat.distance[at] < 0.2
 
     def test_of_a_mesh(self, tmp_path):
@@ -74,7 +75,9 @@ class TestImprint:
         mesh = Indenter(shape="mesh", file="ball.stl", depth_mm=0.8, position_mm=12.0, across_mm=1.5)
         coat = pressed_coat(SENSOR.model_copy(update={"indenter": mesh}), tmp_path)
         assert coat.files == (tmp_path / "ball.stl",)
-        assert np.abs(coat.pressed.height_mm - analytic_gel(SENSOR, True).height_mm).max() < 0.1
+        whole = pressed_coat(SENSOR)
+        # facets of 0.4 mm cut 0.01 mm off the ball, at a slope of 0.6 beside the contact
+        assert np.abs(coat.pressed.height_mm - whole.pressed.height_mm).max() < 0.05
 
     def test_triangles_over_the_pad(self):
         x, z = np.linspace(-1.0, 1.0, 5), np.linspace(0.0, 2.0, 5)
