@@ -105,9 +105,8 @@ class TaughtGel:
 class _Press:
     """Pixels of a press that teach, and where they lie.
 
-    In ball radii: ``cap_rel``, the height of the labelled circle's cap, ``across`` and ``down`` from the contact's middle,
-    ``x`` and ``y`` from the picture's; ``ratio``
-    (pixel, 3) is contact over no contact, with NaN where a channel is clipped.
+    In ball radii: ``cap_rel``, the height of the labelled circle's cap, ``across`` and ``down`` from the contact's
+    middle, ``x`` and ``y`` from the picture's; ``ratio`` (pixel, 3) is contact over no contact, NaN where clipped.
     """
 
     cap_rel: float
@@ -357,10 +356,10 @@ def _press(capture: TactileCapture, *, taught: bool) -> _Press:
     if taught:
         used = (distance < _REACH) & (np.indices(distance.shape) % _STRIDE_PX == 0).all(axis=0)
         ratio = _seen_ratio(capture, distance)[used]
-    rows, columns = np.nonzero(used)
+    rows, columns = (at.astype(np.float64) for at in np.nonzero(used))
     middle = [(value + 0.5) / cell - 0.5 for value in (circle.column_px, circle.row_px)]
     return _Press(
-        1.0 - np.sqrt(1.0 - half_width**2),
+        1.0 - float(np.sqrt(1.0 - half_width**2)),
         (columns - middle[0]) * step,
         (rows - middle[1]) * step,
         (columns - (distance.shape[1] - 1) / 2.0) * step,
@@ -413,10 +412,16 @@ def _numbers(theta: Floats, without: Floats, start: Floats, radius_mm: float) ->
         for k, (words, unit, *_) in enumerate(_LIGHT):
             values = ends[:, 3 * light + k]
             told = np.degrees(start[light] + values) if unit == "deg" else radius_mm * np.exp(values)
-            found.append(GelNumber(words.format(channel), *map(float, told), unit))
+            found.append(_number(words.format(channel), told, unit))
     for k, (words, unit, *_) in enumerate(_SHARED):
         told = (radius_mm if unit == "mm" else 1.0) * np.exp(ends[:, 18 + k])
-        found.append(GelNumber(words, *map(float, told), unit))
+        found.append(_number(words, told, unit))
     for k, (words, unit, *_) in enumerate(_OFFSETS):
-        found.append(GelNumber(words, *map(float, radius_mm * ends[:, 21 + k]), unit))
+        found.append(_number(words, radius_mm * ends[:, 21 + k], unit))
     return tuple(found)
+
+
+def _number(name: str, told: Floats, unit: str) -> GelNumber:
+    """Return a number from its estimate and the ends of its interval."""
+    value, low, high = (float(one) for one in told)
+    return GelNumber(name, value, low, high, unit)
