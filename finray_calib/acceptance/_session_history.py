@@ -441,7 +441,7 @@ class History:
     ----------
     verdict
         OUT OF CONTROL: a chart alarmed after the reference, or a session could not be reduced, since alarms were last
-        cleared. UNDECIDED: nothing has more sessions than its reference.
+        cleared. UNDECIDED: no chart has more sessions than its reference.
     reasons
         What stands behind it, the newest last.
     watched, ledger
@@ -523,16 +523,21 @@ def _series(
             found.setdefault((one.rig_name, quantity), []).append(one)
         for quantity in one.sample:
             found.setdefault((f"{one.paint_name} on {one.rig_name}", quantity), []).append(one)
-    series, counts, alike = [], dict[str, int](), []
+    series, counts, alike = [], dict[str, int](), dict[str, list[str]]()
     for (of, quantity), sessions in found.items():
         if len(sessions) < reference:
             counts[of] = max(counts.get(of, 0), len(sessions))
         elif np.ptp([{**s.rig, **s.sample}[quantity] for s in sessions[:reference]]) > 0:
             series.append((of, quantity, sessions))
         else:
-            alike.append(f"{of}: {quantity} is exactly the same in all sessions of the reference, so it has no chart")
+            alike.setdefault(of, []).append(quantity)
     waiting = (f"{of}: {n} of {reference} sessions of its reference" for of, n in counts.items())
-    return series, (*waiting, *alike)
+    same = (
+        f"{of}: {', '.join(names)}: exactly the same in all sessions of the reference; these are "
+        "copies of one, or of a rig without devices whose [simulated] seed was not changed between them"
+        for of, names in alike.items()
+    )
+    return series, (*waiting, *same)
 
 
 def _reasons(watched: Sequence[Watched], ordered: Sequence[SessionFacts], since: str) -> tuple[str, ...]:

@@ -197,7 +197,7 @@ def _devices(report: AcceptanceReport) -> ReportTable:
 _HISTORY_SENTENCES: Final = {
     "IN CONTROL": "No chart alarmed after the reference.",
     "OUT OF CONTROL": "A chart alarmed, or a session could not be reduced. Find the cause before you measure again.",
-    "UNDECIDED": "No rig or sample has more sessions than its reference yet.",
+    "UNDECIDED": "There is no chart with more sessions than its reference yet.",
 }
 MOST_FINDINGS: Final = 12
 
