@@ -61,7 +61,12 @@ def write_nexus(session: SessionFrames, out: Path, origin: str, progress: Progre
     def fill(handle: int) -> None:
         with naming_file(out), FrameSink(handle) as sink, h5py.File(sink, "w", libver=("earliest", "v110")) as file:
             file.attrs.update({"NX_class": "NXroot", "default": "entry", "creator": "finray-calib"})
-            _fill_entry(_group(file, "entry", "NXentry"), session, origin, progress)
+
+            def stored(done: int, total: int, text: str) -> None:
+                sink.require_room()
+                progress(done, total, text)
+
+            _fill_entry(_group(file, "entry", "NXentry"), session, origin, stored)
 
     write_whole(out, fill)
     return len(session.frames)
@@ -163,10 +168,12 @@ def _fill_lights(instrument: "Group", session: SessionFrames) -> None:
 def _fill_filter(group: "Group", session: SessionFrames, band: BandPassFilter) -> None:
     """Write a filter, with its measured transmission where there is one."""
     _put(group, "description", f"band-pass filter {band.name}")
-    _put(group, "slot", band.slot)
-    _put(group, "wavelength", band.center_nm, "nm", uncertainty=band.center_uncertainty_nm)
-    _put(group, "bandwidth", band.fwhm_nm, "nm", uncertainty=band.fwhm_uncertainty_nm)
-    _put(group, "peak_transmission", band.peak_transmission)
+    more = _group(group, "band", "NXcollection")  # NXfilter has no fields for these
+    _put(more, "name", band.name)
+    _put(more, "slot", band.slot)
+    _put(more, "wavelength", band.center_nm, "nm", uncertainty=band.center_uncertainty_nm)
+    _put(more, "bandwidth", band.fwhm_nm, "nm", uncertainty=band.fwhm_uncertainty_nm)
+    _put(more, "peak_transmission", band.peak_transmission)
     if (curve := session.curves.get(band.name)) is not None:
         plot = _group(group, "transmission", "NXdata")
         plot.attrs.update({"signal": "transmission", "axes": ["wavelength"]})

@@ -77,6 +77,7 @@ def write_ome_tiff(session: SessionFrames, out: Path, origin: str, progress: Pro
                     metadata=None,
                     contiguous=False,
                 )
+                sink.require_room()
                 progress(number + 1, len(planes), frame.filter_name)
 
     write_whole(out, fill)

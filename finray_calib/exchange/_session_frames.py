@@ -5,14 +5,13 @@ front of the camera, which filter, which light, how long, and when after the fir
 session does not know is None here and left out there.
 """
 
-import contextlib
 import io
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,6 @@ from data_schemas.storage import digest_as_read, has_file, read_frame, read_json
 from rigs.capture import SESSION_KINDS, SESSION_NAME, read_session
 
 Buffer = bytes | bytearray | memoryview
-T = TypeVar("T")
 Progress = Callable[[int, int, str], None]
 Value = str | int | float | bool | None
 DARK: Final = "dark"
@@ -191,7 +189,8 @@ class SessionFrames:
 class FrameSink:
     """An open file that a library fills through Python: all of it on the disk at the end of the block, or an error.
 
-    An error of the disk comes out as what it is, also where the library tells only that something failed.
+    HDF5 crashes where a disk refuses to write. So what is written after the first refusal is dropped silently, and
+    :meth:`require_room` and the end of the block raise it.
 
     Parameters
     ----------
@@ -200,43 +199,52 @@ class FrameSink:
     """
 
     def __init__(self, handle: int) -> None:
-        self._file = os.fdopen(handle, "w+b", closefd=False)
-        self._failed: OSError | None = None
+        self._file = os.fdopen(handle, "w+b", buffering=0, closefd=False)
+        self._refused: OSError | None = None
         self.read, self.readinto = self._file.read, self._file.readinto
-        self.seek, self.tell, self.truncate = self._file.seek, self._file.tell, self._file.truncate
+        self.seek, self.tell, self.flush = self._file.seek, self._file.tell, self._file.flush
 
     def __enter__(self) -> "FrameSink":
         return self
 
     def __exit__(self, kind: object, error: object, traceback: object) -> None:
-        try:
-            self._file.flush()
-            os.fsync(self._file.fileno())
-        except OSError as caught:
-            self._failed = self._failed or caught
-        with contextlib.suppress(OSError):  # it tries to write the rest once more
-            self._file.close()
-        if self._failed is not None:
-            raise self._failed
+        if self._refused is None:
+            self._tried(lambda: os.fsync(self._file.fileno()))
+        self._file.close()
+        self.require_room()
 
     def fileno(self) -> int:
         """Refuse to give the descriptor: what is written around this object is not seen here."""
         raise io.UnsupportedOperation("fileno")
 
     def write(self, content: Buffer) -> int:
-        """Write, and remember what fails."""
-        return self._tried(lambda: self._file.write(content))
+        """Write all of it, or drop it where the disk has refused something."""
+        rest = memoryview(content).cast("B")
+        size = rest.nbytes
 
-    def flush(self) -> None:
-        """Hand on what is buffered, and remember what fails."""
-        self._tried(self._file.flush)
+        def write_on() -> None:
+            nonlocal rest
+            while rest and self._refused is None:
+                rest = rest[self._file.write(rest) or 0 :]
 
-    def _tried(self, call: Callable[[], T]) -> T:
+        self._tried(write_on)
+        return size
+
+    def truncate(self, size: int) -> int:
+        """Set the length of the file, or drop it where the disk has refused something."""
+        self._tried(lambda: self._file.truncate(size))
+        return size
+
+    def require_room(self) -> None:
+        """Raise what the disk refused."""
+        if self._refused is not None:
+            raise self._refused
+
+    def _tried(self, call: Callable[[], object]) -> None:
         try:
-            return call()
+            call()
         except OSError as error:
-            self._failed = self._failed or error
-            raise
+            self._refused = self._refused or error
 
 
 def read_session_frames(folder: Path) -> SessionFrames:
