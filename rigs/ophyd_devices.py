@@ -13,7 +13,6 @@ switches off.
 """
 
 import asyncio
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -23,7 +22,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from data_schemas import BadFrameError, CaptureError, MissingExtraError, RefusedError, RigFile
+from data_schemas import BadFrameError, MissingExtraError, RefusedError, RigFile
 from rigs import Camera, FilterWheel, Light, Operator, open_rig, rig_locked
 from rigs.capture import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S
 

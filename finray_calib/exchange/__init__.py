@@ -3,8 +3,9 @@
 A calibrated paint is exported as CSV, JSON, netCDF (ArviZ), SPDX, Mitsuba spectrum, reduced RGB matrix or bispectral
 OpenEXR, all by name from `PAINT_FORMATS`. Captures of other labs are read from folders of band images, of Raspberry Pi
 pictures, of ball presses, of 9DTact or Taxim calibrations; measured force from CSV; renders of any simulator from
-folders. The frames of a session are exported as OME-TIFF, NeXus or bluesky documents. Captures are exported as one zip archive; renders, meshes, printable parts, board calibrations, capture
-requests and acceptance reports are exported as files that other programs open.
+folders. Frames of a session are exported as OME-TIFF, NeXus or bluesky documents, captures as one zip archive; renders,
+meshes, printable parts, board calibrations, capture requests and acceptance reports are exported as files that other
+programs open.
 
 A layout that a recipe can describe (a short TOML file) needs no code. Another format of captures is a function here
 and a job of `finray import`; a package outside the tree brings one by an entry point (`ImportFormat`).

@@ -40,7 +40,7 @@ from finray_calib.exchange._session_frames import FrameSink, SessionFrame
 from rigs import camera_plan, paint_plan, simulated_rig
 from rigs.capture import SessionRequest, capture_camera_session, capture_paint_session
 from tests.capture.drivers import picamera2_stand_in
-from tests.capture.finger_session import capture, plan_of, pressing, rig_of, scene
+from tests.capture.finger_session import RIG, capture, plan_of, pressing, rig_of, scene
 from tests.command_line.running import finray
 
 Writer = Callable[[SessionFrames, Path, str, Callable[[int, int, str], None]], int]
@@ -288,14 +288,21 @@ def test_camera_session_is_exported_too(tmp_path: Path) -> None:
     assert nxload(tmp_path / "c.nxs").get_default().nxsignal.shape == (len(session.frames), 64, 64)
 
 
+def tactile_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Capture two presses, with a camera that no other test has."""
+    monkeypatch.setitem(sys.modules, "picamera2", picamera2_stand_in.module())
+    sensor = picamera2_stand_in.Picamera2.sensor
+    sensor.cameras[0]["Num"] = os.getpid()
+    sensor.scene = scene(sensor, contact=False)
+    rig = rig_of(folder, RIG.replace('address = "0"', f'address = "{os.getpid()}"'))
+    capture(folder, plan_of(folder), rig, pressing(sensor))
+    return folder / "out"
+
+
 @pytest.fixture
 def finger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SessionFrames:
     """Return a tactile session of two presses."""
-    monkeypatch.setitem(sys.modules, "picamera2", picamera2_stand_in.module())
-    sensor = picamera2_stand_in.Picamera2.sensor
-    sensor.scene = scene(sensor, contact=False)
-    capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), pressing(sensor))
-    return read_session_frames(tmp_path / "out")
+    return read_session_frames(tactile_folder(tmp_path, monkeypatch))
 
 
 def test_tactile_session_has_a_pixel_size_and_no_invented_light(finger: SessionFrames, tmp_path: Path) -> None:
@@ -321,9 +328,7 @@ def coloured(session: SessionFrames) -> SessionFrames:
     for frame in session.frames:
         file = frame.file.replace(".tiff", "_rgb.tiff")
         counts = rng.integers(0, 1023, shape).astype(np.uint16)
-        frames.append(
-            replace(frame, file=file, sha256=write_frame(session.folder / file, counts, ""), exposure_s=None)
-        )
+        frames.append(replace(frame, file=file, sha256=write_frame(session.folder / file, counts, ""), exposure_s=None))
     return replace(session, frames=tuple(frames))
 
 
@@ -382,7 +387,7 @@ def test_nothing_is_left_of_a_session_whose_frames_are_not_whole(
     if fault == "changed":
         path.write_bytes(content[:-1] + b"\x01")
     try:
-        with pytest.raises(ChecksumError, match="frame is missing|SHA-256 differs"):
+        with pytest.raises(ChecksumError, match=r"frame is missing|SHA-256 differs"):
             write(session, tmp_path / f"x{ending}", ORIGIN, quiet)
     finally:
         path.write_bytes(content)
@@ -460,9 +465,7 @@ def test_a_link_out_of_the_session_is_refused(folder: Path, session: SessionFram
         (tmp_path / "kept.tiff").rename(path)
 
 
-def test_missing_h5py_names_the_extra(
-    session: SessionFrames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_h5py_names_the_extra(session: SessionFrames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
     for write, ending in (WRITERS["nexus"], WRITERS["bluesky"]):
         with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[nexus\]'"):

@@ -224,9 +224,7 @@ sys.stdout.write(json.dumps(found))
 
 
 @pytest.mark.rigs
-def test_pymmcore_plus_brings_its_adapters_and_its_core_serves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pymmcore_plus_brings_its_adapters_and_its_core_serves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It lies in the environment of other people's programs: it brings 40 packages that a camera does not need."""
     python = others_python("pymmcore-plus")
     monkeypatch.delenv("MICROMANAGER_PATH")  # nothing but pymmcore-plus knows where the adapters are
