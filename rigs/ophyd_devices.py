@@ -18,11 +18,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 import numpy as np
 
-from data_schemas import BadFrameError, MissingExtraError, RefusedError, RigFile
+from data_schemas import BadFrameError, MissingExtraError, RefusedError, RigFile, Target
 from rigs import Camera, FilterWheel, Light, Operator, open_rig, rig_locked
 from rigs.capture import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S
 
@@ -185,6 +185,42 @@ class RigLight(StandardReadable):
         self._block.close()
 
 
+class RigTarget(StandardReadable):
+    """What is in view: ``yield from bps.mv(target, "sample")`` asks the operator to put it there, without a deadline.
+
+    Parameters
+    ----------
+    operator
+        Of the rig: a person, or the simulated one.
+    name
+        Of the device, for the documents.
+    """
+
+    def __init__(self, operator: Operator, name: str = "target") -> None:
+        self._operator = operator
+        self.call = _Caller(name)
+        with self.add_children_as_readables(Format.UNCACHED_SIGNAL):
+            self.in_view, self._set_in_view = soft_signal_r_and_setter(str, "unknown")
+        super().__init__(name=name)
+
+    @AsyncStatus.wrap
+    async def set(self, value: Target) -> None:
+        """Have a target placed.
+
+        Raises
+        ------
+        RefusedError
+            There is no such target.
+        CaptureError
+            Nobody can answer.
+        """
+        if value not in get_args(Target):
+            raise RefusedError(f"target: there is no '{value}'; there are {', '.join(get_args(Target))}")
+        self._set_in_view("unknown")
+        await self.call(lambda: self._operator.place(value))
+        self._set_in_view(value)
+
+
 class RigCamera(StandardReadable):
     """The camera: ``trigger`` takes a frame of ``exposure_s`` seconds; the event holds it with what was read back.
 
@@ -266,6 +302,7 @@ class OphydRig:
     wheel: RigWheel
     laser: RigLight
     lamp: RigLight
+    target: RigTarget
 
 
 @contextmanager
@@ -297,9 +334,10 @@ def ophyd_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> I
         with init_devices(set_name=False):
             wheel = RigWheel(opened.wheel, filters)
             laser, lamp = RigLight(opened.laser, "laser"), RigLight(opened.lamp, "lamp")
+            target = RigTarget(opened.operator)
             camera = RigCamera(opened.camera, rig, (wheel, laser, lamp))
-        for device in (wheel, camera, lamp, laser):  # the last one is ended first
+        for device in (target, wheel, camera, lamp, laser):  # the last one is ended first
             ended.callback(device.call.close)
             if isinstance(device, RigLight):
                 ended.callback(device.call.now, device.off)
-        yield OphydRig(camera, wheel, laser, lamp)
+        yield OphydRig(camera, wheel, laser, lamp, target)

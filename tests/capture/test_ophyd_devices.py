@@ -121,6 +121,29 @@ def test_a_plan_over_all_filters_sees_the_lamp_and_leaves_it_off(
     assert not devices.lamp.state()
 
 
+def test_the_placed_paint_shines_under_the_laser(
+    engine: RunEngine, devices: OphydRig, documents: list[tuple[str, dict[str, Any]]]
+) -> None:
+    def plan() -> Plan:
+        yield from bps.mv(devices.target, "sample")
+        yield from bps.mv(devices.camera.exposure_s, 2.0, devices.wheel, FLUORESCENT)
+        yield from bp.count([devices.camera, devices.target])
+        yield from bps.mv(devices.laser, True)
+        yield from bp.count([devices.camera, devices.target])
+
+    engine(plan())
+    dark, lit_up = events(documents)
+    assert dark["target-in_view"] == lit_up["target-in_view"] == "sample"
+    # the paint of the practice rig gives 50 DN and more within 2 s; noise of a mean of 20,480 pixels is below 0.1 DN
+    assert lit_up["camera-mean_dn"] > dark["camera-mean_dn"] + 10.0
+
+
+def test_an_unknown_target_is_refused(engine: RunEngine, devices: OphydRig) -> None:
+    with pytest.raises(FailedStatus) as raised:
+        engine(bps.mv(devices.target, "finger"))
+    assert re.search("there is no 'finger'; there are white, sample", str(raised.value.__cause__))
+
+
 def lit(devices: OphydRig, then: Callable[[], Plan]) -> Plan:
     """Return a plan that lights the laser and checks that it shines."""
     yield from bps.mv(devices.laser, True, devices.wheel, FLUORESCENT, devices.camera.exposure_s, EXPOSURE_S)

@@ -277,7 +277,7 @@ def test_consolidator_of_bluesky_finds_the_frames(session: SessionFrames, writte
 
 def test_camera_session_is_exported_too(tmp_path: Path) -> None:
     rig = simulated_rig("red", width_px=64, height_px=64)
-    plan = camera_plan("camera", rig.camera).model_copy(update={"levels": 8, "repeats": 0})
+    plan = camera_plan("camera", rig.camera).model_copy(update={"levels": 10, "repeats": 0})
     capture_camera_session(rig, plan, SessionRequest(tmp_path / "camera", "pytest"))
     session = read_session_frames(tmp_path / "camera")
     assert session.kind == "camera"
