@@ -44,6 +44,7 @@ except ImportError as missing:
     ) from None
 
 T = TypeVar("T")
+Asked = TypeVar("Asked", int, str, bool)
 Reading = float | int | str | bool
 NO_SLOT = 0
 """Position of a wheel that has no filter in the beam; slots count from 1."""
@@ -67,13 +68,13 @@ class _Caller:
         self._thread.shutdown()
 
 
-def _asked(kind: type[T], ask: Callable[[], T], call: _Caller) -> "SignalR[T]":
+def _asked(kind: type[Asked], ask: Callable[[], Asked], call: _Caller) -> "SignalR[Asked]":
     """Return a signal whose value is asked of the device each time it is read."""
 
-    async def getter() -> T:
+    async def getter() -> Asked:
         return await call(ask)
 
-    return SignalR(SoftSignalBackend(kind, getter=getter))  # type: ignore[type-var, arg-type]
+    return SignalR(SoftSignalBackend(kind, getter=getter))
 
 
 class RigWheel(StandardReadable):

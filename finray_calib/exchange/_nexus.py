@@ -258,28 +258,11 @@ def bluesky_documents(session: SessionFrames, frames: Path, origin: str) -> Iter
     origin
         Command and version that wrote it.
     """
-
-    def unique(name: str) -> str:
-        return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{name} {session.sha256}"))
-
-    start, descriptor, resource = unique("start"), unique("descriptor"), unique("frames")
+    start, descriptor, resource = (_unique(session, name) for name in ("start", "descriptor", "frames"))
     times_s = [frame.start_unix_s + (frame.exposure_s or 0.0) for frame in session.frames]
-    yield "start", _run_start(session, start, origin)
     shape = session.counts(session.frames[0]).shape
-    keys = _data_keys(session, shape)
-    yield (
-        "descriptor",
-        {
-            "uid": descriptor,
-            "run_start": start,
-            "time": times_s[0],
-            "name": STREAM,
-            "data_keys": keys,
-            "object_keys": {"camera": [PIXELS], "frame": [key for key in keys if key != PIXELS]},
-            "configuration": {"camera": _configuration(session, times_s[0])},
-            "hints": {"frame": {"fields": ["saturated_fraction"]}},
-        },
-    )
+    yield "start", _run_start(session, start, origin)
+    yield "descriptor", {"uid": descriptor, "run_start": start, **_descriptor(session, shape, times_s[0])}
     yield (
         "stream_resource",
         {
@@ -293,18 +276,9 @@ def bluesky_documents(session: SessionFrames, frames: Path, origin: str) -> Iter
     )
     for number, (frame, time_s) in enumerate(zip(session.frames, times_s, strict=True), 1):
         data = _event_data(frame)
-        yield (
-            "event",
-            {
-                "uid": unique(f"event {number}"),
-                "descriptor": descriptor,
-                "time": time_s,
-                "seq_num": number,
-                "data": data,
-                "timestamps": dict.fromkeys(data, time_s),
-                "filled": {},
-            },
-        )
+        event = {"uid": _unique(session, f"event {number}"), "descriptor": descriptor, "time": time_s}
+        event |= {"seq_num": number, "data": data, "timestamps": dict.fromkeys(data, time_s), "filled": {}}
+        yield "event", event
     count = len(session.frames)
     yield (
         "stream_datum",
@@ -316,17 +290,26 @@ def bluesky_documents(session: SessionFrames, frames: Path, origin: str) -> Iter
             "seq_nums": {"start": 1, "stop": count + 1},
         },
     )
-    yield (
-        "stop",
-        {
-            "uid": unique("stop"),
-            "run_start": start,
-            "time": max(times_s),
-            "exit_status": "success",
-            "reason": "",
-            "num_events": {STREAM: count},
-        },
-    )
+    ended = {"uid": _unique(session, "stop"), "run_start": start, "time": max(times_s), "reason": ""}
+    yield "stop", ended | {"exit_status": "success", "num_events": {STREAM: count}}
+
+
+def _unique(session: SessionFrames, name: str) -> str:
+    """Return an identifier that is the same for the same session."""
+    return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{name} {session.sha256}"))
+
+
+def _descriptor(session: SessionFrames, shape: tuple[int, ...], time_s: float) -> dict[str, Any]:
+    """Return what the events hold, and the settings that hold for all of them."""
+    keys = _data_keys(session, shape)
+    return {
+        "time": time_s,
+        "name": STREAM,
+        "data_keys": keys,
+        "object_keys": {"camera": [PIXELS], "frame": [key for key in keys if key != PIXELS]},
+        "configuration": {"camera": _configuration(session, time_s)},
+        "hints": {"frame": {"fields": ["saturated_fraction"]}},
+    }
 
 
 def _run_start(session: SessionFrames, uid: str, origin: str) -> dict[str, Any]:

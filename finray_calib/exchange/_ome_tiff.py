@@ -151,7 +151,8 @@ def ome_xml(
     top.append(notes.all)
     if session.region is not None:
         top.append(_region(session))
-    return b'<?xml version="1.0" encoding="UTF-8"?>' + ElementTree.tostring(top, encoding="us-ascii")
+    text: bytes = ElementTree.tostring(top, encoding="us-ascii")
+    return b'<?xml version="1.0" encoding="UTF-8"?>' + text
 
 
 def _frame_word(series: Series) -> str:

@@ -279,7 +279,7 @@ def _bench(folder: Path, session: Any) -> SessionFrames:
     rig, plan = session.rig, session.plan
     return SessionFrames(
         folder,
-        digest_as_read(folder / SESSION_NAME),
+        str(digest_as_read(folder / SESSION_NAME)),
         kind="paint" if is_paint else "camera",
         sample=session.plan.paint_name if isinstance(session, CaptureSession) else session.plan.camera_name,
         rig=rig.name,
@@ -339,7 +339,7 @@ def _tactile(folder: Path, session: TactileSession) -> SessionFrames:
     plan = session.plan
     return SessionFrames(
         folder,
-        digest_as_read(folder / SESSION_NAME),
+        str(digest_as_read(folder / SESSION_NAME)),
         kind="tactile",
         sample=plan.design,
         rig=session.rig.name,
