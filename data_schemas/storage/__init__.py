@@ -78,7 +78,7 @@ if TYPE_CHECKING:
         write_manifest,
     )
     from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, write_record
-    from data_schemas.storage._whole_files import lock, refuse_taken, sha256_of, write_bytes, write_zip
+    from data_schemas.storage._whole_files import lock, refuse_taken, sha256_of, write_bytes, write_whole, write_zip
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -147,5 +147,6 @@ __all__ = [
     "write_frame",
     "write_manifest",
     "write_record",
+    "write_whole",
     "write_zip",
 ]

@@ -1,8 +1,8 @@
-"""``finray export``: a calibrated paint, a press, a sensor, captures or a request in the formats of other programs.
+"""``finray export``: a calibrated paint, a press, a sensor, captures, frames or a request in other programs' formats.
 
 Formats of a paint for spectra and renderers, the press of a design as an input deck of Abaqus or CalculiX, a
-calibration folder that Taxim's programs render from, captures as one archive, and a page that tells a lab which
-captures to take.
+calibration folder that Taxim's programs render from, captures as one archive, the frames of a session as OME-TIFF,
+NeXus or bluesky documents, and a page that tells a lab which captures to take.
 """
 
 import argparse
@@ -304,6 +304,42 @@ def run_capture_request(arguments: argparse.Namespace) -> None:
     look_at(out)
 
 
+FRAME_ENDINGS = {"ome-tiff": (".ome.tiff", ".ome.tif"), "nexus": (".nxs", ".h5", ".hdf5"), "bluesky": (".jsonl",)}
+"""Endings of the files that hold the frames of a session, by the word of the command; the first is the default."""
+
+
+def run_frames(arguments: argparse.Namespace) -> None:
+    """Write the frames of a session and report."""
+    from data_schemas import RecordError
+    from finray_calib.exchange import read_session_frames, write_bluesky_documents, write_nexus, write_ome_tiff
+
+    word = str(arguments.paint[0])
+    endings = FRAME_ENDINGS[word]
+    _refuse_options(arguments, "the frames of a session")
+    if len(arguments.paint) != 2:  # the word and the folder
+        raise RecordError(f"{word} needs one session: finray export {word} SESSION --out FILE{endings[0]}")
+    folder: Path = arguments.paint[1]
+    session = read_session_frames(folder)
+    out = require_new(arguments.out or Path(f"{file_name(folder.resolve().name)}{endings[0]}"))
+    if not out.name.lower().endswith(endings):
+        raise RecordError(f"{out}: a file of {word} must end in {' or '.join(endings)}; choose another --out")
+    write = {"ome-tiff": write_ome_tiff, "nexus": write_nexus, "bluesky": write_bluesky_documents}[word]
+    if word == "bluesky":
+        require_new(out.with_suffix(".nxs"))
+    with progress_bar("writing frames") as progress:
+        count = write(session, out, command_line(), progress)
+    frames = len(session.frames)
+    if word == "ome-tiff":
+        wrote(out, f"{frames} frames of {session.sample} in {count} images, a channel for each filter")
+    elif word == "nexus":
+        wrote(out, f"{frames} frames of {session.sample} as NeXus; the default plot is the stack of all frames")
+    else:
+        wrote(out, f"documents of a run with {count} events, one a line")
+        wrote(out.with_suffix(".nxs"), "the frames that the documents point to")
+    give(kind="frames", format=word, session=session.kind, frames=frames)
+    look_at(out)
+
+
 RECIPES = ("protocol-balls", "protocol-solids")
 
 
@@ -334,8 +370,8 @@ def run_protocol(arguments: argparse.Namespace) -> None:
 
 
 HELP = (
-    "write a paint, a press, a sensor or captures for other programs (CSV, netCDF, Mitsuba, CalculiX, Taxim, zip), or "
-    "what a lab is to capture"
+    "write a paint, a press, a sensor, captures or frames for other programs (CSV, netCDF, Mitsuba, CalculiX, Taxim, "
+    "zip, OME-TIFF, NeXus, bluesky), or what a lab is to capture"
 )
 USAGE = """finray export [-h] PAINT --format FORMAT [options]
        finray export [-h] deck DESIGN --dialect {abaqus,calculix}
@@ -344,7 +380,8 @@ USAGE = """finray export [-h] PAINT --format FORMAT [options]
                      [--ball-diameter-mm D] [--samples N]
        finray export [-h] capture-request DESIGN [--out FILE.md]
        finray export [-h] protocol SENSOR [--out FOLDER]
-       finray export [-h] captures FOLDER [--out FILE.zip]"""
+       finray export [-h] captures FOLDER [--out FILE.zip]
+       finray export [-h] {ome-tiff,nexus,bluesky} SESSION [--out FILE]"""
 DESCRIPTION = """\
 Write a paint fitted by 'finray fit' in the format of another program, or the press of a finger design (TOML) as an
 input deck of a finite-element program.
@@ -373,7 +410,11 @@ A capture request states which captures of a finger a lab should take: a page, a
 A protocol is for any tactile sensor: a sheet to print, a table of presses, and twelve solids to print (STL) that are
 pressed beside balls, in about an hour.
 
-Captures: a folder that 'finray import captures' wrote becomes one zip archive, which every verb takes in its place."""
+Captures: a folder that 'finray import captures' wrote becomes one zip archive, which every verb takes in its place.
+
+The frames of a capture session, bit for bit, with exposure, time, filter, light and Bayer pattern: ome-tiff for image
+viewers, nexus (HDF5) and bluesky (documents as JSON lines, with the frames in a NeXus file beside) for beamline tools.
+The last two need pip install 'finray-calib[nexus]'."""
 # Named here as well because the parser is built before anything heavy is imported; a test compares the two lists.
 SUFFIXES = {
     "csv": ".csv",
@@ -392,6 +433,7 @@ OTHERS = {
     "capture-request": run_capture_request,
     "protocol": run_protocol,
     "captures": run_captures,
+    **dict.fromkeys(FRAME_ENDINGS, run_frames),
 }
 
 
@@ -425,8 +467,8 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )
     add_out(
         parser,
-        "PAINT with the suffix of the format, DESIGN.inp, SENSOR.taxim, DESIGN.request.md, SENSOR.protocol or "
-        "FOLDER.zip",
+        "PAINT with the suffix of the format, DESIGN.inp, SENSOR.taxim, DESIGN.request.md, SENSOR.protocol, "
+        "FOLDER.zip, or SESSION.ome.tiff, .nxs or .jsonl",
     )
     add_seed(parser)
     parser.set_defaults(run=run_export)

@@ -3,8 +3,9 @@
 A calibrated paint is exported as CSV, JSON, netCDF (ArviZ), SPDX, Mitsuba spectrum, reduced RGB matrix or bispectral
 OpenEXR, all by name from `PAINT_FORMATS`. Captures of other labs are read from folders of band images, of Raspberry Pi
 pictures, of ball presses, of 9DTact or Taxim calibrations; measured force from CSV; renders of any simulator from
-folders. Captures are exported as one zip archive; renders, meshes, printable parts, board calibrations, capture
-requests and acceptance reports are exported as files that other programs open.
+folders. Frames of a session are exported as OME-TIFF, NeXus or bluesky documents, captures as one zip archive; renders,
+meshes, printable parts, board calibrations, capture requests and acceptance reports are exported as files that other
+programs open.
 
 A layout that a recipe can describe (a short TOML file) needs no code. Another format of captures is a function here
 and a job of `finray import`; a package outside the tree brings one by an entry point (`ImportFormat`).
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from finray_calib.exchange._lab_measurements import calibration_yaml, read_board_picture, read_force_csv
     from finray_calib.exchange._learning_dataset import dataset_card, index_csv, index_parquet, read_shard
     from finray_calib.exchange._mesh_files import PrintFormat, printable_parts, vtu_bytes
+    from finray_calib.exchange._nexus import write_bluesky_documents, write_nexus
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
+    from finray_calib.exchange._ome_tiff import write_ome_tiff
     from finray_calib.exchange._paint_formats import (
         PAINT_FORMATS,
         ExportOptions,
@@ -55,6 +58,7 @@ if TYPE_CHECKING:
         write_optics_folder,
         write_picture_folder,
     )
+    from finray_calib.exchange._session_frames import SessionFrames, read_session_frames
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -75,6 +79,7 @@ __all__ = [
     "RaspberryPiOptions",
     "Recipe",
     "RecipeCaptures",
+    "SessionFrames",
     "as_spectral_distribution",
     "assumed_led",
     "calibration_yaml",
@@ -102,6 +107,7 @@ __all__ = [
     "read_force_csv",
     "read_recipe",
     "read_renders",
+    "read_session_frames",
     "read_shard",
     "read_taxim",
     "read_tuning",
@@ -110,6 +116,9 @@ __all__ = [
     "taxim_files",
     "vtu_bytes",
     "with_sizes",
+    "write_bluesky_documents",
+    "write_nexus",
+    "write_ome_tiff",
     "write_optics_folder",
     "write_picture_folder",
 ]

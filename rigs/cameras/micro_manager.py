@@ -1,4 +1,7 @@
-"""Any camera that Micro-Manager has a device adapter for, through pymmcore."""
+"""Any camera that Micro-Manager has a device adapter for, through pymmcore.
+
+pymmcore-plus is built on pymmcore: a camera takes its core as well, and adapters that it has installed are found.
+"""
 
 import os
 import time
@@ -46,7 +49,7 @@ class MicroManagerCamera:
     configuration
         The .cfg file.
     core
-        A Micro-Manager core without devices.
+        A Micro-Manager core without devices; that of pymmcore-plus is one.
     """
 
     def __init__(self, settings: CameraSettings, configuration: Path, core: "CMMCore") -> None:
@@ -193,7 +196,7 @@ def open_camera(settings: CameraSettings, folder: Path) -> Iterator[MicroManager
     """Open the camera of a Micro-Manager configuration for a ``with`` block; the address is its .cfg file.
 
     Device adapters are looked for in the folder that the environment variable MICROMANAGER_PATH names, then beside the
-    configuration file.
+    configuration file, then where pymmcore-plus has installed some.
 
     Raises
     ------
@@ -214,11 +217,22 @@ def open_camera(settings: CameraSettings, folder: Path) -> Iterator[MicroManager
             "Hardware Configuration Wizard and give it as address in the rig file"
         )
     core = CMMCore()
-    named = os.environ.get(ADAPTERS_VARIABLE)
-    core.setDeviceAdapterSearchPaths([*([named] if named else []), str(configuration.resolve().parent)])
+    core.setDeviceAdapterSearchPaths(_adapter_folders(configuration))
     camera = MicroManagerCamera(settings, configuration, core)
     try:
         camera.open()
         yield camera
     finally:
         camera.close()
+
+
+def _adapter_folders(configuration: Path) -> list[str]:
+    """Return the folders of device adapters, in the order in which they are searched."""
+    named, beside = os.environ.get(ADAPTERS_VARIABLE), str(configuration.resolve().parent)
+    try:
+        from pymmcore_plus import find_micromanager
+    except ImportError:
+        installed = None
+    else:
+        installed = find_micromanager()
+    return [folder for folder in (named, beside, installed) if folder]

@@ -17,12 +17,14 @@ from tests.command_line.running import succeed
 
 PACKAGES_OF_EXTRAS = {
     "bench": ("numpyro",),
+    "bluesky": ("bluesky", "ophyd_async"),
     "denoise": ("pyoidn",),
     "dng": ("rawpy",),
     "exr": ("OpenEXR",),
     "gentl": ("harvesters", "genicam"),
     "micro-manager": ("pymmcore",),
     "netcdf": ("h5netcdf", "xarray"),
+    "nexus": ("h5py",),
 }
 FOR_A_MAKE = ("gentl", "micro-manager")
 NOT_FOR_USERS = ("dev", "docs")

@@ -412,6 +412,16 @@ CASES = (
         r"red\.xlsx: a file of --format csv must end in \.csv; choose another --out",
     ),
     Case(
+        "frames of what is no session",
+        "export ome-tiff {lab} --out {tmp}/a.ome.tiff",
+        r"holds no capture session \(session\.json\); give the folder 'finray capture' wrote",
+    ),
+    Case(
+        "frames as a plain picture",
+        "export ome-tiff {lab}/session --out {tmp}/a.tiff",
+        r"a\.tiff: a file of ome-tiff must end in \.ome\.tiff or \.ome\.tif; choose another --out",
+    ),
+    Case(
         "one coat for two tins",
         "check equivalence --first {paints}/red/paint.json --second {paints}/green/paint.json --margin mode_nm=4",
         r"red/paint\.json and \S+green/paint\.json: are one calibration; give each coat once",

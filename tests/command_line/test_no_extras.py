@@ -36,3 +36,12 @@ def test_a_format_of_others_that_needs_an_extra_names_it(paints, tmp_path, file_
     outcome = finray(f"export {paints}/red/paint.json --format {file_format} --out {tmp_path}/paint.{ending}")
     assert outcome.status == 2
     assert f"pip install 'finray-calib[{file_format}]'" in outcome.err
+
+
+@pytest.mark.parametrize("word", ["nexus", "bluesky"])
+def test_frames_for_beamline_tools_name_the_extra(lab, tmp_path, word):
+    ending = {"nexus": "nxs", "bluesky": "jsonl"}[word]
+    outcome = finray(f"export {word} {lab}/session --out {tmp_path}/a.{ending}")
+    assert outcome.status == 2
+    assert "pip install 'finray-calib[nexus]'" in outcome.err
+    assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,7 @@
 """The Micro-Manager driver against Micro-Manager's own DemoCamera."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ from data_schemas import BadFrameError, CameraSettings, LostError, MissingExtraE
 from finray_calib.radiometry import FrameStack, photon_transfer
 from finray_calib.radiometry._photon_transfer import MONOCHROME, StackStatistics
 from rigs.cameras.micro_manager import MicroManagerCamera, open_camera
-from tests.capture.drivers.programs import require_module
+from tests.capture.drivers.programs import others_python, require_module
 
 SIDE_PX, BIT_DEPTH, FULL_SCALE_DN = 512, 12, 4095
 EXPOSURE_S, DEADLINE_S = 0.01, 5.0
@@ -151,7 +152,7 @@ def test_counts_beyond_the_bits_are_no_frame(tmp_path: Path) -> None:
 
     (tmp_path / "rig.cfg").write_text("\n".join((*DEMO, "Property,Camera,Mode,Noise")), encoding="utf-8")
     core = CMMCore()
-    core.setDeviceAdapterSearchPaths([__import__("os").environ["MICROMANAGER_PATH"]])
+    core.setDeviceAdapterSearchPaths([os.environ["MICROMANAGER_PATH"]])
     camera = MicroManagerCamera(SETTINGS, tmp_path / "rig.cfg", core)
     camera.open()
     core.setProperty("Camera", "BitDepth", "16")
@@ -200,3 +201,44 @@ def test_missing_package_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setitem(sys.modules, "pymmcore", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[micro-manager\]'"), demo(tmp_path):
         pass
+
+
+WITH_PLUS = """
+import json, sys
+from pathlib import Path
+from pymmcore_plus import CMMCorePlus, find_micromanager
+from data_schemas._rig import CameraSettings
+from rigs.cameras.micro_manager import MicroManagerCamera, open_camera
+settings, folder = CameraSettings.model_validate_json(sys.argv[2]), Path(sys.argv[1])
+with open_camera(settings, folder) as camera:
+    found = [int(camera.expose(0.01, 5.0).counts.max())]
+core = CMMCorePlus()
+core.setDeviceAdapterSearchPaths([find_micromanager()])
+camera = MicroManagerCamera(settings, folder / settings.address, core)
+camera.open()
+frame = camera.expose(0.02, 5.0)
+found += [int(frame.counts.max()), frame.exposure_s, camera.identity().vendor]
+camera.close()
+sys.stdout.write(json.dumps(found))
+"""
+
+
+@pytest.mark.rigs
+def test_pymmcore_plus_brings_its_adapters_and_its_core_serves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It lies in the environment of other people's programs: it brings 40 packages that a camera does not need."""
+    python = others_python("pymmcore-plus")
+    monkeypatch.delenv("MICROMANAGER_PATH")  # nothing but pymmcore-plus knows where the adapters are
+    (tmp_path / "rig.cfg").write_text("\n".join(DEMO) + "\n", encoding="utf-8")
+    done = subprocess.run(
+        [python, "-c", WITH_PLUS, str(tmp_path), SETTINGS.model_dump_json(exclude_unset=True)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+    )
+    assert done.stdout, done.stderr
+    by_driver, by_plus, exposure_s, vendor = json.loads(done.stdout.splitlines()[-1])
+    assert by_driver > 0
+    assert by_plus > 0
+    assert (exposure_s, vendor) == (pytest.approx(0.02), "DemoCamera")
