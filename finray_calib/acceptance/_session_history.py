@@ -398,13 +398,22 @@ def _sharpness(session: CaptureSession, read: ReadFrame) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """One quantity of a rig or a sample over its sessions."""
+    """One quantity of a rig or a sample over its sessions.
+
+    A quantity in per cent is 100 times a natural logarithm: only differences between sessions mean something.
+    """
 
     of: str
     quantity: str
     sessions: tuple[str, ...]
     captured_utc: tuple[str, ...]
     chart: Chart
+
+    def told(self, value: float) -> str:
+        """Return a value in words: of a quantity in per cent its difference from the reference."""
+        if self.quantity.endswith("(%)"):
+            return f"{value - self.chart.mean:.2g} %"
+        return f"{value:.5g}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -325,7 +325,7 @@ def chart_readings(one: Watched) -> dict[float, str]:
     """Return in words, by the number of the session, its value and how far it is from the reference."""
     chart, alarmed = one.chart, {alarm.place for alarm in one.chart.alarms}
     return {
-        k + 1.0: f"session {k + 1}, {session}: {value:.5g}, {(value - chart.mean) / chart.sd:+.1f} sd from the "
+        k + 1.0: f"session {k + 1}, {session}: {one.told(value)}, {(value - chart.mean) / chart.sd:+.1f} sd from the "
         f"reference{'; alarm' if k in alarmed else ''}"
         for k, (session, value) in enumerate(zip(one.sessions, chart.values, strict=True))
     }
@@ -338,7 +338,7 @@ def _table(shown: Sequence[Watched]) -> ReportTable:
         chart = one.chart
         last = (chart.values[-1] - chart.mean) / chart.sd
         rows.append((
-            one.quantity, f"{chart.mean:.5g}", f"{chart.sd:.2g}", f"{chart.rules.shewhart_factor:.2f} sd",
+            one.quantity, one.told(chart.mean), f"{chart.sd:.2g}", f"{chart.rules.shewhart_factor:.2f} sd",
             f"{chart.rules.ewma_limit_factor:.2f} sd", f"{fixed(last, 1)} sd",
             str(len({alarm.place for alarm in chart.alarms})),
         ))  # fmt: skip

@@ -190,13 +190,14 @@ def test_a_chart_says_session_value_and_distance_from_the_reference_under_the_po
     facts = [replace(one, name=f"<b>{one.name}") for one in made(values)]
     history = session_history(facts)
     text = history_page(history, "lab", 10)
-    said = re.findall(r"<title>session (\d+), ([^:]*): ([-.e\d]+), ([-+.\d]+) sd from the reference(.*?)</title>", text)
+    said = re.findall(r"<title>session (\d+), ([^:]*): ([-.e\d]+) %, ([-+.\d]+) sd from the reference(.*?)</title>", text)
     chart = text.count('<div class="readable">')  # the first screen shows it again
     assert len(said) == chart * len(values)
     found = said[: len(values)]
     assert [one[1] for one in found] == [f"&lt;b&gt;s{k:02d}" for k in range(len(values))]
-    assert [float(one[2]) for one in found] == pytest.approx(values, rel=1e-4)
     reference = values[: history.watched[0].chart.rules.reference]
+    # a quantity in per cent is a logarithm: only its differences are told, to two digits
+    assert [float(one[2]) for one in found] == pytest.approx(values - reference.mean(), rel=0.051)
     apart = (values - reference.mean()) / reference.std(ddof=1)
     assert [float(one[3]) for one in found] == pytest.approx(apart, abs=0.051)
     assert found[12][4] == "; alarm"
