@@ -446,7 +446,7 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         nargs="+",
         metavar="PAINT",
         help="record written by 'finray fit'; or 'deck', 'taxim', 'capture-request' or 'protocol' and a design; or "
-        "'captures' and a folder",
+        "'captures' and a folder; or 'ome-tiff', 'nexus' or 'bluesky' and a session",
     )
     parser.add_argument("--format", choices=list(SUFFIXES), help="of a paint, see above")
     add_deck_options(parser)
