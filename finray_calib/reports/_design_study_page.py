@@ -106,7 +106,12 @@ def design_study_page(
                 *list(_key_numbers(result))[:2],
             ),
             parts=(
-                *found_part(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
+                *found_part(
+                    (
+                        *(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
+                        *_mixed_code(result),
+                    )
+                ),
                 trust_part(_limits(result), notes),
                 *_sections(result, points),
                 methods_part(study_methods(result), result.provenance),
@@ -141,6 +146,19 @@ def _limits(result: StudyResult) -> tuple[str, ...]:
     names = _metric_names(result)
     of_images = _IMAGE_LIMITS if "vividness" in names else ()
     return (*of_images, *(_FORCE_LIMITS if "force_n" in names else _NO_FORCE_LIMITS))
+
+
+def _mixed_code(result: StudyResult) -> Iterator[str]:
+    """Yield which points were computed by which code, where it was not the same for all."""
+    of_code: dict[str, list[int]] = {}
+    for row in result.points:
+        of_code.setdefault(row.computed_by or "unknown code", []).append(row.number)
+    if len(of_code) > 1:
+        told = "; ".join(f"{', '.join(map(str, numbers))} by {code}" for code, numbers in of_code.items())
+        yield (
+            f"The points were computed by different code, so that their differences may be those of the code: {told}. "
+            "'finray study run' with --renew computes the older ones anew."
+        )
 
 
 def study_text(result: StudyResult) -> str:

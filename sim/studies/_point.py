@@ -28,6 +28,7 @@ from data_schemas import (
     FingerSurfaces,
     PressMechanics,
     Provenance,
+    Record,
     RecordError,
     SimulateError,
     StudyMetric,
@@ -269,6 +270,8 @@ class StudyTask:
         Where relative paths in the design start.
     origin
         Of the records.
+    renew
+        Whether points and presses that other code computed are computed anew.
     """
 
     plan: DesignStudy
@@ -277,6 +280,7 @@ class StudyTask:
     folder: Path
     design_folder: Path
     origin: Provenance
+    renew: bool = False
 
 
 def point_file(folder: Path, number: int) -> Path:
@@ -315,16 +319,24 @@ def _indenter_digest(task: StudyTask, design: FingerDesign) -> dict[str, str]:
     return {"indenter": hashlib.sha256(content).hexdigest()}
 
 
+def has_press(task: StudyTask, surfaces_file: Path) -> bool:
+    """Return whether a press is kept, and need not be computed anew."""
+    if not surfaces_file.exists():
+        return False
+    return not task.renew or _code(read_record(_mechanics_file(surfaces_file), PressMechanics)) == task.origin.code
+
+
 def compute_press(task: StudyTask, design: FingerDesign) -> None:
     """Press a finger by finite elements on one core, and keep force and surfaces together."""
     surfaces_file = press_file(task, design)
-    if surfaces_file is None or surfaces_file.exists():
+    if surfaces_file is None or has_press(task, surfaces_file):
         return
     surfaces_file.parent.mkdir(parents=True, exist_ok=True)
     clear_leftovers(surfaces_file.parent)
     settings = PressSettings(None, task.plan.measure.increments, 1)
     pressed = press_as_designed(design, settings, folder=task.design_folder)
     mechanics, surfaces = press_records(design, pressed)
+    _remove(surfaces_file, surfaces_file.name.removesuffix(".surfaces.json"))
     with ProductSet(surfaces_file) as products:
         write_record(mechanics, _mechanics_file(surfaces_file), task.origin, products)
         write_record(surfaces, surfaces_file, task.origin, products)
@@ -361,11 +373,19 @@ def compute_point(task: StudyTask, point: PlannedPoint) -> None:
         notes=notes,
         processor_s=time.process_time() - begun,
     )
+    _remove(file, file.stem)
     write_record(record, file, task.origin)
 
 
+def _remove(file: Path, name: str) -> None:
+    """Remove a record that other code wrote, with its arrays, just before it is written anew."""
+    if file.exists():
+        for part in file.parent.glob(f"{name}.*"):
+            part.unlink()
+
+
 def stored_point(task: StudyTask, point: PlannedPoint) -> StudyPoint | None:
-    """Return a point that is kept already.
+    """Return a point that is kept already and need not be computed anew.
 
     Raises
     ------
@@ -381,7 +401,21 @@ def stored_point(task: StudyTask, point: PlannedPoint) -> StudyPoint | None:
             f"{file}: was computed from another plan, design, paint or seed; give another --out, or the plan as it "
             f"was before"
         )
-    return record
+    return record if not task.renew or point_code(task, record) == task.origin.code else None
+
+
+def point_code(task: StudyTask, point: StudyPoint) -> str:
+    """Return version and commit of the code that computed a point, and those of its press where they are others."""
+    code, pressed = _code(point), press_file(task, point.design)
+    if pressed is None or not pressed.exists():
+        return code
+    press = _code(read_record(_mechanics_file(pressed), PressMechanics))
+    return code if press == code else f"{code}; its press by {press}"
+
+
+def _code(record: Record) -> str:
+    """Return version and commit of the code that wrote a record."""
+    return record.provenance.code if record.provenance is not None else "unknown code"
 
 
 def _rendered(
@@ -468,18 +502,13 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     "seen_area_mm2": ("mm2", "area of the coat that the camera sees through the mirror, without contact"),
     "brightness_rel": ("radiance of the panel", "mean over the seen coat of the camera's channels, without contact"),
     "variation_rel": ("1", "standard deviation of brightness over the seen coat, over its mean: 0 is even light"),
-    "red_share": (
-        "1",
-        "share of the seen coat where the light of the red paint is strongest, each light relative to its own mean",
-    ),
-    "green_share": (
-        "1",
-        "share of the seen coat where the light of the green paint is strongest, each light relative to its own mean",
-    ),
-    "blue_share": (
-        "1",
-        "share of the seen coat where the light of the LED is strongest, each light relative to its own mean",
-    ),
+    **{
+        f"{name}_share": (
+            "1",
+            f"share of the seen coat where the light of the {source} is strongest, each light relative to its own mean",
+        )
+        for name, source in (("red", "red paint"), ("green", "green paint"), ("blue", "LED"))
+    },
     "vividness": (
         "CIELAB chroma",
         "mean chroma of the seen coat, exposed to middle grey and white-balanced so that the coat is grey on the mean",

@@ -13,7 +13,10 @@ import pytest
 
 from data_schemas import StudyMetric, StudyPoint, StudyResult, StudyRow, provenance
 from data_schemas.storage import read_record, write_record
+from finray_calib.cli._study_run import stand_in_paints
 from finray_calib.cli.main import main
+from sim.studies import StudyPaints, StudyTask, point_file, read_plan, study_points
+from sim.studies._point import point_key
 
 ROOT = Path(__file__).resolve().parents[2]
 PLAN = """
@@ -88,6 +91,36 @@ def test_a_killed_study_goes_on_with_what_is_missing(tmp_path, capsys):
     assert table in said
     assert last == f"{tmp_path}/out/study.html\n"
     assert said.endswith("look at: out/study.html\n")
+
+
+def test_points_of_other_code_are_told_when_a_study_goes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("plan.toml").write_text(PLAN)
+    plan, path = read_plan("plan.toml")
+    task = StudyTask(plan, StudyPaints(*stand_in_paints()), "auto", tmp_path / "out", tmp_path, provenance("a test"))
+    point_file(task.folder, 1).parent.mkdir(parents=True)
+    older = task.origin.model_copy(update={"package_version": "0.0.9", "git_commit": "ab" * 20, "git_dirty": False})
+    vivid = StudyMetric(name="vividness", value=7.0, low95=6.0, high95=8.0, unit="1", meaning="chroma")
+    for planned, origin in zip(study_points(plan, path), (older, task.origin), strict=True):
+        record = StudyPoint(
+            study=plan.name, number=planned.number, key=point_key(task, planned), changes=planned.changes,
+            design=planned.design, metrics=(vivid,), processor_s=1.0,
+        )  # fmt: skip
+        write_record(record, point_file(task.folder, planned.number), origin)
+    assert main(["study", "run", "plan.toml", "--out", "out"]) == 0
+    warned = " ".join(capsys.readouterr().err.split())
+    old = f"finray-calib 0.0.9, commit {'ab' * 6}"
+    assert f"1 of 2 points (number 1) were computed by other code ({old}) than this ({task.origin.code})" in warned
+    assert "--renew computes them anew" in warned
+    assert f"1 by {old}; 2 by {task.origin.code}" in " ".join(Path("out/study.html").read_text().split())
+    rows = read_record(Path("out/study.json"), StudyResult).points
+    assert [row.computed_by for row in rows] == [old, task.origin.code]
+    point_file(task.folder, 1).unlink()
+    write_record(record.model_copy(update={"number": 1, "key": point_key(task, study_points(plan, path)[0])}),
+                 point_file(task.folder, 1), task.origin)  # fmt: skip
+    assert main(["study", "run", "plan.toml", "--out", "out", "--renew"]) == 0
+    assert "other code" not in capsys.readouterr().err
+    assert "by different code" not in Path("out/study.html").read_text()
 
 
 def test_mistakes_in_a_plan_are_one_sentence(tmp_path, capsys):

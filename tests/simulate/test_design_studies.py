@@ -14,8 +14,8 @@ import numpy as np
 import psutil
 import pytest
 
-from data_schemas import RecordError, SimulateError, StudyPoint, provenance
-from data_schemas.storage import write_record
+from data_schemas import FingerSurfaces, PressMechanics, RecordError, SimulateError, StudyPoint, provenance
+from data_schemas.storage import read_record, write_record
 from data_schemas.storage._whole_files import part_name
 from finray_calib.cli._study_run import stand_in_paints
 from sim import preset_design
@@ -27,6 +27,7 @@ from sim.studies import (
     StudyPaints,
     StudyTask,
     design_folder,
+    point_code,
     point_file,
     read_plan,
     run_dataset,
@@ -39,6 +40,8 @@ from sim.studies._point import (
     _root_of_products,
     _Seen,
     _seen,
+    compute_point,
+    has_press,
     independent_halves,
     point_key,
     press_file,
@@ -334,6 +337,59 @@ def test_a_folder_of_another_study_is_refused(tmp_path):
     write_record(other, file, task.origin)
     with pytest.raises(SimulateError, match=r"00001\.json: was computed from another plan, design, paint or seed"):
         run_study(task, points, workers=1)
+
+
+OLDER = {"package_version": "0.0.9", "git_commit": "ab" * 20, "git_dirty": False}
+
+
+def test_a_point_of_other_code_is_kept_and_computed_anew_when_asked(tmp_path):
+    task, (point, _) = study_of(tmp_path, vary("light.angle_deg", [0.0, 30.0]))
+    record = StudyPoint(
+        study="a study", number=1, key=point_key(task, point), changes=point.changes, design=point.design, metrics=(),
+        processor_s=1.0,
+    )  # fmt: skip
+    file = point_file(task.folder, 1)
+    file.parent.mkdir(parents=True)
+    renewing = replace(task, renew=True)
+    for origin, is_other in ((task.origin, False), (task.origin.model_copy(update=OLDER), True)):
+        file.unlink(missing_ok=True)
+        write_record(record, file, origin)
+        assert stored_point(task, point) is not None
+        assert (stored_point(renewing, point) is None) is is_other
+    assert point_code(task, stored_point(task, point)) == f"finray-calib 0.0.9, commit {'ab' * 6}"
+
+
+def latest(record_type):
+    folders = (ROOT / "tests/schemas/frozen" / record_type.__name__).glob("v*")
+    return read_record(max(folders, key=lambda v: int(v.name[1:])) / "example.json", record_type)
+
+
+def test_a_point_whose_press_is_of_other_code_is_computed_anew_when_asked(tmp_path):
+    text = '[measure]\npress = "finite elements"\nimages = false\n' + vary("light.angle_deg", [0.0])
+    task, (point,) = study_of(tmp_path, text)
+    surfaces = press_file(task, point.design)
+    mechanics = surfaces.with_name(surfaces.name.replace("surfaces", "mechanics"))
+    surfaces.parent.mkdir(parents=True)
+    older, renewing = task.origin.model_copy(update=OLDER), replace(task, renew=True)
+    write_record(latest(FingerSurfaces), surfaces, older)
+    write_record(latest(PressMechanics), mechanics, older)
+    compute_point(task, point)
+    told = point_code(task, stored_point(task, point))
+    assert told == f"{task.origin.code}; its press by finray-calib 0.0.9, commit {'ab' * 6}"
+    assert has_press(task, surfaces)
+    assert not has_press(renewing, surfaces)
+    assert stored_point(renewing, point) is None
+
+    mechanics.unlink()
+    write_record(latest(PressMechanics), mechanics, task.origin)  # as if it had been pressed anew
+    assert has_press(renewing, surfaces)
+    file = point_file(task.folder, 1)
+    kept = read_record(file, StudyPoint)
+    file.unlink()
+    write_record(kept, file, older)
+    assert stored_point(renewing, point) is None
+    compute_point(renewing, point)
+    assert stored_point(renewing, point).provenance.code == task.origin.code
 
 
 def test_a_point_is_known_by_design_paints_seed_and_measure(tmp_path):
