@@ -34,14 +34,17 @@ from sim.studies import (
     run_study,
     study_points,
 )
+from sim.studies import _point as point_module
 from sim.studies._engine import _client, _each, _Steps, each_computed
 from sim.studies._point import (
+    _mean_product,
     _metrics,
-    _root_of_products,
+    _root,
     _Seen,
     _seen,
     compute_point,
     has_press,
+    image_metrics,
     independent_halves,
     point_key,
     press_file,
@@ -232,9 +235,9 @@ def test_products_of_independent_rows_know_no_noise():
     signal = rng.normal(size=20_000)
     noisy = signal + rng.normal(scale=3.0, size=(3, signal.size))
     # the product of two rows has a standard deviation of 9 per value: 9 / sqrt(3 x 20,000) of the mean square 1
-    assert _root_of_products(noisy) == pytest.approx(1.0, abs=4 * 0.5 * 9.0 / np.sqrt(60_000))
+    assert _root(_mean_product(noisy)) == pytest.approx(1.0, abs=4 * 0.5 * 9.0 / np.sqrt(60_000))
     assert np.sqrt((noisy.mean(axis=0) ** 2).mean()) > 1.9
-    assert _root_of_products(rng.normal(size=(3, 4))) >= 0.0
+    assert _root(_mean_product(np.array([[1.0, -1.0], [-1.0, 1.0], [0.0, 0.0]]))) == 0.0
 
 
 def test_vividness_is_the_chroma_of_another_library():
@@ -255,8 +258,27 @@ def test_shares_and_variation_are_those_of_a_coat_whose_light_is_known():
     found = _metrics([one, one, one])
     assert [found[f"{name}_share"] for name in ("red", "green", "blue")] == [0.25, 0.5, 0.25]
     assert found["variation_rel"] == pytest.approx(np.std([1, 2, 3, 2]) / 2.0)
-    assert found["touch_rel"] == pytest.approx(0.25)
+    assert found["touch_rel"] == pytest.approx(0.25**2)
     assert found["brightness_rel"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("touch", [0.0, 0.1, 0.5])
+def test_limits_of_the_touch_hold_it_also_where_it_drowns_in_noise(monkeypatch, touch):
+    """95 % limits from six halves, 40 cells, noise of 0.4 a cell; in 300 worlds at most three standard errors fewer."""
+    rng, held, lows = np.random.default_rng(9), 0, []
+    flat = np.ones((3, 3))
+    for _ in range(300):
+        signal = touch * rng.choice([-1.0, 1.0], size=40)
+        seen = [
+            _Seen(flat, flat, np.ones(40), 1.0 + signal + rng.normal(scale=0.4, size=40)) for _ in range(6)
+        ]  # fmt: skip
+        monkeypatch.setattr(point_module, "_seen", lambda design, one, matrix: one)
+        found = {m.name: m for m in image_metrics(preset_design("flat-70x35"), seen, np.eye(3))}["touch_rel"]
+        assert 0.0 <= found.low95 <= found.value <= found.high95
+        held += found.low95 <= touch <= found.high95
+        lows.append(found.low95)
+    assert held >= 300 * 0.95 - 3 * np.sqrt(300 * 0.95 * 0.05)
+    assert (np.median(lows) > 0.0) == (touch > 0.2)
 
 
 @pytest.mark.renderer
