@@ -204,6 +204,7 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     """Run a study; store its table, its result and its page."""
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import clear_leftovers
+    from finray_calib.reports import points_by_code
     from sim.studies import (
         STUDY_FOLDERS,
         StudyPaints,
@@ -232,14 +233,9 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     result = _result(task, found, failures)
     _store(out, result, found, origin)
     _tell(result)
-    other = [row for row in result.points if row.computed_by != origin.code]
+    other = "; ".join(f"{n} by {code}" for code, n in points_by_code(result).items() if code != origin.code)
     if other:
-        codes = "; ".join(dict.fromkeys(str(row.computed_by) for row in other))
-        numbers = ", ".join(str(row.number) for row in other)
-        warn(
-            f"{len(other)} of {len(result.points)} points (number {numbers}) were computed by other code ({codes}) "
-            f"than this ({origin.code}), and are kept; --renew computes them anew"
-        )
+        warn(f"points computed by other code than this ({origin.code}) are kept: {other}. --renew computes them anew")
     wrote(out, f"{RESULT_NAME}, {TABLE_NAME} and {PAGE_NAME}")
     look_at(out / PAGE_NAME)
 

@@ -110,7 +110,7 @@ def test_points_of_other_code_are_told_when_a_study_goes_on(tmp_path, capsys, mo
     assert main(["study", "run", "plan.toml", "--out", "out"]) == 0
     warned = " ".join(capsys.readouterr().err.split())
     old = f"finray-calib 0.0.9, commit {'ab' * 6}"
-    assert f"1 of 2 points (number 1) were computed by other code ({old}) than this ({task.origin.code})" in warned
+    assert f"points computed by other code than this ({task.origin.code}) are kept: 1 by {old}." in warned
     assert "--renew computes them anew" in warned
     assert f"1 by {old}; 2 by {task.origin.code}" in " ".join(Path("out/study.html").read_text().split())
     rows = read_record(Path("out/study.json"), StudyResult).points
