@@ -61,6 +61,12 @@ _IN_CAPTIONS: Mapping[str, str] = {
     "force_n": "force in N",
 }
 """Metrics below a picture, in words."""
+_TITLES: Mapping[str, str] = {
+    **_IN_CAPTIONS,
+    "brightness_rel": "brightness over the panel's radiance",
+    "seen_area_mm2": "seen area in mm\u00b2",
+}
+"""Titles of the curves."""
 _MOST_NAMED_POINTS = 12
 _LONGEST_POINT_NAME = 22
 
@@ -521,8 +527,7 @@ def _curves(result: StudyResult, names: Sequence[str]) -> str:
 
 def _panel(axes: Axes, result: StudyResult, name: str) -> None:
     """Draw one metric: over the values of the last field where they are numbers, a line for each of the others."""
-    words = _IN_CAPTIONS.get(name, "").removesuffix(" in N")
-    _begin_panel(axes, result, f"{name}: {words}" if words and words != name else name)
+    _begin_panel(axes, result, _TITLES.get(name, name))
     last, is_number = result.varied[-1], _is_over_numbers(result)
     lines: dict[str, list[tuple[float, StudyMetric]]] = {}
     for row in result.points:
