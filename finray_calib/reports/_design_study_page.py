@@ -35,10 +35,8 @@ from finray_calib.reports._style import BLUE, CHANNELS, HAIRLINE, INK, MUTED, ne
 MOST_PICTURES = 60
 """Points whose pictures the page shows; the records hold all."""
 
-_LARGEST_SIDE_PX = 200
-_PANELS_IN_A_ROW = 2
-_PICTURES_IN_A_ROW = 4
-_WEBP_QUALITY = 85
+_LARGEST_SIDE_PX, _WEBP_QUALITY = 200, 85
+_PANELS_IN_A_ROW, _PICTURES_IN_A_ROW, _MOST_IN_A_ROW = 2, 4, 6
 _LIT_PERCENTILE, _LIT_SHARE = 95.0, 0.1
 """Pictures of a study are cut alike: to where any of them has this share of the light of its brightest 5 %."""
 _WHITE_PERCENTILE = 97.0  # of what is lit: brighter are the base and, at some angles, the panel itself
@@ -66,9 +64,7 @@ _TITLES: Mapping[str, str] = {
     "brightness_rel": "brightness over the panel's radiance",
     "seen_area_mm2": "seen area in mm\u00b2",
 }
-"""Titles of the curves."""
-_MOST_NAMED_POINTS = 12
-_LONGEST_POINT_NAME = 22
+_MOST_NAMED_POINTS, _LONGEST_POINT_NAME = 12, 22
 
 _BEST: Mapping[str, tuple[str, bool]] = {
     "vividness": ("The colours are most vivid", True),
@@ -374,7 +370,7 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
     shown = [point for point in points if point.contact is not None and point.no_contact is not None][:MOST_PICTURES]
     if not shown:
         return None
-    columns = min(len(shown), _PICTURES_IN_A_ROW)
+    columns = _pictures_in_a_row(shown)
     rows, views = -(-len(shown) // columns), len(_VIEWS)
     with styled():
         figure = new_figure(2.5 * columns, 5.4 * rows)
@@ -393,6 +389,14 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
         png = png_bytes(figure)
     picture = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR))
     return bytes(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])[1])
+
+
+def _pictures_in_a_row(points: Sequence[StudyPoint]) -> int:
+    """Return how many points stand side by side: those of a grid that differ in its last field, if they are few."""
+    last = [list(point.changes.values())[-1] for point in points]
+    count = len(dict.fromkeys(last))
+    is_grid = count < len(last) and last == (last[:count] * len(last))[: len(last)]
+    return count if is_grid and 1 < count <= _MOST_IN_A_ROW else min(len(points), _PICTURES_IN_A_ROW)
 
 
 def _names(point: StudyPoint) -> str:
@@ -416,9 +420,14 @@ def _with_unit(name: str, value: DesignValue) -> str:
     """Return a value by itself where it is a name, else as "depth 0.8 mm"."""
     if isinstance(value, str):
         return value
-    ending = next((ending for ending in _UNITS if name.endswith(ending)), "")
-    words = name.removesuffix(ending).replace("_", " ").replace(".", " ")
-    return f"{words} {_short(value)} {_UNITS.get(ending, '')}".rstrip()
+    words, unit = _in_words(name)
+    return f"{words} {_short(value)} {unit}".rstrip()
+
+
+def _in_words(field: str) -> tuple[str, str]:
+    """Return the name of a field as words, and its unit: "light angle", "deg"."""
+    ending = next((ending for ending in _UNITS if field.endswith(ending)), "")
+    return field.removesuffix(ending).replace("_", " ").replace(".", " "), _UNITS.get(ending, "")
 
 
 def _common_white(points: Sequence[StudyPoint]) -> NDArray[np.float64]:
@@ -534,7 +543,7 @@ def _panel(axes: Axes, result: StudyResult, name: str) -> None:
         metric = _found(row, name)
         if metric is not None:
             others = {f: v for f, v in row.changes.items() if f != last} if is_number else {}
-            lines.setdefault(_words(others), []).append((_place(result, row), metric))
+            lines.setdefault(_spoken(others), []).append((_place(result, row), metric))
     for number, (words, found) in enumerate(lines.items()):
         found.sort(key=lambda pair: pair[0])
         shade = (BLUE, INK, MUTED)[number % 3]
@@ -571,7 +580,8 @@ def _begin_panel(axes: Axes, result: StudyResult, title: str) -> None:
     axes.set_title(title, fontsize=9, loc="left", color=INK)
     axes.grid(axis="y", color=HAIRLINE)
     if _is_over_numbers(result):
-        axes.set_xlabel(result.varied[-1])
+        name, unit = _in_words(result.varied[-1])
+        axes.set_xlabel(f"{name} in {unit}" if unit else name)
         return
     names = [", ".join(map(_short, row.changes.values())) for row in result.points]
     if len(names) > _MOST_NAMED_POINTS or max(map(len, names)) > _LONGEST_POINT_NAME:

@@ -13,7 +13,7 @@ from finray_calib.reports import (
     study_differences_text,
     study_pictures_webp,
 )
-from finray_calib.reports._design_study_page import _all_views, _changed, _names
+from finray_calib.reports._design_study_page import _all_views, _changed, _names, _pictures_in_a_row
 from finray_calib.reports._methods import study_methods
 
 
@@ -118,6 +118,14 @@ def test_pictures_are_cut_to_what_is_lit_and_show_what_the_touch_changes():
     aside[20:50, 10:20] = 1.0
     views = _all_views([one, point.model_copy(update={"no_contact": aside, "contact": aside})])
     assert {picture.shape for of_point in views for picture in of_point} == {(30, 60, 3)}  # rows 20-50, columns 10-70
+
+
+def test_pictures_of_a_grid_stand_in_rows_of_its_last_field():
+    grid = [pictured(1, {"indenter.position_mm": at, "light.angle_deg": a}) for at in (1.0, 2.0) for a in (0, 15, 30)]
+    assert _pictures_in_a_row(grid) == 3
+    assert _pictures_in_a_row([pictured(1, {"preset": str(k)}) for k in range(7)]) == 4
+    together = [pictured(1, {"preset": "a", "indenter.depth_mm": depth}) for depth in (0.8, 1.2, 0.8, 1.5)]
+    assert _pictures_in_a_row(together) == 4
 
 
 def test_points_are_named_in_ranges_by_the_code_that_computed_them():
