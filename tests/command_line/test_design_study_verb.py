@@ -13,8 +13,10 @@ import pytest
 
 from data_schemas import StudyMetric, StudyPoint, StudyResult, StudyRow, provenance
 from data_schemas.storage import read_record, write_record
+from finray_calib.cli._decide import _finger_or_sensor
 from finray_calib.cli._study_run import stand_in_paints
 from finray_calib.cli.main import main
+from sim import given_design, preset_design, preset_sensor
 from sim.studies import StudyPaints, StudyTask, point_file, read_plan, study_points
 from sim.studies._point import point_key
 
@@ -162,3 +164,14 @@ def test_two_studies_are_compared_by_the_points_that_they_share(tmp_path, capsys
     assert main(["study", "compare", a, c]) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "have no number of a point in common; they change light.angle_deg, and pad.thickness_mm" in said
+
+
+def test_a_folder_with_the_name_of_a_ready_made_design_does_not_hide_it(tmp_path, monkeypatch):
+    """Studies and searches write folders of such names by default."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("flat-70x35", "digit"):
+        Path(name).mkdir()
+    design, files, _ = given_design(Path("flat-70x35"))
+    assert (design, files) == (preset_design("flat-70x35"), [])
+    sensor, files, _ = _finger_or_sensor(Path("digit"))
+    assert (sensor, files) == (preset_sensor("digit"), [])
