@@ -163,11 +163,12 @@ docs: $(VENV)/installed-docs
 pictures: $(VENV)/installed-dev llvm
 	$(BIN)/python -m docs.touch_picture
 
-# Those of docs/reference/paper-experiments.md, by its studies; it continues within a commit, and begins again with another.
-PAPER_STUDIES = $(VENV)/studies/$$(git rev-parse --short HEAD)
+# Those of docs/reference/paper-experiments.md, by its studies; points of another commit are computed anew. RENEW= keeps them.
+PAPER_STUDIES ?= $(VENV)/studies
+RENEW         ?= --renew
 paper-pictures: $(VENV)/installed-dev llvm
 	@for study in pad-shapes finger-family everyday-objects; do \
-	  $(BIN)/finray study run $$study --out $(PAPER_STUDIES)/$$study && \
+	  $(BIN)/finray study run $$study $(RENEW) --out $(PAPER_STUDIES)/$$study && \
 	  cp $(PAPER_STUDIES)/$$study/pictures.webp docs/images/$$study.webp || exit 1; \
 	done
 

@@ -48,6 +48,12 @@ class Provenance(BaseModel):
     renderer: str | None = Field(default=None, description="variant of the renderer, where one was opened")
 
     @property
+    def code(self) -> str:
+        """Version of the package and, where known, the commit of its sources and whether they were changed since."""
+        commit = f", commit {self.git_commit[:12]}" if self.git_commit else ""
+        return f"finray-calib {self.package_version}{commit}{', changed since' if self.git_dirty else ''}"
+
+    @property
     def arguments(self) -> tuple[str, ...] | None:
         """The words after "finray" on the command line, or None where the product was not made by one.
 

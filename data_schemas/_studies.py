@@ -486,12 +486,15 @@ class StudyRow(Model):
     number: Annotated[int, Field(ge=1)]
     changes: dict[str, DesignValue]
     metrics: tuple[StudyMetric, ...]
+    computed_by: str | None = Field(
+        default=None, description="version and commit of the code that computed the point, and its press; None: unknown"
+    )
 
 
 class StudyResult(Record):
     """All points of a design study, without their images, and those that failed."""
 
-    schema_version: ClassVar[int] = 1
+    schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray study run'"
     shown: ClassVar[tuple[str, ...]] = ("name", "about")
 

@@ -164,9 +164,9 @@ def given_design(path: Path) -> tuple[FingerDesign, list[Path], Path]:
     RecordError, SimulateError
         When it cannot be read, or describes no finger.
     """
-    if not path.exists() and str(path) in PRESETS:
+    if not path.is_file() and str(path) in PRESETS:
         return preset_design(str(path)), [], Path()
-    if not path.exists() and str(path) in SENSORS:
+    if not path.is_file() and str(path) in SENSORS:
         raise SimulateError(
             f"{path}: is a ready-made classic sensor; a finger is needed: {', '.join(PRESETS)}, or a file"
         )

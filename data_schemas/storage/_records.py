@@ -464,6 +464,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("SimulatedPress", 5): _as_it_is,
     ("SensorFit", 2): _as_it_is,
     ("LightPowers", 1): _as_it_is,
+    # which code computed each point; none: not known
+    ("StudyResult", 1): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

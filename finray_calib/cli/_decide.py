@@ -253,7 +253,7 @@ def _finger_or_sensor(path: Path) -> "tuple[FingerDesign | PlainSensor, list[Pat
     """Return the finger or classic sensor of a file or of a preset's name, its files, and where its paths start."""
     from sim import SENSORS, given_design, is_sensor, preset_sensor, read_sensor, sensor_inputs
 
-    if not path.exists() and str(path) in SENSORS:
+    if not path.is_file() and str(path) in SENSORS:
         return preset_sensor(str(path)), [], Path()
     if is_sensor(path):
         sensor = read_sensor(path)

@@ -307,10 +307,10 @@ def run_show(arguments: argparse.Namespace) -> None:
     from sim import PRESETS, SENSORS, is_sensor, preset_design, read_design
     from sim.optics import camera_view
 
-    if (not arguments.design.exists() and str(arguments.design) in SENSORS) or is_sensor(arguments.design):
+    if (not arguments.design.is_file() and str(arguments.design) in SENSORS) or is_sensor(arguments.design):
         _show_sensor(arguments)
         return
-    is_preset = not arguments.design.exists() and str(arguments.design) in PRESETS
+    is_preset = not arguments.design.is_file() and str(arguments.design) in PRESETS
     design = preset_design(str(arguments.design)) if is_preset else read_design(arguments.design)
     out = None if arguments.out is None else _drawing_path(arguments.out)
     with naming(SimulateError, arguments.design):
@@ -337,7 +337,7 @@ def _show_sensor(arguments: argparse.Namespace) -> None:
     from sim.optics import seen_places_mm, sensor_calibration
 
     path: Path = arguments.design
-    sensor = read_sensor(path) if path.exists() else preset_sensor(str(path))
+    sensor = read_sensor(path) if path.is_file() else preset_sensor(str(path))
     out = None if arguments.out is None else _drawing_path(arguments.out, (".png",))
     with naming(SimulateError, path):
         rest = pressed_coat(sensor, path.parent).rest  # what cannot be pressed in is told before anything is shown

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_paint,
@@ -34,13 +34,14 @@ if TYPE_CHECKING:
         DatasetShard,
         LearningDataset,
         Provenance,
+        StudyFailure,
         StudyMetric,
         StudyPoint,
         StudyResult,
     )
     from sim.experiments import PaintDraws
     from sim.optics import PaintOptics
-    from sim.studies import DatasetTask, StudyPaints
+    from sim.studies import DatasetTask, StudyPaints, StudyTask
 
 RUN_HELP = "run a design study by its plan: change a finger, and press, render and measure each variant"
 RUN_DESCRIPTION = """\
@@ -117,6 +118,8 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
     add_engine(run)
     run.add_argument("--workers", type=_count, metavar="N", help="worker processes (default: by cores and memory)")
     run.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
+    run.add_argument("--renew", action="store_true", help="compute anew what a finray of another version or commit "
+                     "computed (default: keep it, and say which points these are)")  # fmt: skip
     run.add_argument("--out", type=Path, metavar="DIR", help="folder of the study (default: its name)")
     run.set_defaults(run=run_design_study)
     _add_dataset(studies)
@@ -199,8 +202,9 @@ def _count(text: str) -> int:
 
 def run_design_study(arguments: argparse.Namespace) -> None:
     """Run a study; store its table, its result and its page."""
-    from data_schemas import SimulateError, StudyResult, StudyRow, provenance
+    from data_schemas import SimulateError, provenance
     from data_schemas.storage import clear_leftovers
+    from finray_calib.reports import points_by_code
     from sim.studies import (
         STUDY_FOLDERS,
         StudyPaints,
@@ -221,22 +225,36 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     clear_leftovers(out)
     origin = provenance(command_line(), input_digests([path, *files]), plan.seed)
     folder = design_folder(path, points, out)
-    task = StudyTask(plan, paints, arguments.engine, out.absolute(), folder, origin)
+    task = StudyTask(plan, paints, arguments.engine, out.absolute(), folder, origin, arguments.renew)
     with progress_bar(f"study {plan.name}") as progress:
         found, failures = run_study(task, points, arguments.workers, arguments.scheduler, progress)
     if not found:
         raise SimulateError(f"{path}: no point could be computed; the first failed because: {failures[0].reason}")
-    result = StudyResult(
-        name=plan.name,
-        about=plan.about,
-        varied=tuple(variation.field for variation in plan.vary),
-        points=tuple(StudyRow(number=p.number, changes=p.changes, metrics=p.metrics) for p in found),
-        failures=tuple(failures),
-    )
+    result = _result(task, found, failures)
     _store(out, result, found, origin)
     _tell(result)
+    other = "; ".join(f"{n} by {code}" for code, n in points_by_code(result).items() if code != origin.code)
+    if other:
+        warn(f"points computed by other code than this ({origin.code}) are kept: {other}. --renew computes them anew")
     wrote(out, f"{RESULT_NAME}, {TABLE_NAME} and {PAGE_NAME}")
     look_at(out / PAGE_NAME)
+
+
+def _result(task: "StudyTask", points: "Sequence[StudyPoint]", failures: "Sequence[StudyFailure]") -> "StudyResult":
+    """Return the table of a study, with the code that computed each point."""
+    from data_schemas import StudyResult, StudyRow
+    from sim.studies import point_code
+
+    return StudyResult(
+        name=task.plan.name,
+        about=task.plan.about,
+        varied=tuple(variation.field for variation in task.plan.vary),
+        points=tuple(
+            StudyRow(number=p.number, changes=p.changes, metrics=p.metrics, computed_by=point_code(task, p))
+            for p in points
+        ),
+        failures=tuple(failures),
+    )
 
 
 def _tell(result: "StudyResult") -> None:

@@ -474,9 +474,10 @@ def powers_sentence(record: LightPowers) -> str:
             f"{100 * then.estimate:.0f} % over the pad."
         )
     else:
+        lead = "Set" if gain.low95 > 0.0 else "No gain is certain, so the powers may stay. Most even are"
         sentence = (
-            f"Set {told}{more}: the brightness of the coat then varies by {100 * then.estimate:.0f} % over the pad in "
-            f"place of {100 * now.estimate:.0f} %, {100 * gain.estimate:.0f} % less ({100 * gain.low95:.0f} to "
+            f"{lead} {told}{more}: the brightness of the coat then varies by {100 * then.estimate:.0f} % over the pad "
+            f"in place of {100 * now.estimate:.0f} %, {100 * gain.estimate:.0f} % less ({100 * gain.low95:.0f} to "
             f"{100 * gain.high95:.0f} %), at {record.brightness_rel:.2f} times the brightness."
         )
     error = record.normal_error

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._design_study_page import (
         MetricDifference,
         design_study_page,
+        points_by_code,
         study_differences,
         study_differences_text,
         study_pictures_webp,
@@ -254,6 +255,7 @@ __all__ = [
     "plain",
     "plot_record",
     "png_bytes",
+    "points_by_code",
     "press_pictures",
     "pressed_finger_png",
     "probability",

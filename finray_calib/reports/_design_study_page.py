@@ -35,17 +35,16 @@ from finray_calib.reports._style import BLUE, CHANNELS, HAIRLINE, INK, MUTED, ne
 MOST_PICTURES = 60
 """Points whose pictures the page shows; the records hold all."""
 
-_LARGEST_SIDE_PX = 200
-_PANELS_IN_A_ROW = 2
-_PICTURES_IN_A_ROW = 4
-_WEBP_QUALITY = 85
-_LIT_PERCENTILE, _LIT_SHARE = 95.0, 0.05
-"""Pictures are cut to the pixels that have at least this share of the light of the brightest five per cent."""
+_LARGEST_SIDE_PX, _WEBP_QUALITY = 200, 85
+_PANELS_IN_A_ROW, _PICTURES_IN_A_ROW, _MOST_IN_A_ROW = 2, 4, 6
+_LIT_PERCENTILE, _LIT_SHARE = 95.0, 0.1
+"""Pictures of a study are cut alike: to where any of them has this share of the light of its brightest 5 %."""
 _WHITE_PERCENTILE = 97.0  # of what is lit: brighter are the base and, at some angles, the panel itself
 _MEDIAN_PX, _FEWEST_LIT = 5, 0.05
 """A single bright pixel is the render's noise, and a row or column with fewer lit pixels than this is left out."""
-_CHANGE_SHOWN_REL, _DARK_REL = 0.5, 0.02
-"""Change of light that is shown as black or white, and what is added to dark pixels, as a share of white."""
+_CHANGE_SHOWN_REL, _DARK_REL, _CHANGE_BLUR_PX = 0.5, 0.02, 1.0
+"""Change of light that is shown as black or white, what is added to dark pixels as a share of white, and the standard
+deviation over which both pictures are smoothed before their change is taken, because their noise hides it."""
 _UNITS: Mapping[str, str] = {"_mm": "mm", "_deg": "deg", "_nm": "nm", "_mpa": "MPa"}
 _VIEWS = ("without contact", "with contact", "what the touch changes")
 _SHOWN = ("vividness", "variation_rel", "touch_rel", "brightness_rel", "force_n", "seen_area_mm2")
@@ -60,8 +59,12 @@ _IN_CAPTIONS: Mapping[str, str] = {
     "force_n": "force in N",
 }
 """Metrics below a picture, in words."""
-_MOST_NAMED_POINTS = 12
-_LONGEST_POINT_NAME = 22
+_TITLES: Mapping[str, str] = {
+    **_IN_CAPTIONS,
+    "brightness_rel": "brightness over the panel's radiance",
+    "seen_area_mm2": "seen area in mm\u00b2",
+}
+_MOST_NAMED_POINTS, _LONGEST_POINT_NAME = 12, 22
 
 _BEST: Mapping[str, tuple[str, bool]] = {
     "vividness": ("The colours are most vivid", True),
@@ -106,7 +109,12 @@ def design_study_page(
                 *list(_key_numbers(result))[:2],
             ),
             parts=(
-                *found_part(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
+                *found_part(
+                    (
+                        *(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
+                        *_mixed_code(result),
+                    )
+                ),
                 trust_part(_limits(result), notes),
                 *_sections(result, points),
                 methods_part(study_methods(result), result.provenance),
@@ -141,6 +149,32 @@ def _limits(result: StudyResult) -> tuple[str, ...]:
     names = _metric_names(result)
     of_images = _IMAGE_LIMITS if "vividness" in names else ()
     return (*of_images, *(_FORCE_LIMITS if "force_n" in names else _NO_FORCE_LIMITS))
+
+
+def points_by_code(result: StudyResult) -> dict[str, str]:
+    """Return version and commit of the code -> the numbers of the points that it computed, such as "1 to 3, 7"."""
+    of_code: dict[str, list[list[int]]] = {}
+    for row in result.points:
+        runs = of_code.setdefault(row.computed_by or "unknown code", [[]])
+        if runs[-1] and row.number == runs[-1][-1] + 1:
+            runs[-1].append(row.number)
+        else:
+            runs.append([row.number])
+    return {
+        code: ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]) for run in runs if run)
+        for code, runs in of_code.items()
+    }
+
+
+def _mixed_code(result: StudyResult) -> Iterator[str]:
+    """Yield which points were computed by which code, where it was not the same for all."""
+    of_code = points_by_code(result)
+    if len(of_code) > 1:
+        told = "; ".join(f"{numbers} by {code}" for code, numbers in of_code.items())
+        yield (
+            f"The points were computed by different code, so that their differences may be those of the code: {told}. "
+            "'finray study run' with --renew computes the older ones anew."
+        )
 
 
 def study_text(result: StudyResult) -> str:
@@ -336,13 +370,13 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
     shown = [point for point in points if point.contact is not None and point.no_contact is not None][:MOST_PICTURES]
     if not shown:
         return None
-    white, columns = _common_white(shown), min(len(shown), _PICTURES_IN_A_ROW)
+    columns = _pictures_in_a_row(shown)
     rows, views = -(-len(shown) // columns), len(_VIEWS)
     with styled():
         figure = new_figure(2.5 * columns, 5.4 * rows)
-        for k, point in enumerate(shown):
+        for k, (point, pictures) in enumerate(zip(shown, _all_views(shown), strict=True)):
             row, column = divmod(k, columns)
-            for below, image in enumerate(_views(point, white)):
+            for below, image in enumerate(pictures):
                 axes = figure.add_subplot(views * rows, columns, (views * row + below) * columns + column + 1)
                 axes.imshow(image, interpolation="bicubic")
                 axes.set_axis_off()
@@ -355,6 +389,14 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
         png = png_bytes(figure)
     picture = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR))
     return bytes(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])[1])
+
+
+def _pictures_in_a_row(points: Sequence[StudyPoint]) -> int:
+    """Return how many points stand side by side: those of a grid that differ in its last field, if they are few."""
+    last = [list(point.changes.values())[-1] for point in points]
+    count = len(dict.fromkeys(last))
+    is_grid = count < len(last) and last == (last[:count] * len(last))[: len(last)]
+    return count if is_grid and 1 < count <= _MOST_IN_A_ROW else min(len(points), _PICTURES_IN_A_ROW)
 
 
 def _names(point: StudyPoint) -> str:
@@ -378,31 +420,50 @@ def _with_unit(name: str, value: DesignValue) -> str:
     """Return a value by itself where it is a name, else as "depth 0.8 mm"."""
     if isinstance(value, str):
         return value
-    ending = next((ending for ending in _UNITS if name.endswith(ending)), "")
-    words = name.removesuffix(ending).replace("_", " ").replace(".", " ")
-    return f"{words} {_short(value)} {_UNITS.get(ending, '')}".rstrip()
+    words, unit = _in_words(name)
+    return f"{words} {_short(value)} {unit}".rstrip()
+
+
+def _in_words(field: str) -> tuple[str, str]:
+    """Return the name of a field as words, and its unit: "light angle", "deg"."""
+    ending = next((ending for ending in _UNITS if field.endswith(ending)), "")
+    return field.removesuffix(ending).replace("_", " ").replace(".", " "), _UNITS.get(ending, "")
 
 
 def _common_white(points: Sequence[StudyPoint]) -> NDArray[np.float64]:
     """Return the white of all pictures, by what is lit in those without contact."""
-    lit = [image[_lit(image)].reshape(-1, 3) for p in points if (image := p.no_contact) is not None]
-    pixels = np.concatenate(lit)
+    pixels = np.concatenate(
+        [image[_lit([image])].reshape(-1, 3) for p in points if (image := p.no_contact) is not None]
+    )
     white = np.percentile(pixels, _WHITE_PERCENTILE, axis=0).astype(np.float64)
     return np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
 
 
-def _lit(image: NDArray[np.float32]) -> tuple[slice, slice]:
-    """Return the rows and columns of a picture that are lit, so that the dark around the coat can be left out."""
-    level = np.percentile(image, _LIT_PERCENTILE, axis=(0, 1))
-    light = (image / np.where(level > 0.0, level, 1.0)).mean(axis=-1, dtype=np.float32)
-    is_lit = cv2.medianBlur(light, _MEDIAN_PX) > _LIT_SHARE
-    return _reach(is_lit.mean(axis=1)), _reach(is_lit.mean(axis=0))
+def _lit(images: Sequence[NDArray[np.float32]]) -> tuple[slice, slice]:
+    """Return the rows and columns that are lit in any of some pictures of one size: the dark around is left out."""
+    rows, columns = (np.zeros(size) for size in images[0].shape[:2])
+    for image in images:
+        level = np.percentile(image, _LIT_PERCENTILE, axis=(0, 1))
+        light = (image / np.where(level > 0.0, level, 1.0)).mean(axis=-1, dtype=np.float32)
+        is_lit = cv2.medianBlur(light, _MEDIAN_PX) > _LIT_SHARE
+        rows, columns = np.maximum(rows, is_lit.mean(axis=1)), np.maximum(columns, is_lit.mean(axis=0))
+    return _reach(rows), _reach(columns)
 
 
 def _reach(share: NDArray[np.floating]) -> slice:
     """Return from the first to the last place with enough lit pixels; all where there is none."""
     found = np.flatnonzero(share > _FEWEST_LIT)
     return slice(int(found[0]), int(found[-1]) + 1) if found.size else slice(None)
+
+
+def _all_views(points: Sequence[StudyPoint]) -> list[list[ByteImage]]:
+    """Return the pictures of all points, balanced alike, and those of one size cut alike."""
+    white, of_size = _common_white(points), dict[tuple[int, ...], list[NDArray[np.float32]]]()
+    for point in points:
+        if point.no_contact is not None:
+            of_size.setdefault(point.no_contact.shape, []).append(point.no_contact)
+    lit = {size: _lit(images) for size, images in of_size.items()}
+    return [_views(p, white, lit[p.no_contact.shape]) for p in points if p.no_contact is not None]
 
 
 def _small(image: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -413,38 +474,34 @@ def _small(image: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float64)
 
 
-def _views(point: StudyPoint, white: NDArray[np.float64]) -> list[ByteImage]:
+def _views(point: StudyPoint, white: NDArray[np.float64], lit: tuple[slice, slice]) -> list[ByteImage]:
     """Return a point's pictures without contact and with it, and what the touch changes: grey is no change."""
     if point.no_contact is None or point.contact is None:
         return []
-    lit = _lit(point.no_contact)
     before, after = (_small(image[lit]) for image in (point.no_contact, point.contact))
-    change = (after - before) / (0.5 * (before + after) + _DARK_REL * white) / _CHANGE_SHOWN_REL
+    one, two = (cv2.GaussianBlur(image, (0, 0), _CHANGE_BLUR_PX) for image in (before, after))
+    change = (two - one) / (0.5 * (one + two) + _DARK_REL * white) / _CHANGE_SHOWN_REL
     grey = np.rint(127.5 + 127.5 * np.clip(change, -1.0, 1.0)).astype(np.uint8)
     return [to_display(before, white, True), to_display(after, white, True), grey]
 
 
 def _pictures(points: Sequence[StudyPoint]) -> Content:
     """Show each point without and with contact, all balanced alike."""
-    white = _common_white(points)
-    rows: list[tuple[Picture, ...]] = []
-    pictures = [
-        raster(_stacked(_views(point, white)), f"Point {point.number}, {_words(point.changes)}.",
+    pictures = tuple(
+        raster(_stacked(views), f"Point {point.number}, {_words(point.changes)}.",
                f"{point.number}: {_spoken(point.changes)}. {_caption(point)}")
-        for point in points
-    ]  # fmt: skip
-    # a picture alone in a row would be as wide as three
-    for row in np.array_split(np.arange(len(pictures)), -(-len(pictures) // 3)):
-        rows.append(tuple(pictures[k] for k in row))
+        for point, views in zip(points, _all_views(points), strict=True)
+    )  # fmt: skip
     lead = (
         "What the camera sees, cut to what is lit: without contact, with it, and what the touch changes in each "
-        f"channel (grey: nothing; black and white: {100 * _CHANGE_SHOWN_REL:.0f} % and more). Each channel is balanced "
+        f"channel, smoothed (grey: nothing; black and white: {100 * _CHANGE_SHOWN_REL:.0f} % and more; edges light up "
+        "where the picture moves because the finger bends). Each channel is balanced "
         "for the screen, in the same way in all pictures. Base of the finger at the left, tip at the right; red paint "
         "on one wall, green on the other, blue light from the base. Below each picture: the share of the coat where "
         "each light leads, and how even, how vivid, and how much changed by the touch it is ('What the metrics are', "
         "below, says how)."
     )
-    return Content(lead, tuple(rows))
+    return Content(lead, (pictures,))  # one grid, whose pictures are all as wide
 
 
 def _caption(point: StudyPoint) -> str:
@@ -479,14 +536,14 @@ def _curves(result: StudyResult, names: Sequence[str]) -> str:
 
 def _panel(axes: Axes, result: StudyResult, name: str) -> None:
     """Draw one metric: over the values of the last field where they are numbers, a line for each of the others."""
-    _begin_panel(axes, result, name)
+    _begin_panel(axes, result, _TITLES.get(name, name))
     last, is_number = result.varied[-1], _is_over_numbers(result)
     lines: dict[str, list[tuple[float, StudyMetric]]] = {}
     for row in result.points:
         metric = _found(row, name)
         if metric is not None:
             others = {f: v for f, v in row.changes.items() if f != last} if is_number else {}
-            lines.setdefault(_words(others), []).append((_place(result, row), metric))
+            lines.setdefault(_spoken(others), []).append((_place(result, row), metric))
     for number, (words, found) in enumerate(lines.items()):
         found.sort(key=lambda pair: pair[0])
         shade = (BLUE, INK, MUTED)[number % 3]
@@ -523,7 +580,8 @@ def _begin_panel(axes: Axes, result: StudyResult, title: str) -> None:
     axes.set_title(title, fontsize=9, loc="left", color=INK)
     axes.grid(axis="y", color=HAIRLINE)
     if _is_over_numbers(result):
-        axes.set_xlabel(result.varied[-1])
+        name, unit = _in_words(result.varied[-1])
+        axes.set_xlabel(f"{name} in {unit}" if unit else name)
         return
     names = [", ".join(map(_short, row.changes.values())) for row in result.points]
     if len(names) > _MOST_NAMED_POINTS or max(map(len, names)) > _LONGEST_POINT_NAME:

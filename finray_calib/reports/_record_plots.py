@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from data_schemas import (
@@ -352,6 +353,9 @@ def _evenness_panels(figure: SubFigure, study: TwoLights) -> None:
         k = study.channels.index(band)
         for name, dashes, values in zip(study.lights, ("--", "-"), study.along_rel, strict=True):
             axes.semilogy(study.z_mm, values[k], dashes, color=BAND_COLOURS[band], label=name)
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set(title=f"{BAND_TITLES[band]} along the pad", xlabel="z along, from the base (mm)")
         axes.legend(loc="best", fontsize=8)
     along[0].set_ylabel("mean over the width, relative to the\nmean with one panel (log scale)")

@@ -100,6 +100,7 @@ if TYPE_CHECKING:
         press_record,
         recoloured,
         simulate_press,
+        vividness,
     )
     from sim.experiments._sensor_fit import fit_sensor, fitted_design
     from sim.experiments._sensor_layers import (
@@ -242,5 +243,6 @@ __all__ = [
     "usual_parameters",
     "value_at",
     "varied_finger",
+    "vividness",
     "with_one_panel",
 ]

@@ -24,6 +24,7 @@ from data_schemas import (
     SimulateError,
     SpectralCurve,
 )
+from finray_calib.compare import srgb_to_lab
 from sim.experiments._painted_finger import (
     COLOURS,
     CameraResponse,
@@ -187,6 +188,27 @@ def camera_rgb(bands: NDArray[np.float32], matrix: Floats) -> NDArray[np.float32
     """Return camera RGB (rows, columns, 3) = C @ bands."""
     rgb: Floats = np.einsum("cb,ijb->ijc", matrix, bands.astype(np.float64))
     return rgb.astype(np.float32)
+
+
+_MIDDLE_GREY = 0.18
+
+
+def vividness(rgb: Floats) -> float:
+    r"""Return the mean CIELAB chroma of linear camera RGB, balanced to grey and exposed to middle grey.
+
+    .. math:: C^* = \sqrt{a^{*2} + b^{*2}}, \quad \mathrm{RGB}_i' = 0.18\, \mathrm{RGB}_i / \overline{\mathrm{RGB}}_i
+
+    The camera's channels stand for those of sRGB, as its own colour matrix is not known.
+
+    Parameters
+    ----------
+    rgb
+        Linear values, (n, 3), each channel with a positive mean.
+    """
+    balanced = np.clip(_MIDDLE_GREY * rgb / rgb.mean(axis=0), 0.0, 1.0)
+    encoded = np.where(balanced <= 0.0031308, 12.92 * balanced, 1.055 * balanced ** (1.0 / 2.4) - 0.055)
+    lab = srgb_to_lab(encoded[None])[0]
+    return float(np.hypot(lab[:, 1], lab[:, 2]).mean())
 
 
 def light_record(

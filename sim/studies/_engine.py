@@ -23,6 +23,7 @@ from sim.studies._point import (
     StudyTask,
     compute_point,
     compute_press,
+    has_press,
     press_file,
     stored_point,
 )
@@ -97,7 +98,7 @@ def run_study(
     for folder in (POINTS, PRESSES):  # the last point of a run that was killed may be whole already
         clear_leftovers(task.folder / folder)
     todo = [point for point in points if stored_point(task, point) is None]
-    presses = {file: point for point in todo if (file := press_file(task, point.design)) and not file.exists()}
+    presses = {file: point for point in todo if (file := press_file(task, point.design)) and not has_press(task, file)}
     failed: dict[int, str] = {}
     if todo:
         with _client(min(workers or most_workers(), len(todo)), scheduler) as client:

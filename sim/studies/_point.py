@@ -28,6 +28,7 @@ from data_schemas import (
     FingerSurfaces,
     PressMechanics,
     Provenance,
+    Record,
     RecordError,
     SimulateError,
     StudyMetric,
@@ -43,9 +44,8 @@ from data_schemas.storage import (
     write_bytes,
     write_record,
 )
-from finray_calib.compare import srgb_to_lab
 from sim import PRESETS, preset_design, read_design
-from sim.experiments import camera_rgb, coat_cells, imprinted_shapes, paint_finger, press_records
+from sim.experiments import camera_rgb, coat_cells, imprinted_shapes, paint_finger, press_records, vividness
 from sim.mechanics import PressSettings, press_as_designed
 from sim.optics import (
     BAND_NAMES,
@@ -269,6 +269,8 @@ class StudyTask:
         Where relative paths in the design start.
     origin
         Of the records.
+    renew
+        Whether points and presses that other code computed are computed anew.
     """
 
     plan: DesignStudy
@@ -277,6 +279,7 @@ class StudyTask:
     folder: Path
     design_folder: Path
     origin: Provenance
+    renew: bool = False
 
 
 def point_file(folder: Path, number: int) -> Path:
@@ -315,16 +318,24 @@ def _indenter_digest(task: StudyTask, design: FingerDesign) -> dict[str, str]:
     return {"indenter": hashlib.sha256(content).hexdigest()}
 
 
+def has_press(task: StudyTask, surfaces_file: Path) -> bool:
+    """Return whether a press is kept, and need not be computed anew."""
+    if not surfaces_file.exists():
+        return False
+    return not task.renew or _code(read_record(_mechanics_file(surfaces_file), PressMechanics)) == task.origin.code
+
+
 def compute_press(task: StudyTask, design: FingerDesign) -> None:
     """Press a finger by finite elements on one core, and keep force and surfaces together."""
     surfaces_file = press_file(task, design)
-    if surfaces_file is None or surfaces_file.exists():
+    if surfaces_file is None or has_press(task, surfaces_file):
         return
     surfaces_file.parent.mkdir(parents=True, exist_ok=True)
     clear_leftovers(surfaces_file.parent)
     settings = PressSettings(None, task.plan.measure.increments, 1)
     pressed = press_as_designed(design, settings, folder=task.design_folder)
     mechanics, surfaces = press_records(design, pressed)
+    _remove(surfaces_file, surfaces_file.name.removesuffix(".surfaces.json"))
     with ProductSet(surfaces_file) as products:
         write_record(mechanics, _mechanics_file(surfaces_file), task.origin, products)
         write_record(surfaces, surfaces_file, task.origin, products)
@@ -361,11 +372,19 @@ def compute_point(task: StudyTask, point: PlannedPoint) -> None:
         notes=notes,
         processor_s=time.process_time() - begun,
     )
+    _remove(file, file.stem)
     write_record(record, file, task.origin)
 
 
+def _remove(file: Path, name: str) -> None:
+    """Remove a record that other code wrote, with its arrays, just before it is written anew."""
+    if file.exists():
+        for part in file.parent.glob(f"{name}.*"):
+            part.unlink()
+
+
 def stored_point(task: StudyTask, point: PlannedPoint) -> StudyPoint | None:
-    """Return a point that is kept already.
+    """Return a point that is kept already and need not be computed anew.
 
     Raises
     ------
@@ -381,7 +400,21 @@ def stored_point(task: StudyTask, point: PlannedPoint) -> StudyPoint | None:
             f"{file}: was computed from another plan, design, paint or seed; give another --out, or the plan as it "
             f"was before"
         )
-    return record
+    return record if not task.renew or point_code(task, record) == task.origin.code else None
+
+
+def point_code(task: StudyTask, point: StudyPoint) -> str:
+    """Return version and commit of the code that computed a point, and those of its press where they are others."""
+    code, pressed = _code(point), press_file(task, point.design)
+    if pressed is None or not pressed.exists():
+        return code
+    press = _code(read_record(_mechanics_file(pressed), PressMechanics))
+    return code if press == code else f"{code}; its press by {press}"
+
+
+def _code(record: Record) -> str:
+    """Return version and commit of the code that wrote a record."""
+    return record.provenance.code if record.provenance is not None else "unknown code"
 
 
 def _rendered(
@@ -462,29 +495,28 @@ CELL_MM = 2.5
 
 HALO = 2.0
 """The touch is looked for up to this many half-widths of the contact, as comparisons do."""
+_TOUCH = "touch_rel"
 
-_MIDDLE_GREY = 0.18
 _MEANINGS: dict[str, tuple[str, str]] = {
     "seen_area_mm2": ("mm2", "area of the coat that the camera sees through the mirror, without contact"),
     "brightness_rel": ("radiance of the panel", "mean over the seen coat of the camera's channels, without contact"),
     "variation_rel": ("1", "standard deviation of brightness over the seen coat, over its mean: 0 is even light"),
-    "red_share": (
-        "1",
-        "share of the seen coat where the light of the red paint is strongest, each light relative to its own mean",
-    ),
-    "green_share": (
-        "1",
-        "share of the seen coat where the light of the green paint is strongest, each light relative to its own mean",
-    ),
-    "blue_share": (
-        "1",
-        "share of the seen coat where the light of the LED is strongest, each light relative to its own mean",
-    ),
+    **{
+        f"{name}_share": (
+            "1",
+            f"share of the seen coat where the light of the {source} is strongest, each light relative to its own mean",
+        )
+        for name, source in (("red", "red paint"), ("green", "green paint"), ("blue", "LED"))
+    },
     "vividness": (
         "CIELAB chroma",
         "mean chroma of the seen coat, exposed to middle grey and white-balanced so that the coat is grey on the mean",
     ),
-    "touch_rel": ("1", "change of brightness by the touch, rms over contact and halo, over the brightness there"),
+    _TOUCH: (
+        "1",
+        f"change of brightness by the touch, rms over cells of {CELL_MM:g} mm of contact and halo, over the brightness "
+        "there",
+    ),
     "force_n": (
         "N",
         "force of the indenter along the pad's normal at the end of the push, unvalidated; the limits come from the "
@@ -496,7 +528,7 @@ _MEANINGS: dict[str, tuple[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """What one render shows: light of the coat's cells, and brightness of each pixel of contact and halo.
+    """What one render shows: light of the coat's cells, and brightness of those of contact and halo.
 
     Attributes
     ----------
@@ -505,7 +537,7 @@ class _Seen:
     rgb
         Camera RGB without contact, (cell, 3).
     before, after
-        Brightness of the pixels near the contact, without it and with it.
+        Brightness near the contact, without it and with it, by cells of the coat that the pixels see without it.
     """
 
     light: Floats
@@ -522,7 +554,7 @@ def image_metrics(design: FingerDesign, renders: Sequence[PressRender], matrix: 
 
     .. math:: u^2 = \frac{R - 1}{R} \sum_i (\theta_{(i)} - \bar\theta)^2,
 
-    with Student's t of R - 1 degrees of freedom.
+    with Student's t of R - 1 degrees of freedom; the limits of the touch are roots of those of its square.
 
     Parameters
     ----------
@@ -541,8 +573,12 @@ def image_metrics(design: FingerDesign, renders: Sequence[PressRender], matrix: 
     found = [_metric("seen_area_mm2", area_mm2, None)]
     for name, value in whole.items():
         others = np.array([values[name] for values in without])
-        spread = np.sqrt((count - 1) / count * ((others - others.mean()) ** 2).sum())
-        found.append(_metric(name, value, t95 * float(spread)))
+        reach95 = t95 * float(np.sqrt((count - 1) / count * ((others - others.mean()) ** 2).sum()))
+        if name == _TOUCH:  # its square may be 0 within its noise, where the root has no spread of its own
+            low, high = _root(value - reach95), _root(max(value, 0.0) + reach95)
+            found.append(_metric(name, _root(value), None).model_copy(update={"low95": low, "high95": high}))
+        else:
+            found.append(_metric(name, value, reach95))
     return tuple(found)
 
 
@@ -567,13 +603,14 @@ def _seen(design: FingerDesign, render: PressRender, matrix: Floats) -> _Seen:
             f"({design.camera.width_px} x {design.camera.height_px}), or turn the camera to the coat"
         )
     bands, weights = len(BAND_NAMES), matrix.mean(axis=0)
-    near = render.contact_maps.contact_distance <= HALO
-    return _Seen(
-        light=lit[:, :bands] * matrix.sum(axis=0),
-        rgb=lit[:, bands:],
-        before=render.no_contact_bands[near] @ weights,
-        after=render.contact_bands[near] @ weights,
+    near = (render.contact_maps.contact_distance <= HALO) & np.isfinite(place[..., 0])
+    _, cell = np.unique((place[near] // CELL_MM).astype(int), axis=0, return_inverse=True)
+    pixels = np.bincount(cell.ravel())
+    before, after = (
+        np.bincount(cell.ravel(), image[near] @ weights) / pixels
+        for image in (render.no_contact_bands, render.contact_bands)
     )
+    return _Seen(lit[:, :bands] * matrix.sum(axis=0), lit[:, bands:], before, after)
 
 
 def _cell_area_mm2(design: FingerDesign) -> float:
@@ -583,7 +620,7 @@ def _cell_area_mm2(design: FingerDesign) -> float:
 
 
 def _metrics(seen: Sequence[_Seen]) -> dict[str, float]:
-    """Return the metrics of at least two independent renders."""
+    """Return the metrics of at least two independent renders; of the change by the touch its square."""
     rgb = np.mean([one.rgb for one in seen], axis=0)
     light = np.mean([one.light for one in seen], axis=0)
     leads = np.argmax(light / light.mean(axis=0), axis=-1)
@@ -591,39 +628,25 @@ def _metrics(seen: Sequence[_Seen]) -> dict[str, float]:
     level = float(brightness.mean())
     found = {
         "brightness_rel": level,
-        "variation_rel": _root_of_products(brightness - brightness.mean(axis=1, keepdims=True)) / level,
+        "variation_rel": _root(_mean_product(brightness - brightness.mean(axis=1, keepdims=True))) / level,
         **{f"{name}_share": float(np.mean(leads == k)) for k, name in enumerate(("red", "green", "blue"))},
         "vividness": vividness(rgb),
     }
     if seen[0].before.size:
         changes = np.array([one.after - one.before for one in seen])
-        found["touch_rel"] = _root_of_products(changes) / float(np.mean([one.before for one in seen]))
+        found[_TOUCH] = _mean_product(changes) / float(np.mean([one.before for one in seen])) ** 2
     return found
 
 
-def _root_of_products(values: Floats) -> float:
-    """Return the root of the mean product of two different rows, (row, n); zero where noise makes it negative."""
+def _mean_product(values: Floats) -> float:
+    """Return the mean product of two different rows, (row, n), whose noise averages out; it may become negative."""
     count, n = values.shape
-    product = ((values.sum(axis=0) ** 2).sum() - (values**2).sum()) / (count * (count - 1) * n)
-    return float(np.sqrt(max(product, 0.0)))
+    return float(((values.sum(axis=0) ** 2).sum() - (values**2).sum()) / (count * (count - 1) * n))
 
 
-def vividness(rgb: Floats) -> float:
-    r"""Return the mean CIELAB chroma of linear camera RGB, balanced to grey and exposed to middle grey.
-
-    .. math:: C^* = \sqrt{a^{*2} + b^{*2}}, \quad \mathrm{RGB}_i' = 0.18\, \mathrm{RGB}_i / \overline{\mathrm{RGB}}_i
-
-    The camera's channels stand for those of sRGB, as its own colour matrix is not known.
-
-    Parameters
-    ----------
-    rgb
-        Linear values, (n, 3), each channel with a positive mean.
-    """
-    balanced = np.clip(_MIDDLE_GREY * rgb / rgb.mean(axis=0), 0.0, 1.0)
-    encoded = np.where(balanced <= 0.0031308, 12.92 * balanced, 1.055 * balanced ** (1.0 / 2.4) - 0.055)
-    lab = srgb_to_lab(encoded[None])[0]
-    return float(np.hypot(lab[:, 1], lab[:, 2]).mean())
+def _root(square: float) -> float:
+    """Return a root, zero where noise makes its square negative."""
+    return float(np.sqrt(max(square, 0.0)))
 
 
 def _metric(name: str, value: float, reach95: float | None) -> StudyMetric:

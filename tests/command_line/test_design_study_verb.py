@@ -13,7 +13,12 @@ import pytest
 
 from data_schemas import StudyMetric, StudyPoint, StudyResult, StudyRow, provenance
 from data_schemas.storage import read_record, write_record
+from finray_calib.cli._decide import _finger_or_sensor
+from finray_calib.cli._study_run import stand_in_paints
 from finray_calib.cli.main import main
+from sim import given_design, preset_design, preset_sensor
+from sim.studies import StudyPaints, StudyTask, point_file, read_plan, study_points
+from sim.studies._point import point_key
 
 ROOT = Path(__file__).resolve().parents[2]
 PLAN = """
@@ -90,6 +95,36 @@ def test_a_killed_study_goes_on_with_what_is_missing(tmp_path, capsys):
     assert said.endswith("look at: out/study.html\n")
 
 
+def test_points_of_other_code_are_told_when_a_study_goes_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("plan.toml").write_text(PLAN)
+    plan, path = read_plan("plan.toml")
+    task = StudyTask(plan, StudyPaints(*stand_in_paints()), "auto", tmp_path / "out", tmp_path, provenance("a test"))
+    point_file(task.folder, 1).parent.mkdir(parents=True)
+    older = task.origin.model_copy(update={"package_version": "0.0.9", "git_commit": "ab" * 20, "git_dirty": False})
+    vivid = StudyMetric(name="vividness", value=7.0, low95=6.0, high95=8.0, unit="1", meaning="chroma")
+    for planned, origin in zip(study_points(plan, path), (older, task.origin), strict=True):
+        record = StudyPoint(
+            study=plan.name, number=planned.number, key=point_key(task, planned), changes=planned.changes,
+            design=planned.design, metrics=(vivid,), processor_s=1.0,
+        )  # fmt: skip
+        write_record(record, point_file(task.folder, planned.number), origin)
+    assert main(["study", "run", "plan.toml", "--out", "out"]) == 0
+    warned = " ".join(capsys.readouterr().err.split())
+    old = f"finray-calib 0.0.9, commit {'ab' * 6}"
+    assert f"points computed by other code than this ({task.origin.code}) are kept: 1 by {old}." in warned
+    assert "--renew computes them anew" in warned
+    assert f"1 by {old}; 2 by {task.origin.code}" in " ".join(Path("out/study.html").read_text().split())
+    rows = read_record(Path("out/study.json"), StudyResult).points
+    assert [row.computed_by for row in rows] == [old, task.origin.code]
+    point_file(task.folder, 1).unlink()
+    write_record(record.model_copy(update={"number": 1, "key": point_key(task, study_points(plan, path)[0])}),
+                 point_file(task.folder, 1), task.origin)  # fmt: skip
+    assert main(["study", "run", "plan.toml", "--out", "out", "--renew"]) == 0
+    assert "other code" not in capsys.readouterr().err
+    assert "by different code" not in Path("out/study.html").read_text()
+
+
 def test_mistakes_in_a_plan_are_one_sentence(tmp_path, capsys):
     assert main(["study", "run", str(tmp_path / "none.toml")]) == 2
     assert "no such plan; give a plan file (TOML), or one of the shipped plans" in capsys.readouterr().err
@@ -129,3 +164,14 @@ def test_two_studies_are_compared_by_the_points_that_they_share(tmp_path, capsys
     assert main(["study", "compare", a, c]) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "have no number of a point in common; they change light.angle_deg, and pad.thickness_mm" in said
+
+
+def test_a_folder_with_the_name_of_a_ready_made_design_does_not_hide_it(tmp_path, monkeypatch):
+    """Studies and searches write folders of such names by default."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("flat-70x35", "digit"):
+        Path(name).mkdir()
+    design, files, _ = given_design(Path("flat-70x35"))
+    assert (design, files) == (preset_design("flat-70x35"), [])
+    sensor, files, _ = _finger_or_sensor(Path("digit"))
+    assert (sensor, files) == (preset_sensor("digit"), [])

@@ -1,11 +1,15 @@
 """Powers of lights: against other solvers and the conditions of an optimum, and intervals at their rate."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize, nnls
 
-from data_schemas import DecideError
+from data_schemas import DecideError, LightPowers
+from data_schemas.storage import read_record
 from finray_calib.decide import LightBasis, PowerLimits, error_change, even_powers, most_even
+from finray_calib.decide._light_powers import powers_sentence
 
 LOW, HIGH, TOTAL = 0.25, 4.0, 1.0
 
@@ -147,3 +151,12 @@ def test_a_change_of_the_error_is_that_of_paired_draws():
     assert change.low95_rel == pytest.approx(change.high95_rel)
     with pytest.raises(DecideError, match="at least 3 draws"):
         error_change(now[:2], now[:2])
+
+
+@pytest.mark.parametrize(("low95", "begins"), [(-0.01, "No gain is certain, so the powers may stay."), (0.01, "Set ")])
+def test_a_gain_that_is_not_certain_is_no_advice_to_change_powers(low95, begins):
+    file = Path(__file__).resolve().parents[1] / "schemas/frozen/LightPowers/v1/example.json"
+    record = read_record(file, LightPowers)
+    rows = record.rows if len(record.rows) > 1 else record.rows * 2
+    gain = record.gain_rel.model_copy(update={"low95": low95, "high95": 0.3})
+    assert powers_sentence(record.model_copy(update={"rows": rows, "gain_rel": gain})).startswith(begins)

@@ -6,8 +6,14 @@ import pytest
 from html_page import Page, assert_stands_alone
 
 from data_schemas import FingerDesign, StudyMetric, StudyPoint, StudyResult, StudyRow
-from finray_calib.reports import design_study_page, study_differences, study_differences_text, study_pictures_webp
-from finray_calib.reports._design_study_page import _changed, _names, _views
+from finray_calib.reports import (
+    design_study_page,
+    points_by_code,
+    study_differences,
+    study_differences_text,
+    study_pictures_webp,
+)
+from finray_calib.reports._design_study_page import _all_views, _changed, _names, _pictures_in_a_row
 from finray_calib.reports._methods import study_methods
 
 
@@ -101,11 +107,34 @@ def test_pictures_are_cut_to_what_is_lit_and_show_what_the_touch_changes():
     rest[20:40, 30:70] = pressed[20:40, 30:70] = 1.0
     pressed[25:30, 40:50, 0] = 2.0
     rest[5, 5] = pressed[5, 5] = 9.0  # one bright pixel is noise
-    before, after, change = _views(point.model_copy(update={"no_contact": rest, "contact": pressed}), np.ones(3))
-    assert before.shape == after.shape == change.shape == (20, 40, 3)
+    one = point.model_copy(update={"no_contact": rest, "contact": pressed})
+    (before, after, change), (larger, *_) = _all_views([one, point.model_copy(update={"no_contact": rest.copy()})])
+    assert larger.shape == before.shape == after.shape == change.shape == (20, 40, 3)
     assert (before == 255).all()
-    assert (change[5:10, 10:20, 0] == 255).all()
+    assert (change[6:9, 11:19, 0] == 255).all()  # smoothed by a pixel at its edges
+    assert (change[:2, :, 0] == 128).all()
     assert set(change[..., 1:].ravel()) == {128}
+    aside = dark.copy()
+    aside[20:50, 10:20] = 1.0
+    views = _all_views([one, point.model_copy(update={"no_contact": aside, "contact": aside})])
+    assert {picture.shape for of_point in views for picture in of_point} == {(30, 60, 3)}  # rows 20-50, columns 10-70
+
+
+def test_pictures_of_a_grid_stand_in_rows_of_its_last_field():
+    grid = [pictured(1, {"indenter.position_mm": at, "light.angle_deg": a}) for at in (1.0, 2.0) for a in (0, 15, 30)]
+    assert _pictures_in_a_row(grid) == 3
+    assert _pictures_in_a_row([pictured(1, {"preset": str(k)}) for k in range(7)]) == 4
+    together = [pictured(1, {"preset": "a", "indenter.depth_mm": depth}) for depth in (0.8, 1.2, 0.8, 1.5)]
+    assert _pictures_in_a_row(together) == 4
+
+
+def test_points_are_named_in_ranges_by_the_code_that_computed_them():
+    one = study({float(k): 1.0 for k in range(1, 8)}, 0.1)
+    codes = ["a", "a", "a", "b", "a", None, None]
+    rows = tuple(row.model_copy(update={"computed_by": code}) for row, code in zip(one.points, codes, strict=True))
+    assert points_by_code(one.model_copy(update={"points": rows})) == {
+        "a": "1 to 3, 5", "b": "4", "unknown code": "6 to 7",
+    }  # fmt: skip
 
 
 def test_a_point_is_named_by_what_it_changes_with_its_unit():

@@ -14,8 +14,8 @@ import numpy as np
 import psutil
 import pytest
 
-from data_schemas import RecordError, SimulateError, StudyPoint, provenance
-from data_schemas.storage import write_record
+from data_schemas import FingerSurfaces, PressMechanics, RecordError, SimulateError, StudyPoint, provenance
+from data_schemas.storage import read_record, write_record
 from data_schemas.storage._whole_files import part_name
 from finray_calib.cli._study_run import stand_in_paints
 from sim import preset_design
@@ -27,18 +27,24 @@ from sim.studies import (
     StudyPaints,
     StudyTask,
     design_folder,
+    point_code,
     point_file,
     read_plan,
     run_dataset,
     run_study,
     study_points,
 )
+from sim.studies import _point as point_module
 from sim.studies._engine import _client, _each, _Steps, each_computed
 from sim.studies._point import (
+    _mean_product,
     _metrics,
-    _root_of_products,
+    _root,
     _Seen,
     _seen,
+    compute_point,
+    has_press,
+    image_metrics,
     independent_halves,
     point_key,
     press_file,
@@ -229,9 +235,9 @@ def test_products_of_independent_rows_know_no_noise():
     signal = rng.normal(size=20_000)
     noisy = signal + rng.normal(scale=3.0, size=(3, signal.size))
     # the product of two rows has a standard deviation of 9 per value: 9 / sqrt(3 x 20,000) of the mean square 1
-    assert _root_of_products(noisy) == pytest.approx(1.0, abs=4 * 0.5 * 9.0 / np.sqrt(60_000))
+    assert _root(_mean_product(noisy)) == pytest.approx(1.0, abs=4 * 0.5 * 9.0 / np.sqrt(60_000))
     assert np.sqrt((noisy.mean(axis=0) ** 2).mean()) > 1.9
-    assert _root_of_products(rng.normal(size=(3, 4))) >= 0.0
+    assert _root(_mean_product(np.array([[1.0, -1.0], [-1.0, 1.0], [0.0, 0.0]]))) == 0.0
 
 
 def test_vividness_is_the_chroma_of_another_library():
@@ -252,8 +258,27 @@ def test_shares_and_variation_are_those_of_a_coat_whose_light_is_known():
     found = _metrics([one, one, one])
     assert [found[f"{name}_share"] for name in ("red", "green", "blue")] == [0.25, 0.5, 0.25]
     assert found["variation_rel"] == pytest.approx(np.std([1, 2, 3, 2]) / 2.0)
-    assert found["touch_rel"] == pytest.approx(0.25)
+    assert found["touch_rel"] == pytest.approx(0.25**2)
     assert found["brightness_rel"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("touch", [0.0, 0.1, 0.5])
+def test_limits_of_the_touch_hold_it_also_where_it_drowns_in_noise(monkeypatch, touch):
+    """95 % limits from six halves, 40 cells, noise of 0.4 a cell; in 300 worlds at most three standard errors fewer."""
+    rng, held, lows = np.random.default_rng(9), 0, []
+    flat = np.ones((3, 3))
+    for _ in range(300):
+        signal = touch * rng.choice([-1.0, 1.0], size=40)
+        seen = [
+            _Seen(flat, flat, np.ones(40), 1.0 + signal + rng.normal(scale=0.4, size=40)) for _ in range(6)
+        ]  # fmt: skip
+        monkeypatch.setattr(point_module, "_seen", lambda design, one, matrix: one)
+        found = {m.name: m for m in image_metrics(preset_design("flat-70x35"), seen, np.eye(3))}["touch_rel"]
+        assert 0.0 <= found.low95 <= found.value <= found.high95
+        held += found.low95 <= touch <= found.high95
+        lows.append(found.low95)
+    assert held >= 300 * 0.95 - 3 * np.sqrt(300 * 0.95 * 0.05)
+    assert (np.median(lows) > 0.0) == (touch > 0.2)
 
 
 @pytest.mark.renderer
@@ -334,6 +359,59 @@ def test_a_folder_of_another_study_is_refused(tmp_path):
     write_record(other, file, task.origin)
     with pytest.raises(SimulateError, match=r"00001\.json: was computed from another plan, design, paint or seed"):
         run_study(task, points, workers=1)
+
+
+OLDER = {"package_version": "0.0.9", "git_commit": "ab" * 20, "git_dirty": False}
+
+
+def test_a_point_of_other_code_is_kept_and_computed_anew_when_asked(tmp_path):
+    task, (point, _) = study_of(tmp_path, vary("light.angle_deg", [0.0, 30.0]))
+    record = StudyPoint(
+        study="a study", number=1, key=point_key(task, point), changes=point.changes, design=point.design, metrics=(),
+        processor_s=1.0,
+    )  # fmt: skip
+    file = point_file(task.folder, 1)
+    file.parent.mkdir(parents=True)
+    renewing = replace(task, renew=True)
+    for origin, is_other in ((task.origin, False), (task.origin.model_copy(update=OLDER), True)):
+        file.unlink(missing_ok=True)
+        write_record(record, file, origin)
+        assert stored_point(task, point) is not None
+        assert (stored_point(renewing, point) is None) is is_other
+    assert point_code(task, stored_point(task, point)) == f"finray-calib 0.0.9, commit {'ab' * 6}"
+
+
+def latest(record_type):
+    folders = (ROOT / "tests/schemas/frozen" / record_type.__name__).glob("v*")
+    return read_record(max(folders, key=lambda v: int(v.name[1:])) / "example.json", record_type)
+
+
+def test_a_point_whose_press_is_of_other_code_is_computed_anew_when_asked(tmp_path):
+    text = '[measure]\npress = "finite elements"\nimages = false\n' + vary("light.angle_deg", [0.0])
+    task, (point,) = study_of(tmp_path, text)
+    surfaces = press_file(task, point.design)
+    mechanics = surfaces.with_name(surfaces.name.replace("surfaces", "mechanics"))
+    surfaces.parent.mkdir(parents=True)
+    older, renewing = task.origin.model_copy(update=OLDER), replace(task, renew=True)
+    write_record(latest(FingerSurfaces), surfaces, older)
+    write_record(latest(PressMechanics), mechanics, older)
+    compute_point(task, point)
+    told = point_code(task, stored_point(task, point))
+    assert told == f"{task.origin.code}; its press by finray-calib 0.0.9, commit {'ab' * 6}"
+    assert has_press(task, surfaces)
+    assert not has_press(renewing, surfaces)
+    assert stored_point(renewing, point) is None
+
+    mechanics.unlink()
+    write_record(latest(PressMechanics), mechanics, task.origin)  # as if it had been pressed anew
+    assert has_press(renewing, surfaces)
+    file = point_file(task.folder, 1)
+    kept = read_record(file, StudyPoint)
+    file.unlink()
+    write_record(kept, file, older)
+    assert stored_point(renewing, point) is None
+    compute_point(renewing, point)
+    assert stored_point(renewing, point).provenance.code == task.origin.code
 
 
 def test_a_point_is_known_by_design_paints_seed_and_measure(tmp_path):
