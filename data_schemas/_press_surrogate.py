@@ -129,10 +129,12 @@ class PressSurrogate(Record):
     force_kernel: TaughtKernel
     level_share: Annotated[float, Field(gt=0.0, lt=1.0)]
     surface_bar_rel: Annotated[float, Field(gt=0.0)] = Field(
-        description="a bar over the process's standard deviation and the floor together, by presses left out"
+        description="a bar over the process's standard deviation and the floor together, by presses left out, each "
+        "increment weighed by how many presses asked are nearest to it"
     )
     surface_floor_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="median standard deviation of presses left out"
+        description="the one of some shares of the median standard deviation of presses left out whose bars are "
+        "narrowest for presses all over the family"
     )
     force_bar_rel: Annotated[float, Field(gt=0.0)]
     force_floor_rel: Annotated[float, Field(ge=0.0)]

@@ -34,8 +34,9 @@ _BOLDER = 3.0  # by which what hardly resists may then go further than it went
 _STIFFER, _SOFTER = 4.0, 0.2  # by what this changes when a step was short again, or whole
 # where the exact tangent leads nowhere, its negative curvature along the step is taken away twice, and then more
 _PROXIMAL, _MORE_PROXIMAL, _PROXIMAL_TRIES = 2.0, 8.0, 2
-# a search wanders where the least residual of so many steps is not so much below that of all before
-_WANDERS_AFTER, _NEARER = 8, 0.5
+# a search wanders where the least residual of so many steps is not so much below that of all before, and above such a
+# share of the first one: below it, something soft goes a long way, and a smaller increment leads there too
+_WANDERS_AFTER, _NEARER, _FAR = 8, 0.5, 1e-3
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
 
 
@@ -232,7 +233,8 @@ class _Search:
         if last and len(last) == self.options.stalled_after and sum(last) < 1.0:
             return f"the last {len(last)} of {self.solved} steps were short, together {sum(last):.2g} of one full step"
         before, lately = self.residuals[:-_WANDERS_AFTER], self.residuals[-_WANDERS_AFTER:]
-        if self.options.stalled_after and len(before) >= _WANDERS_AFTER - 1 and min(lately) > _NEARER * min(before):
+        near = max(_NEARER * min(before, default=math.inf), _FAR * self.residuals[0])
+        if self.options.stalled_after and len(before) >= _WANDERS_AFTER - 1 and min(lately) > near:
             return f"after {self.solved} iterations {min(lately):.2g} N out of balance, no nearer than before"
         return ""
 
