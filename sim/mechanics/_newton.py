@@ -146,7 +146,7 @@ class _Search:
             settled = self._settled(gradient, of_terms)
             if settled and not moving:
                 return self._result(self.assembly.with_own_pressures(state), gradient, energy)
-            if why := self._given_up():
+            if why := self.given_up():
                 return self._result(state, gradient, energy, why)
             self._tell()
             found, why = None, "the line search found no lower energy"
@@ -225,7 +225,7 @@ class _Search:
     def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
         return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved)
 
-    def _given_up(self) -> str:
+    def given_up(self) -> str:
         """Return why the search is not gone on with, or nothing."""
         if self.solved >= self.options.iterations:
             return f"no equilibrium after {self.solved} iterations"
