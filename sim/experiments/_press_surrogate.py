@@ -578,8 +578,8 @@ class SurrogateFinger:
                 return f"its {what} may be off by {100 * share:.1f} %, and {100 * self.limit_rel:.1f} % is the limit"
         if self.record.crossed_features is not None:
             sets = (self.record.crossed_features, self.record.sample_features)
-            ways = [(places - place) / self.record.surface_kernel.lengths for places in sets]
-            if np.less_equal(*(float((way**2).sum(axis=1).min()) for way in ways)):
+            squares = [((places - place) / self.record.surface_kernel.lengths) ** 2 for places in sets]
+            if squares[0].sum(axis=1).min() <= squares[1].sum(axis=1).min():
                 return "in the nearest press that taught it ribs pass through each other or buckle"
         return ""
 
