@@ -54,6 +54,14 @@ class PressFamily(Model):
         place[3] = 0.0 if ball else place[3]
         return np.array([*place, 2.0 * indenter.depth_mm / self.depth_mm[1] - 1.0, 1.0 if ball else -1.0])
 
+    def evenly(self, unit: Floats) -> Floats:
+        """Return the features (q, 6) of presses over the whole family, pushes too, for numbers (q, 6) from 0 to 1."""
+        places: Floats = 2.0 * unit - 1.0
+        least = 2.0 * self.depth_mm[0] / self.depth_mm[1] - 1.0
+        places[:, 4], places[:, 5] = least + (1.0 - least) * unit[:, 4], np.where(unit[:, 5] < 0.5, -1.0, 1.0)
+        places[:, 3] *= places[:, 5] < 0.0
+        return places
+
 
 class TaughtKernel(Model):
     """Covariance exp(-d^2 / 2) + linear_rel (1 + x . y) of a Gaussian process, d by the lengths; times a variance."""
@@ -121,10 +129,12 @@ class PressSurrogate(Record):
     force_kernel: TaughtKernel
     level_share: Annotated[float, Field(gt=0.0, lt=1.0)]
     surface_bar_rel: Annotated[float, Field(gt=0.0)] = Field(
-        description="a bar over the process's standard deviation and the floor together, by presses left out"
+        description="a bar over the process's standard deviation and the floor together, by presses left out, each "
+        "increment weighed by how many presses asked are nearest to it"
     )
     surface_floor_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="median standard deviation of presses left out"
+        description="the one of some shares of the median standard deviation of presses left out whose bars are "
+        "narrowest for presses all over the family"
     )
     force_bar_rel: Annotated[float, Field(gt=0.0)]
     force_floor_rel: Annotated[float, Field(ge=0.0)]

@@ -34,6 +34,8 @@ Exit status: 0 also where the object is lost, which the last lines tell; 2 after
 get hold of the object at all."""
 
 LARGEST_FORCE_N, LARGEST_MASS_KG = 200.0, 20.0
+FEWEST_TOUCHING = 8
+"""Below this many points of contact on a finger, the force is an effect of the mesh."""
 
 
 def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -147,6 +149,13 @@ def _store(found: "Grasp", record: "ObjectGrasp", files: dict[str, Path], origin
     for side, (_, pressed) in sides.items():
         if pressed.crossing:
             warn(f"warning: {side} finger: {pressed.crossing}; its results from there on are not physical: close less")
+        touching = int((pressed.pressure_mpa > 0.0).sum())
+        if touching < FEWEST_TOUCHING:
+            warn(
+                f"warning: {side} finger: {touching} points of its mesh touch the object, and below {FEWEST_TOUCHING} "
+                'the force hangs on where they lie: take a finer mesh (mesh.preset = "medium" in the design), or close '
+                "with more force"
+            )
 
 
 def _tell(record: "ObjectGrasp", files: dict[str, Path]) -> None:

@@ -66,6 +66,8 @@ _LENGTHS = (0.2, 20.0)  # in half widths of the family
 _LINEAR = (1e-4, 1e2)
 _NOISE = (1e-7, 1e-1)
 _JITTER = 1e-9
+_ASKED = 1024  # presses, for which bars shall be narrow
+_FLOORS = np.array([0.01, 0.03, 0.1, 0.3, 1.0])  # of the median deviation of presses left out
 _FEATURES = 6
 _MIRRORED = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])  # features across the finger's middle
 # of a design, what no press by finite elements reads
@@ -97,13 +99,13 @@ def candidate_presses(family: PressFamily, count: int = _POOL) -> list[Indenter]
     def between(share: float, bounds: tuple[float, float]) -> float:
         return float(bounds[0] + share * (bounds[1] - bounds[0]))
 
-    found = []
+    found, (small, large) = [], family.radius_mm
     for along, across, size, turn, shape, push in qmc.Sobol(_FEATURES, seed=1).random(count):
         cylinder = shape < 1.0 / 2.0
         found.append(
             Indenter(
                 shape="cylinder" if cylinder else "ball",
-                radius_mm=float(family.radius_mm[0] * (family.radius_mm[1] / family.radius_mm[0]) ** size),
+                radius_mm=float(small * (large / small) ** size),
                 position_mm=between(along, family.position_mm),
                 across_mm=between(across, (0.0, family.across_mm[1])),
                 rotation_deg=(0.0, between(turn, family.turn_deg) if cylinder else 0.0, 0.0),
@@ -195,8 +197,7 @@ def samples_of(
     finger: CondensedFinger, family: PressFamily, image: Integers, number: int, press: TaughtPress
 ) -> Samples:
     """Return what one press by finite elements has beyond the condensed finger's; `image` is that of the nodes."""
-    flip, indenter = np.array([-1.0, 1.0, 1.0]), press.design.indenter
-    rigid = rigid_indenter(press.design)
+    flip, indenter, rigid = np.array([-1.0, 1.0, 1.0]), press.design.indenter, rigid_indenter(press.design)
     rows: list[tuple[Floats, NDArray[np.float32], float, Floats, float]] = []
     crossed = [family.features(indenter)] if press.unreached else []
     for k, depth in enumerate(press.depth_mm.tolist()):
@@ -249,14 +250,26 @@ def _left_out(process: Process, products: Floats, press: Integers) -> tuple[Floa
     return error, deviation
 
 
-def _bar(error: Floats, deviation: Floats, press: Integers) -> tuple[float, float]:
-    """Return the conformal quantile of error over (deviation + floor), and the floor: the median deviation.
+def _bar(process: Process, products: Floats, samples: Samples, asked: Floats) -> tuple[Floats, float, float]:
+    """Return errors of presses left out, the conformal quantile of error / (deviation + floor), and the floor.
 
-    Near what is known a process is surer of itself than its errors are small. Of n presses the level is (n + 1) / n.
+    Presses that teach were chosen where least is known, at the family's edges, and left out one by one they are known
+    least of all: each of their increments counts by how many presses asked are nearest to it. Near what is known a
+    process is surer of itself than its errors are small; the floor is the one whose bars are narrowest for what is
+    asked. Of n presses the level is (n + 1) / n.
     """
-    count, floor = len(np.unique(press)), float(np.median(deviation))
-    scores = error / (deviation + floor)
-    return float(np.quantile(scores, min(1.0, LEVEL * (count + 1) / count), method="higher")), floor
+    error, deviation = _left_out(process, products, samples.press)
+    _, nearest = cKDTree(samples.features / process.kernel.lengths).query(asked / process.kernel.lengths)
+    counts = np.bincount(nearest, minlength=len(samples))
+    presses, own = len(np.unique(samples.press)), _deviation(process, asked)
+    level, found = min(1.0, LEVEL * (presses + 1) / presses), []
+    for floor in np.median(deviation) * _FLOORS:
+        scores = error / (deviation + floor)
+        order = np.argsort(scores)
+        reached = np.searchsorted(np.cumsum(counts[order]), level * counts.sum())
+        bar = float(scores[order[min(reached, len(order) - 1)]])
+        found.append((bar * float(np.mean(own + floor)), bar, float(floor)))
+    return error, *min(found)[1:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,9 +289,9 @@ def _learn(finger: CondensedFinger, samples: Samples, before: _Learned | None) -
     along = samples.force_rest_rel[:, 1]
     force = np.outer(along, along)
     if before is None:
-        kernels = (likeliest_kernel(samples.features, surface), likeliest_kernel(samples.features, force))
+        kernels = [likeliest_kernel(samples.features, products) for products in (surface, force)]
     else:
-        kernels = (before.surface.kernel, before.force.kernel)
+        kernels = [before.surface.kernel, before.force.kernel]
     processes = [Process(kernel, samples.features) for kernel in kernels]
     return _Learned(processes[0], processes[1], surface, force)
 
@@ -325,8 +338,8 @@ def teach_surrogate(
 ) -> PressSurrogate:
     """Condense a finger, press it by finite elements and learn what condensation leaves.
 
-    Valid for the family that :func:`press_family` states. The bars rest on presses left out one at a time, and hold as
-    far as those that taught, chosen where least is known, are like what is asked.
+    Valid for the family that :func:`press_family` states. The bars rest on presses left out one at a time, and hold for
+    presses spread evenly over the family.
 
     Parameters
     ----------
@@ -401,9 +414,8 @@ def press_to_teach(
         if progress is not None:
             progress(number * total + done, settings.presses * total, f"press {number + 1}: {what}")
 
-    pressed = press_finger(
-        design, PressSettings(preset, _INCREMENTS, settings.threads, "penalty"), store=count, progress=tell
-    )
+    how = PressSettings(preset, _INCREMENTS, settings.threads, "penalty")
+    pressed = press_finger(design, how, store=count, progress=tell)
     return TaughtPress(
         preset=preset,
         design=design,
@@ -416,18 +428,17 @@ def press_to_teach(
     )
 
 
-def _bars(learned: _Learned, samples: Samples) -> dict[str, Any]:
+def _bars(learned: _Learned, samples: Samples, asked: Floats) -> dict[str, Any]:
     """Return the bars, and the errors of presses left out, as fields of the record."""
-    surface = _left_out(learned.surface, learned.surface_products, samples.press)
-    force = _left_out(learned.force, learned.force_products, samples.press)
-    (surface_bar, surface_floor), (force_bar, force_floor) = (_bar(*left, samples.press) for left in (surface, force))
+    surface, surface_bar, surface_floor = _bar(learned.surface, learned.surface_products, samples, asked)
+    force, force_bar, force_floor = _bar(learned.force, learned.force_products, samples, asked)
     return {
         "surface_bar_rel": surface_bar,
         "surface_floor_rel": surface_floor,
         "force_bar_rel": force_bar,
         "force_floor_rel": force_floor,
-        "left_out_surface_rel": surface[0] / samples.own_rel,
-        "left_out_force_rel": force[0] / samples.force_rel,
+        "left_out_surface_rel": surface / samples.own_rel,
+        "left_out_force_rel": force / samples.force_rel,
     }
 
 
@@ -445,7 +456,7 @@ def _surrogate(
     values, vectors = np.linalg.eigh(np.asarray(rests @ rests.T, dtype=np.float64))
     kept = np.argsort(values)[::-1][: min(_MOST_MODES, len(samples))]
     modes = ((vectors[:, kept] / np.sqrt(np.maximum(values[kept], np.finfo(float).tiny))).T @ rests).astype(np.float32)
-    presses = int(samples.press.max()) + 1
+    presses, asked = int(samples.press.max()) + 1, family.evenly(qmc.Sobol(_FEATURES, seed=2).random(_ASKED))
     return PressSurrogate(
         name=f"{design.name}, taught by {presses} presses",
         label=f"surrogate taught by {presses} presses by finite elements",
@@ -466,7 +477,7 @@ def _surrogate(
         surface_kernel=learned.surface.kernel,
         force_kernel=learned.force.kernel,
         level_share=LEVEL,
-        **_bars(learned, samples),
+        **_bars(learned, samples, asked),
         crossed_features=samples.crossed if len(samples.crossed) else None,
         processor_s=processor_s,
     )
@@ -512,10 +523,8 @@ class SurrogateFinger:
 
     def __init__(self, record: PressSurrogate, limit_rel: float = LIMIT_REL) -> None:
         self.record, self.limit_rel = record, limit_rel
-        condensed = Condensation(
-            record.compliance_mm_per_n, record.shapes, record.shape_compliance_mm_per_n, record.shapes_rest_rel
-        )
-        self.finger = CondensedFinger(record.design, record.preset, condensed)
+        rows = record.shapes, record.shape_compliance_mm_per_n, record.shapes_rest_rel
+        self.finger = CondensedFinger(record.design, record.preset, Condensation(record.compliance_mm_per_n, *rows))
         self._surface = Process(record.surface_kernel, record.sample_features)
         self._force = Process(record.force_kernel, record.sample_features)
         self._surface_inverse: Floats = np.asarray(np.linalg.inv(self._surface.matrix), np.float64)
@@ -540,8 +549,8 @@ class SurrogateFinger:
         record = self.record
         if why := record.family.outside(indenter):
             raise SimulateError(f"the surrogate does not answer {why}; change it, or press by finite elements")
-        rigid = rigid_indenter(record.design.model_copy(update={"indenter": indenter}))
-        contact = self.finger.press(rigid, indenter.depth_mm)
+        design = record.design.model_copy(update={"indenter": indenter})
+        contact = self.finger.press(rigid_indenter(design), indenter.depth_mm)
         place = record.family.features(indenter)[None]
         weights, surface = self._at(self._surface, self._surface_inverse, place)
         pulls, force = self._at(self._force, self._force_inverse, place)
@@ -549,16 +558,11 @@ class SurrogateFinger:
         displacement = self.finger.displacement_mm(contact) + indenter.depth_mm * rest
         pushed = contact.force_n + contact.force_n[1] * (pulls @ record.force_rest_rel)
         push, own = float(pushed[1]), rms_length(displacement[self.finger.coat])
-        force_bar = (
-            record.force_bar_rel * (force + record.force_floor_rel) * float(contact.force_n[1]) + _SETTLED_REL * push
-        )
-        surface_bar = (
-            record.surface_bar_rel * (surface + record.surface_floor_rel) * indenter.depth_mm + _SETTLED_REL * own
-        )
-        shares = (force_bar / push, surface_bar / own)
-        return SurrogatePress(
-            indenter, contact, displacement, pushed, force_bar, surface_bar, self._doubt(place[0], shares)
-        )
+        force_bar = record.force_bar_rel * (force + record.force_floor_rel) * float(contact.force_n[1])
+        surface_bar = record.surface_bar_rel * (surface + record.surface_floor_rel) * indenter.depth_mm
+        force_bar, surface_bar = force_bar + _SETTLED_REL * push, surface_bar + _SETTLED_REL * own
+        doubt = self._doubt(place[0], (force_bar / push, surface_bar / own))
+        return SurrogatePress(indenter, contact, displacement, pushed, force_bar, surface_bar, doubt)
 
     def _at(self, process: Process, inverse: Floats, place: Floats) -> tuple[Floats, float]:
         """Return the weights (s,) of the samples at one place (1, d), and the standard deviation."""
@@ -574,9 +578,8 @@ class SurrogateFinger:
                 return f"its {what} may be off by {100 * share:.1f} %, and {100 * self.limit_rel:.1f} % is the limit"
         if self.record.crossed_features is not None:
             sets = (self.record.crossed_features, self.record.sample_features)
-            ways = [(places - place) / self.record.surface_kernel.lengths for places in sets]
-            crossed, sound = (float((way**2).sum(axis=1).min()) for way in ways)
-            if crossed <= sound:
+            squares = [((places - place) / self.record.surface_kernel.lengths) ** 2 for places in sets]
+            if squares[0].sum(axis=1).min() <= squares[1].sum(axis=1).min():
                 return "in the nearest press that taught it ribs pass through each other or buckle"
         return ""
 

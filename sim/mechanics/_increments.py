@@ -20,6 +20,8 @@ from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports, find_equ
 
 _MODE_STEPS = 4  # element by element; the second one usually changes nothing any more
 _MODES_SETTLED_REL = 1e-3  # of the energy; Newton's method does the rest
+# a search that has taken this long from a guess is not begun again from the last equilibrium: half the way is cheaper
+_LONG_GUESS = 10
 _MOST_ROUNDS = 12  # renewals of lagged forces; each takes the change down to about the coefficient of friction
 _LAGGED_REL = 1e-3  # of the forces, out of balance: nearer than this is of no use while lagged forces still change
 
@@ -188,7 +190,7 @@ class _Search:
         if self.load.settle is not None:
             options = replace(options, residual_rel=max(_LAGGED_REL, options.residual_rel))
         reached = self._from(state if guess is None else guess, supports, options)
-        if reached.failure and guess is not None:
+        if reached.failure and guess is not None and (last or reached.iterations < _LONG_GUESS):
             reached = self._from(state, supports, options)
         if reached.failure and last:
             reached = self._from(state, supports, replace(options, stalled_after=0))

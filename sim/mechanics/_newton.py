@@ -32,6 +32,11 @@ _FEWEST_REFINEMENTS = 10
 _LED_ASTRAY = 0.3
 _BOLDER = 3.0  # by which what hardly resists may then go further than it went
 _STIFFER, _SOFTER = 4.0, 0.2  # by what this changes when a step was short again, or whole
+# where the exact tangent leads nowhere, its negative curvature along the step is taken away twice, and then more
+_PROXIMAL, _MORE_PROXIMAL, _PROXIMAL_TRIES = 2.0, 8.0, 2
+# a search wanders where the least residual of so many steps is not so much below that of all before, and above such a
+# share of the first one: below it, something soft goes a long way, and a smaller increment leads there too
+_WANDERS_AFTER, _NEARER, _FAR = 8, 0.5, 1e-3
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
 
 
@@ -141,7 +146,7 @@ class _Search:
             settled = self._settled(gradient, of_terms)
             if settled and not moving:
                 return self._result(self.assembly.with_own_pressures(state), gradient, energy)
-            if why := self._given_up():
+            if why := self.given_up():
                 return self._result(state, gradient, energy, why)
             self._tell()
             found, why = None, "the line search found no lower energy"
@@ -159,6 +164,8 @@ class _Search:
                     du, rise = -du, -(rise + of_modes) - of_modes
                 if np.isfinite(du).all():
                     found = self._line_search(state, energy, du, rise, moving)
+                if found is None and not moving and not project:
+                    found, du, rise = self._by_damping(state, energy, gradient, du, rise)
             if found is None and project:
                 return self._result(state, gradient, energy, why)
             project = found is None
@@ -168,6 +175,35 @@ class _Search:
                 if not moving and self.taken < 1.0:
                     state = replace(state, modes=self.assembly.elasticity.relaxed(state.u_mm, state.modes))
                     energy = self.assembly.energy(state)
+
+    def _by_damping(
+        self, state: State, energy: float, gradient: FloatArray, du: FloatArray, rise: float
+    ) -> tuple[tuple[State, float] | None, FloatArray, float]:
+        """Return what a line search finds with the tangent damped more, where its step led nowhere; the step; its rise.
+
+        The step followed has the curvature -rise / du^2; twice that much is added to all unknowns, then more. This
+        keeps what the tangent knows of all else, which one without negative curvature of each element loses.
+        """
+        matrix, found = self.assembly.matrix, None
+        added = _PROXIMAL * abs(rise) / max(_dot(du.ravel(), du.ravel()), 1e-300)
+        for _ in range(_PROXIMAL_TRIES):
+            matrix.values[matrix.indptr[:-1]] += added
+            self.damping_n_per_mm += added
+            self.solved += 1
+            self.factors = -1
+            try:
+                self.solver.factorise(matrix.upper(), matrix.version)
+                du = self.solver.solve(-np.where(self.supports.fixed, 0.0, gradient).ravel()).reshape(-1, 3)
+            except SimulateError:
+                break
+            rise = _dot(gradient.ravel(), du.ravel()) - self.assembly.elasticity.mode_work_n_mm()
+            if np.isfinite(du).all():
+                found = self._line_search(state, energy, du, rise, False)
+            if found is not None:
+                self._least_damping = self.damping_n_per_mm * _SOFTER**2
+                break
+            added = (_MORE_PROXIMAL - 1.0) * self.damping_n_per_mm
+        return found, du, rise
 
     def _damp(self, du: FloatArray, rise: float, moving: bool) -> None:
         """Choose the damping of the next step (K. Levenberg, 1944) by the share of this one that was taken.
@@ -189,13 +225,17 @@ class _Search:
     def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
         return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved)
 
-    def _given_up(self) -> str:
+    def given_up(self) -> str:
         """Return why the search is not gone on with, or nothing."""
         if self.solved >= self.options.iterations:
             return f"no equilibrium after {self.solved} iterations"
         last = self.shares[-self.options.stalled_after :] if self.options.stalled_after else []
         if last and len(last) == self.options.stalled_after and sum(last) < 1.0:
             return f"the last {len(last)} of {self.solved} steps were short, together {sum(last):.2g} of one full step"
+        before, lately = self.residuals[:-_WANDERS_AFTER], self.residuals[-_WANDERS_AFTER:]
+        near = max(_NEARER * min(before, default=math.inf), _FAR * self.residuals[0])
+        if self.options.stalled_after and len(before) >= _WANDERS_AFTER - 1 and min(lately) > near:
+            return f"after {self.solved} iterations {min(lately):.2g} N out of balance, no nearer than before"
         return ""
 
     def _tell(self) -> None:

@@ -190,7 +190,8 @@ def test_a_chart_says_session_value_and_distance_from_the_reference_under_the_po
     facts = [replace(one, name=f"<b>{one.name}") for one in made(values)]
     history = session_history(facts)
     text = history_page(history, "lab", 10)
-    said = re.findall(r"<title>session (\d+), ([^:]*): ([-.e\d]+) %, ([-+.\d]+) sd from the reference(.*?)</title>", text)
+    words = r"<title>session (\d+), ([^:]*): ([-.e\d]+) %, ([-+.\d]+) sd from the reference(.*?)</title>"
+    said = re.findall(words, text)
     chart = text.count('<div class="readable">')  # the first screen shows it again
     assert len(said) == chart * len(values)
     found = said[: len(values)]

@@ -13,11 +13,20 @@ from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, Ogden, Pen
 from sim.mechanics import _increments as increments
 from sim.mechanics._assembly import UpperBlocks
 from sim.mechanics._finger_mesh import TiedNodes
-from sim.mechanics._increments import Load, load_increments
+from sim.mechanics._increments import Load, State, load_increments
+from sim.mechanics._increments import _Search as _IncrementSearch
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import Tie
-from sim.mechanics._newton import NewtonOptions, Supports, _nearer_to_least, _Trial, find_equilibrium
+from sim.mechanics._newton import (
+    Equilibrium,
+    NewtonOptions,
+    Supports,
+    _nearer_to_least,
+    _Search,
+    _Trial,
+    find_equilibrium,
+)
 from tests.certified.blocks import GridBlock, assemble, press, unit_cells
 
 GEL = neo_hooke(0.1333)
@@ -159,6 +168,72 @@ def test_a_search_in_short_steps_is_given_up_and_each_iteration_and_cutback_is_t
     cut = [line for line in told if line.startswith("an increment of 0.5 in place of 1: ")]
     assert len(cut) == 1
     assert "the last 8 of 8 steps were short" in cut[0]
+
+
+@pytest.mark.parametrize(
+    ("residuals", "wanders"),
+    [
+        ([2000.0, 80.0, 110.0, 90.0, 60.0, 120.0, 85.0, *[70.0, 90.0, 40.0, 90.0, 110.0, 50.0, 60.0, 90.0]], True),
+        ([2000.0, 80.0, 110.0, 90.0, 60.0, 120.0, 85.0, *[70.0, 90.0, 29.0, 90.0, 110.0, 50.0, 60.0, 90.0]], False),
+        ([2000.0, 3.0, 0.6, 0.5, 0.4, 0.5, 0.4, *[0.6, 0.5, 0.4, 0.6, 0.5, 0.4, 0.6, 0.5]], False),  # soft, and near
+        ([2000.0, *[90.0] * 12], False),  # too early to tell
+    ],
+)
+def test_a_search_that_comes_no_nearer_is_given_up(residuals, wanders):
+    _, assembly, loading = sheared_beam()
+    search = _Search(assembly, loading(1.0), linear_solver(), NewtonOptions())
+    search.residuals, search.solved = residuals, len(residuals)
+    assert bool(search.given_up()) == wanders
+    if wanders:
+        assert search.given_up() == "after 15 iterations 40 N out of balance, no nearer than before"
+    patient = _Search(assembly, loading(1.0), linear_solver(), NewtonOptions(stalled_after=0))
+    patient.residuals, patient.solved = residuals, len(residuals)
+    assert not patient.given_up()
+
+
+@pytest.mark.parametrize(("iterations", "searches"), [(9, 2), (10, 1)])
+def test_after_a_long_search_from_a_guess_half_the_way_is_gone(monkeypatch, iterations, searches):
+    _, assembly, loading = sheared_beam()
+    rest, begun = assembly.at_rest(), []
+
+    def failing(assembly, state, *_):
+        begun.append(state)
+        return Equilibrium(state, np.zeros_like(state.u_mm), 0.0, (1.0,), "no equilibrium", iterations)
+
+    monkeypatch.setattr(increments, "find_equilibrium", failing)
+    search = _IncrementSearch(assembly, linear_solver(), Load(loading), NewtonOptions())
+    guess = assembly.at_rest()
+    assert search.equilibrium(rest, guess, 1.0, loading(1.0), last=False).failure
+    assert [state is guess for state in begun] == [True, False][:searches]
+    begun.clear()
+    # the last try is patient
+    assert search.equilibrium(rest, guess, 1.0, loading(1.0), last=True).failure
+    assert [state is guess for state in begun] == [True, False, False]
+
+
+def test_where_a_step_leads_nowhere_negative_curvature_along_it_is_taken_away_twice(monkeypatch):
+    _, assembly, loading = sheared_beam()
+    bent = find_equilibrium(assembly, assembly.at_rest(), loading(0.5), linear_solver())
+    supports = loading(0.5)
+    way = 0.01 * np.sin(np.arange(bent.state.u_mm.size)).reshape(-1, 3) * ~supports.fixed
+    state = State(bent.state.u_mm + way, bent.state.modes, bent.state.pressures_mpa)
+    tried, line_search = [], vars(_Search)["_line_search"]
+
+    def refusing(self, state, energy, du, rise, moving):
+        tried.append((du.copy(), rise, self.damping_n_per_mm))
+        return None if len(tried) == 1 else line_search(self, state, energy, du, rise, moving)
+
+    monkeypatch.setattr(_Search, "_line_search", refusing)
+    reached = find_equilibrium(assembly, state, supports, linear_solver())
+    assert not reached.failure
+    np.testing.assert_allclose(reached.state.u_mm, bent.state.u_mm, atol=1e-6)
+    (du, rise, none), (damped, _, added) = tried[:2]
+    assert none == 0.0
+    assert added == pytest.approx(2.0 * abs(rise) / (du**2).sum())
+    gradient, _ = assembly.assemble(state)
+    free = ~supports.fixed.ravel()
+    held = assembly.matrix.times(damped.ravel()) + added * damped.ravel()
+    np.testing.assert_allclose(held[free], -gradient.ravel()[free], atol=1e-9 * np.abs(gradient).max())
 
 
 def test_a_watch_ends_a_press_before_the_iteration_that_would_take_too_long(monkeypatch):

@@ -6,9 +6,10 @@ import pytest
 
 from data_schemas import FingerSurfaces, ObjectGrasp, PressMechanics
 from data_schemas.storage import read_record
+from finray_calib.cli import _simulate_grasp as grasp_verb
 from sim.mechanics import STEPS
 from sim.mechanics._finger_mesh import MeshSteps
-from tests.command_line.running import finray, succeed
+from tests.command_line.running import finray
 
 FINGER = """\
 preset = "baby-48x18"
@@ -28,12 +29,16 @@ def rough_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("rough_mesh")
-def test_a_ball_is_gripped_and_carried(tmp_path: Path) -> None:
+def test_a_ball_is_gripped_and_carried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "finger.toml").write_text(FINGER)
-    said = succeed(
+    monkeypatch.setattr(grasp_verb, "FEWEST_TOUCHING", 10_000)
+    outcome = finray(
         f"simulate grasp {tmp_path}/finger.toml --force 0.5 --mass 0.01 --down side --increments 1 "
         f"--out {tmp_path}/ball.grasp.json"
     )
+    assert outcome.status == 0, outcome.err
+    said = outcome.out
+    assert "points of its mesh touch the object, and below 10000 the force hangs on where they lie" in outcome.err
     grasp = read_record(tmp_path / "ball.grasp.json", ObjectGrasp)
     assert grasp.closing_force_n[-1] == pytest.approx(0.5, abs=0.003)
     assert grasp.carried_n[-1] == pytest.approx(0.0981, abs=1e-4)
