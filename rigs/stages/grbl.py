@@ -1,10 +1,10 @@
-"""A stage behind a controller with GRBL 1.1 or grblHAL: absolute jogs, a feed hold to stop, places proven by reports.
+"""A stage behind a controller with GRBL 1.1 or grblHAL: absolute jogs, cancelled to stop, places proven by reports.
 
 Written after GRBL's documents "interface", "commands" and "jogging". Each line waits for its ``ok`` (send and response;
 nothing here needs the buffers that character counting would fill), and no move is queued behind another: whoever pulls
 the cable or kills the program leaves a stage that drives to the end of one move. Moves are jogs in machine coordinates
 (``$J=G21G90G53``): no mode of the controller changes them, one beyond its own soft limits is refused without alarm, and
-a feed hold cancels them with their place kept. A place counts as known from homing (or a person's word) until the
+a jog cancel holds and forgets them with their place kept. A place counts as known from homing (or a person's word) until the
 controller restarts, raises an alarm or is lost.
 """
 
@@ -29,13 +29,21 @@ from rigs.transports import SerialLink, usb_serial_ports
 
 BAUD: Final = 115200
 RESET: Final = b"\x18"
+JOG_CANCEL: Final = b"\x85"
+"""A feed hold of a jog that also forgets it; grblHAL (2026) ignores the plain feed hold ``!`` in a jog."""
+HOLD_AFTER_S: Final = 0.25
+STANDING: Final = ("Idle", "Hold:0", "Alarm", "Door:0", "Door:1")
 GREET_WITHIN_S: Final = 3.0
 """Boot loader of a board that restarts when its port is opened."""
 ANSWER_WITHIN_S: Final = 1.0
 """A report comes within 20 ms, by the documents; a busy computer adds to it."""
-ASK_EVERY_S: Final = 0.1
-STOP_WITHIN_S: Final = 2.0
+ASK_EVERY_S: Final = 0.05
+ASK_AGAIN_S: Final = 0.4
+"""A question is not asked again before: GRBL passes over the second, and a slow controller falls behind."""
+STOP_WITHIN_S: Final = 3.0
 START_WITHIN_S: Final = 0.5
+TAKEN_WITHIN_S: Final = 2.0
+"""Until a line is answered; grblHAL's simulator reads a byte every few milliseconds."""
 MOVE_MARGIN_S: Final = 5.0
 INCH_MM: Final = 25.4
 BOARD_VENDORS: Final = ("2341", "2a03", "1a86", "0403", "10c4")
@@ -162,11 +170,15 @@ class GrblStage:
             raise
 
     def stop(self) -> None:
-        """Feed hold, then reset once it stands: its place is kept. Without a report that it stands, reset at once."""
+        """Cancel the jog, hold if it still moves, and reset once it stands: its place is kept. Else reset at once."""
         try:
             end_s = time.monotonic() + STOP_WITHIN_S
-            self._link.write(b"!", end_s)
-            state = self._wait_for(("Idle", "Hold:0", "Alarm", "Door:0", "Door:1"), end_s)
+            self._link.write(JOG_CANCEL, end_s)
+            try:
+                state = self._wait_for(STANDING, time.monotonic() + HOLD_AFTER_S)
+            except TimedOutError:
+                self._link.write(b"!", end_s)
+                state = self._wait_for(STANDING, end_s)
             self._reset(STOP_WITHIN_S)
             self._is_known &= state != "Alarm"
             self._is_known &= self._report(time.monotonic() + ANSWER_WITHIN_S).state == "Idle"
@@ -199,19 +211,19 @@ class GrblStage:
         """Return when two reports in a row say that the axis stands at its end."""
         steps_per_mm = self._numbers.get(100 + "XYZ".index(axis), 250.0)
         tolerance_mm = 0.001 + 1.0 / steps_per_mm
-        began_s = asked_s = heard_s = time.monotonic()
-        is_taken, arrivals = False, 0
+        asked_s = heard_s = taken_s = time.monotonic()
+        is_taken, is_asked, arrivals = False, True, 0
         self._link.write(b"?", end_s)
         while arrivals < 2:
             watch()
             now_s = time.monotonic()
             if now_s > end_s:
                 raise TimedOutError(f"{self._name}: {axis} did not arrive at {to_mm:.3f} mm in time")
-            if now_s - heard_s > ANSWER_WITHIN_S:
-                raise TimedOutError(f"{self._name}: said nothing for {ANSWER_WITHIN_S:g} s while it moved")
+            if now_s - heard_s > ANSWER_WITHIN_S or (not is_taken and now_s - taken_s > TAKEN_WITHIN_S):
+                raise TimedOutError(f"{self._name}: did not answer in time while it moved; check its cable and supply")
             line = self._line_now()
             if line == "ok":
-                is_taken = True
+                is_taken, taken_s = True, now_s
             elif line is not None and (report := self._parsed(line)) is not None:
                 heard_s, at_mm = now_s, report.places_mm[axis]
                 is_there = report.state == "Idle" and abs(at_mm - to_mm) <= tolerance_mm
@@ -219,14 +231,14 @@ class GrblStage:
                 if report.state not in ("Idle", "Jog", "Run"):
                     self._is_known = False
                     raise LostError(f"{self._name}: is in state {report.state} in the midst of a move")
-                if report.state == "Idle" and not is_there and now_s - began_s > START_WITHIN_S:
+                if report.state == "Idle" and is_taken and not is_there and now_s - taken_s > START_WITHIN_S:
                     raise WrongPositionError(
                         f"{self._name}: {axis} stands at {at_mm:.3f} mm and was sent to {to_mm:.3f} mm"
                     )
-                asked_s = 0.0
-            if now_s - asked_s > ASK_EVERY_S or (arrivals and line is not None):
+                is_asked = False
+            if now_s - asked_s > (ASK_AGAIN_S if is_asked else ASK_EVERY_S):
                 self._link.write(b"?", end_s)
-                asked_s = now_s
+                is_asked, asked_s = True, now_s
 
     def _halt(self) -> bool:
         """Reset without asking, over a new connection if the old one broke; return whether the controller answered."""
@@ -276,7 +288,7 @@ class GrblStage:
         """Ask for a status report, again where none comes."""
         while True:
             self._link.write(b"?", end_s)
-            again_s = time.monotonic() + 0.25
+            again_s = time.monotonic() + ASK_AGAIN_S
             while time.monotonic() < min(again_s, end_s):
                 line = self._line_now()
                 if line is not None and (report := self._parsed(line)) is not None:
@@ -293,6 +305,7 @@ class GrblStage:
                     return state
             if time.monotonic() > end_s:
                 raise TimedOutError(f"{self._name}: is still in state {report.state}")
+            time.sleep(ASK_EVERY_S)
 
     def _line_now(self) -> str | None:
         """Return a line that has come; None where none has. What changes everything is raised.
