@@ -1,7 +1,8 @@
 r"""Presses by a stage with a load cell that stops it: touch, steps, force with uncertainty, and away.
 
 What a press rests on: the force is the cell's count above a tare times the slope of its calibration; the touch lies
-between the last step without and the first with a force above five standard deviations; every place is an absolute
+between the last step without and the first with a force above five standard deviations (so that the pad's stiffness
+times touch_step_mm must exceed the noise of a mean several times); every place is an absolute
 machine coordinate that the stage has reported. While the stage moves, each reading of the cell is compared with the
 force limit and with the last ones. The force that is reached beyond the limit is at most
 
@@ -57,7 +58,10 @@ STEP_READINGS: Final = 8
 SETTLING_READINGS: Final = 4
 """The HX711's filter has taken in a change after four readings (its data sheet: 50 ms at 80 Hz, 400 ms at 10 Hz)."""
 COARSE_SD: Final = 8.0
-BACK_STEPS: Final = 4
+BACK_STEPS: Final = 3
+FIRST_POINTS: Final = 3
+STEPS_OF_A_TARE: Final = 10
+"""Long steps without a force after which the cell is tared again, because its zero drifts."""
 LEAST_EQUAL: Final = 4
 LEAST_STEP_MM: Final = 0.005
 FORCE_REACHED: Final = 0.98
@@ -204,7 +208,7 @@ class ForceGauge:
         self._cell, self._settings, self._slope = cell, settings, calibration.slope_n_per_count
         equal = max(LEAST_EQUAL, math.ceil(settings.silent_s * settings.rate_hz))
         self._newest: deque[int] = deque(maxlen=equal)
-        self._zero, self.noise_n = math.nan, math.nan
+        self._zero, self._zero_readings, self.noise_n = math.nan, TARE_READINGS, math.nan
 
     def reading_n(self) -> float:
         """Return the next reading above the tare (N); nan before there is one.
@@ -229,7 +233,7 @@ class ForceGauge:
         """Take the mean of some readings for no force, and their scatter for the noise of one."""
         self._zero = 0.0
         counts = np.array([self.reading_n() for _ in range(TARE_READINGS)]) / self._slope
-        self._zero = float(counts.mean())
+        self._zero, self._zero_readings = float(counts.mean()), TARE_READINGS
         self.noise_n = float(counts.std(ddof=1)) * abs(self._slope)
 
     def mean(self, readings: int = STEP_READINGS) -> Force:
@@ -237,7 +241,12 @@ class ForceGauge:
         for _ in range(SETTLING_READINGS):
             self.reading_n()
         mean_n = float(np.mean([self.reading_n() for _ in range(readings)]))
-        return Force(mean_n, self.noise_n * math.sqrt(1.0 / readings + 1.0 / TARE_READINGS))
+        return Force(mean_n, self.noise_n * math.sqrt(1.0 / readings + 1.0 / self._zero_readings))
+
+    def follow(self, force: Force) -> None:
+        """Take a mean of a step that touched nothing for no force: the zero drifts."""
+        self._zero += force.mean_n / self._slope
+        self._zero_readings = STEP_READINGS
 
     def settled(self) -> Force:
         """Return the force when two means in a row agree, or after the longest wait that the rig file allows."""
@@ -411,10 +420,12 @@ class StagePress:
         """Return the first place with a force, looked for with long and then with short steps from before it."""
         stage, watch = self._settings, self._guard(limit_n)
         self._gauge.tare()
-        for at_mm in self._steps(stage.clear_mm, stage.step_mm):
+        for number, at_mm in enumerate(self._steps(stage.clear_mm, stage.step_mm), 1):
             self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
             if abs(self._gauge.reading_n()) > COARSE_SD * self._gauge.noise_n and self._is_touched():
                 break
+            if number % STEPS_OF_A_TARE == 0:
+                self._gauge.tare()
         back_mm = self._step_back(at_mm, watch)
         self._gauge.tare()
         for at_mm in self._steps(back_mm, stage.touch_step_mm):
@@ -422,21 +433,25 @@ class StagePress:
             force = self._gauge.mean()
             if force.mean_n > TOUCH_SD * force.noise_n and self._is_touched():
                 return at_mm, force
+            self._gauge.follow(force)
         raise AssertionError("the steps end with an error")
 
     def _step_back(self, at_mm: float, watch: Callable[[], None]) -> float:
-        """Go back some long steps, more where the pad is still touched, and return where the stage is then."""
-        stage = self._settings
+        """Go back some long steps until that changes the force no more, and return where the stage is then."""
+        stage, before = self._settings, self._gauge.mean()
         while True:
             at_mm -= stage.into_pad * BACK_STEPS * stage.step_mm
             if stage.into_pad * (at_mm - stage.clear_mm) < 0.0:
                 raise CaptureError(
-                    f"load cell: feels a force at clear_mm = {stage.clear_mm:g} mm, where nothing should touch; its "
-                    "zero drifts, or clear_mm of the rig file is in the pad"
+                    f"load cell: feels a force near clear_mm = {stage.clear_mm:g} mm, where nothing should touch; its "
+                    f"zero drifts, or clear_mm of the rig file is less than {3 * BACK_STEPS * stage.step_mm:g} mm from "
+                    "the pad"
                 )
             self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
-            if not self._is_touched():
+            now = self._gauge.mean()
+            if abs(now.mean_n - before.mean_n) <= TOUCH_SD * self._gauge.noise_n * math.sqrt(2.0 / STEP_READINGS):
                 return at_mm
+            before = now
 
     def _is_touched(self) -> bool:
         """Whether a second mean is above the threshold too."""
@@ -462,7 +477,7 @@ class StagePress:
             at_mm = next(self._steps(at_mm, step_mm))
             self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
             touched.points.append((at_mm, self._gauge.mean()))
-            if len(touched.points) <= BACK_STEPS:
+            if len(touched.points) <= FIRST_POINTS:
                 self._place_touch(touched)
         if press.until_force_n is not None and force.mean_n < FORCE_REACHED * press.until_force_n:
             raise RefusedError(
@@ -481,7 +496,7 @@ class StagePress:
         above_mm = touched.points[0][0]
         before_mm = above_mm - stage.into_pad * stage.touch_step_mm
         threshold_n = (TOUCH_SD + 2.0) * touched.points[0][1].noise_n
-        stiffness = [f.mean_n / abs(z - before_mm) for z, f in touched.points[: BACK_STEPS - 1] if f.mean_n > 0.0]
+        stiffness = [f.mean_n / abs(z - before_mm) for z, f in touched.points[:FIRST_POINTS] if f.mean_n > 0.0]
         unseen_mm = min(threshold_n / min(stiffness), stage.step_mm) if stiffness else stage.step_mm
         wide_mm = stage.touch_step_mm + unseen_mm
         touched.touch_mm = above_mm - stage.into_pad * 0.5 * wide_mm
@@ -605,7 +620,7 @@ def contact_times(stage: StageSettings, cell: LoadCellSettings, press: PlannedPr
     coarse_s = exchange_s + stage.step_mm / stage.press_speed_mm_per_s + reading_s
     fine_s = exchange_s + stage.touch_step_mm / stage.press_speed_mm_per_s + mean_s
     pressing_s = press.depth_mm / stage.step_mm * (coarse_s + mean_s)
-    touch_s = BACK_STEPS * stage.step_mm / stage.touch_step_mm * fine_s + 3.0 * TARE_READINGS * reading_s
+    touch_s = 2.0 * BACK_STEPS * stage.step_mm / stage.touch_step_mm * fine_s + 3.0 * TARE_READINGS * reading_s
     travel_s = 2.0 * (way_mm + 20.0) / stage.travel_speed_mm_per_s
     typical_s = 0.5 * way_mm / stage.step_mm * coarse_s + touch_s + pressing_s + travel_s + 4.0 * mean_s
     longest_s = way_mm / stage.step_mm * coarse_s + 2.0 * touch_s + pressing_s + 2.0 * travel_s + cell.settle_s

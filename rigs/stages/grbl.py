@@ -4,8 +4,8 @@ Written after GRBL's documents "interface", "commands" and "jogging". Each line 
 nothing here needs the buffers that character counting would fill), and no move is queued behind another: whoever pulls
 the cable or kills the program leaves a stage that drives to the end of one move. Moves are jogs in machine coordinates
 (``$J=G21G90G53``): no mode of the controller changes them, one beyond its own soft limits is refused without alarm, and
-a jog cancel holds and forgets them with their place kept. A place counts as known from homing (or a person's word) until the
-controller restarts, raises an alarm or is lost.
+a jog cancel holds and forgets them with their place kept. A place counts as known from homing (or a person's word)
+until the controller restarts, raises an alarm or is lost.
 """
 
 import contextlib

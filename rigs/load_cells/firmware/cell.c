@@ -26,7 +26,7 @@ static volatile unsigned char asked; /* "I" has come; a line feed makes it a que
 static volatile unsigned char question;
 static unsigned char crc;
 
-ISR(TIMER0_COMPA_vect) { milliseconds++; }
+ISR(TIMER1_COMPA_vect) { milliseconds++; }
 
 ISR(USART_RX_vect) {
     unsigned char byte = UDR0;
@@ -97,10 +97,9 @@ int main(void) {
     UBRR0 = 34; /* 57143 baud, 0.8 % slow */
     UCSR0B = (1 << RXEN0) | (1 << TXEN0) | (1 << RXCIE0);
     UCSR0C = 3 << UCSZ00;
-    TCCR0A = 1 << WGM01;
-    TCCR0B = (1 << CS01) | (1 << CS00); /* clock / 64 */
-    OCR0A = 249;                        /* 1 kHz */
-    TIMSK0 = 1 << OCIE0A;
+    TCCR1B = (1 << WGM12) | (1 << CS11) | (1 << CS10); /* clear on match, clock / 64 */
+    OCR1A = 249;                                       /* 1 kHz */
+    TIMSK1 = 1 << OCIE1A;
     sei();
     say("CELL 1.0\n");
     for (;;) {
