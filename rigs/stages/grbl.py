@@ -104,7 +104,7 @@ class GrblStage:
     def __init__(self, link: SerialLink, settings: StageSettings) -> None:
         self._link, self._settings = link, settings
         self._name = f"stage at {settings.address}"
-        self._is_known, self._offset_mm = False, {"X": 0.0, "Y": 0.0, "Z": 0.0}
+        self._is_known, self._is_unanswered, self._offset_mm = False, False, {"X": 0.0, "Y": 0.0, "Z": 0.0}
         self._numbers: dict[int, float] = {}
         self._firmware = self._reset(GREET_WITHIN_S)
         self._numbers = self._read_settings()
@@ -160,6 +160,7 @@ class GrblStage:
         deadline_s = abs(to_mm - start_mm) / speed_mm_per_s + MOVE_MARGIN_S
         try:
             line = f"$J=G21G90G53{axis}{to_mm:.3f}F{60.0 * speed_mm_per_s:.2f}\n"
+            self._is_unanswered = True
             self._link.write(line.encode(), time.monotonic() + ANSWER_WITHIN_S)
             self._follow(axis, to_mm, time.monotonic() + deadline_s, watch)
         except BaseException as error:
@@ -171,14 +172,16 @@ class GrblStage:
 
     def stop(self) -> None:
         """Cancel the jog, hold if it still moves, and reset once it stands: its place is kept. Else reset at once."""
+        was_unanswered = self._is_unanswered
         try:
             end_s = time.monotonic() + STOP_WITHIN_S
-            self._link.write(JOG_CANCEL, end_s)
-            try:
-                state = self._wait_for(STANDING, time.monotonic() + HOLD_AFTER_S)
-            except TimedOutError:
-                self._link.write(b"!", end_s)
-                state = self._wait_for(STANDING, end_s)
+            state = self._stand(end_s)
+            late_s = time.monotonic() + START_WITHIN_S
+            while self._is_unanswered and time.monotonic() < late_s:
+                state = self._stand(end_s)
+            if was_unanswered:
+                # the move began after it was cancelled
+                state = self._stand(end_s)
             self._reset(STOP_WITHIN_S)
             self._is_known &= state != "Alarm"
             self._is_known &= self._report(time.monotonic() + ANSWER_WITHIN_S).state == "Idle"
@@ -189,6 +192,15 @@ class GrblStage:
                     f"{self._name}: NOT SEEN TO STOP: {error}. It drives to the end of its move at most "
                     f"({self._settings.step_mm:g} mm towards the pad): switch its motors off before anyone touches it"
                 ) from error
+
+    def _stand(self, end_s: float) -> str:
+        """Cancel the jog, hold if that does not help, and return the state when it stands."""
+        self._link.write(JOG_CANCEL, end_s)
+        try:
+            return self._wait_for(STANDING, min(time.monotonic() + HOLD_AFTER_S, end_s))
+        except TimedOutError:
+            self._link.write(b"!", end_s)
+            return self._wait_for(STANDING, end_s)
 
     def _start_of(self, axis: str, to_mm: float) -> float:
         """Return where an axis stands, if it may move to a place."""
@@ -263,6 +275,7 @@ class GrblStage:
                 with contextlib.suppress(TimedOutError):
                     line = self._link.read_until(b"\n", min(end_s, time.monotonic() + 0.02)).decode("ascii", "replace")
                     if match := _BANNER.match(line.strip()):
+                        self._is_unanswered = False
                         self._link.drain(quiet_s, time.monotonic() + ANSWER_WITHIN_S)
                         return match[1]
         raise TimedOutError(
@@ -324,6 +337,7 @@ class GrblStage:
         if _BANNER.match(line):
             self._is_known = False
             raise LostError(f"{self._name}: the controller restarted, and its place is unknown; home it again")
+        self._is_unanswered &= line != "ok" and not line.startswith("error:")
         if line.startswith(("ALARM:", "error:")):
             self._is_known &= not line.startswith("ALARM:")
             raise RefusedError(f"{self._name}: {_in_words(line)}")

@@ -211,7 +211,7 @@ def test_mistakes_are_refused_before_anything_moves(practice, file, edit, words)
 
 
 def test_a_cell_may_be_silent_for_four_readings():
-    with pytest.raises(ValueError, match="fewer than four readings at 10 Hz; give at least 0.4 s"):
+    with pytest.raises(ValueError, match=r"fewer than four readings at 10 Hz; give at least 0\.4 s"):
         LoadCellSettings(capacity_n=5.0, force_limit_n=2.0, rate_hz=10, silent_s=0.3)
 
 
@@ -445,8 +445,9 @@ def test_no_fault_leaves_the_stage_driving(bench, tmp_path, monkeypatch, fault):
             bench.stiffness_n_per_mm = 40.0
 
     threading.Thread(target=break_it, daemon=True).start()
-    with pytest.raises(CaptureError):
+    with pytest.raises(CaptureError) as ended:
         run(tmp_path, real_rig(tmp_path, bench), monkeypatch, depth_mm=1.2)
+    assert (tmp_path / "s" / "journal.jsonl").is_file(), str(ended.value)
     assert bench.rests
     assert controller.state in ("Idle", "Alarm", "Hold:0")
     stiffness = bench.stiffness_n_per_mm
