@@ -26,6 +26,7 @@ BESIDE = {
     "published-fin-ray.md": "A published Fin Ray finger, pressed: force and direction against measured ones",
     "taught-surrogates.md": "Surrogates of a finger: presses in milliseconds, and how far they are off",
     "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",
+    "stage-and-load-cell.md": "A stage that presses, and a load cell that stops it: rig file, plan, what stops it",
     "only-hardware-can-show.md": "What only hardware can show, and what shows it on your rig",
 }
 """Pages of the folder that are not of a face -> what they hold."""

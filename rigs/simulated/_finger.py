@@ -54,12 +54,15 @@ class FingerState:
         Where the controller counts the axes.
     load_kg
         Mass on the cell while it is calibrated.
+    moving
+        Brings the stage to where it is now, while it moves.
     """
 
     rig: TactileRig
     clock: SimulatedClock = field(default_factory=SimulatedClock)
     counted_mm: dict[str, float] = field(default_factory=dict)
     load_kg: float = 0.0
+    moving: Callable[[], None] | None = None
     _lost_mm: float = 0.0
     _relaxing_n: float = 0.0
     _last: tuple[float, float] = (0.0, 0.0)
@@ -87,8 +90,10 @@ class FingerState:
         return fault is not None and fault.name == name and self.clock.elapsed_s >= begins_s
 
     def advance(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Let time pass, in which the stage moves if it does."""
         self.clock.elapsed_s += duration_s
+        if self.moving is not None:
+            self.moving()
 
     def drive(self, axis: str, to_mm: float) -> None:
         """Have an axis at a place by the controller's count; one that loses steps has gone less far into the pad."""
@@ -164,21 +169,26 @@ class SimulatedStage:
             raise RefusedError("stage: does not know where it stands; it must be homed first")
         start_mm, began_s = self.state.counted_mm[axis], self.state.clock.elapsed_s
         way_mm = to_mm - start_mm
+        takes_s = abs(way_mm) / speed_mm_per_s
+
+        def share(later_s: float = 0.0) -> float:
+            return min((self.state.clock.elapsed_s - began_s + later_s) / takes_s, 1.0) if takes_s else 1.0
+
+        self.state.moving = lambda: self.state.drive(axis, start_mm + share() * way_mm)
         try:
-            while (share := (self.state.clock.elapsed_s - began_s) * speed_mm_per_s / max(abs(way_mm), 1e-9)) < 1.0:
-                self.state.drive(axis, start_mm + share * way_mm)
+            while share() < 1.0:
                 before_s = self.state.clock.elapsed_s
                 watch()
                 if self.state.clock.elapsed_s == before_s:
                     self.state.advance(0.005)
         except BaseException:
-            way_to_stop_mm = speed_mm_per_s * DEAF_S + speed_mm_per_s**2 / (2.0 * BRAKING_MM_PER_S2)
-            share = (self.state.clock.elapsed_s - began_s) * speed_mm_per_s / max(abs(way_mm), 1e-9)
-            at_mm = start_mm + min(share + way_to_stop_mm / max(abs(way_mm), 1e-9), 1.0) * way_mm
-            self.state.drive(axis, at_mm)
-            self.state.advance(DEAF_S + speed_mm_per_s / BRAKING_MM_PER_S2)
-            self.stop()
+            self.state.moving = None
+            # deaf at full speed, then half as far as at full speed while it brakes
+            braking_s = speed_mm_per_s / BRAKING_MM_PER_S2
+            self.state.drive(axis, start_mm + share(DEAF_S + 0.5 * braking_s) * way_mm)
+            self.state.advance(DEAF_S + braking_s)
             raise
+        self.state.moving = None
         self.state.drive(axis, to_mm)
 
     def stop(self) -> None:
