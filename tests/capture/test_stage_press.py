@@ -1,6 +1,7 @@
 """Sessions in which a stage presses: on the simulated finger by the command line, and on boards in real time."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -361,7 +362,7 @@ def real_rig(folder: Path, bench: PressBench, **stage: object) -> TactileRig:
     rig = TactileRig.model_validate(
         {
             "name": "boards",
-            "camera": {"driver": "picamera2", "address": "0", "width_px": 96, "height_px": 64},
+            "camera": {"driver": "picamera2", "address": f"of process {os.getpid()}", "width_px": 96, "height_px": 64},
             "stage": {
                 "driver": "grbl", "address": str(bench.controller.port.path), "base_mm": 0.0, "clear_mm": -0.7,
                 "press_travel_mm": (-3.0, 0.0), "pad_travel_mm": (0.0, 20.0), "homing": "switches",

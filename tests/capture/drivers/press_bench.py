@@ -40,6 +40,7 @@ class Port:
             self._ours, self._theirs = pty.openpty()
             for end in (self._ours, self._theirs):
                 tty.setraw(end)
+            os.set_blocking(self._ours, False)  # what nobody reads is lost, as at a port that is not open
             self.path.unlink(missing_ok=True)
             self.path.symlink_to(os.ttyname(self._theirs))
 
