@@ -106,9 +106,9 @@ def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     parser = verbs.add_parser("rig", help=RIG_HELP, description=RIG_HELP)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", title="actions", required=True)
     init = actions.add_parser("init", help=INIT_HELP, description=INIT_DESCRIPTION)
-    init.add_argument(
-        "--preset", choices=("paper", *FINGER_PRESETS, *PRACTICE_PAINTS), default="paper", help="default: paper"
-    )
+    presets = ("paper", *FINGER_PRESETS, *PRACTICE_PAINTS)
+    told = f"{', '.join(presets)}; default: paper"
+    init.add_argument("--preset", choices=presets, default="paper", metavar="PRESET", help=told)
     add_out(init, "rig.toml")
     init.set_defaults(run=run_init)
     detect = actions.add_parser("detect", help=DETECT_HELP, description=DETECT_DESCRIPTION)
