@@ -136,7 +136,9 @@ def test_replayed_raspberry_pi_raw_files_through_the_command_line(tmp_path, monk
     outcome = finray(f"capture {tmp_path}/tactile.toml --rig {tmp_path}/rig.toml --out {out}")
     assert outcome.status == 0, outcome.err
     stated, _, stored_line = outcome.out.partition("\n")
-    assert stated.startswith("about 0.0 min and the time of your hands; 1 min at the longest and the time of your hands")
+    assert stated.startswith(
+        "about 0.0 min and the time of your hands; 1 min at the longest and the time of your hands"
+    )
     assert stored_line == f"{out}: 8 frames of 'finger 3, ball', 2 tactile captures\n"
     assert "Press 1 of 2: ball of radius 4 mm" in outcome.err
     stored = read_record(out / "press-001.json", TactileCapture)
