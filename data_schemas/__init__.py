@@ -1,8 +1,7 @@
 """The base package: what is stored in files or typed on the command line, with units, versions, provenance and errors.
 
-One module for each stage word (capture to decide), further ones for what people write (rig, design, check) and what
-records share. Records are frozen pydantic models: unknown keys are errors, numbers carry bounds and units, arrays are
-checked. :mod:`data_schemas.storage` reads and writes. It imports no other package; names load when asked for.
+One module for each stage word, others for what people write and records share. Records are frozen pydantic models.
+:mod:`data_schemas.storage` reads and writes. It imports no other package; names load when asked for.
 """
 
 from typing import TYPE_CHECKING
@@ -187,6 +186,7 @@ if TYPE_CHECKING:
         INDENTER_SHAPES,
         MATERIALS,
         PAD_SHAPES,
+        PadShape,
         PlugIn,
         PlugInKind,
         check_pad_shape,
@@ -525,6 +525,7 @@ __all__ = [
     "OtherObjective",
     "OutsideLayer",
     "PackagedMetric",
+    "PadShape",
     "PaintCalibration",
     "PaintChoice",
     "PaintColour",

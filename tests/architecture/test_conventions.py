@@ -87,6 +87,7 @@ EXCEPTIONS = {
     "difference_sd": "of log densities, nats",
     **dict.fromkeys(("halved", "doubled"), "shift of a mean, in its standard deviations"),
     "chi_square_p": "probability",
+    **dict.fromkeys(("slope", "slope_uncertainty"), "of a line through points of any units"),
     "k": "exposure factor, as in the paper",
     "u": "its relative uncertainty",
     "z": "standard score of a curve's shape",
