@@ -1,7 +1,6 @@
 """The base package: what is stored in files or typed on the command line, with units, versions, provenance and errors.
 
-One module for each stage word, others for what people write and records share. Records are frozen pydantic models.
-:mod:`data_schemas.storage` reads and writes. It imports no other package; names load when asked for.
+Records are frozen pydantic models; :mod:`data_schemas.storage` reads and writes. Names load when they are asked for.
 """
 
 from typing import TYPE_CHECKING
