@@ -1,8 +1,6 @@
 """The base package: what is stored in files or typed on the command line, with units, versions, provenance and errors.
 
-One module for each stage word (capture to decide), further ones for what people write (rig, design, check) and what
-records share. Records are frozen pydantic models: unknown keys are errors, numbers carry bounds and units, arrays are
-checked. :mod:`data_schemas.storage` reads and writes. It imports no other package; names load when asked for.
+Records are frozen pydantic models; :mod:`data_schemas.storage` reads and writes. Names load when they are asked for.
 """
 
 from typing import TYPE_CHECKING
@@ -20,11 +18,14 @@ if TYPE_CHECKING:
         FrameType,
         IndenterPose,
         LightState,
+        LoadCellCalibration,
+        MeasuredPress,
         MissingPart,
         PaintPlan,
         PixelLayout,
         PlaceInImage,
         PlannedPress,
+        PressDevice,
         RegionOfInterest,
         TactileCapture,
         TactileFrame,
@@ -189,7 +190,6 @@ if TYPE_CHECKING:
         PlugInKind,
         check_pad_shape,
         find_plug_in,
-        held_plug_in,
         numbers_of,
         plug_ins,
     )
@@ -224,10 +224,12 @@ if TYPE_CHECKING:
         HiddenPaint,
         LampSettings,
         LaserSettings,
+        LoadCellSettings,
         OutsideLayer,
         PracticeFault,
         RigFile,
         SimulatedBench,
+        StageSettings,
         WhiteReference,
         practice_fault,
     )
@@ -295,12 +297,10 @@ if TYPE_CHECKING:
         StiffnessOrder,
         StiffnessRow,
         StudyFailure,
-        StudyMeasure,
         StudyMetric,
         StudyPoint,
         StudyResult,
         StudyRow,
-        StudyVariation,
         TwoLights,
         Uniformity,
     )
@@ -340,7 +340,6 @@ if TYPE_CHECKING:
         UnsafeError,
         WrongPositionError,
         naming,
-        naming_file,
         system_words,
     )
 else:
@@ -496,6 +495,8 @@ __all__ = [
     "LightPowerRow",
     "LightPowers",
     "LightState",
+    "LoadCellCalibration",
+    "LoadCellSettings",
     "LocalScale",
     "LostError",
     "MainEffect",
@@ -503,6 +504,7 @@ __all__ = [
     "MaterialFit",
     "MaterialVerdict",
     "Measure",
+    "MeasuredPress",
     "MetricRow",
     "MissingExtraError",
     "MissingPart",
@@ -552,6 +554,7 @@ __all__ = [
     "PoseResponse",
     "PracticeFault",
     "Preset",
+    "PressDevice",
     "PressFamily",
     "PressIncrement",
     "PressMechanics",
@@ -599,16 +602,15 @@ __all__ = [
     "SkillDifference",
     "SkillOverPresses",
     "SpectralCurve",
+    "StageSettings",
     "StatementVerdict",
     "StiffnessOrder",
     "StiffnessRow",
     "StudyFailure",
-    "StudyMeasure",
     "StudyMetric",
     "StudyPoint",
     "StudyResult",
     "StudyRow",
-    "StudyVariation",
     "SurrogateBars",
     "TactileCapture",
     "TactileFrame",
@@ -647,13 +649,11 @@ __all__ = [
     "finger_identity",
     "fixed",
     "half_maximum_nm",
-    "held_plug_in",
     "interval_text",
     "kind_in_words",
     "lazy_exports",
     "look_like_radians",
     "naming",
-    "naming_file",
     "narrow_sweep_text",
     "needed_kind",
     "note_renderer",

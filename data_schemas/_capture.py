@@ -13,7 +13,15 @@ from pydantic import Field, model_validator
 from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._curves import SpectralCurve, check_named_curves
 from data_schemas._model import Model, Record
-from data_schemas._rig import CameraSettings, DeviceIdentity, RigFile
+from data_schemas._rig import (
+    CameraSettings,
+    DeviceIdentity,
+    ForceN,
+    LoadCellSettings,
+    RigFile,
+    SimulatedFinger,
+    StageSettings,
+)
 from data_schemas._units import (
     AngleDeg,
     DurationS,
@@ -207,6 +215,87 @@ class MissingPart(Model):
     lost: str
 
 
+SignedN = Annotated[float, Field(ge=-1000.0, le=1000.0, json_schema_extra={"unit": "N"})]
+UncertaintyN = Annotated[float, Field(ge=0.0, le=1000.0, json_schema_extra={"unit": "N"})]
+NO_CERTIFICATE: Final = "not traceable: no certificate of the masses recorded"
+
+
+class LoadCellCalibration(Record):
+    r"""Slope of a load cell from known masses, with what a straight line does not say.
+
+    .. math:: m g = s (c - c_0), \quad \text{weighted by } u^2(m) g^2 + s^2 u^2(c)
+    """
+
+    schema_version: ClassVar[int] = 1
+    written_by: ClassVar[str] = "'finray rig calibrate-cell'"
+    shown: ClassVar[tuple[str, ...]] = ("cell", "slope_n_per_count", "slope_uncertainty_n_per_count", "traceability")
+
+    cell: str = Field(description="rig, driver and address")
+    calibrated_utc: str
+    certificate: str | None = Field(default=None, description="of the masses; none: not recorded")
+    gravity_m_per_s2: Annotated[float, Field(ge=9.7, le=9.9, json_schema_extra={"unit": "m/s^2"})]
+    gravity_uncertainty_m_per_s2: Annotated[float, Field(ge=0.0, le=0.1, json_schema_extra={"unit": "m/s^2"})]
+    masses_kg: tuple[Annotated[float, Field(ge=0.0, le=1000.0, json_schema_extra={"unit": "kg"})], ...] = Field(
+        description="in the order in which they lay on the cell, loading and unloading"
+    )
+    mass_uncertainty_rel: RelativeUncertainty = Field(description="standard uncertainty, shared by all masses")
+    counts: tuple[float, ...] = Field(description="mean count of each")
+    counts_uncertainties: tuple[float, ...] = Field(description="standard uncertainty of each mean")
+    slope_n_per_count: float
+    slope_uncertainty_n_per_count: Annotated[float, Field(ge=0.0)]
+    linearity_n: UncertaintyN = Field(description="largest distance of a mean from the straight line")
+    hysteresis_n: UncertaintyN = Field(description="largest difference of one mass between loading and unloading")
+    noise_n: UncertaintyN = Field(description="standard deviation of one reading")
+    drift_n_per_s: float = Field(description="of the empty cell, from the first to the last mass")
+    readings: Annotated[int, Field(ge=2)] = Field(description="readings of each mean")
+
+    @property
+    def traceability(self) -> str:
+        """The certificate of the masses, or that there is none."""
+        return self.certificate or NO_CERTIFICATE
+
+    @property
+    def form_uncertainty_n(self) -> float:
+        """Standard uncertainty (N) by the form of the curve: linearity and half the hysteresis, evenly likely."""
+        return float(np.hypot(self.linearity_n, 0.5 * self.hysteresis_n) / np.sqrt(3.0))
+
+    @model_validator(mode="after")
+    def _means_are_complete(self) -> "LoadCellCalibration":
+        if not len(self.masses_kg) == len(self.counts) == len(self.counts_uncertainties) >= 3:
+            raise ValueError("masses_kg, counts and counts_uncertainties: need the same number of entries, 3 or more")
+        if self.slope_n_per_count == 0.0:
+            raise ValueError("slope_n_per_count: is 0, so that no force could be read; calibrate the cell again")
+        return self
+
+
+class MeasuredPress(Model):
+    """What stage and load cell measured of one contact; uncertainties are standard ones."""
+
+    contact: Annotated[int, Field(ge=1)]
+    ended_by: Literal["depth", "force"] = Field(description="what the plan asked for, and was reached")
+    touch_mm: PositionMm = Field(description="machine coordinate of the press axis at the touch that the cell found")
+    touch_uncertainty_mm: UncertaintyMm
+    depth_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
+    depth_uncertainty_mm: UncertaintyMm
+    force_n: SignedN = Field(description="mean of before and after the images")
+    force_uncertainty_n: UncertaintyN
+    relaxed_n: SignedN = Field(description="by how much the force fell while the images were taken")
+    zero_shift_n: SignedN | None = Field(default=None, description="of the cell, after the indenter was taken away")
+    point_depths_mm: tuple[float, ...] = Field(default=(), description="of the steps since the touch")
+    point_forces_n: tuple[float, ...] = ()
+    point_uncertainties_n: tuple[float, ...] = ()
+
+
+class PressDevice(Model):
+    """What a stage or a load cell says it is; empty where it does not say."""
+
+    role: Literal["stage", "load cell"]
+    driver: str
+    address: str = ""
+    model: str = ""
+    firmware: str = ""
+
+
 class TactileCapture(Record):
     """Images of one press: contact, no contact and a repeat of no contact, with everything needed to compare.
 
@@ -214,7 +303,7 @@ class TactileCapture(Record):
     "unknown" the values went through an unknown camera curve and are not proportional to light.
     """
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray capture'"
 
     name: str
@@ -254,6 +343,9 @@ class TactileCapture(Record):
     force_n: Annotated[float, Field(ge=-1000.0, le=1000.0, json_schema_extra={"unit": "N"})] | None = Field(
         default=None, description="force of the press at the contact image"
     )
+    force_uncertainty_n: UncertaintyN | None = Field(default=None, description="standard uncertainty; none: not known")
+    press: MeasuredPress | None = Field(default=None, description="none where no stage pressed")
+    load_cell: LoadCellCalibration | None = Field(default=None, description="how the force was calibrated")
     licence: str | None = Field(
         default=None, description="licence under which the images were published; none: not known"
     )
@@ -283,20 +375,39 @@ TactileFrameType = Literal["board", "no contact", "contact"]
 
 
 class TactileRig(Record):
-    """Rig of a tactile session (TOML): the finger's camera. There is no filter wheel and no laser to describe."""
+    """Rig of a tactile session (TOML): the finger's camera, and what presses by itself, where there is such."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
 
     name: str
     camera: CameraSettings
+    stage: StageSettings | None = Field(default=None, description="left out, a person presses")
+    load_cell: LoadCellSettings | None = Field(default=None, description="a stage presses only with one")
+    simulated: SimulatedFinger | None = Field(default=None, description="what real drivers ignore")
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a simulated finger stands in for all devices."""
+        return self.camera.driver == "simulated"
 
     @model_validator(mode="after")
-    def _camera_is_real(self) -> "TactileRig":
-        if self.camera.driver == "simulated":
+    def _devices_fit(self) -> "TactileRig":
+        if (self.stage is None) != (self.load_cell is None):
             raise ValueError(
-                "camera.driver: the simulated bench holds no finger; name a real camera, or simulate a press with "
-                "'finray simulate render'"
+                "stage and load_cell go together: nothing would stop a stage that presses without a load cell; "
+                "describe both, or leave both out"
             )
+        named = [self.camera.driver] + [part.driver for part in (self.stage, self.load_cell) if part is not None]
+        if 0 < named.count("simulated") < len(named):
+            raise ValueError("simulated and real devices cannot share a rig; name real drivers for all, or for none")
+        if self.is_simulated and (self.stage is None or self.simulated is None):
+            raise ValueError(
+                "camera.driver: the simulated bench holds no finger without [simulated], [stage] and [load_cell] "
+                "tables: 'finray rig init --preset simulated-finger' writes them; or simulate a press with 'finray "
+                "simulate render'"
+            )
+        if self.stage is not None and self.load_cell is not None and self.stage.address == self.load_cell.address != "":
+            raise ValueError(f"stage and load_cell are both at {self.stage.address}; a serial port holds one device")
         return self
 
 
@@ -316,10 +427,22 @@ class PlannedPress(Model):
     depth_uncertainty_mm: UncertaintyMm
     position_uncertainty_mm: UncertaintyMm
     tilt_uncertainty_deg: UncertaintyDeg | None = None
+    force_limit_n: ForceN | None = Field(
+        default=None, description="the stage stops here and the session ends; left out: the limit of the rig file"
+    )
+    until_force_n: ForceN | None = Field(
+        default=None, description="press until this force; depth_mm is then the depth that must not be exceeded"
+    )
+
+    @model_validator(mode="after")
+    def _forces_in_order(self) -> "PlannedPress":
+        if None not in (self.until_force_n, self.force_limit_n) and self.until_force_n >= self.force_limit_n:  # type: ignore[operator]
+            raise ValueError(f"until_force_n must be below force_limit_n = {self.force_limit_n:g} N")
+        return self
 
     def pose(self, indenter: PressIndenter) -> IndenterPose:
         """Return the pose of `indenter` in this press."""
-        return IndenterPose(**indenter.model_dump(), **self.model_dump())
+        return IndenterPose(**indenter.model_dump(), **self.model_dump(exclude={"force_limit_n", "until_force_n"}))
 
 
 class CharucoBoard(Model):
@@ -349,6 +472,8 @@ class CharucoBoard(Model):
 
 class TactilePlan(Record):
     """Plan of a tactile session (TOML): which finger, what is pressed where, how to expose, how the finger is lit."""
+
+    schema_version: ClassVar[int] = 2
 
     kind: Literal["tactile"] = "tactile"
     name: str = Field(description="names the session's folder and its captures")
@@ -437,7 +562,7 @@ class TactileFrame(Model):
 class TactileSession(Record):
     """A finished tactile session (a folder on disk): plan, rig, frames, and a ``TactileCapture`` of each contact."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray capture'"
 
     plan: TactilePlan
@@ -446,4 +571,7 @@ class TactileSession(Record):
     frames: tuple[TactileFrame, ...]
     captures: tuple[str, ...] = Field(description="files of the tactile captures, in the order of the contacts")
     devices: tuple[DeviceIdentity, ...] = ()
+    press_devices: tuple[PressDevice, ...] = Field(default=(), description="stage and load cell, where they pressed")
+    measured: tuple[MeasuredPress, ...] = Field(default=(), description="of each contact, where a stage pressed")
+    load_cell: LoadCellCalibration | None = None
     notes: tuple[str, ...] = ()

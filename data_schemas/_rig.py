@@ -20,6 +20,7 @@ from data_schemas._units import (
     ExposureS,
     Fraction,
     OpticalDensity,
+    PositionMm,
     PowerMw,
     RelativeUncertainty,
     Seed,
@@ -392,7 +393,16 @@ class PracticeFault(NamedTuple):
     pair: tuple[str, str] = ("", "")
 
 
-def practice_fault(text: str) -> PracticeFault:
+TACTILE_FAULTS: Final[Mapping[str, FaultSizes]] = {
+    "stuck cell": FaultSizes("s", 20.0, 0.0, 10000.0),
+    "silent cell": FaultSizes("s", 20.0, 0.0, 10000.0),
+    "drifting cell": FaultSizes("mN/s", 20.0, 0.1, 1000.0),
+    "lost steps": FaultSizes("%", 5.0, 0.1, 90.0),
+}
+"""The same of a simulated finger with stage and load cell."""
+
+
+def practice_fault(text: str, faults: Mapping[str, FaultSizes] = PRACTICE_FAULTS) -> PracticeFault:
     """Return the fault that a text names: ``"stray light"``, ``"stray light, 10 DN/s"``.
 
     Raises
@@ -401,17 +411,17 @@ def practice_fault(text: str) -> PracticeFault:
         There is no such fault, or none of this size.
     """
     name, _, size = (part.strip() for part in text.partition(","))
-    if name == EXCHANGED_FILTERS:
+    if name == EXCHANGED_FILTERS and faults is PRACTICE_FAULTS:
         pair = tuple(part.strip() for part in size.split(" and ")) if size else USUAL_PAIR
         if len(pair) != 2 or pair[0] == pair[1] or not all(pair):
             raise ValueError(f"name the two filters, such as '{name}, {' and '.join(USUAL_PAIR)}'")
         return PracticeFault(name, pair=(pair[0], pair[1]))
-    if name not in PRACTICE_FAULTS:
-        known = (*PRACTICE_FAULTS, EXCHANGED_FILTERS)
+    if name not in faults:
+        known = (*faults, EXCHANGED_FILTERS) if faults is PRACTICE_FAULTS else tuple(faults)
         near = difflib.get_close_matches(name, known, 1, cutoff=0.5)
         hint = f"did you mean '{near[0]}'? " if near else ""
         raise ValueError(f"'{name}' is not a practice fault; {hint}There are {', '.join(known)}")
-    sizes = PRACTICE_FAULTS[name]
+    sizes = faults[name]
     if not size:
         return PracticeFault(name, sizes.value)
     number, _, unit = size.partition(" ")
@@ -455,6 +465,131 @@ class SimulatedBench(Model):
         if (self.paint is None) == (self.material is None):
             raise ValueError("needs exactly one of 'paint' (hidden parameters) and 'material' (a CSV file)")
         return self
+
+
+StageAxis = Literal["X", "Y", "Z"]
+SpeedMmPerS = Annotated[float, Field(gt=0.0, le=100.0, json_schema_extra={"unit": "mm/s"})]
+StepMm = Annotated[float, Field(ge=0.002, le=0.5, json_schema_extra={"unit": "mm"})]
+ForceN = Annotated[float, Field(gt=0.0, le=1000.0, json_schema_extra={"unit": "N"})]
+
+
+class StageSettings(Model):
+    """Stage that drives an indenter into the pad; every place is an absolute machine coordinate in mm."""
+
+    driver: DriverName = "simulated"
+    address: str = Field(default="", description="grbl: serial port (/dev/ttyUSB0) or pyserial URL; simulated: none")
+    model: str = ""
+    press_axis: StageAxis = Field(default="Z", description="axis along the pad's normal")
+    pad_axis: StageAxis = Field(default="X", description="axis along the pad")
+    into_pad: Literal[-1, 1] = Field(default=-1, description="sign in which the press axis moves into the pad")
+    from_base: Literal[-1, 1] = Field(default=1, description="sign in which the pad axis moves away from the base")
+    base_mm: PositionMm = Field(description="where the pad axis stands with the indenter over the pad's base")
+    clear_mm: PositionMm = Field(description="where the press axis stands when nothing touches anywhere")
+    press_travel_mm: tuple[PositionMm, PositionMm] = Field(
+        description="lowest and highest place of the press axis; the one in the pad is the deepest that is asked for"
+    )
+    pad_travel_mm: tuple[PositionMm, PositionMm] = Field(description="lowest and highest place of the pad axis")
+    homing: Literal["switches", "by hand"] = Field(
+        description="switches: the stage finds its zero by itself; by hand: a person brings it to its zero and says so"
+    )
+    step_mm: StepMm = Field(
+        default=0.05, description="longest step towards the pad: what a stage that nobody can stop drives on at most"
+    )
+    touch_step_mm: StepMm = Field(default=0.02, description="step with which the pad is looked for")
+    press_speed_mm_per_s: SpeedMmPerS = Field(default=0.5, description="of steps towards the pad")
+    travel_speed_mm_per_s: SpeedMmPerS = Field(default=5.0, description="of moves away from it and along it")
+    position_uncertainty_mm: Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "mm"})] = Field(
+        default=0.02, description="standard uncertainty of the way between two places: screw, backlash, lost steps"
+    )
+
+    @property
+    def deepest_mm(self) -> float:
+        """The end of the press axis' travel that lies in the pad."""
+        return self.press_travel_mm[self.into_pad > 0]
+
+    @model_validator(mode="after")
+    def _is_reachable(self) -> "StageSettings":
+        _require_address(self.driver, self.address)
+        return self
+
+    @model_validator(mode="after")
+    def _travel_makes_sense(self) -> "StageSettings":
+        if self.press_axis == self.pad_axis:
+            raise ValueError(f"press_axis and pad_axis are both {self.press_axis}; name the two axes of the stage")
+        for name, (low, high) in (("press_travel_mm", self.press_travel_mm), ("pad_travel_mm", self.pad_travel_mm)):
+            if low >= high:
+                raise ValueError(f"{name}: {low:g} mm must be below {high:g} mm; write the lowest place first")
+        low, high = self.press_travel_mm
+        if not low <= self.clear_mm <= high or self.clear_mm == self.deepest_mm:
+            raise ValueError(
+                f"clear_mm = {self.clear_mm:g} mm must lie within press_travel_mm ({low:g} to {high:g} mm), and not at "
+                f"its end in the pad ({self.deepest_mm:g} mm)"
+            )
+        return self
+
+
+class LoadCellSettings(Model):
+    """Load cell under the finger or behind the indenter."""
+
+    driver: DriverName = "simulated"
+    address: str = Field(default="", description="hx711: serial port (/dev/ttyACM0) or pyserial URL; simulated: none")
+    model: str = ""
+    capacity_n: ForceN = Field(description="largest force that the cell stands")
+    force_limit_n: ForceN = Field(description="force at which the stage stops, whatever a plan says")
+    calibration: str = Field(
+        default="load-cell.json",
+        description="record that 'finray rig calibrate-cell' writes; relative to the rig file",
+    )
+    rate_hz: Literal[10, 80] = Field(default=80, description="readings a second, by the RATE pin of the HX711")
+    silent_s: Annotated[float, Field(ge=0.05, le=2.0, json_schema_extra={"unit": "s"})] = Field(
+        default=0.5, description="the stage stops when the cell says nothing new for so long"
+    )
+    settle_s: Annotated[float, Field(ge=0.1, le=60.0, json_schema_extra={"unit": "s"})] = Field(
+        default=3.0, description="longest wait for a force to settle; what it still changes then is uncertainty"
+    )
+
+    @model_validator(mode="after")
+    def _limits_make_sense(self) -> "LoadCellSettings":
+        _require_address(self.driver, self.address)
+        if self.force_limit_n > self.capacity_n:
+            raise ValueError(
+                f"force_limit_n = {self.force_limit_n:g} N must not exceed capacity_n = {self.capacity_n:g} N"
+            )
+        if self.silent_s * self.rate_hz < 4.0:
+            raise ValueError(
+                f"silent_s = {self.silent_s:g} s holds fewer than four readings at {self.rate_hz} Hz; give at least "
+                f"{4.0 / self.rate_hz:g} s"
+            )
+        return self
+
+
+def _is_a_tactile_fault(text: str) -> str:
+    """Refuse what names no practice fault of a stage or a load cell."""
+    practice_fault(text, TACTILE_FAULTS)
+    return text
+
+
+class SimulatedFinger(Model):
+    r"""Compliant finger, stage and load cell to practise on; its numbers are the truth that a session does not see.
+
+    Force at the indentation d: ``k1 d + k2 d^2``, and a share of it more that relaxes with 0.5 s.
+    """
+
+    seed: Seed = 1
+    surface_mm: PositionMm = Field(default=-6.0, description="where the press axis touches the pad")
+    stiffness_n_per_mm: Annotated[float, Field(gt=0.0, le=1e3)] = 1.5
+    stiffening_n_per_mm2: Annotated[float, Field(ge=0.0, le=1e3)] = 0.8
+    relaxing_share: Fraction = 0.05
+    cell_n_per_count: Annotated[float, Field(gt=0.0, le=1.0)] = 4.7e-6
+    noise_counts: Annotated[int, Field(ge=1, le=100000)] = Field(default=60, description="standard deviation")
+    practice_fault: Annotated[str, AfterValidator(_is_a_tactile_fault)] | None = Field(
+        default=None, description=f"a fault to practise on, with its size if not the usual: {', '.join(TACTILE_FAULTS)}"
+    )
+
+    @property
+    def fault(self) -> PracticeFault | None:
+        """The fault to practise on."""
+        return None if self.practice_fault is None else practice_fault(self.practice_fault, TACTILE_FAULTS)
 
 
 class RigFile(Record):

@@ -28,6 +28,7 @@ BESIDE = {
     "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",
     "frames-for-other-programs.md": "Frames for other programs: OME-TIFF, NeXus, bluesky documents and devices",
     "ros2.md": "Frames in ROS 2, by an example",
+    "stage-and-load-cell.md": "A stage that presses, and a load cell that stops it: rig file, plan, what stops it",
     "only-hardware-can-show.md": "What only hardware can show, and what shows it on your rig",
 }
 """Pages of the folder that are not of a face -> what they hold."""

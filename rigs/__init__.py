@@ -4,10 +4,10 @@
 and a clock that keep the protocols of this room, whether they are real, behind a server or simulated. Every exchange
 has a deadline, and what a device says is asked afresh.
 
-Drivers lie in ``cameras``, ``filter_wheels`` and ``lights``, one file per make or protocol, over the framed exchanges
-of ``transports``, or in other packages (docs/how-to/write-a-driver.md); ``light_guard`` alone holds a light that could
-harm; ``capture`` runs the sessions; ``simulated`` is a rig without hardware; ``contracts`` are the tests of every
-driver.
+Drivers lie in ``cameras``, ``filter_wheels``, ``lights``, ``stages`` and ``load_cells``, one file per make or protocol,
+over the framed exchanges of ``transports``, or in other packages (docs/how-to/write-a-driver.md); ``light_guard`` alone
+holds a light that could harm; ``capture`` runs the sessions; ``simulated`` is a rig without hardware; ``contracts`` are
+the tests of every driver.
 """
 
 from typing import TYPE_CHECKING
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
         open_camera,
         open_lamp,
         open_laser,
+        open_load_cell,
+        open_stage,
         open_wheel,
         rig_drivers,
     )
@@ -49,15 +51,20 @@ if TYPE_CHECKING:
         AbsentOperator,
         CallThread,
         Camera,
+        CellReading,
         Clock,
         FilterWheel,
+        ForceLimitError,
         GuardedSwitch,
         Light,
         LightSwitch,
+        LoadCell,
         NoAnswerError,
         OffWords,
         Operator,
+        OverloadError,
         RawFrame,
+        Stage,
         SystemClock,
         TerminalOperator,
         forget_typed_ahead,
@@ -72,9 +79,11 @@ if TYPE_CHECKING:
         plan_toml,
         rig_toml,
         simulated_rig,
+        tactile_rig,
         to_fill_in,
         write_plan,
         write_rig,
+        write_tactile_rig,
     )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -84,21 +93,26 @@ __all__ = [
     "AbsentOperator",
     "CallThread",
     "Camera",
+    "CellReading",
     "Clock",
     "Detection",
     "Driver",
     "FilterWheel",
+    "ForceLimitError",
     "FoundDevice",
     "GuardedSwitch",
     "Kind",
     "Light",
     "LightSwitch",
+    "LoadCell",
     "NoAnswerError",
     "OffWords",
     "OpenRig",
     "Operator",
+    "OverloadError",
     "RawFrame",
     "Role",
+    "Stage",
     "SystemClock",
     "TerminalOperator",
     "camera_plan",
@@ -121,7 +135,9 @@ __all__ = [
     "open_camera",
     "open_lamp",
     "open_laser",
+    "open_load_cell",
     "open_rig",
+    "open_stage",
     "open_wheel",
     "paint_plan",
     "paper_rig",
@@ -130,7 +146,9 @@ __all__ = [
     "rig_locked",
     "rig_toml",
     "simulated_rig",
+    "tactile_rig",
     "to_fill_in",
     "write_plan",
     "write_rig",
+    "write_tactile_rig",
 ]

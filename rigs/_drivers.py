@@ -1,12 +1,14 @@
 """From the name of a driver in a rig file to its module, of finray-calib or of another package; and what is in reach.
 
 A driver is a module, imported when a rig names it. Those of finray-calib are the files of ``rigs.cameras``,
-``rigs.filter_wheels`` and ``rigs.lights``; a driver of another package is an entry point of the group
-``finray_calib.cameras``, ``finray_calib.filter_wheels`` or ``finray_calib.lights`` whose value is the module. A rig
-file cannot name a module itself: it travels with sessions, and must not choose what code runs.
+``rigs.filter_wheels``, ``rigs.lights``, ``rigs.stages`` and ``rigs.load_cells``; a driver of another package is an
+entry point of the group ``finray_calib.cameras`` (``.filter_wheels``, ``.lights``, ``.stages``, ``.load_cells``) whose
+value is the module. A rig file cannot name a module itself: it travels with sessions, and must not choose what code
+runs.
 
 A camera's module has ``open_camera(settings, folder)``, a filter wheel's ``open_wheel(settings, operator)``, a light's
-``open_switch(address, role, operator)`` and ``HAS_DEAD_MAN``; each function returns a context manager. One with
+``open_switch(address, role, operator)`` and ``HAS_DEAD_MAN``, a stage's ``open_stage(settings)``, a load cell's
+``open_load_cell(settings)``; each function returns a context manager. One with
 ``found()`` can look for its devices; the search asks every such driver, each with a deadline.
 """
 
@@ -26,25 +28,45 @@ from data_schemas import (
     FilterWheelSettings,
     LampSettings,
     LaserSettings,
+    LoadCellSettings,
     PlugIn,
     PlugInKind,
     RefusedError,
     RigFile,
+    StageSettings,
     TactileRig,
     plug_ins,
 )
-from rigs._protocols import CallThread, Camera, FilterWheel, Light, NoAnswerError, Operator, missing_members
+from rigs._protocols import (
+    CallThread,
+    Camera,
+    FilterWheel,
+    Light,
+    LoadCell,
+    NoAnswerError,
+    Operator,
+    Stage,
+    missing_members,
+)
 from rigs.light_guard import LEASE_S, GuardedLight, guarded_light
 from rigs.lights.manual import plain_light
 from rigs.transports import indi_address
 
-Kind = Literal["camera", "filter wheel", "light"]
-_FOLDERS: Final[dict[Kind, str]] = {"camera": "cameras", "filter wheel": "filter_wheels", "light": "lights"}
+Kind = Literal["camera", "filter wheel", "light", "stage", "load cell"]
+_FOLDERS: Final[dict[Kind, str]] = {
+    "camera": "cameras",
+    "filter wheel": "filter_wheels",
+    "light": "lights",
+    "stage": "stages",
+    "load cell": "load_cells",
+}
 """Kind -> folder of ``rigs``, and the last part of the group of entry points."""
 _FUNCTIONS: Final[dict[Kind, tuple[str, ...]]] = {
     "camera": ("open_camera",),
     "filter wheel": ("open_wheel",),
     "light": ("open_switch", "HAS_DEAD_MAN"),
+    "stage": ("open_stage",),
+    "load cell": ("open_load_cell",),
 }
 _NAMES: Final = {"raspberry_pi": "picamera2", "image_folder": "folder"}
 """Files whose driver has another name; that of the others is the file's, with hyphens."""
@@ -157,9 +179,11 @@ def rig_drivers(rig: RigFile | TactileRig) -> tuple[Driver, ...]:
     RefusedError
         A driver is not installed, offered twice, cannot be imported or lacks something.
     """
-    if isinstance(rig, RigFile) and rig.is_simulated:
+    if rig.is_simulated:
         return ()
     named: list[tuple[Kind, str]] = [("camera", rig.camera.driver)]
+    if isinstance(rig, TactileRig) and rig.stage is not None and rig.load_cell is not None:
+        named += [("stage", rig.stage.driver), ("load cell", rig.load_cell.driver)]
     if isinstance(rig, RigFile):
         named.append(("filter wheel", rig.filter_wheel.driver))
         named += [("light", light.driver) for light in (rig.laser, rig.lamp)]
@@ -236,6 +260,16 @@ def open_lamp(settings: LampSettings, operator: Operator) -> AbstractContextMana
         module = driver_module(find_driver("light", settings.driver))
         return plain_light(module.open_switch(settings.address, "lamp", operator))
     return guarded_light("lamp", settings.driver, settings.address, math.inf)
+
+
+def open_stage(settings: StageSettings) -> AbstractContextManager[Stage]:
+    """Return the stage of a rig, open for a ``with`` block; opening stops whatever it was doing."""
+    return _opened(find_driver("stage", settings.driver), lambda module: module.open_stage(settings), Stage)
+
+
+def open_load_cell(settings: LoadCellSettings) -> AbstractContextManager[LoadCell]:
+    """Return the load cell of a rig, open for a ``with`` block."""
+    return _opened(find_driver("load cell", settings.driver), lambda module: module.open_load_cell(settings), LoadCell)
 
 
 # A board that restarts when its port is opened needs 3.5 s to speak; some computers have several ports.

@@ -37,10 +37,12 @@ from data_schemas import (
     FinrayError,
     LampSettings,
     LaserSettings,
+    LoadCellSettings,
     PracticeFault,
     RefusedError,
     RigFile,
     SpectralCurve,
+    StageSettings,
     TactileRig,
     coverage_notes,
 )
@@ -368,7 +370,8 @@ def _simulated_sensor(camera: CameraSettings, seed: int) -> "Sensor":
 
 
 T = TypeVar("T")
-Settings = CameraSettings | FilterWheelSettings | LaserSettings | LampSettings
+Settings = CameraSettings | FilterWheelSettings | LaserSettings | LampSettings | StageSettings | LoadCellSettings
+_OWN_KINDS: Final[Mapping[str, Kind]] = {kind: kind for kind in ("camera", "filter wheel", "stage", "load cell")}
 
 
 def lone_camera(rig: RigFile | TactileRig, folder: Path) -> AbstractContextManager[Camera]:
@@ -463,7 +466,7 @@ def look_at(rig: RigFile, folder: Path) -> Iterator[PartReport]:
 
 
 def look_at_tactile(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
-    """Report on the camera of a tactile rig, which has nothing else.
+    """Report on the camera of a tactile rig, and on stage and load cell where it has them; nothing moves.
 
     Parameters
     ----------
@@ -472,13 +475,48 @@ def look_at_tactile(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
     folder
         Where relative paths in it start.
     """
-    camera = rig.camera
-    yield _report(device_title("camera", camera), lambda: _camera(lone_camera(rig, folder), camera))
+    from rigs.capture import read_cell_calibration  # which needs an open rig itself
+
+    camera, stage, cell = rig.camera, rig.stage, rig.load_cell
+    if not rig.is_simulated:
+        yield _report(device_title("camera", camera), lambda: _camera(lone_camera(rig, folder), camera))
+    if stage is not None:
+        yield _report(device_title("stage", stage), lambda: _stage(rig, folder))
+    if cell is not None:
+        yield _report(device_title("load cell", cell), lambda: _cell(rig, folder))
+        yield _report("calibration of the load cell", lambda: iter([str(read_cell_calibration(cell, folder))]))
+
+
+def _stage(rig: TactileRig, folder: Path) -> Lines:
+    from rigs.capture import open_tactile_rig
+
+    with open_tactile_rig(rig, folder, only="stage") as opened:
+        if opened.stage is not None and rig.stage is not None:
+            says = opened.stage.identity()
+            yield f"{says.model}{f', firmware {says.firmware}' if says.firmware else ''}"
+            yield "its place is unknown until a session homes it"
+            yield (
+                f"by the rig file: {rig.stage.press_axis} presses and is clear at {rig.stage.clear_mm:g} mm, travel "
+                f"{rig.stage.press_travel_mm[0]:g} to {rig.stage.press_travel_mm[1]:g} mm"
+            )
+
+
+def _cell(rig: TactileRig, folder: Path) -> Lines:
+    from rigs.capture import open_tactile_rig
+
+    with open_tactile_rig(rig, folder, only="load cell") as opened:
+        if opened.load_cell is not None and rig.load_cell is not None:
+            says = opened.load_cell.identity()
+            yield f"{says.model}{f', firmware {says.firmware}' if says.firmware else ''}"
+            counts = [opened.load_cell.read(rig.load_cell.silent_s).counts for _ in range(10)]
+            yield f"ten readings: mean {np.mean(counts):.0f}, standard deviation {np.std(counts, ddof=1):.0f} counts"
+            if min(counts) == max(counts):
+                yield Warned("says the same count ten times: it is stuck; check amplifier and wiring")
 
 
 def device_title(role: str, settings: Settings) -> str:
     """Return a device of a rig file with its driver, the driver's package where it is not ours, and its address."""
-    kind: Kind = "camera" if role == "camera" else "filter wheel" if role == "filter wheel" else "light"
+    kind = _OWN_KINDS.get(role, "light")
     labels = [driver.label for driver in offered(kind).get(settings.driver, ())]
     driver = labels[0] if len(labels) == 1 else settings.driver
     return f"{role}: {driver}{f' at {settings.address}' if settings.address else ''}"

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CaptureError, DeviceIdentity, Target
+from data_schemas import CaptureError, DeviceIdentity, PressDevice, Target
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +191,106 @@ class GuardedSwitch(LightSwitch, Protocol):
         ------
         RefusedError
             It did not act, or there is none.
+        """
+        ...
+
+
+class OverloadError(CaptureError):
+    """A load cell reads its end of scale: the force is beyond what it can tell."""
+
+
+class ForceLimitError(CaptureError):
+    """A force was larger than allowed, and the stage was stopped."""
+
+
+class CellReading(NamedTuple):
+    """One reading of a load cell.
+
+    Attributes
+    ----------
+    counts
+        As the amplifier gives it, signed.
+    at_s
+        When it was made, on the clock of the session.
+    """
+
+    counts: int
+    at_s: float
+
+
+class LoadCell(Protocol):
+    """A load cell that makes readings by itself, several a second; it knows neither newtons nor a tare."""
+
+    def identity(self) -> PressDevice:
+        """Return what the amplifier's board says it is."""
+        ...
+
+    def read(self, deadline_s: float) -> CellReading:
+        """Return the next reading that was not returned yet and is fresh; at most `deadline_s` seconds.
+
+        Readings are passed over that were damaged on the way, or waited for longer than a fifth of a second.
+
+        Raises
+        ------
+        TimedOutError
+            None came before the deadline.
+        OverloadError
+            The amplifier reads its end of scale.
+        LostError
+            The connection broke, the board restarted, or its amplifier does not answer.
+        """
+        ...
+
+
+class Stage(Protocol):
+    """A stage of several axes; all places are absolute machine coordinates in mm, and unknown until it was homed."""
+
+    def identity(self) -> PressDevice:
+        """Return what the controller says it is."""
+        ...
+
+    def places_mm(self) -> dict[str, float] | None:
+        """Ask where the axes stand; None while that is unknown: not homed yet, or lost by a reset, stop or alarm."""
+        ...
+
+    def home(self, deadline_s: float, watch: Callable[[], None]) -> None:
+        """Have the stage find its zero by its switches, with `watch` called all the while; then its places are known.
+
+        Raises
+        ------
+        RefusedError
+            It has no switches, or does not find them.
+        """
+        ...
+
+    def trust_places(self) -> dict[str, float]:
+        """Take where the controller counts the axes for true, because a person brought them there; return it."""
+        ...
+
+    def move(self, axis: str, to_mm: float, speed_mm_per_s: float, watch: Callable[[], None]) -> None:
+        """Move one axis, and return when the controller has reported its end twice.
+
+        `watch` is called all the while, several times a second. What it raises, or anything else that goes wrong,
+        stops the stage before this method is left; a move is never repeated.
+
+        Raises
+        ------
+        RefusedError
+            The place is unknown, or the end lies beyond the travel that the rig file allows; nothing moved.
+        TimedOutError, LostError, WrongPositionError
+            It did not arrive in time, did not answer, or came to rest elsewhere; it was stopped.
+        UnsafeError
+            It could not be seen to stop.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stop at once, and return when it is seen to stand.
+
+        Raises
+        ------
+        UnsafeError
+            It is not seen to stand.
         """
         ...
 

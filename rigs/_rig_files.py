@@ -25,6 +25,7 @@ from data_schemas import (
     RegionOfInterest,
     RigFile,
     SimulatedBench,
+    TactileRig,
 )
 from data_schemas.storage import write_bytes
 from rigs._drivers import FoundDevice, Kind, offered
@@ -119,6 +120,51 @@ def _middle(camera: CameraSettings) -> RegionOfInterest:
         height_px=side_px,
         width_px=side_px,
     )
+
+
+def tactile_rig(*, simulated: bool) -> TactileRig:
+    """Return a rig whose stage presses a finger by itself: one to practise on, or a usual one to fill in.
+
+    Parameters
+    ----------
+    simulated
+        Whether camera, stage, load cell and finger are simulated.
+    """
+    addresses = ("", "", "") if simulated else ("0", "/dev/ttyUSB0", "/dev/ttyACM0")
+    drivers = ("simulated",) * 3 if simulated else ("picamera2", "grbl", "hx711")
+    camera, stage, cell = ({"driver": d, "address": a} for d, a in zip(drivers, addresses, strict=True))
+    size = {"width_px": 320, "height_px": 240} if simulated else {"width_px": 1638, "height_px": 1230}
+    model = "simulated finger" if simulated else "imx219"
+    travel = {"press_travel_mm": (-9.0, 0.0), "pad_travel_mm": (0.0, 80.0), "base_mm": 0.0, "clear_mm": 0.0}
+    return TactileRig.model_validate(
+        {
+            "name": "simulated finger" if simulated else "finger bench",
+            "camera": {**camera, **size, "model": model, "longest_exposure_s": 4.2},
+            "stage": {**stage, **travel, "homing": "switches", "model": ""},
+            "load_cell": {**cell, "capacity_n": 9.8, "force_limit_n": 5.0},
+            "simulated": {} if simulated else None,
+        }
+    )
+
+
+def write_tactile_rig(rig: TactileRig, path: Path) -> Path:
+    """Write a tactile rig as a new commented file and return its path."""
+    parts: list[tuple[str, Any, Mapping[str, str]]] = [("camera", rig.camera, _CAMERA)]
+    parts += [
+        (name, part, {key: field.description or "" for key, field in type(part).model_fields.items()})
+        for name, part in (("stage", rig.stage), ("load_cell", rig.load_cell), ("simulated", rig.simulated))
+        if part is not None
+    ]
+    kinds: dict[str, Kind] = {"camera": "camera", "stage": "stage", "load_cell": "load cell"}
+    text = f"""# A rig that presses a finger. Every value has its unit in its name; places are machine coordinates.
+name = {_quoted(rig.name)}
+schema_version = {rig.schema_version}  # of rig files, so that later versions of finray can read this one
+"""
+    for name, part, comments in parts:
+        drivers = {"driver": _driver_names(kinds[name])} if name in kinds else {}
+        values = {k: list(v) if isinstance(v, tuple) else v for k, v in part.model_dump().items()}
+        text += f"\n[{name}]\n{_fields(values, {**comments, **drivers})}"
+    return _write(path, text)
 
 
 Role = Literal["camera", "filter wheel", "laser", "lamp"]

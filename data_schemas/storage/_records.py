@@ -339,6 +339,11 @@ def _without_mean_of_skills(body: Body) -> Body:
 
 
 MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
+    # a stage presses and a load cell says the force; none: a person pressed
+    ("TactileRig", 2): _as_it_is,
+    ("TactilePlan", 1): _as_it_is,
+    ("TactileSession", 3): _as_it_is,
+    ("TactileCapture", 3): _as_it_is,
     # provenance may name packages, processor, renderer and changed sources; the envelope carries a seal
     **dict.fromkeys(LAST_UNSEALED.items(), _as_it_is),
     # the probability that the loss is within the tolerance

@@ -17,7 +17,8 @@ import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from data_schemas import RecordError, naming_file
+from data_schemas import RecordError
+from data_schemas.errors import naming_file
 from data_schemas.storage._foreign_files import open_regular
 
 # What os.link says on file systems without hard links (FAT, some network and container mounts).

@@ -24,7 +24,7 @@ def add_capture(archive, name, images, facts):
     named = {key: {"array": key, "shape": list(i.shape), "dtype": i.dtype.str} for key, i in images.items()}
     envelope = {
         "kind": "TactileCapture",
-        "schema_version": 3,
+        "schema_version": 4,
         "array_file": {"file": array_file, "sha256": digest},
         "record": {"name": name, **named, **facts},
     }

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         TactileSession,
     )
     from rigs import Operator
-    from rigs.capture import Interrupted, SessionRequest, SessionWatch
+    from rigs.capture import Interrupted, SessionRequest, SessionWatch, StatedTimes
 
 
 CAPTURE_HELP = "capture a paint sample through filters, the frames that characterise a camera, or presses on a finger"
@@ -46,7 +46,8 @@ under lamp and laser through every filter, and a room-light frame, at exposures 
 
 "camera": flat frames of the white tile from dark to beyond saturation and dark frames of the same exposures.
 
-"tactile": presses on a finger, each between images of no contact; its rig file describes a camera alone.
+"tactile": presses on a finger, each between images of no contact. Its rig file describes a camera, and a person
+presses; or also a stage and a load cell, which press by themselves and stop at a force.
 
 Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json. An interrupted session
 continues where it stopped with --resume."""
@@ -112,7 +113,14 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
     """Capture a tactile session, or list what it would ask for."""
     from data_schemas import CaptureError, TactilePlan, TactileRig
     from data_schemas.storage import read_toml
-    from rigs.capture import capture_tactile_session, planned_presses, session_bytes, tactile_shots
+    from rigs.capture import (
+        capture_tactile_session,
+        planned_presses,
+        require_pressable,
+        session_bytes,
+        stated_times,
+        tactile_shots,
+    )
 
     if arguments.like is not None:
         raise CaptureError("--like is for plans of kind 'paint'; leave it out")
@@ -120,21 +128,37 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
     presses = planned_presses(plan, arguments.plan.parent)
     with naming(CaptureError, arguments.plan):
         shots = tactile_shots(plan, rig.camera, len(presses))
+        require_pressable(rig, presses)
+    times = stated_times(rig, plan, presses)
+    stated = _stated_presses(times, by_hand=rig.stage is None)
     if arguments.dry_run:
-        give(presses=len(presses), most_frames=len(shots))
+        give(presses=len(presses), most_frames=len(shots), **times._asdict())
         say(
             f"{len(presses)} presses, {plan.repeats} times each; {len(shots)} frames, "
             f"{1e-6 * session_bytes(rig, plan, len(presses), len(shots)):.0f} MB at most"
         )
-        say(f"{len({shot.group for shot in shots})} steps to be done by hand")
-        say(f"{sum(shot.exposure_s for shot in shots):.0f} s of exposure; the camera was not opened")
+        if rig.stage is None:
+            say(f"{len({shot.group for shot in shots})} steps to be done by hand")
+        say(f"{stated}; the camera was not opened")
         return
     out = require_new_session(arguments.out or Path(f"{file_name(plan.name)}-session"))
     poses = [] if plan.poses_csv is None else [arguments.plan.parent / plan.poses_csv]
     sources = input_digests([arguments.plan, arguments.rig, *poses])
     with interruptible(out), arguments.attend(rig, plan, out) as attended:
-        session = capture_tactile_session(rig, plan, presses, attended.request(out, arguments.rig.parent, sources))
+        request = replace(attended, progress=_told_first(stated, attended.progress)).request(
+            out, arguments.rig.parent, sources
+        )
+        session = capture_tactile_session(rig, plan, presses, request)
     _report_tactile(out, session)
+
+
+def _stated_presses(times: "StatedTimes", *, by_hand: bool) -> str:
+    """Return how long a tactile session takes at the most, as it is told before it begins."""
+    hands = " and the time of your hands" if by_hand else ""
+    return (
+        f"about {times.typical_s / 60:.1f} min{hands}; {times.longest_s / 60:.0f} min at the longest{hands}; faults "
+        f"may hold it up for {times.healing_s / 60:.0f} min besides: it ends by then, and can be resumed"
+    )
 
 
 def resume_tactile(folder: Path, attend: "Attend") -> None:
@@ -162,7 +186,17 @@ def _tell_operator(done: int, total: int, what: str) -> None:
 def _report_tactile(out: Path, session: "TactileSession") -> None:
     """Say what was stored."""
     wrote(out, f"{len(session.frames)} frames of '{session.plan.name}', {len(session.captures)} tactile captures")
-    give(name=session.plan.name, frames=len(session.frames), captures=len(session.captures), notes=session.notes)
+    give(
+        name=session.plan.name,
+        frames=len(session.frames),
+        captures=len(session.captures),
+        notes=session.notes,
+        forces_n=[press.force_n for press in session.measured],
+        force_uncertainties_n=[press.force_uncertainty_n for press in session.measured],
+    )
+    for press in session.measured:
+        force = f"{press.force_n:.3f} +- {press.force_uncertainty_n:.3f} N"
+        say(f"  contact {press.contact}: {press.depth_mm:.3f} +- {press.depth_uncertainty_mm:.3f} mm, {force}")
     for note in session.notes:
         say(f"  note: {note}")
 

@@ -16,14 +16,24 @@ from finray_calib.cli._capture import Attended, capture, resume, tell_of_laser
 from finray_calib.cli._output import give, go_on_with, guide, is_for_a_terminal, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
+    command_line,
     ended_by_signals,
+    input_digests,
     interruptible,
     require_new,
 )
 
 if TYPE_CHECKING:
-    from data_schemas import CameraPlan, PaintPlan, RigFile, TactilePlan, TactileRig
-    from rigs import FoundDevice, Role
+    from data_schemas import (
+        CameraPlan,
+        LoadCellCalibration,
+        LoadCellSettings,
+        PaintPlan,
+        RigFile,
+        TactilePlan,
+        TactileRig,
+    )
+    from rigs import FoundDevice, LoadCell, Role
 
 
 RIG_HELP = "write a rig file, find devices, and show what the devices of a rig report"
@@ -33,6 +43,10 @@ Write a rig file with a comment on every value, based on a preset.
 
 "paper": the paper's set-up. On a terminal you choose among the devices that are found; otherwise the preset's own
 are written. The command lists what is left to fill in.
+
+"finger": a rig that presses a finger by itself: camera, stage with GRBL, load cell with HX711.
+
+"simulated-finger": the same to practise on without any device; with it comes a plan.
 
 "simulated", "simulated-green": a rig to practise on without any device, with a red or a green paint under its lens:
 the commands of the how-to pages run on it, and its file states the true spectrum of the paint."""
@@ -47,6 +61,43 @@ switches them off when a process or the computer fails, one dark exposure of the
 and the lights stay off. A device that cannot be reached does not hide the others; the exit status is 2 then."""
 
 
+CALIBRATE_HELP = "calibrate the load cell of a rig with known masses"
+CALIBRATE_DESCRIPTION = """\
+Ask for one mass after another on the load cell, up and down again, and store the slope in newtons per count with its
+uncertainty, linearity, hysteresis, noise and drift. The rig file names the record (calibration of [load_cell]). Lay
+the masses so that they press as the finger does. The stage is not opened."""
+READINGS_OF_A_MASS = 40
+SETTLES_WITHIN_S = 1.0
+FINGER_PRESETS = ("finger", "simulated-finger")
+PRACTICE_PRESSES = """\
+# A tactile session of a stage: one press to a depth, one until a force.
+schema_version = 2
+kind = "tactile"
+name = "practice finger"
+design = "simulated finger"
+exposures_s = [0.01]
+led_current_ma = 20.0
+light_angle_deg = 30.0
+light_angle_uncertainty_deg = 0.5
+
+[indenter]
+shape = "ball"
+radius_mm = 4.0
+
+[[presses]]
+depth_mm = 0.5
+position_mm = 8.0
+depth_uncertainty_mm = 0.02
+position_uncertainty_mm = 0.1
+
+[[presses]]
+depth_mm = 1.5             # must not be exceeded
+until_force_n = 1.0        # ends the press
+force_limit_n = 2.0        # stops the stage and ends the session
+position_mm = 12.0
+depth_uncertainty_mm = 0.02
+position_uncertainty_mm = 0.1
+"""
 PRACTICE_PAINTS = {"simulated": "red", "simulated-green": "green"}
 
 
@@ -55,7 +106,9 @@ def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     parser = verbs.add_parser("rig", help=RIG_HELP, description=RIG_HELP)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", title="actions", required=True)
     init = actions.add_parser("init", help=INIT_HELP, description=INIT_DESCRIPTION)
-    init.add_argument("--preset", choices=("paper", *PRACTICE_PAINTS), default="paper", help="default: paper")
+    presets = ("paper", *FINGER_PRESETS, *PRACTICE_PAINTS)
+    told = f"{', '.join(presets)}; default: paper"
+    init.add_argument("--preset", choices=presets, default="paper", metavar="PRESET", help=told)
     add_out(init, "rig.toml")
     init.set_defaults(run=run_init)
     detect = actions.add_parser("detect", help=DETECT_HELP, description=DETECT_DESCRIPTION)
@@ -63,6 +116,107 @@ def add_rig(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     show = actions.add_parser("show", help=SHOW_HELP, description=SHOW_DESCRIPTION)
     show.add_argument("rig", type=Path, metavar="RIG", help="rig file (TOML)")
     show.set_defaults(run=run_show)
+    _add_calibrate_cell(actions)
+
+
+def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the calibration of a load cell."""
+    parser = actions.add_parser("calibrate-cell", help=CALIBRATE_HELP, description=CALIBRATE_DESCRIPTION)
+    parser.add_argument("rig", type=Path, metavar="RIG", help="rig file (TOML) with a [load_cell] table")
+    parser.add_argument("--masses-g", type=_masses_kg, required=True, metavar="G,G,...", help="known masses, grams")
+    parser.add_argument("--gravity", type=float, required=True, metavar="M/S2", help="local gravity, m/s^2")
+    parser.add_argument(
+        "--gravity-uncertainty", type=float, default=0.001, metavar="M/S2", help="standard uncertainty (default: 0.001)"
+    )
+    parser.add_argument(
+        "--mass-uncertainty", type=float, default=0.001, metavar="REL",
+        help="relative standard uncertainty of the masses (default: 0.001)",
+    )  # fmt: skip
+    parser.add_argument("--certificate", metavar="TEXT", help="certificate of the masses; left out: not traceable")
+    add_out(parser, "as the rig file names it")
+    parser.set_defaults(run=run_calibrate_cell)
+
+
+def _masses_kg(text: str) -> tuple[float, ...]:
+    """Parse masses in grams."""
+    try:
+        masses_kg = tuple(1e-3 * float(part) for part in text.split(","))
+    except ValueError:
+        masses_kg = ()
+    if len(set(masses_kg)) < 2 or not all(0.0 < mass < 1000.0 for mass in masses_kg):
+        raise argparse.ArgumentTypeError(f"{text!r} must be two masses or more in grams, such as 20,50,100,200")
+    return masses_kg
+
+
+def run_calibrate_cell(arguments: argparse.Namespace) -> None:
+    """Read the cell under each mass, and store its calibration."""
+    import numpy as np
+
+    from data_schemas import RecordError, TactileRig, provenance
+    from data_schemas.storage import read_toml, write_record
+    from finray_calib.force import Gravity, Loads, calibrate_cell, loading_order
+    from rigs.capture import open_tactile_rig
+
+    rig = read_toml(arguments.rig, TactileRig)
+    if rig.load_cell is None:
+        raise RecordError(f"{arguments.rig}: describes no [load_cell]")
+    _require_masses(arguments, rig.load_cell.capacity_n)
+    out = require_new(arguments.out or arguments.rig.parent / rig.load_cell.calibration, ".json")
+    order = loading_order(arguments.masses_g)
+    counts, at_s = [], []
+    with ended_by_signals(), open_tactile_rig(rig, arguments.rig.parent, only="load cell") as opened:
+        for number, mass_kg in enumerate(order, 1):
+            opened.lay(mass_kg)
+            counts.append(_counts_of(opened.load_cell, rig.load_cell))
+            at_s.append(opened.clock.monotonic_s())
+            guide(f"  {number}/{len(order)} {1e3 * mass_kg:g} g: {np.mean(counts[-1]):.0f} counts")
+        when_utc = opened.clock.utc()
+    loads = Loads(np.array(order), np.array(counts, dtype=float), np.array(at_s), arguments.mass_uncertainty)
+    gravity = Gravity(arguments.gravity, arguments.gravity_uncertainty)
+    address = f"{rig.load_cell.driver} {rig.load_cell.address}".strip()
+    record = calibrate_cell(loads, gravity, f"{rig.name}, {address}", when_utc, arguments.certificate)
+    write_record(record, out, provenance(command_line(), input_digests([arguments.rig]), None))
+    _tell_calibration(record, out)
+
+
+def _require_masses(arguments: argparse.Namespace, capacity_n: float) -> None:
+    """Refuse a gravity that is nowhere on Earth, and masses that the cell does not stand."""
+    from data_schemas import CurveError
+
+    if not 9.7 <= arguments.gravity <= 9.9:
+        raise CurveError(f"--gravity {arguments.gravity:g}: 9.78 m/s^2 (equator) to 9.83 (poles) are possible")
+    for name in ("gravity_uncertainty", "mass_uncertainty"):
+        if not 0.0 <= getattr(arguments, name) <= 0.1:
+            raise CurveError(f"--{name.replace('_', '-')} {getattr(arguments, name):g}: 0 to 0.1 are allowed")
+    heaviest_n = max(arguments.masses_g) * arguments.gravity
+    if heaviest_n > capacity_n:
+        raise CurveError(
+            f"--masses-g: {1e3 * max(arguments.masses_g):g} g weigh {heaviest_n:.3g} N, and the cell stands "
+            f"{capacity_n:g} N (capacity_n of the rig file); leave that mass out"
+        )
+
+
+def _counts_of(cell: "LoadCell | None", settings: "LoadCellSettings") -> list[int]:
+    """Return readings of what lies on the cell, after it has settled."""
+    if cell is None:
+        raise CaptureError("load cell: was not opened")
+    for _ in range(round(SETTLES_WITHIN_S * settings.rate_hz)):
+        cell.read(settings.silent_s)
+    return [cell.read(settings.silent_s).counts for _ in range(READINGS_OF_A_MASS)]
+
+
+def _tell_calibration(record: "LoadCellCalibration", out: Path) -> None:
+    """Say what the cell is like."""
+    slope, u = record.slope_n_per_count, record.slope_uncertainty_n_per_count
+    wrote(out, f"load cell: {1e6 * slope:.5g} +- {1e6 * u:.2g} uN per count (standard uncertainty)")
+    say(f"  linearity {1e3 * record.linearity_n:.2g} mN, hysteresis {1e3 * record.hysteresis_n:.2g} mN")
+    say(f"  noise of a reading {1e3 * record.noise_n:.2g} mN, drift {1e3 * record.drift_n_per_s:.2g} mN/s")
+    say(f"  {record.traceability}")
+    give(
+        calibration=str(out), slope_n_per_count=slope, slope_uncertainty_n_per_count=u, linearity_n=record.linearity_n,
+        hysteresis_n=record.hysteresis_n, noise_n=record.noise_n, drift_n_per_s=record.drift_n_per_s,
+        traceability=record.traceability,
+    )  # fmt: skip
 
 
 def run_init(arguments: argparse.Namespace) -> None:
@@ -70,6 +224,9 @@ def run_init(arguments: argparse.Namespace) -> None:
     from rigs import paper_rig, simulated_rig, to_fill_in, write_rig
 
     out = require_new(arguments.out or Path("rig.toml"), ".toml")
+    if arguments.preset in FINGER_PRESETS:
+        _init_finger(out, arguments.preset == "simulated-finger")
+        return
     if (paint := PRACTICE_PAINTS.get(arguments.preset)) is not None:
         wrote(write_rig(simulated_rig(paint), out), "rig file")
         say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; the true spectrum")
@@ -83,6 +240,29 @@ def run_init(arguments: argparse.Namespace) -> None:
     for text in to_fill_in(chosen):
         say(f"  fill in or compare: {text}")
     go_on_with("finray rig show", out)
+
+
+def _init_finger(out: Path, simulated: bool) -> None:
+    """Write a rig that presses by itself, with a plan where it is one to practise on."""
+    from data_schemas.storage import write_bytes
+    from rigs import tactile_rig, write_tactile_rig
+
+    plan = require_new(out.with_name(f"{out.stem}-presses.toml"), ".toml") if simulated else None
+    wrote(write_tactile_rig(tactile_rig(simulated=simulated), out), "rig file")
+    if plan is None:
+        left = ["camera, stage, load_cell: addresses, as 'finray rig detect' lists them",
+                "stage: axes, signs, places and travel; a wrong one drives the indenter into the bench",
+                "load_cell: capacity_n and force_limit_n"]  # fmt: skip
+        give(rig=str(out), to_fill_in=left)
+        for text in left:
+            say(f"  fill in or compare: {text}")
+        go_on_with("finray rig show", out)
+        return
+    write_bytes(plan, PRACTICE_PRESSES.encode())
+    wrote(plan, "plan of two presses")
+    say("  a finger to practise on: camera, stage and load cell are simulated; calibrate the cell first")
+    give(rig=str(out), plan=str(plan), to_fill_in=[])
+    go_on_with("finray rig calibrate-cell", out, "--masses-g", "20,50,100,200", "--gravity", "9.80665")
 
 
 def run_detect(arguments: argparse.Namespace) -> None:
@@ -148,7 +328,7 @@ def _has_a_wheel(path: Path) -> bool:
         tables = read_toml_tables(path)
     except RecordError:
         return True
-    return tables.keys() - {"schema_version"} != {"name", "camera"}
+    return not tables.keys() <= TACTILE_TABLES or "name" not in tables
 
 
 def chosen_devices() -> "dict[Role, FoundDevice]":
@@ -191,6 +371,7 @@ def _offered(role: str, device: "FoundDevice") -> bool:
     return bool(answer) and answer.strip().lower() in ("", "y", "yes")
 
 
+TACTILE_TABLES = {"schema_version", "name", "camera", "stage", "load_cell", "simulated"}
 LIVE_HELP = "look through a rig, or run a session, in the browser or the terminal"
 LIVE_DESCRIPTION = """\
 Open a rig and show what its camera sees in the browser of this computer: focus of a region that you draw, exposure and

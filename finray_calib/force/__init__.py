@@ -3,7 +3,8 @@
 The error E = F(d - d_0) - F_measured(d), d_0 the displacement of first touch, is judged against
 u_val^2 = u_numerical^2 + u_input^2 + u_data^2 (ASME V&V 20): mesh, constants and dimensions of the design, and the
 measurement. Where nothing is known of them, errors are given without verdicts. `fit_material` turns the question round:
-which moduli make the computed force the measured one, and which a curve cannot tell.
+which moduli make the computed force the measured one, and which a curve cannot tell. `calibrate_cell` says from known
+masses how the counts of a load cell become newtons.
 """
 
 from typing import TYPE_CHECKING
@@ -11,10 +12,30 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
+    from finray_calib.force._cell_calibration import (
+        Gravity,
+        Loads,
+        calibrate_cell,
+        loading_order,
+        weighted_line,
+    )
     from finray_calib.force._force_comparison import compare_force
     from finray_calib.force._force_curves import ForceCurve, MeasuredForce
     from finray_calib.force._material_fit import BULK_RANGE, GEL_RANGE_MPA, ForceModel, fit_material
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
-__all__ = ["BULK_RANGE", "GEL_RANGE_MPA", "ForceCurve", "ForceModel", "MeasuredForce", "compare_force", "fit_material"]
+__all__ = [
+    "BULK_RANGE",
+    "GEL_RANGE_MPA",
+    "ForceCurve",
+    "ForceModel",
+    "Gravity",
+    "Loads",
+    "MeasuredForce",
+    "calibrate_cell",
+    "compare_force",
+    "fit_material",
+    "loading_order",
+    "weighted_line",
+]

@@ -1,13 +1,16 @@
 """Capture of a tactile session: board, no contact, and each press between images of no contact.
 
-Its frames become the tactile capture of each contact; an interrupted session is replayed from its journal.
+A person presses, or a stage with a load cell does by itself (:mod:`rigs.capture._stage_press`). The frames become the
+tactile capture of each contact; an interrupted session is replayed from its journal.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +19,9 @@ from pydantic import ValidationError
 from data_schemas import (
     CaptureError,
     DeviceIdentity,
+    IndenterPose,
+    LoadCellCalibration,
+    MeasuredPress,
     PlannedPress,
     RecordError,
     TactileCapture,
@@ -26,13 +32,27 @@ from data_schemas import (
     provenance,
 )
 from data_schemas.storage import read_frame, sha256_of, write_frame, write_manifest, write_record
-from rigs import Camera, Clock, SystemClock, TerminalOperator, device_locked, driver_notes, open_camera
-from rigs.capture._exposure import TactileCamera, saturated_fraction
+from rigs import driver_notes
+from rigs.capture._exposure import (
+    CAMERA_DEADLINE_MARGIN_S,
+    DEADLINE_EXPOSURES,
+    TactileCamera,
+    saturated_fraction,
+)
 from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
-from rigs.capture._journal import JOURNAL_NAME, Journal, fault_notes, faults_noted, read_journal
+from rigs.capture._journal import JOURNAL_NAME, Journal, fault_notes, faults_noted, healing_s, read_journal
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
 from rigs.capture._resume import ORPHANS, begun_with
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
+from rigs.capture._stage_press import (
+    HOMING_WITHIN_S,
+    OpenTactileRig,
+    StagePress,
+    contact_times,
+    open_tactile_rig,
+    read_cell_calibration,
+    replayed_presses,
+)
 
 Triple = tuple[TactileFrame, TactileFrame, TactileFrame]
 MOST_SATURATED_FRACTION = 1e-3
@@ -50,7 +70,7 @@ def tactile_capture(
     rig: TactileRig,
     press: PlannedPress,
     contact: int,
-    frames: Sequence[TactileFrame],
+    session: TactileSession,
 ) -> TactileCapture:
     """Return the images of one contact: those of the longest exposure at which hardly anything saturates.
 
@@ -64,8 +84,8 @@ def tactile_capture(
         What was captured with what.
     contact
         Number of the contact, from 1.
-    frames
-        All frames of the session.
+    session
+        Its frames, and what stage and load cell measured.
 
     Raises
     ------
@@ -74,13 +94,14 @@ def tactile_capture(
     ChecksumError
         A frame was changed.
     """
-    triples = _triples(frames, contact)
+    triples = _triples(session.frames, contact)
     bracket_s = tuple(sorted(triples))
     if not bracket_s:
         raise CaptureError(f"{folder}: holds no complete set of frames of contact {contact}; capture it again")
     shown, before, after = _best(triples)
     images = [_image(folder, frame) for frame in (shown, before, after)]
     raw = images[0].shape[2] == 1
+    measured = next((press for press in session.measured if press.contact == contact), None)
     read_black_dn = shown.settings.get("black_level_dn", rig.camera.black_level_dn)
     return TactileCapture(
         name=f"{plan.name}, press {press_of(contact, plan.repeats) + 1}, contact {contact}",
@@ -96,7 +117,11 @@ def tactile_capture(
         light_angle_uncertainty_deg=plan.light_angle_uncertainty_deg,
         led_current_ma=plan.led_current_ma,
         exposure_bracket_s=bracket_s if len(bracket_s) > 1 else (),
-        indenter=press.pose(plan.indenter),
+        indenter=_pose(press, plan, measured),
+        force_n=None if measured is None else measured.force_n,
+        force_uncertainty_n=None if measured is None else measured.force_uncertainty_n,
+        press=measured,
+        load_cell=None if measured is None else session.load_cell,
         contact_circle=None,
         mm_per_px=plan.mm_per_px,
         mm_per_px_u_rel=plan.mm_per_px_u_rel,
@@ -104,6 +129,15 @@ def tactile_capture(
         source=f"tactile session '{folder.resolve().name}', {plan.design}, camera {rig.camera.driver}, frame "
         f"{shown.sequence} at {shown.captured_utc}",
     )
+
+
+def _pose(press: PlannedPress, plan: TactilePlan, measured: MeasuredPress | None) -> IndenterPose:
+    """Return the pose of a press: as a person was asked for it, or with the depth that the stage reached."""
+    pose = press.pose(plan.indenter)
+    if measured is None:
+        return pose
+    reached = {"depth_mm": measured.depth_mm, "depth_uncertainty_mm": measured.depth_uncertainty_mm}
+    return pose.model_copy(update=reached)
 
 
 def clipping_notes(frames: Sequence[TactileFrame], contacts: int) -> tuple[str, ...]:
@@ -174,6 +208,8 @@ class InterruptedPresses:
         Number of lines of the journal.
     sources
         Path -> SHA-256 of the files that plan, poses and rig were read from.
+    measured
+        What stage and load cell measured of the contacts that are done.
     """
 
     plan: TactilePlan
@@ -184,6 +220,7 @@ class InterruptedPresses:
     device: DeviceIdentity | None
     lines: int
     sources: dict[str, str]
+    measured: dict[int, MeasuredPress]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -239,8 +276,15 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
     shots = tactile_shots(plan, rig.camera, len(presses))
     wanted = Counter(shot.group for shot in shots)
     there = Counter(shot.group for shot in shots if shot.sequence in good)
-    whole = {shot.sequence: good[shot.sequence] for shot in shots if there[shot.group] == wanted[shot.group]}
-    return InterruptedPresses(plan, rig, presses, rig_folder, whole, device, len(lines), start.get("sources", {}))
+    measured = replayed_presses(lines) if rig.stage is not None else {}
+
+    def is_whole(shot: TactileShot) -> bool:
+        pressed = rig.stage is None or shot.frame_type != "contact" or shot.place in measured
+        return pressed and there[shot.group] == wanted[shot.group]
+
+    whole = {shot.sequence: good[shot.sequence] for shot in shots if is_whole(shot)}
+    sources = start.get("sources", {})
+    return InterruptedPresses(plan, rig, presses, rig_folder, whole, device, len(lines), sources, measured)
 
 
 def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdentity) -> None:
@@ -316,27 +360,29 @@ def capture_tactile_session(
     """
     out = request.out
     shots = tactile_shots(plan, rig.camera, len(presses))
+    require_pressable(rig, presses)
+    calibration = None if rig.load_cell is None else read_cell_calibration(rig.load_cell, request.rig_folder)
     if interrupted is None:
         require_empty(out)
-    with (
-        device_locked("camera", rig.camera.driver, rig.camera.address),
-        open_camera(rig.camera, request.rig_folder) as camera,
-    ):
+    with open_tactile_rig(rig, request.rig_folder, request.operator) as opened:
         out.mkdir(parents=True, exist_ok=True)
-        clock = SystemClock()
-        with Journal(out, clock, resumed=interrupted is not None, told=request.watch.noted) as journal:
-            recorder = _Recorder(camera, rig, plan, presses, journal, clock, request)
+        camera = opened.camera_there()
+        with Journal(out, opened.clock, resumed=interrupted is not None, told=request.watch.noted) as journal:
+            recorder = _Recorder(opened, rig, plan, presses, journal, request, calibration)
             device = camera.identity()
             if interrupted is None:
                 _write_start(journal, rig, plan, presses, request, device)
             else:
                 take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
+                recorder.measured.update(interrupted.measured)
                 journal.append("resume", frames=len(interrupted.frames))
-            with faults_noted(journal, out):
+            with faults_noted(journal, out, stated_times(rig, plan, presses).healing_s):
                 recorder.record(shots)
             notes = (*driver_notes(rig), *(interrupted.notes if interrupted else ()), *fault_notes(out))
-            session = _session_of(plan, rig, presses, recorder.frames, device, notes)
+            session = _session_of(plan, rig, presses, recorder, device, notes).model_copy(
+                update={"press_devices": opened.press_devices(), "load_cell": calibration}
+            )
             _write_captures(session, out, request.command)
             noted = dict(request.sources) if interrupted is None else interrupted.sources
             write_session(session, out, noted, request.command, journal)
@@ -348,12 +394,12 @@ def _session_of(
     plan: TactilePlan,
     rig: TactileRig,
     presses: tuple[PlannedPress, ...],
-    frames_by_number: Mapping[int, TactileFrame],
+    recorder: "_Recorder",
     device: DeviceIdentity,
     notes: tuple[str, ...],
 ) -> TactileSession:
     """Return the record of a session all of whose frames are there."""
-    frames = tuple(frame for _, frame in sorted(frames_by_number.items()))
+    frames = tuple(frame for _, frame in sorted(recorder.frames.items()))
     contacts = len(presses) * plan.repeats
     return TactileSession(
         plan=plan,
@@ -362,6 +408,7 @@ def _session_of(
         frames=frames,
         captures=tuple(capture_file(contact) for contact in range(1, contacts + 1)),
         devices=(device,),
+        measured=tuple(press for _, press in sorted(recorder.measured.items())),
         notes=(*notes, *clipping_notes(frames, contacts)),
     )
 
@@ -393,7 +440,7 @@ def _write_captures(session: TactileSession, out: Path, command: str) -> None:
     """Write the tactile capture of each contact."""
     for contact, name in enumerate(session.captures, 1):
         press = session.presses[press_of(contact, session.plan.repeats)]
-        capture = tactile_capture(out, session.plan, session.rig, press, contact, session.frames)
+        capture = tactile_capture(out, session.plan, session.rig, press, contact, session)
         groups = (("no contact", contact - 1), ("contact", contact), ("no contact", contact))
         used = {frame.file: frame.sha256 for frame in session.frames if (frame.frame_type, frame.place) in groups}
         write_record(capture, out / name, provenance(command, used, None))
@@ -407,38 +454,116 @@ def session_bytes(rig: TactileRig, plan: TactilePlan, presses: int, frames: int)
     return images * camera.width_px * camera.height_px * samples * BYTES_PER_PIXEL
 
 
+def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
+    """Refuse forces that nothing measures, and presses that a stage cannot make.
+
+    Raises
+    ------
+    CaptureError
+        A press names a force and the rig has no load cell, needs a tilt, or lies beyond the stage's travel.
+    """
+    for number, press in enumerate(presses, 1):
+        where = f"plan.presses (entry {number})"
+        if rig.stage is None or rig.load_cell is None:
+            if press.until_force_n is not None or press.force_limit_n is not None:
+                raise CaptureError(
+                    f"{where}: names a force, and the rig has no stage with a load cell that could stop at it; "
+                    "describe them in the rig file, or leave the force out"
+                )
+            continue
+        if press.tilt_deg:
+            raise CaptureError(f"{where}: tilt_deg = {press.tilt_deg:g}, and the stage cannot tilt; leave it out")
+        if (press.until_force_n or 0.0) >= rig.load_cell.force_limit_n:
+            raise CaptureError(
+                f"{where}: until_force_n must be below force_limit_n of the rig file, {rig.load_cell.force_limit_n:g} N"
+            )
+        low_mm, high_mm = rig.stage.pad_travel_mm
+        at_mm = rig.stage.base_mm + rig.stage.from_base * press.position_mm
+        if not low_mm <= at_mm <= high_mm:
+            raise CaptureError(
+                f"{where}: position_mm = {press.position_mm:g} is {rig.stage.pad_axis} = {at_mm:g} mm, outside the "
+                f"stage's travel of {low_mm:g} to {high_mm:g} mm"
+            )
+
+
+FRAME_S: Final = 0.3
+"""Reading out, checking and writing a frame, beside its exposure: typical of the cameras here."""
+
+
+class StatedTimes(NamedTuple):
+    """How long a tactile session takes (s), without the time of persons, and how long faults may hold it up."""
+
+    typical_s: float
+    longest_s: float
+    healing_s: float
+
+
+def stated_times(rig: TactileRig, plan: TactilePlan, presses: Sequence[PlannedPress]) -> StatedTimes:
+    """Return what a tactile session takes: its exposures and, where a stage presses, the time of the stage.
+
+    At the longest every frame waits for the camera's deadline, and the stage goes through all of its travel.
+    """
+    exposures_s = [shot.exposure_s for shot in tactile_shots(plan, rig.camera, len(presses))]
+    typical_s = sum(exposures_s) + FRAME_S * len(exposures_s)
+    longest_s = sum(DEADLINE_EXPOSURES * t + CAMERA_DEADLINE_MARGIN_S for t in exposures_s)
+    if rig.stage is not None and rig.load_cell is not None:
+        each = [contact_times(rig.stage, rig.load_cell, press) for press in presses]
+        typical_s += plan.repeats * sum(times.typical_s for times in each)
+        longest_s += HOMING_WITHIN_S + plan.repeats * sum(times.longest_s for times in each)
+    return StatedTimes(typical_s, longest_s, healing_s(typical_s))
+
+
 class _Recorder:
     """Takes and stores the frames of one session."""
 
     def __init__(
         self,
-        camera: Camera,
+        opened: OpenTactileRig,
         rig: TactileRig,
         plan: TactilePlan,
         presses: tuple[PlannedPress, ...],
         journal: Journal,
-        clock: Clock,
         request: SessionRequest,
+        calibration: LoadCellCalibration | None,
     ):
         self._plan, self._presses, self._out, self._journal = plan, presses, request.out, journal
-        self._clock, self._operator, self._progress = clock, request.operator or TerminalOperator(), request.tell
+        self._clock, self._operator, self._progress = opened.clock, opened.operator, request.tell
         self._rig, self._watch = rig, request.watch
+        camera, one_exposure = opened.camera_there(), len(plan.bracket_s(rig.camera)) == 1
         self._camera = TactileCamera(
-            camera, rig.camera, len(plan.bracket_s(rig.camera)) == 1, lambda text: journal.append("refused", text=text)
+            camera, rig.camera, one_exposure, lambda text: journal.append("refused", text=text)
         )
+        self._stage = None if calibration is None else StagePress(opened, rig, calibration, journal.append)
         self.frames: dict[int, TactileFrame] = {}
+        self.measured: dict[int, MeasuredPress] = {} if self._stage is None else self._stage.measured
 
     def record(self, shots: tuple[TactileShot, ...]) -> None:
         """Have everything done that needs hands, and take the frames that are missing."""
         missing = [shot for shot in shots if shot.sequence not in self.frames]
         require_space(self._out, session_bytes(self._rig, self._plan, len(self._presses), len(missing)))
         self._watch.expects([(None, shot.exposure_s) for shot in missing])
-        for _, group in groupby(missing, key=lambda shot: shot.group):
-            todo = list(group)
-            self._operator.do(instruction(todo[0], self._plan, self._presses))
-            for shot in todo:
-                self._take(shot)
-                self._progress(len(self.frames), len(shots), shot.label)
+        with nullcontext() if self._stage is None else self._stage.standing_by():
+            for _, group in groupby(missing, key=lambda shot: shot.group):
+                todo = list(group)
+                self._make_ready(todo[0])
+                for shot in todo:
+                    self._take(shot)
+                    self._progress(len(self.frames), len(shots), shot.label)
+                if self._stage is not None and todo[0].frame_type == "contact":
+                    self._stage.seen()
+            if self._stage is not None:
+                self._stage.leave()
+
+    def _make_ready(self, shot: TactileShot) -> None:
+        """Have the pad as a frame needs it: the stage presses and leaves, a person does all else."""
+        if self._stage is None or shot.frame_type == "board" or shot.group == ("no contact", 0):
+            self._operator.do(instruction(shot, self._plan, self._presses))
+        if self._stage is None or shot.frame_type == "board":
+            return
+        if shot.frame_type == "contact":
+            self._stage.press(self._presses[press_of(shot.place, self._plan.repeats)], shot.place)
+        else:
+            self._stage.leave()
 
     def _take(self, shot: TactileShot) -> None:
         """Take a frame, write it, then its line of the journal."""

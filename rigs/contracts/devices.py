@@ -1,4 +1,4 @@
-"""The contracts of cameras, filter wheels and lights, and the suites that run them on the rig of ``--rig``."""
+"""The contracts of cameras, wheels, lights, stages and load cells, and the suites that run them on ``--rig``."""
 
 import time
 from collections.abc import Callable
@@ -7,8 +7,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from data_schemas import CameraSettings, CaptureError, FilterWheelSettings, RefusedError
-from rigs import Camera, FilterWheel, Light, RawFrame
+from data_schemas import (
+    CameraSettings,
+    CaptureError,
+    FilterWheelSettings,
+    LoadCellSettings,
+    RefusedError,
+    StageSettings,
+)
+from rigs import Camera, FilterWheel, Light, LoadCell, RawFrame, Stage
 from rigs.capture import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S
 
 LATE_FRAME_S = 1.0
@@ -234,3 +241,126 @@ class TestLamp(LightContract):
     def light(self, lamp: Light) -> Light:
         """Return the lamp."""
         return lamp
+
+
+HOMING_S = 60.0
+SMALL_MOVES = 4
+"""Long steps into the pad from where nothing touches: clear_mm must be farther from it than so many."""
+LATE_STOP_S = 4.0
+"""How much later than its cause a stop may be seen, beyond the way that was left."""
+
+
+def unwatched() -> None:
+    """Watch nothing: what a contract moves touches nothing."""
+
+
+class StageContract:
+    """Tests of a stage; they home it, and move its press axis a few steps from where nothing touches."""
+
+    @pytest.fixture
+    def homed(self, stage: Stage, stage_settings: StageSettings) -> Stage:
+        """Return the stage with its places known, clear of the pad."""
+        if stage.places_mm() is None:
+            if stage_settings.homing == "by hand":
+                stage.trust_places()
+            else:
+                stage.home(HOMING_S, unwatched)
+        self.go(stage, stage_settings, 0)
+        return stage
+
+    def go(self, stage: Stage, settings: StageSettings, steps: int) -> float:
+        """Move some long steps into the pad from where nothing touches; return the place."""
+        to_mm = settings.clear_mm + settings.into_pad * steps * settings.step_mm
+        stage.move(settings.press_axis, to_mm, settings.travel_speed_mm_per_s, unwatched)
+        return to_mm
+
+    def test_it_says_what_it_is(self, stage: Stage) -> None:
+        """Its identity is not empty."""
+        identity = stage.identity()
+        assert identity.role == "stage"
+        assert identity.driver
+
+    def test_its_place_is_unknown_before_it_is_homed(self, stage: Stage, stage_settings: StageSettings) -> None:
+        """A stage that was only opened moves nowhere."""
+        if stage.places_mm() is not None:
+            pytest.skip("the stage was homed by a test before")
+        with pytest.raises(RefusedError):
+            self.go(stage, stage_settings, 1)
+
+    def test_it_arrives_and_comes_back(self, homed: Stage, stage_settings: StageSettings) -> None:
+        """Each place is reported within the uncertainty of the rig file, also after going back and forth."""
+        for steps in (1, SMALL_MOVES, 2, 0, SMALL_MOVES, 0):
+            to_mm = self.go(homed, stage_settings, steps)
+            places = homed.places_mm()
+            assert places is not None
+            assert places[stage_settings.press_axis] == pytest.approx(
+                to_mm, abs=2.0 * stage_settings.position_uncertainty_mm
+            )
+
+    def test_travel_is_kept_before_it_moves(self, homed: Stage, stage_settings: StageSettings) -> None:
+        """A place beyond the travel of the rig file is refused, and nothing moves."""
+        before = homed.places_mm()
+        beyond_mm = stage_settings.deepest_mm + stage_settings.into_pad
+        with pytest.raises(RefusedError):
+            homed.move(stage_settings.press_axis, beyond_mm, stage_settings.travel_speed_mm_per_s, unwatched)
+        assert homed.places_mm() == before
+
+    def test_what_the_watch_raises_stops_it(self, homed: Stage, stage_settings: StageSettings) -> None:
+        """It is told, the stage stands, and it can go on, at once or after it was homed again."""
+        for kind in (CaptureError, KeyboardInterrupt):
+
+            def watch(kind: type[BaseException] = kind) -> None:
+                raise kind("the contract stops the stage")
+
+            began_s = time.monotonic()
+            with pytest.raises(kind):
+                homed.move(
+                    stage_settings.press_axis,
+                    stage_settings.clear_mm + stage_settings.into_pad * SMALL_MOVES * stage_settings.step_mm,
+                    stage_settings.press_speed_mm_per_s,
+                    watch,
+                )
+            assert time.monotonic() - began_s < LATE_STOP_S
+            first = homed.places_mm()
+            assert first == homed.places_mm()
+            if first is not None:
+                self.go(homed, stage_settings, 0)
+
+
+class LoadCellContract:
+    """Tests of a load cell; nothing may touch it."""
+
+    def test_it_says_what_it_is(self, load_cell: LoadCell) -> None:
+        """Its identity is not empty."""
+        identity = load_cell.identity()
+        assert identity.role == "load cell"
+        assert identity.driver
+
+    def test_readings_come_at_their_rate(self, load_cell: LoadCell, load_cell_settings: LoadCellSettings) -> None:
+        """Each is later than the one before, and there are as many as the rig file says, within a third."""
+        readings = [load_cell.read(load_cell_settings.silent_s) for _ in range(2 * load_cell_settings.rate_hz)]
+        assert all(sooner.at_s < later.at_s for sooner, later in pairwise(readings))
+        rate_hz = (len(readings) - 1) / (readings[-1].at_s - readings[0].at_s)
+        assert rate_hz == pytest.approx(load_cell_settings.rate_hz, rel=1 / 3)
+
+    def test_it_is_not_stuck(self, load_cell: LoadCell, load_cell_settings: LoadCellSettings) -> None:
+        """Counts scatter, as those of every amplifier of 24 bits do."""
+        counts = [load_cell.read(load_cell_settings.silent_s).counts for _ in range(load_cell_settings.rate_hz)]
+        assert len(set(counts)) > len(counts) // 4
+
+    def test_deadline_is_kept(self, load_cell: LoadCell) -> None:
+        """What cannot come in time is not waited for, and the next reading comes."""
+        began_s = time.monotonic()
+        try:
+            load_cell.read(TOO_SHORT_S)
+        except CaptureError:
+            assert time.monotonic() - began_s < TOO_SHORT_S + LATE_MOVE_S
+        load_cell.read(1.0)
+
+
+class TestStage(StageContract):
+    """The stage of the rig file that ``--rig`` names."""
+
+
+class TestLoadCell(LoadCellContract):
+    """The load cell of the rig file that ``--rig`` names."""

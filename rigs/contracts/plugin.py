@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import pytest
 
 if TYPE_CHECKING:
-    from data_schemas import CameraSettings, FilterWheelSettings, RigFile, TactileRig
-    from rigs import Camera, FilterWheel, Light
+    from data_schemas import (
+        CameraSettings,
+        FilterWheelSettings,
+        LoadCellSettings,
+        RigFile,
+        StageSettings,
+        TactileRig,
+    )
+    from rigs import Camera, FilterWheel, Light, LoadCell, Stage
 
 HERE = Path(__file__).parent
 SUITE = "devices.py"
@@ -29,7 +36,16 @@ class NamedRig(NamedTuple):
         from data_schemas import RigFile
 
         if not isinstance(self.rig, RigFile):
-            pytest.skip("a rig of a tactile session has a camera only")
+            pytest.skip("a rig of a tactile session has no wheel and no light")
+        return self.rig
+
+    @property
+    def finger(self) -> "TactileRig":
+        """The rig, where it is one of tactile sessions with a stage; tests of what others lack are skipped."""
+        from data_schemas import TactileRig
+
+        if not isinstance(self.rig, TactileRig) or self.rig.stage is None:
+            pytest.skip("the rig has no stage with a load cell")
         return self.rig
 
 
@@ -75,6 +91,11 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
     rig, _ = config.stash[RIG]
     lines = [f"rig: {rig.name}", f"{device_title('camera', rig.camera)}; takes frames, and its exposure is changed"]
     if not isinstance(rig, RigFile):
+        if rig.stage is not None and rig.load_cell is not None:
+            lines += [
+                f"{device_title('stage', rig.stage)}; IS HOMED and MOVES some steps from clear_mm: keep hands away",
+                f"{device_title('load cell', rig.load_cell)}; is read",
+            ]
         return lines
     laser = rig.laser
     label = f"{laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}"
@@ -118,11 +139,50 @@ def wheel_settings(named_rig: NamedRig) -> "FilterWheelSettings":
     return named_rig.whole.filter_wheel
 
 
+@pytest.fixture(scope="session")
+def stage_settings(named_rig: NamedRig) -> "StageSettings | None":
+    """Return the stage of the rig file."""
+    return named_rig.finger.stage
+
+
+@pytest.fixture(scope="session")
+def load_cell_settings(named_rig: NamedRig) -> "LoadCellSettings | None":
+    """Return the load cell of the rig file."""
+    return named_rig.finger.load_cell
+
+
+@pytest.fixture(scope="class")
+def stage(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[Stage | None]":
+    """Open the stage."""
+    from rigs.capture import open_tactile_rig
+
+    rig = named_rig.finger
+    if rig.stage is not None and rig.stage.homing == "by hand" and request.config.getoption("capture") != "no":
+        pytest.skip("NOT TESTED: bring the stage to its zero, then run with -s, which says that it stands there")
+    with open_tactile_rig(rig, named_rig.folder, only="stage") as opened:
+        yield opened.stage
+
+
+@pytest.fixture(scope="class")
+def load_cell(named_rig: NamedRig) -> "Iterator[LoadCell | None]":
+    """Open the load cell."""
+    from rigs.capture import open_tactile_rig
+
+    with open_tactile_rig(named_rig.finger, named_rig.folder, only="load cell") as opened:
+        yield opened.load_cell
+
+
 @pytest.fixture(scope="class")
 def camera(named_rig: NamedRig) -> "Iterator[Camera]":
     """Open the camera."""
+    from data_schemas import TactileRig
     from rigs import lone_camera
+    from rigs.capture import open_tactile_rig
 
+    if isinstance(named_rig.rig, TactileRig) and named_rig.rig.is_simulated:
+        with open_tactile_rig(named_rig.rig, named_rig.folder) as opened:
+            yield opened.camera_there()
+        return
     with lone_camera(named_rig.rig, named_rig.folder) as device:
         yield device
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         SimulatedOperator,
         with_fault,
     )
+    from rigs.simulated._finger import FingerCamera, FingerOperator, FingerState, SimulatedLoadCell, SimulatedStage
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -30,12 +31,17 @@ __all__ = [
     "BenchFault",
     "BenchState",
     "BenchTruth",
+    "FingerCamera",
+    "FingerOperator",
+    "FingerState",
     "RigCondition",
     "SimulatedCamera",
     "SimulatedClock",
     "SimulatedFilterWheel",
     "SimulatedLight",
+    "SimulatedLoadCell",
     "SimulatedOperator",
+    "SimulatedStage",
     "bench_truth",
     "lay_out",
     "with_fault",

@@ -18,7 +18,8 @@ MODULES = sorted(p for package in PACKAGES for p in (ROOT / package).rglob("*.py
 LONGEST_MODULE = 670
 DUMPING_GROUNDS = {"util", "utils", "helper", "helpers", "common", "misc", "core", "base", "tools"}
 UNIT = re.compile(
-    r"_(nm|mm|mm2|mm3|px|s|deg|mpa|n|kg|dn|e|mw|ma|rel|od|db|dn2|k|j|per_j|per_nm|per_s|e_per_dn|e_per_s|dn_per_s|per_px|mm_per_px)$"
+    r"_(nm|mm|mm2|mm3|px|s|deg|mpa|n|kg|dn|e|mw|ma|rel|od|db|dn2|k|j|per_j|per_nm|per_s|e_per_dn|e_per_s|dn_per_s|per_px|mm_per_px"
+    r"|m_per_s2|n_per_mm|n_per_mm2|n_per_count)$"
 )
 # Dimensionless by their nature: a name is allowed when one of these is a whole word of it.
 DIMENSIONLESS_WORDS = frozenset(
@@ -86,6 +87,7 @@ EXCEPTIONS = {
     "difference_sd": "of log densities, nats",
     **dict.fromkeys(("halved", "doubled"), "shift of a mean, in its standard deviations"),
     "chi_square_p": "probability",
+    **dict.fromkeys(("slope", "slope_uncertainty"), "of a line through points of any units"),
     "k": "exposure factor, as in the paper",
     "u": "its relative uncertainty",
     "z": "standard score of a curve's shape",

@@ -13,21 +13,35 @@ import numpy as np
 import pytest
 import tifffile
 
-from data_schemas import CameraSettings, FilterWheelSettings, LampSettings, Target
+from data_schemas import (
+    CameraSettings,
+    FilterWheelSettings,
+    LampSettings,
+    LoadCellSettings,
+    StageSettings,
+    Target,
+)
 from rigs import (
     Camera,
     FilterWheel,
     Light,
+    LoadCell,
     OpenRig,
+    Stage,
     TerminalOperator,
     open_camera,
     open_lamp,
+    open_load_cell,
     open_rig,
+    open_stage,
     open_wheel,
     simulated_rig,
+    tactile_rig,
     write_rig,
+    write_tactile_rig,
 )
-from rigs.contracts import CameraContract, FilterWheelContract, LightContract
+from rigs.capture import open_tactile_rig
+from rigs.contracts import CameraContract, FilterWheelContract, LightContract, LoadCellContract, StageContract
 from rigs.light_guard import guarded_light
 from rigs.simulated import SimulatedCamera, SimulatedFilterWheel, SimulatedLight
 from tests.capture.drivers import picamera2_stand_in
@@ -35,6 +49,7 @@ from tests.capture.drivers.alpaca_server import AlpacaServer
 from tests.capture.drivers.fake_gigevision_camera import fake_camera
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board
 from tests.capture.drivers.indi_server import CCD, PANEL, SIMULATORS, WHEEL, IndiServer
+from tests.capture.drivers.press_bench import PressBench, press_bench
 from tests.capture.drivers.programs import require, require_module
 from tests.capture.drivers.rig_excerpts import camera_settings as indi_camera_settings
 from tests.capture.drivers.rig_excerpts import wheel_settings as settings_of_wheel
@@ -43,9 +58,74 @@ from tests.capture.drivers.test_micro_manager import SETTINGS as DEMO_SETTINGS
 from tests.capture.drivers.test_mjpeg import HEIGHT_PX as PICTURE_HEIGHT_PX
 from tests.capture.drivers.test_mjpeg import WIDTH_PX as PICTURE_WIDTH_PX
 from tests.capture.drivers.test_mjpeg import ffmpeg_server
+from tests.capture.drivers.test_stage_and_cell import cell_settings, stage_settings
 from tests.capture.drivers.thorlabs_wheel import emulated_wheel
 
 RIG = simulated_rig("red", width_px=64, height_px=64)
+
+
+FINGER = tactile_rig(simulated=True)
+
+
+class TestSimulatedStage(StageContract):
+    @pytest.fixture
+    def stage_settings(self) -> StageSettings | None:
+        return FINGER.stage
+
+    @pytest.fixture
+    def stage(self) -> Iterator[Stage | None]:
+        with open_tactile_rig(FINGER, Path()) as opened:
+            yield opened.stage
+
+
+class TestSimulatedLoadCell(LoadCellContract):
+    @pytest.fixture
+    def load_cell_settings(self) -> LoadCellSettings | None:
+        return FINGER.load_cell
+
+    @pytest.fixture
+    def load_cell(self) -> Iterator[LoadCell | None]:
+        with open_tactile_rig(FINGER, Path()) as opened:
+            yield opened.load_cell
+
+
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PressBench]:
+    with press_bench(tmp_path_factory.mktemp("boards")) as running:
+        yield running
+
+
+class TestGrblStage(StageContract):
+    @pytest.fixture
+    def stage_settings(self, boards: PressBench) -> StageSettings:
+        return stage_settings(str(boards.controller.port.path), clear_mm=-0.5)
+
+    @pytest.fixture
+    def stage(self, stage_settings: StageSettings) -> Iterator[Stage]:
+        with open_stage(stage_settings) as opened:
+            yield opened
+
+
+class TestHx711Cell(LoadCellContract):
+    @pytest.fixture
+    def load_cell_settings(self, tmp_path: Path) -> Iterator[LoadCellSettings]:
+        with press_bench(tmp_path) as running:
+            yield cell_settings(str(running.amplifier.port.path))
+
+    @pytest.fixture
+    def load_cell(self, load_cell_settings: LoadCellSettings) -> Iterator[LoadCell]:
+        with open_load_cell(load_cell_settings) as opened:
+            yield opened
+
+
+def test_suite_runs_on_a_finger_rig(tmp_path: Path) -> None:
+    write_tactile_rig(FINGER, tmp_path / "rig.toml")
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--pyargs", "rigs.contracts"]
+    done = subprocess.run([*command, "--rig", "rig.toml"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "IS HOMED and MOVES some steps from clear_mm" in done.stdout
+    # five of the stage and four of the cell beside those of the camera
+    assert int(done.stdout.rpartition(" passed")[0].split()[-1]) >= 9 + 5
 
 
 class Willing:

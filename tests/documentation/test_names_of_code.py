@@ -22,6 +22,8 @@ GROUPS = {
         "cameras",
         "filter_wheels",
         "lights",
+        "stages",
+        "load_cells",
         "import_formats",
         "materials",
         "indenter_shapes",

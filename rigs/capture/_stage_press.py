@@ -1,0 +1,627 @@
+r"""Presses by a stage with a load cell that stops it: touch, steps, force with uncertainty, and away.
+
+What a press rests on: the force is the cell's count above a tare times the slope of its calibration; the touch lies
+between the last step without and the first with a force above five standard deviations (so that the pad's stiffness
+times touch_step_mm must exceed the noise of a mean several times); every place is an absolute
+machine coordinate that the stage has reported. While the stage moves, each reading of the cell is compared with the
+force limit and with the last ones. The force that is reached beyond the limit is at most
+
+.. math:: \Delta F = k \min\bigl(v (t_{cell} + t_{stage}) + v^2 / 2 a, \; s\bigr)
+
+with the stiffness k, the speed v, the time between readings (and the amplifier's own filter), the time until the stage
+obeys, its deceleration a and the step s: no move towards the pad is longer than one step.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+
+from data_schemas import (
+    CaptureError,
+    LoadCellCalibration,
+    LoadCellSettings,
+    LostError,
+    MeasuredPress,
+    PlannedPress,
+    PressDevice,
+    RecordError,
+    RefusedError,
+    StageSettings,
+    TactileRig,
+)
+from data_schemas.storage import read_record
+from rigs import (
+    Camera,
+    Clock,
+    ForceLimitError,
+    LoadCell,
+    Operator,
+    Stage,
+    SystemClock,
+    TerminalOperator,
+    device_locked,
+    open_camera,
+    open_load_cell,
+    open_stage,
+)
+
+TOUCH_SD: Final = 5.0
+"""A force above so many standard deviations is a touch: by chance in fewer than one step of 10,000."""
+TARE_READINGS: Final = 32
+STEP_READINGS: Final = 8
+SETTLING_READINGS: Final = 4
+"""The HX711's filter has taken in a change after four readings (its data sheet: 50 ms at 80 Hz, 400 ms at 10 Hz)."""
+COARSE_SD: Final = 8.0
+BACK_STEPS: Final = 3
+FIRST_POINTS: Final = 3
+STEPS_OF_A_TARE: Final = 10
+"""Long steps without a force after which the cell is tared again, because its zero drifts."""
+LEAST_EQUAL: Final = 4
+LEAST_STEP_MM: Final = 0.005
+FORCE_REACHED: Final = 0.98
+HOMING_WITHIN_S: Final = 60.0
+TOUCH_MOVED_MM: Final = 0.1
+"""A pad that has crept is touched a few hundredths of a millimetre deeper; more means lost steps."""
+ZERO_MOVED_SHARE: Final = 0.1
+"""Of the force limit: a zero that moved by more during one press tells of a loose cell or a warm amplifier."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenTactileRig:
+    """Opened devices of a tactile rig.
+
+    Attributes
+    ----------
+    stage, load_cell
+        None where a person presses.
+    lay
+        Lays a mass (kg) on the cell: the simulated one at once, on a real one a person is asked.
+    """
+
+    camera: Camera | None
+    stage: Stage | None
+    load_cell: LoadCell | None
+    operator: Operator
+    clock: Clock
+    lay: Callable[[float], None] = lambda mass_kg: None
+
+    def camera_there(self) -> Camera:
+        """Return the camera, which was opened."""
+        if self.camera is None:
+            raise RefusedError("camera: was not opened")
+        return self.camera
+
+    def press_devices(self) -> tuple[PressDevice, ...]:
+        """Return what stage and load cell say they are."""
+        return tuple(device.identity() for device in (self.stage, self.load_cell) if device is not None)
+
+
+@contextmanager
+def open_tactile_rig(
+    rig: TactileRig,
+    folder: Path,
+    operator: Operator | None = None,
+    only: Literal["camera", "stage", "load cell"] | None = None,
+) -> Iterator[OpenTactileRig]:
+    """Open and lock camera, stage and load cell for a ``with`` block; opening a stage stops whatever it was doing.
+
+    Parameters
+    ----------
+    rig
+        The rig file's content.
+    folder
+        Where relative paths in it start.
+    operator
+        Who presses, or is asked; a person at the terminal when left out.
+    only
+        The one device to open; all when left out.
+
+    Raises
+    ------
+    CaptureError
+        A device cannot be reached, or another capture uses it.
+    """
+    if rig.is_simulated:
+        yield _open_finger(rig)
+        return
+    hands = operator or TerminalOperator()
+
+    def lay(mass_kg: float) -> None:
+        hands.do(f"Lay {1e3 * mass_kg:g} g on the load cell, gently." if mass_kg else "Take everything off the cell.")
+
+    with ExitStack() as stack:
+        parts = {"camera": rig.camera, "stage": rig.stage, "load cell": rig.load_cell}
+        wanted = {role: part for role, part in parts.items() if part is not None and only in (None, role)}
+        for role, part in wanted.items():
+            stack.enter_context(device_locked(role, part.driver, part.address))
+        # the cell before the stage: what moves is never open without what stops it
+        cell = stack.enter_context(open_load_cell(rig.load_cell)) if rig.load_cell and "load cell" in wanted else None
+        camera = stack.enter_context(open_camera(rig.camera, folder)) if "camera" in wanted else None
+        stage = stack.enter_context(open_stage(rig.stage)) if rig.stage and "stage" in wanted else None
+        yield OpenTactileRig(camera, stage, cell, hands, SystemClock(), lay)
+
+
+def _open_finger(rig: TactileRig) -> OpenTactileRig:
+    """Put the simulated devices of a tactile rig over one finger."""
+    # Imported here so that a rig of real devices never loads the simulation.
+    from rigs.simulated import FingerCamera, FingerOperator, FingerState, SimulatedLoadCell, SimulatedStage
+
+    if rig.simulated is None or rig.load_cell is None:
+        raise RefusedError(f"rig '{rig.name}': a simulated finger needs its [simulated] and [load_cell] tables")
+    state, seed = FingerState(rig), rig.simulated.seed
+
+    def lay(mass_kg: float) -> None:
+        state.load_kg = mass_kg
+
+    return OpenTactileRig(
+        FingerCamera(state, rig.camera, np.random.default_rng([seed, 2])),
+        SimulatedStage(state),
+        SimulatedLoadCell(state, rig.load_cell, np.random.default_rng([seed, 3])),
+        FingerOperator(state),
+        state.clock,
+        lay,
+    )
+
+
+def read_cell_calibration(settings: LoadCellSettings, folder: Path) -> LoadCellCalibration:
+    """Read the calibration that a rig file names.
+
+    Raises
+    ------
+    RecordError
+        It is missing, or no such record.
+    """
+    path = folder / settings.calibration
+    if not path.is_file():
+        raise RecordError(
+            f"{path}: no such file, and without a calibration the load cell tells no newtons; write it with: finray "
+            f"rig calibrate-cell RIG --out {path}"
+        )
+    return read_record(path, LoadCellCalibration)
+
+
+class Force(NamedTuple):
+    """A mean force above the tare, and its standard uncertainty by noise alone (N)."""
+
+    mean_n: float
+    noise_n: float
+
+
+class ForceGauge:
+    """A load cell with its calibration and a tare.
+
+    Parameters
+    ----------
+    cell, settings
+        The open cell and what the rig file says of it.
+    calibration
+        How its counts become newtons.
+    """
+
+    def __init__(self, cell: LoadCell, settings: LoadCellSettings, calibration: LoadCellCalibration) -> None:
+        self._cell, self._settings, self._slope = cell, settings, calibration.slope_n_per_count
+        equal = max(LEAST_EQUAL, math.ceil(settings.silent_s * settings.rate_hz))
+        self._newest: deque[int] = deque(maxlen=equal)
+        self._zero, self._zero_readings, self.noise_n = math.nan, TARE_READINGS, math.nan
+
+    def reading_n(self) -> float:
+        """Return the next reading above the tare (N); nan before there is one.
+
+        Raises
+        ------
+        LostError
+            The same count came for as long as the cell may be silent: an amplifier's noise never does that.
+        TimedOutError
+            No reading came for so long.
+        """
+        counts = self._cell.read(self._settings.silent_s).counts
+        self._newest.append(counts)
+        if len(self._newest) == self._newest.maxlen and len(set(self._newest)) == 1:
+            raise LostError(
+                f"load cell: has said {counts} for {self._newest.maxlen} readings, so it is stuck; check amplifier and "
+                "wiring"
+            )
+        return (counts - self._zero) * self._slope
+
+    def tare(self) -> None:
+        """Take the mean of some readings for no force, and their scatter for the noise of one."""
+        self._zero = 0.0
+        counts = np.array([self.reading_n() for _ in range(TARE_READINGS)]) / self._slope
+        self._zero, self._zero_readings = float(counts.mean()), TARE_READINGS
+        self.noise_n = float(counts.std(ddof=1)) * abs(self._slope)
+
+    def mean(self, readings: int = STEP_READINGS) -> Force:
+        """Return the mean of readings that the amplifier's filter has forgotten the past in."""
+        for _ in range(SETTLING_READINGS):
+            self.reading_n()
+        mean_n = float(np.mean([self.reading_n() for _ in range(readings)]))
+        return Force(mean_n, self.noise_n * math.sqrt(1.0 / readings + 1.0 / self._zero_readings))
+
+    def follow(self, force: Force) -> None:
+        """Take a mean of a step that touched nothing for no force: the zero drifts."""
+        self._zero += force.mean_n / self._slope
+        self._zero_readings = STEP_READINGS
+
+    def settled(self) -> Force:
+        """Return the force when two means in a row agree, or after the longest wait that the rig file allows."""
+        before = self.mean()
+        rounds = int(self._settings.settle_s * self._settings.rate_hz / (STEP_READINGS + SETTLING_READINGS))
+        for _ in range(max(rounds, 1)):
+            now = self.mean()
+            if abs(now.mean_n - before.mean_n) <= 3.0 * self.noise_n * math.sqrt(2.0 / STEP_READINGS):
+                return now
+            before = now
+        return before
+
+
+@dataclass(slots=True)
+class _Touched:
+    """The contact that is being made."""
+
+    contact: int
+    touch_mm: float
+    touch_uncertainty_mm: float
+    points: list[tuple[float, Force]]
+    press: PlannedPress
+    before: Force
+
+
+class StagePress:
+    """Presses the contacts of one session, and leaves the pad whatever goes wrong.
+
+    Parameters
+    ----------
+    opened, rig
+        Open devices and the rig file.
+    calibration
+        Of the load cell.
+    note
+        Writes a line of the journal: event, and what it says.
+
+    Raises
+    ------
+    RefusedError
+        The rig has no stage or no load cell.
+    """
+
+    def __init__(
+        self,
+        opened: OpenTactileRig,
+        rig: TactileRig,
+        calibration: LoadCellCalibration,
+        note: Callable[..., None],
+    ) -> None:
+        if rig.stage is None or rig.load_cell is None or opened.stage is None or opened.load_cell is None:
+            raise RefusedError(f"rig '{rig.name}': has no stage with a load cell; nothing can press by itself")
+        self._stage, self._settings, self._cell = opened.stage, rig.stage, rig.load_cell
+        self._gauge, self._calibration = ForceGauge(opened.load_cell, rig.load_cell, calibration), calibration
+        self._operator, self._note = opened.operator, note
+        self._is_ready = False
+        self._now: _Touched | None = None
+        self._touches: dict[float, tuple[float, float]] = {}
+        self.limit_n = rig.load_cell.force_limit_n
+        self.measured: dict[int, MeasuredPress] = {}
+
+    def _guard(self, limit_n: float) -> Callable[[], None]:
+        """Return what is called while the stage moves: it takes the cell's next reading and raises beyond the limit."""
+
+        def watch() -> None:
+            force_n = self._gauge.reading_n()
+            if abs(force_n) > limit_n:
+                raise ForceLimitError(
+                    f"stage: stopped at {force_n:.3g} N, beyond the limit of {limit_n:g} N; press less deep, or raise "
+                    "force_limit_n if finger and cell stand it"
+                )
+
+        return watch
+
+    @contextmanager
+    def standing_by(self) -> Iterator[None]:
+        """Stop and leave the pad when anything ends a ``with`` block early, and say so in the journal."""
+        try:
+            yield
+        except BaseException as error:
+            with suppress(CaptureError):
+                self._note("stage stopped", why=f"{type(error).__name__}: {error}")
+            self._flee()
+            raise
+
+    def _flee(self) -> None:
+        """Move away from the pad if it is known where that is."""
+        try:
+            self._stage.stop()
+            places = self._stage.places_mm()
+            if places is None:
+                told = "its place is unknown: it stands where it stopped; free the pad by hand, then home it"
+            else:
+                self._away(lambda: None)
+                told = f"moved away to {self._settings.press_axis} = {self._settings.clear_mm:g} mm"
+        except CaptureError as error:
+            told = f"not moved away: {error}"
+        with suppress(CaptureError):
+            self._note("stage after stop", text=told)
+
+    def prepare(self) -> None:
+        """Find the stage's zero, and go where nothing touches; once in a session."""
+        if self._is_ready:
+            return
+        self._gauge.tare()
+        watch = self._guard(self.limit_n)
+        if self._settings.homing == "switches":
+            self._stage.home(HOMING_WITHIN_S, watch)
+        else:
+            self._trust_by_hand()
+        self._away(watch)
+        places = self._stage.places_mm()
+        self._note("stage ready", places_mm=places, homing=self._settings.homing)
+        self._is_ready = True
+
+    def _trust_by_hand(self) -> None:
+        """Have a person say that the stage stands at the zero that the rig file counts from."""
+        places = self._stage.trust_places()
+        where = ", ".join(f"{axis} {at_mm:.3f} mm" for axis, at_mm in sorted(places.items()))
+        if not self._operator.allows(
+            f"The stage counts {where}. Have you brought it to the zero that the rig file counts its places from, and "
+            "is the way to clear_mm free?"
+        ):
+            raise RefusedError("stage: nobody says that it stands at its zero; bring it there, then resume")
+
+    def _away(self, watch: Callable[[], None]) -> None:
+        """Move the press axis to where nothing touches."""
+        stage = self._settings
+        self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, watch)
+
+    def press(self, press: PlannedPress, contact: int) -> None:
+        """Touch the pad at the place of a press and press as it asks; the stage then stands.
+
+        Raises
+        ------
+        ForceLimitError
+            The force exceeded the limit of the press or of the rig; the stage has left the pad.
+        RefusedError
+            The press is deeper than the travel of the rig file.
+        CaptureError
+            Stage or cell failed, or the touch has moved since the last time at this place.
+        """
+        self.prepare()
+        stage = self._settings
+        limit_n = min(self.limit_n, press.force_limit_n or math.inf)
+        self._away(self._guard(limit_n))
+        place_mm = stage.base_mm + stage.from_base * press.position_mm
+        self._stage.move(stage.pad_axis, place_mm, stage.travel_speed_mm_per_s, self._guard(limit_n))
+        above_mm, force = self._find_touch(limit_n)
+        touched = _Touched(contact, above_mm, 0.0, [(above_mm, force)], press, force)
+        self._push(touched, limit_n)
+        touched.before = self._gauge.settled()
+        self._note("force", contact=contact, force_n=touched.before.mean_n, before="images")
+        self._now = touched
+
+    def _steps(self, from_mm: float, step_mm: float) -> Iterator[float]:
+        """Yield places step by step towards the pad, to the end of the travel."""
+        stage = self._settings
+        number = 1
+        while True:
+            to_mm = from_mm + stage.into_pad * number * step_mm
+            if stage.into_pad * (to_mm - stage.deepest_mm) > 0.0:
+                raise RefusedError(
+                    f"stage: {stage.press_axis} = {stage.deepest_mm:g} mm, the end of its travel in the pad, is "
+                    "reached; if that is not deep enough, raise press_travel_mm in the rig file"
+                )
+            yield to_mm
+            number += 1
+
+    def _find_touch(self, limit_n: float) -> tuple[float, Force]:
+        """Return the first place with a force, looked for with long and then with short steps from before it."""
+        stage, watch = self._settings, self._guard(limit_n)
+        self._gauge.tare()
+        for number, at_mm in enumerate(self._steps(stage.clear_mm, stage.step_mm), 1):
+            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
+            if abs(self._gauge.reading_n()) > COARSE_SD * self._gauge.noise_n and self._is_touched():
+                break
+            if number % STEPS_OF_A_TARE == 0:
+                self._gauge.tare()
+        back_mm = self._step_back(at_mm, watch)
+        self._gauge.tare()
+        for at_mm in self._steps(back_mm, stage.touch_step_mm):
+            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
+            force = self._gauge.mean()
+            if force.mean_n > TOUCH_SD * force.noise_n and self._is_touched():
+                return at_mm, force
+            self._gauge.follow(force)
+        raise AssertionError("the steps end with an error")
+
+    def _step_back(self, at_mm: float, watch: Callable[[], None]) -> float:
+        """Go back some long steps until that changes the force no more, and return where the stage is then."""
+        stage, before = self._settings, self._gauge.mean()
+        while True:
+            at_mm -= stage.into_pad * BACK_STEPS * stage.step_mm
+            if stage.into_pad * (at_mm - stage.clear_mm) < 0.0:
+                raise CaptureError(
+                    f"load cell: feels a force near clear_mm = {stage.clear_mm:g} mm, where nothing should touch; its "
+                    f"zero drifts, or clear_mm of the rig file is less than {3 * BACK_STEPS * stage.step_mm:g} mm from "
+                    "the pad"
+                )
+            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
+            now = self._gauge.mean()
+            if abs(now.mean_n - before.mean_n) <= TOUCH_SD * self._gauge.noise_n * math.sqrt(2.0 / STEP_READINGS):
+                return at_mm
+            before = now
+
+    def _is_touched(self) -> bool:
+        """Whether a second mean is above the threshold too."""
+        force = self._gauge.mean()
+        return abs(force.mean_n) > TOUCH_SD * force.noise_n
+
+    def _push(self, touched: _Touched, limit_n: float) -> None:
+        """Press step by step to the depth or force that is asked for."""
+        stage, press, watch = self._settings, touched.press, self._guard(limit_n)
+        first_mm = at_mm = touched.points[0][0]
+        self._place_touch(touched)
+        while True:
+            depth_mm = stage.into_pad * (at_mm - touched.touch_mm)
+            force = touched.points[-1][1]
+            step_mm = min(stage.step_mm, press.depth_mm - depth_mm)
+            if press.until_force_n is not None:
+                if force.mean_n >= FORCE_REACHED * press.until_force_n:
+                    break
+                stiffness = max(force.mean_n, force.noise_n) / max(depth_mm, stage.touch_step_mm)
+                step_mm = min(step_mm, max((press.until_force_n - force.mean_n) / stiffness, LEAST_STEP_MM))
+            if step_mm < 0.5 * LEAST_STEP_MM:
+                break
+            at_mm = next(self._steps(at_mm, step_mm))
+            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
+            touched.points.append((at_mm, self._gauge.mean()))
+            if len(touched.points) <= FIRST_POINTS:
+                self._place_touch(touched)
+        if press.until_force_n is not None and force.mean_n < FORCE_REACHED * press.until_force_n:
+            raise RefusedError(
+                f"stage: {force.mean_n:.3g} N at the depth of {press.depth_mm:g} mm, and {press.until_force_n:g} N "
+                "were asked for; allow more depth_mm, or ask for less force"
+            )
+        self._require_same_touch(touched, first_mm)
+
+    def _place_touch(self, touched: _Touched) -> None:
+        r"""Place the touch within the last short step, evenly likely.
+
+        It lies between the first place z with a force and the one before, less what may stay unseen there: the
+        threshold T over the stiffness. The standard uncertainty is half of that over the root of 3.
+        """
+        stage = self._settings
+        above_mm = touched.points[0][0]
+        before_mm = above_mm - stage.into_pad * stage.touch_step_mm
+        threshold_n = (TOUCH_SD + 2.0) * touched.points[0][1].noise_n
+        stiffness = [f.mean_n / abs(z - before_mm) for z, f in touched.points[:FIRST_POINTS] if f.mean_n > 0.0]
+        unseen_mm = min(threshold_n / min(stiffness), stage.step_mm) if stiffness else stage.step_mm
+        wide_mm = stage.touch_step_mm + unseen_mm
+        touched.touch_mm = above_mm - stage.into_pad * 0.5 * wide_mm
+        touched.touch_uncertainty_mm = 0.5 * wide_mm / math.sqrt(3.0)
+
+    def _require_same_touch(self, touched: _Touched, first_mm: float) -> None:
+        """Refuse a touch that has moved since the last one at this place: the stage lost steps, or something moved."""
+        place_mm = touched.press.position_mm
+        self._note(
+            "touch", contact=touched.contact, place_mm=touched.touch_mm, uncertainty_mm=touched.touch_uncertainty_mm,
+            first_force_at_mm=first_mm,
+        )  # fmt: skip
+        if place_mm in self._touches:
+            before_mm, before_u_mm = self._touches[place_mm]
+            allowed_mm = TOUCH_MOVED_MM + 3.0 * math.hypot(before_u_mm, touched.touch_uncertainty_mm)
+            moved_mm = touched.touch_mm - before_mm
+            if abs(moved_mm) > allowed_mm:
+                raise CaptureError(
+                    f"stage: touched the pad at {place_mm:g} mm along it {moved_mm:+.3f} mm from where it did before "
+                    f"({allowed_mm:.2f} mm are allowed): it lost steps, or the finger moved; drive slower, fasten "
+                    "both, then resume"
+                )
+        self._touches.setdefault(place_mm, (touched.touch_mm, touched.touch_uncertainty_mm))
+
+    def seen(self) -> None:
+        """Measure the force again when the images of a contact are taken; what it lost meanwhile is uncertainty."""
+        if self._now is None:
+            return
+        after, done = self._gauge.mean(), self._now
+        measured = self._measured(done, after)
+        self._note("press", **measured.model_dump())
+        self.measured[done.contact] = measured
+
+    def _measured(self, done: _Touched, after: Force) -> MeasuredPress:
+        """Return the contact with what is uncertain of its force and depth."""
+        stage = self._settings
+        force_n, relaxed_n = 0.5 * (done.before.mean_n + after.mean_n), done.before.mean_n - after.mean_n
+        noise_n = math.hypot(done.before.noise_n, after.noise_n) / math.sqrt(2.0)
+        depths_mm = [stage.into_pad * (z - done.touch_mm) for z, _ in done.points]
+        return MeasuredPress(
+            contact=done.contact,
+            ended_by="depth" if done.press.until_force_n is None else "force",
+            touch_mm=done.touch_mm,
+            touch_uncertainty_mm=done.touch_uncertainty_mm,
+            depth_mm=max(depths_mm[-1], 0.0),
+            depth_uncertainty_mm=math.hypot(done.touch_uncertainty_mm, stage.position_uncertainty_mm),
+            force_n=force_n,
+            force_uncertainty_n=math.hypot(self._scale_uncertainty_n(force_n), noise_n, relaxed_n / math.sqrt(12.0)),
+            relaxed_n=relaxed_n,
+            point_depths_mm=tuple(depths_mm),
+            point_forces_n=tuple(force.mean_n for _, force in done.points),
+            point_uncertainties_n=tuple(
+                math.hypot(self._scale_uncertainty_n(force.mean_n), force.noise_n) for _, force in done.points
+            ),
+        )
+
+    def _scale_uncertainty_n(self, force_n: float) -> float:
+        """Return the standard uncertainty of a force by the calibration: its slope and the form of its curve."""
+        calibration = self._calibration
+        slope_rel = calibration.slope_uncertainty_n_per_count / abs(calibration.slope_n_per_count)
+        return math.hypot(slope_rel * force_n, calibration.form_uncertainty_n)
+
+    def leave(self) -> None:
+        """Move away from the pad, and see how far the cell's zero has moved meanwhile.
+
+        Raises
+        ------
+        CaptureError
+            By more than a tenth of the force limit.
+        """
+        self.prepare()
+        self._away(self._guard(math.inf))
+        if self._now is None:
+            return
+        contact, self._now = self._now.contact, None
+        shift = self._gauge.mean(TARE_READINGS)
+        self._note("zero", contact=contact, shift_n=shift.mean_n)
+        self.measured[contact] = with_zero_shift(self.measured[contact], shift.mean_n)
+        if abs(shift.mean_n) > ZERO_MOVED_SHARE * self.limit_n:
+            raise CaptureError(
+                f"load cell: its zero moved by {shift.mean_n:+.3g} N during contact {contact} "
+                f"({ZERO_MOVED_SHARE * self.limit_n:.3g} N are allowed); let it warm up, fasten it, then resume"
+            )
+
+
+def with_zero_shift(measured: MeasuredPress, shift_n: float) -> MeasuredPress:
+    """Return a contact after which the cell's zero had moved: by any part of it at the force, evenly likely."""
+    wider_n = math.hypot(measured.force_uncertainty_n, shift_n / math.sqrt(3.0))
+    return measured.model_copy(update={"zero_shift_n": shift_n, "force_uncertainty_n": wider_n})
+
+
+def replayed_presses(lines: list[dict[str, Any]]) -> dict[int, MeasuredPress]:
+    """Return the contacts that the lines of a journal hold."""
+    presses: dict[int, MeasuredPress] = {}
+    for line in lines:
+        if line["event"] == "press":
+            fields = {name: line[name] for name in MeasuredPress.model_fields if name in line}
+            presses[int(line["contact"])] = MeasuredPress.model_validate(fields)
+        elif line["event"] == "zero" and int(line["contact"]) in presses:
+            contact = int(line["contact"])
+            presses[contact] = with_zero_shift(presses[contact], float(line["shift_n"]))
+    return presses
+
+
+class ContactTimes(NamedTuple):
+    """How long a stage takes for one contact (s), typically and at the longest."""
+
+    typical_s: float
+    longest_s: float
+
+
+def contact_times(stage: StageSettings, cell: LoadCellSettings, press: PlannedPress) -> ContactTimes:
+    """Return how long one contact takes: the way to the pad, the touch, the steps, settling and the way back.
+
+    The longest goes through all of the travel with as many readings as the touch needs, and waits for the force as long
+    as the rig file allows. A step costs a fifth of a second of exchanges with the controller.
+    """
+    way_mm = abs(stage.deepest_mm - stage.clear_mm)
+    reading_s, exchange_s = 1.0 / cell.rate_hz, 0.2
+    mean_s = (SETTLING_READINGS + STEP_READINGS) * reading_s
+    coarse_s = exchange_s + stage.step_mm / stage.press_speed_mm_per_s + reading_s
+    fine_s = exchange_s + stage.touch_step_mm / stage.press_speed_mm_per_s + mean_s
+    pressing_s = press.depth_mm / stage.step_mm * (coarse_s + mean_s)
+    touch_s = 2.0 * BACK_STEPS * stage.step_mm / stage.touch_step_mm * fine_s + 3.0 * TARE_READINGS * reading_s
+    travel_s = 2.0 * (way_mm + 20.0) / stage.travel_speed_mm_per_s
+    typical_s = 0.5 * way_mm / stage.step_mm * coarse_s + touch_s + pressing_s + travel_s + 4.0 * mean_s
+    longest_s = way_mm / stage.step_mm * coarse_s + 2.0 * touch_s + pressing_s + 2.0 * travel_s + cell.settle_s
+    return ContactTimes(typical_s, longest_s)

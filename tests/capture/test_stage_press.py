@@ -1,0 +1,486 @@
+"""Sessions in which a stage presses: on the simulated finger by the command line, and on boards in real time."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_schemas import (
+    LoadCellCalibration,
+    LoadCellSettings,
+    TactileCapture,
+    TactilePlan,
+    TactileRig,
+    TactileSession,
+    provenance,
+)
+from data_schemas.storage import read_record, read_toml, write_record
+from rigs import RawFrame, SystemClock, write_tactile_rig
+from rigs.capture import SessionRequest, capture_tactile_session, read_journal
+from tests.capture.drivers.press_bench import N_PER_COUNT, PressBench, press_bench
+from tests.command_line.running import finray
+
+STIFFNESS_N_PER_MM, STIFFENING_N_PER_MM2 = 1.5, 0.8
+
+
+def true_force_n(depth_mm: float) -> float:
+    return STIFFNESS_N_PER_MM * depth_mm + STIFFENING_N_PER_MM2 * depth_mm**2
+
+
+@pytest.fixture
+def practice(tmp_path: Path) -> Path:
+    """A rig to practise on whose cell is calibrated, and its plan."""
+    assert finray(f"rig init --preset simulated-finger --out {tmp_path}/rig.toml").status == 0
+    done = finray(f"rig calibrate-cell {tmp_path}/rig.toml --masses-g 20,50,100,200 --gravity 9.80665")
+    assert done.status == 0, done.err
+    return tmp_path
+
+
+def changed(folder: Path, file: str, *edits: tuple[str, str]) -> None:
+    path = folder / file
+    text = path.read_text(encoding="utf-8")
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+
+
+def faulty(folder: Path, fault: str) -> None:
+    changed(folder, "rig.toml", ("# practice_fault = ...", f'practice_fault = "{fault}"  #'))
+
+
+def session(folder: Path):
+    return finray(f"capture {folder}/rig-presses.toml --rig {folder}/rig.toml --out {folder}/s")
+
+
+def events(folder: Path, name: str) -> list[dict[str, object]]:
+    return [line for line in read_journal(folder / "s") if line["event"] == name]
+
+
+def test_session_runs_by_itself(practice):
+    outcome = session(practice)
+    assert outcome.status == 0, outcome.err
+    assert "min at the longest" in outcome.out
+    for number in (1, 2):
+        stored = read_record(practice / "s" / f"press-00{number}.json", TactileCapture)
+        assert stored.force_n == pytest.approx(true_force_n(stored.indenter.depth_mm), abs=0.03)
+        assert stored.force_uncertainty_n < 0.02
+        assert stored.press.depth_mm == stored.indenter.depth_mm
+        assert stored.load_cell.traceability.startswith("not traceable")
+        assert stored.press.zero_shift_n == pytest.approx(0.0, abs=0.005)
+        assert len(stored.press.point_depths_mm) == len(stored.press.point_forces_n) > 5
+        dent = stored.contact.astype(float) - stored.no_contact
+        assert np.abs(dent).max() > 20
+    first, second = (read_record(practice / "s" / f"press-00{n}.json", TactileCapture) for n in (1, 2))
+    assert first.indenter.depth_mm == pytest.approx(0.5, abs=0.002)
+    assert first.press.ended_by == "depth"
+    assert second.press.ended_by == "force"
+    assert second.force_n == pytest.approx(1.0, abs=0.03)
+    record = read_record(practice / "s" / "session.json", TactileSession)
+    assert [device.role for device in record.press_devices] == ["stage", "load cell"]
+    assert finray(f"verify {practice}/s").status == 0
+
+
+def test_force_limit_stops_the_stage_and_it_leaves(practice):
+    changed(
+        practice, "rig-presses.toml", ("until_force_n = 1.0 ", "# "), ("force_limit_n = 2.0", "force_limit_n = 0.8")
+    )
+    outcome = session(practice)
+    assert outcome.status == 2
+    assert "beyond the limit of 0.8 N" in outcome.err
+    assert f"finray capture --resume {practice}/s" in outcome.err
+    assert "ForceLimitError" in events(practice, "stage stopped")[0]["why"]
+    assert events(practice, "stage after stop")[0]["text"] == "moved away to Z = 0 mm"
+    assert len(events(practice, "press")) == 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("stuck cell, 30 s", "so it is stuck"),
+        ("silent cell, 30 s", "said nothing within 0.5 s"),
+        ("drifting cell, 60 mN/s", "its zero drifts"),
+    ],
+)
+def test_faults_of_the_cell_stop_the_stage(practice, fault, words):
+    faulty(practice, fault)
+    outcome = session(practice)
+    assert outcome.status == 2
+    assert words in outcome.err
+    assert events(practice, "stage after stop")[0]["text"] == "moved away to Z = 0 mm"
+
+
+@pytest.mark.parametrize("drift_mn_per_s", [0.2, 0.5])
+def test_drift_is_in_the_uncertainty(practice, drift_mn_per_s):
+    faulty(practice, f"drifting cell, {drift_mn_per_s} mN/s")
+    outcome = session(practice)
+    assert outcome.status == 0, outcome.err
+    for press in read_record(practice / "s" / "session.json", TactileSession).measured:
+        assert press.zero_shift_n > 1e-3 * drift_mn_per_s
+        truth_n = true_force_n(press.depth_mm)
+        slope = STIFFNESS_N_PER_MM + 2.0 * STIFFENING_N_PER_MM2 * press.depth_mm
+        # what is left beside the force's own uncertainty is that of the depth it is compared at
+        allowed_n = 2.5 * np.hypot(press.force_uncertainty_n, slope * press.touch_uncertainty_mm)
+        assert press.force_n == pytest.approx(truth_n, abs=allowed_n)
+
+
+def test_lost_steps_are_seen_at_the_next_touch(practice):
+    faulty(practice, "lost steps, 3 %")
+    changed(practice, "rig-presses.toml", ("led_current_ma", "repeats = 3\nled_current_ma"))
+    outcome = session(practice)
+    assert outcome.status == 2
+    assert "it lost steps, or the finger moved" in outcome.err
+
+
+def test_resumed_session_presses_what_is_missing_only(practice):
+    changed(practice, "rig-presses.toml", ("until_force_n = 1.0 ", "until_force_n = 1.4 "))
+    changed(practice, "rig.toml", ("surface_mm = -6.0", "surface_mm = -8.45"))
+    outcome = session(practice)
+    assert outcome.status == 2
+    assert "end of its travel in the pad" in outcome.err
+    done = [int(line["contact"]) for line in events(practice, "press")]
+    assert done == [1]
+    # the rig of the journal counts: only a rig that is as it was goes on, and it fails again at the same press
+    again = finray(f"capture --resume {practice}/s")
+    assert again.status == 2
+    assert [int(line["contact"]) for line in events(practice, "press")] == [1]
+    assert len(events(practice, "stage ready")) == 2
+
+
+def test_interrupted_session_is_finished_with_its_forces(practice, monkeypatch):
+    stopped_at = {"frames": 5}
+
+    def dying(*arguments: object) -> str:
+        stopped_at["frames"] -= 1
+        if stopped_at["frames"] < 0:
+            raise KeyboardInterrupt
+        return write_frame(*arguments)
+
+    from rigs.capture._tactile_session import write_frame
+
+    with monkeypatch.context() as patched:
+        patched.setattr("rigs.capture._tactile_session.write_frame", dying)
+        assert session(practice).status == 130
+    assert events(practice, "stage after stop")[0]["text"] == "moved away to Z = 0 mm"
+    resumed = finray(f"capture --resume {practice}/s")
+    assert resumed.status == 0, resumed.err
+    record = read_record(practice / "s" / "session.json", TactileSession)
+    assert [press.contact for press in record.measured] == [1, 2]
+    assert finray(f"verify {practice}/s").status == 0
+
+
+def test_plans_with_forces_need_a_cell(practice, tmp_path):
+    text = (practice / "rig.toml").read_text(encoding="utf-8").partition("[stage]")[0]
+    text = text.replace('driver = "simulated" ', 'driver = "picamera2" ').replace("# address = ...", 'address = "0"')
+    (tmp_path / "by-hand.toml").write_text(text, encoding="utf-8")
+    outcome = finray(f"capture {practice}/rig-presses.toml --rig {tmp_path}/by-hand.toml --dry-run")
+    assert outcome.status == 2
+    assert "plan.presses (entry 2): names a force, and the rig has no stage" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("file", "edit", "words"),
+    [
+        ("rig-presses.toml", ("until_force_n = 1.0 ", "until_force_n = 6.0 "), "until_force_n must be below"),
+        ("rig-presses.toml", ("position_mm = 8.0", "position_mm = 90.0"), "outside the stage's travel of 0 to 80 mm"),
+        ("rig-presses.toml", ("position_mm = 8.0", "position_mm = 8.0\ntilt_deg = 5.0"), "the stage cannot tilt"),
+        (
+            "rig.toml",
+            ("press_travel_mm = [-9.0, 0.0]", "press_travel_mm = [0.0, -9.0]"),
+            "write the lowest place first",
+        ),
+        ("rig.toml", ('pad_axis = "X"', 'pad_axis = "Z"'), "press_axis and pad_axis are both Z"),
+        ("rig.toml", ("force_limit_n = 5.0", "force_limit_n = 50.0"), "must not exceed capacity_n = 9.8 N"),
+        ("rig.toml", ("clear_mm = 0.0", "clear_mm = -9.0"), "not at its end in the pad"),
+        ("rig.toml", ("# practice_fault = ...", 'practice_fault = "loose cell"  #'), "is not a practice fault"),
+        ("rig.toml", ('calibration = "load-cell.json"', 'calibration = "none.json"'), "finray rig calibrate-cell"),
+    ],
+)
+def test_mistakes_are_refused_before_anything_moves(practice, file, edit, words):
+    changed(practice, file, edit)
+    outcome = session(practice)
+    assert outcome.status == 2
+    assert words in outcome.err
+    assert not (practice / "s" / "journal.jsonl").exists()
+
+
+def test_a_cell_may_be_silent_for_four_readings():
+    with pytest.raises(ValueError, match=r"fewer than four readings at 10 Hz; give at least 0\.4 s"):
+        LoadCellSettings(capacity_n=5.0, force_limit_n=2.0, rate_hz=10, silent_s=0.3)
+
+
+def test_rig_is_shown_with_its_calibration(practice):
+    shown = finray(f"rig show {practice}/rig.toml")
+    assert shown.status == 0, shown.err
+    assert "travel -9 to 0 mm" in shown.out
+    assert "slope_n_per_count" in shown.out
+
+
+def test_calibration_of_a_cell_is_refused(practice):
+    asked = f"rig calibrate-cell {practice}/rig.toml --out {practice}/other.json --gravity 9.81"
+    assert "weigh 19.6 N, and the cell stands 9.8 N" in finray(f"{asked} --masses-g 20,2000").err
+    assert "two masses or more in grams" in finray(f"{asked} --masses-g 20").err
+    assert "9.78 m/s^2" in finray(f"{asked} --masses-g 20,50".replace("9.81", "1.62")).err
+    assert "exists" in finray(f"rig calibrate-cell {practice}/rig.toml --masses-g 20,50 --gravity 9.81").err
+
+
+def drawn_presses(count: int) -> list[tuple[float, float, float]]:
+    """Touch error (mm), its standard uncertainty, and the overshoot beyond the limit (N), of random fingers."""
+    from rigs.capture import StagePress, open_tactile_rig
+
+    rng, found = np.random.default_rng(5), []
+    for seed in range(count):
+        rig = random_finger(rng, seed)
+        with open_tactile_rig(rig, Path()) as opened:
+            presser = StagePress(opened, rig, exact_calibration(rig), lambda event, **what: None)
+            plan = TactilePlan.model_validate_json(PRESS_JSON)
+            presser.press(plan.presses[0], 1)
+            presser.seen()
+            measured = presser.measured[1]
+            found.append((measured.touch_mm - rig.simulated.surface_mm, measured.touch_uncertainty_mm, 0.0))
+    return found
+
+
+PRESS_JSON = json.dumps(
+    {
+        "name": "x", "design": "x", "exposures_s": [0.01], "led_current_ma": 20.0, "light_angle_deg": 30.0,
+        "light_angle_uncertainty_deg": 0.5, "indenter": {"shape": "ball", "radius_mm": 4.0},
+        "presses": [
+            {"depth_mm": 0.3, "position_mm": 8.0, "depth_uncertainty_mm": 0.02, "position_uncertainty_mm": 0.1}
+        ],
+    }
+)  # fmt: skip
+
+
+def random_finger(rng: np.random.Generator, seed: int) -> TactileRig:
+    from rigs import tactile_rig
+
+    rig = tactile_rig(simulated=True).model_dump()
+    rig["simulated"] |= {
+        "seed": seed,
+        "surface_mm": rng.uniform(-2.0, -1.0),
+        "stiffness_n_per_mm": np.exp(rng.uniform(np.log(0.3), np.log(5.0))),
+        "stiffening_n_per_mm2": rng.uniform(0.0, 3.0),
+    }
+    return TactileRig.model_validate(rig)
+
+
+def exact_calibration(rig: TactileRig) -> LoadCellCalibration:
+    slope = rig.simulated.cell_n_per_count
+    return LoadCellCalibration(
+        cell="x", calibrated_utc="2026-01-01", gravity_m_per_s2=9.81, gravity_uncertainty_m_per_s2=0.0,
+        masses_kg=(0.0, 0.1, 0.0), mass_uncertainty_rel=0.0, counts=(0.0, 0.981 / slope, 0.0),
+        counts_uncertainties=(1.0, 1.0, 1.0), slope_n_per_count=slope, slope_uncertainty_n_per_count=0.0,
+        linearity_n=0.0, hysteresis_n=0.0, noise_n=0.0, drift_n_per_s=0.0, readings=40,
+    )  # fmt: skip
+
+
+def test_touch_lies_within_its_uncertainty():
+    found = np.array(drawn_presses(200))
+    covered = np.mean(np.abs(found[:, 0]) <= 1.96 * found[:, 1])
+    # 0.95 less three standard deviations of 200 draws
+    assert covered >= 0.904
+    # evenly likely within its bounds: a standard uncertainty that is not idle
+    assert 0.6 < np.sqrt(np.mean((found[:, 0] / found[:, 1]) ** 2)) < 1.3
+
+
+@pytest.mark.parametrize("speed_mm_per_s", [0.5, 2.0, 10.0])
+def test_overshoot_of_the_limit_is_what_the_formula_says(practice, speed_mm_per_s):
+    """One long move into the pad, without steps: dF = k (v t + v^2 / 2a) by the simulated stage's own numbers."""
+    from rigs import ForceLimitError
+    from rigs.capture import ForceGauge, open_tactile_rig
+
+    rig = read_toml(practice / "rig.toml", TactileRig)
+    with open_tactile_rig(rig, practice) as opened:
+        gauge = ForceGauge(opened.load_cell, rig.load_cell, exact_calibration(rig))
+        gauge.tare()
+        opened.stage.home(10.0, lambda: None)
+
+        def watch() -> None:
+            if gauge.reading_n() > 1.0:
+                raise ForceLimitError("enough")
+
+        with pytest.raises(ForceLimitError):
+            opened.stage.move("Z", -9.0, speed_mm_per_s, watch)
+        depth_mm = -6.0 - opened.stage.places_mm()["Z"]
+    stiffness = STIFFNESS_N_PER_MM + 2.0 * STIFFENING_N_PER_MM2 * depth_mm
+    most_n = stiffness * (speed_mm_per_s * (1.0 / 80.0 + 0.03) + speed_mm_per_s**2 / 100.0)
+    # the relaxing share of 5 % acts before the elastic force reaches the limit
+    assert 0.9 < true_force_n(depth_mm) < 1.0 + most_n
+
+
+def test_calibration_covers_the_true_slope():
+    from finray_calib.force import Gravity, Loads, calibrate_cell, loading_order
+
+    order = np.array(loading_order((0.02, 0.05, 0.1, 0.2, 0.5)))
+    slope, gravity, hits, draws = 4.7e-6, 9.81, 0, 400
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        true_g = gravity + 0.001 * rng.standard_normal()
+        true_kg = order * (1.0 + 0.0005 * rng.standard_normal())
+        # placing and hysteresis scatter by more than the mean of 40 readings
+        force_n = true_kg * true_g + 3e-4 * rng.standard_normal(len(order))
+        counts = 84_000 + force_n[:, None] / slope + 60 * rng.standard_normal((len(order), 40))
+        loads = Loads(order, counts, np.arange(len(order), dtype=float), 0.0005)
+        record = calibrate_cell(loads, Gravity(gravity, 0.001), "x", "2026-01-01")
+        hits += abs(record.slope_n_per_count - slope) <= 1.96 * record.slope_uncertainty_n_per_count
+    # 0.95 +- three standard deviations of 400 draws
+    assert 0.917 <= hits / draws <= 0.983
+
+
+@pytest.fixture
+def bench(tmp_path: Path):
+    with press_bench(tmp_path) as running:
+        yield running
+
+
+class FlatCamera:
+    """A camera that sees noise."""
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(1)
+
+    def identity(self):
+        from data_schemas import DeviceIdentity
+
+        return DeviceIdentity(role="camera", driver="picamera2", address="0", model="imx219")
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        counts = self._rng.integers(100, 200, (64, 96)).astype(np.uint16)
+        return RawFrame(counts, exposure_s, exposure_s, SystemClock().utc())
+
+
+def real_rig(folder: Path, bench: PressBench, **stage: object) -> TactileRig:
+    """Write the rig of both boards, with its calibration, and a plan of one press."""
+    rig = TactileRig.model_validate(
+        {
+            "name": "boards",
+            "camera": {"driver": "picamera2", "address": f"of process {os.getpid()}", "width_px": 96, "height_px": 64},
+            "stage": {
+                "driver": "grbl", "address": str(bench.controller.port.path), "base_mm": 0.0, "clear_mm": -0.7,
+                "press_travel_mm": (-3.0, 0.0), "pad_travel_mm": (0.0, 20.0), "homing": "switches",
+                "press_speed_mm_per_s": 4.0, "travel_speed_mm_per_s": 40.0, "step_mm": 0.1, "touch_step_mm": 0.05,
+                **stage,
+            },
+            "load_cell": {
+                "driver": "hx711", "address": str(bench.amplifier.port.path), "capacity_n": 20.0, "force_limit_n": 4.0,
+                "settle_s": 0.5, "silent_s": 0.3,
+            },
+        }
+    )  # fmt: skip
+    write_tactile_rig(rig, folder / "rig.toml")
+    calibration = exact_calibration(
+        TactileRig.model_validate({**simulated(), "simulated": {"cell_n_per_count": N_PER_COUNT}})
+    )
+    write_record(calibration, folder / "load-cell.json", provenance("pytest"))
+    return rig
+
+
+def simulated() -> dict[str, object]:
+    from rigs import tactile_rig
+
+    return tactile_rig(simulated=True).model_dump()
+
+
+class Hands:
+    """Does nothing and allows everything."""
+
+    def do(self, text: str) -> None: ...
+
+    def allows(self, question: str) -> bool:
+        return True
+
+
+def run(folder: Path, rig: TactileRig, monkeypatch, **press: object) -> TactileSession:
+    from contextlib import nullcontext
+
+    monkeypatch.setattr("rigs.capture._stage_press.open_camera", lambda *_: nullcontext(FlatCamera()))
+    plan = TactilePlan.model_validate_json(PRESS_JSON)
+    presses = (plan.presses[0].model_copy(update=press),)
+    plan = plan.model_copy(update={"presses": presses})
+    return capture_tactile_session(rig, plan, presses, SessionRequest(folder / "s", "pytest", folder, operator=Hands()))
+
+
+def test_session_on_boards(bench, tmp_path, monkeypatch):
+    bench.controller.at_mm["X"] = -2.0
+    record = run(tmp_path, real_rig(tmp_path, bench), monkeypatch, depth_mm=0.4)
+    press = record.measured[0]
+    assert press.depth_mm == pytest.approx(0.4, abs=0.01)
+    assert press.touch_mm == pytest.approx(-1.5, abs=2.5 * press.touch_uncertainty_mm + 0.0025)
+    # 4 N/mm; the touch is known to half a step of 0.05 mm
+    assert press.force_n == pytest.approx(4.0 * press.depth_mm, abs=4.0 * 0.03)
+    assert bench.controller.at_mm["Z"] == pytest.approx(-0.7, abs=1e-6)
+    assert bench.controller.at_mm["X"] == pytest.approx(8.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("fault", ["stuck", "silent", "reset", "pulled", "stiff"])
+def test_no_fault_leaves_the_stage_driving(bench, tmp_path, monkeypatch, fault):
+    """Once the pad is pressed; the strongest force stays within the limit and one step of the stage."""
+    from data_schemas import CaptureError
+
+    cell, controller = bench.amplifier, bench.controller
+
+    def break_it() -> None:
+        while bench.force_n < 0.3:
+            time.sleep(0.005)
+        if fault == "stuck":
+            cell.is_stuck = True
+        elif fault == "silent":
+            cell.is_silent = True
+        elif fault == "reset":
+            while controller.state != "Jog":
+                time.sleep(0.001)
+            controller.reset()
+        elif fault == "pulled":
+            controller.port.pull()
+            time.sleep(0.5)
+            controller.port.plug()
+        else:
+            bench.stiffness_n_per_mm = 40.0
+
+    threading.Thread(target=break_it, daemon=True).start()
+    with pytest.raises(CaptureError) as ended:
+        run(tmp_path, real_rig(tmp_path, bench), monkeypatch, depth_mm=1.2)
+    assert (tmp_path / "s" / "journal.jsonl").is_file(), str(ended.value)
+    assert bench.rests
+    assert controller.state in ("Idle", "Alarm", "Hold:0")
+    stiffness = bench.stiffness_n_per_mm
+    assert bench.strongest_n <= max(4.0, 4.0 * 1.2) + 0.1 * stiffness
+    told = [line for line in read_journal(tmp_path / "s") if line["event"] in ("stage stopped", "stage after stop")]
+    assert len(told) == 2
+    if fault in ("stuck", "silent", "stiff"):
+        assert controller.at_mm["Z"] == pytest.approx(-0.7, abs=1e-6)
+        assert bench.force_n == 0.0
+
+
+def test_killed_program_leaves_at_most_one_step(bench, tmp_path):
+    """SIGKILL while the stage moves: nothing of ours can act, and the controller ends its one move."""
+    rig = real_rig(tmp_path, bench)
+    text = f"""
+from pathlib import Path
+from data_schemas import TactileRig
+from rigs.stages.grbl import open_stage
+rig = TactileRig.model_validate_json({rig.model_dump_json()!r})
+with open_stage(rig.stage) as stage:
+    stage.home(10.0, lambda: None)
+    print("ready", flush=True)
+    at_mm = 0.0
+    while True:
+        at_mm -= rig.stage.step_mm
+        stage.move("Z", at_mm, 0.5, lambda: None)
+"""
+    with subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout.readline() == "ready\n"
+        time.sleep(1.0)
+        program.send_signal(signal.SIGKILL)
+        killed_at_mm = bench.controller.at_mm["Z"]
+    time.sleep(0.5)
+    assert bench.rests
+    assert killed_at_mm - 0.1 - 1e-6 <= bench.controller.at_mm["Z"] < 0.0
