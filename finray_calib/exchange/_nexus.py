@@ -16,7 +16,6 @@ import numpy as np
 
 from data_schemas import BandPassFilter, MissingExtraError, naming_file
 from data_schemas.storage import refuse_taken, write_bytes, write_whole
-from finray_calib.exchange._ome_tiff import frame_facts
 from finray_calib.exchange._session_frames import FrameSink, Progress, SessionFrame, SessionFrames
 
 if TYPE_CHECKING:
@@ -183,7 +182,7 @@ def _fill_filter(group: "Group", session: SessionFrames, band: BandPassFilter) -
 
 def _fill_frames(table: "Group", session: SessionFrames) -> None:
     """Write what is known of each frame, a column for each fact."""
-    rows = [frame_facts(frame) for frame in session.frames]
+    rows = [frame.known() for frame in session.frames]
     for name in dict.fromkeys(name for row in rows for name in row):
         column = [row.get(name) for row in rows]
         if any(isinstance(value, str) for value in column):

@@ -278,28 +278,13 @@ def _pixels(
         plane.attrib |= {"DeltaT": f"{frame.start_s:.9g}", "DeltaTUnit": "s"}
         if frame.exposure_s is not None:
             plane.attrib |= {"ExposureTime": f"{frame.exposure_s:.9g}", "ExposureTimeUnit": "s"}
-        notes.refer(plane, frame_facts(frame), "frame")
+        notes.refer(plane, frame.known(), "frame")
     return top
 
 
 def _place(channel: int, time_point: int, word: str) -> dict[str, str]:
     """Return the attributes of a place in an image: FirstC or TheC, and so on."""
     return {f"{word}C": str(channel), f"{word}T": str(time_point), f"{word}Z": "0"}
-
-
-def frame_facts(frame: SessionFrame) -> dict[str, Value]:
-    """Return everything that is known of one frame, by name."""
-    return {
-        "sequence": frame.sequence,
-        "file": frame.file,
-        "sha256": frame.sha256,
-        "frame_type": frame.frame_type,
-        "target": frame.target,
-        "light": frame.light,
-        "filter": frame.filter_name,
-        "captured_utc": frame.captured_utc,
-        **frame.facts,
-    }
 
 
 def _channel(session: SessionFrames, frame: SessionFrame, name: str, samples: int) -> Element:

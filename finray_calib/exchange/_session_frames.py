@@ -89,6 +89,20 @@ class SessionFrame:
         """Start of the exposure by the host's clock, seconds since 1970."""
         return datetime.fromisoformat(self.captured_utc).timestamp()
 
+    def known(self) -> dict[str, Value]:
+        """Return everything that is known of the frame, by name."""
+        return {
+            "sequence": self.sequence,
+            "file": self.file,
+            "sha256": self.sha256,
+            "frame_type": self.frame_type,
+            "target": self.target,
+            "light": self.light,
+            "filter": self.filter_name,
+            "captured_utc": self.captured_utc,
+            **self.facts,
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class Series:
