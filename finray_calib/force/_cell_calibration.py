@@ -102,11 +102,7 @@ def calibrate_cell(
         Too few loads, a cell that does not follow them, or the same counts throughout.
     """
     masses_kg, counts = loads.masses_kg, loads.counts
-    if len(masses_kg) < LEAST_LOADS or len(set(masses_kg.tolist())) < 3:
-        raise CurveError(
-            f"load cell: {len(masses_kg)} loads of {len(set(masses_kg.tolist()))} masses; give at least two masses "
-            "beside the empty cell"
-        )
+    _require_loads(masses_kg)
     readings = counts.shape[1]
     means, sds = counts.mean(axis=1), counts.std(axis=1, ddof=1)
     if not sds.all():
@@ -147,6 +143,15 @@ def calibrate_cell(
         drift_n_per_s=_drift_n_per_s(loads, means, slope),
         readings=readings,
     )
+
+
+def _require_loads(masses_kg: Floats) -> None:
+    """Refuse too few loads for a line and its scatter."""
+    if len(masses_kg) < LEAST_LOADS or len(set(masses_kg.tolist())) < 3:
+        raise CurveError(
+            f"load cell: {len(masses_kg)} loads of {len(set(masses_kg.tolist()))} masses; give at least two masses "
+            "beside the empty cell"
+        )
 
 
 def _form(masses_kg: Floats, residuals_n: Floats) -> tuple[float, float]:

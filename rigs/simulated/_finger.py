@@ -25,11 +25,12 @@ from data_schemas import (
     TimedOutError,
 )
 from rigs import CellReading, OverloadError, RawFrame
-from rigs.simulated._devices import FRAME_OVERHEAD_S, SimulatedClock
+from rigs.simulated import SimulatedClock
 from rigs.simulated.sensor import Sensor, mosaic
 
 Floats = NDArray[np.float64]
 RELAXES_WITHIN_S: Final = 0.5
+FRAME_OVERHEAD_S: Final = 0.02
 BRAKING_MM_PER_S2: Final = 50.0
 DEAF_S: Final = 0.03
 """From the order to stop until the motors brake: a line of a serial port and the controller's own loop."""
