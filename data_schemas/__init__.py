@@ -340,6 +340,7 @@ if TYPE_CHECKING:
         UnsafeError,
         WrongPositionError,
         naming,
+        naming_file,
         system_words,
     )
 else:
@@ -654,6 +655,7 @@ __all__ = [
     "lazy_exports",
     "look_like_radians",
     "naming",
+    "naming_file",
     "narrow_sweep_text",
     "needed_kind",
     "note_renderer",
