@@ -18,7 +18,7 @@ BESIDE = {
     "files-that-are-read.md": "Files that are read: formats, limits, what is refused, how it was tried",
     "rooms.md": "Rooms of the code and what they import",
     "practice-faults.md": "Faults of the rig without devices, to practise on",
-    "extend-finray.md": "Extend finray from a package of your own: eight kinds, a protocol and a contract each",
+    "extend-finray.md": "Extend finray from a package of your own: ten kinds, a protocol and a contract each",
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
     "paper-experiments.md": "The paper's experiments: what it says, what comes out here, why they differ",
     "moduli-by-force-curves.md": "Moduli by force curves: what is given, fitted and not known; derivatives of a press",

@@ -254,6 +254,7 @@ def _outlier(reference: Floats) -> int | None:
 
 Verdict = Literal["IN CONTROL", "OUT OF CONTROL", "UNDECIDED"]
 PERCENT: Final = 100.0
+SHARPNESS: Final = "sharpness of the white frames"
 MOST_FALSE_ALARMS: Final = 0.2
 
 
@@ -309,7 +310,7 @@ def session_facts(name: str, session: CaptureSession, read: ReadFrame) -> Sessio
         of_rig = {
             **_lights(session, steps),
             **_darks(steps),
-            "sharpness of the white frames (%)": _sharpness(session, read),
+            f"{SHARPNESS} (%)": _sharpness(session, read),
         }
         of_sample = _emission(session, steps)
     except FinrayError as error:
@@ -398,10 +399,7 @@ def _sharpness(session: CaptureSession, read: ReadFrame) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """One quantity of a rig or a sample over its sessions.
-
-    A quantity in per cent is 100 times a natural logarithm: only differences between sessions mean something.
-    """
+    """One quantity of a rig or a sample over its sessions."""
 
     of: str
     quantity: str
@@ -409,11 +407,18 @@ class Watched:
     captured_utc: tuple[str, ...]
     chart: Chart
 
+    @property
+    def is_logarithm(self) -> bool:
+        """Whether the values are 100 times a natural logarithm: only their differences mean something."""
+        return self.quantity.endswith("(%)") and not self.quantity.startswith(SHARPNESS)
+
     def told(self, value: float) -> str:
-        """Return a value in words: of a quantity in per cent its difference from the reference."""
-        if self.quantity.endswith("(%)"):
-            return f"{value - self.chart.mean:.2g} %"
-        return f"{value:.5g}"
+        """Return a value in words: of a logarithm its difference from the reference."""
+        return f"{value - self.chart.mean:.2g} %" if self.is_logarithm else f"{value:.5g}"
+
+    def told_mean(self) -> str:
+        """Return the mean of the reference in words; a dash for a logarithm."""
+        return "\N{EN DASH}" if self.is_logarithm else f"{self.chart.mean:.5g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -541,9 +546,10 @@ def _series(
         else:
             alike.setdefault(of, []).append(quantity)
     waiting = (f"{of}: {n} of {reference} sessions of its reference" for of, n in counts.items())
+    charted = {of for of, _, _ in series}
+    copies = "; the sessions are copies of one, or of a rig without devices with one [simulated] seed"
     same = (
-        f"{of}: {', '.join(names)}: exactly the same in all sessions of the reference; these are "
-        "copies of one, or of a rig without devices whose [simulated] seed was not changed between them"
+        f"{of}: {', '.join(names)}: exactly the same in all sessions of the reference{'' if of in charted else copies}"
         for of, names in alike.items()
     )
     return series, (*waiting, *same)

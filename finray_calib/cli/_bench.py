@@ -83,12 +83,17 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
         raise CompareError(
             "--simulator NAME and --command WORDS go together; give both, or neither for the table alone"
         )
+    if arguments.simulator in (TABLE, BLANK, GEL):
+        raise CompareError(
+            f"--simulator {arguments.simulator!r} is a name of a row of ours; give your simulator another"
+        )
     folder, captures = _captures(arguments.captures)
     name = arguments.captures.resolve().name.removesuffix(".zip")
     taught, judged = _split(captures, arguments.teach)
     out = _begin(arguments.out or Path(f"{name}.bench"), arguments)
+    gel, numbers = _of_gel(captures, taught, judged) if arguments.elastic_gel else ({}, ())
     seconds, presses = _presses(arguments, out, captures, taught, judged)
-    numbers = _add_gel(presses, captures, taught) if arguments.elastic_gel else ()
+    presses |= gel
     _store(out, presses, arguments.seed)
     listed = _pairs_csv(out, presses, folder)
     scores = out / "scores"
@@ -214,19 +219,18 @@ def _presses(
     return seconds, {arguments.simulator: rendered, **presses}
 
 
-def _add_gel(
-    presses: "dict[str, dict[str, SimulatedPress]]", captures: "Mapping[str, TactileCapture]", taught: Sequence[str]
-) -> "tuple[GelNumber, ...]":
-    """Add what our model of a gel predicts, and return the numbers that the teaching presses gave it."""
+def _of_gel(
+    captures: "Mapping[str, TactileCapture]", taught: Sequence[str], judged: Sequence[str]
+) -> "tuple[dict[str, dict[str, SimulatedPress]], tuple[GelNumber, ...]]":
+    """Return what our model of a gel predicts, and the numbers that the teaching presses gave it."""
     from sim.experiments import predict_on_gel, teach_gel
 
     say(f"fitting {GEL} to {len(taught)} presses: a minute")
     gel = teach_gel([captures[name] for name in taught])
-    presses[GEL] = {name: predict_on_gel(gel, captures[name]) for name in presses[TABLE]}
     for number in gel.numbers:
         unit = "" if number.unit == "1" else f" {number.unit}"
         say(f"  {number.name}: {number.value:.3g} [{number.low95:.3g}, {number.high95:.3g}]{unit}")
-    return gel.numbers
+    return {GEL: {name: predict_on_gel(gel, captures[name]) for name in judged}}, gel.numbers
 
 
 def _write_requests(

@@ -380,7 +380,7 @@ def _say_history(found: "History", sessions: int) -> None:
             chart = one.chart
             last = (chart.values[-1] - chart.mean) / chart.sd
             newest = f"{last:+7.1f} sd" if len(one.sessions) > (chart.rules.reference or 0) else ""
-            say(f"    {one.quantity:46s}{one.told(chart.mean):>10s} {chart.sd:9.2g}{newest}")
+            say(f"    {one.quantity:46s}{one.told_mean():>10s} {chart.sd:9.2g}{newest}")
             if chart.outlier is not None:
                 say(f"      note: {one.sessions[chart.outlier]} stands out from the reference; was it a good session?")
     if found.watched:

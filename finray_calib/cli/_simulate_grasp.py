@@ -35,7 +35,7 @@ get hold of the object at all."""
 
 LARGEST_FORCE_N, LARGEST_MASS_KG = 200.0, 20.0
 FEWEST_TOUCHING = 8
-"""Below this many points of contact on a finger, the force is an effect of the mesh."""
+"""Below this many points of contact on a finger their places decide the force; a choice, not measured."""
 
 
 def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

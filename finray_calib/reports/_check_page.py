@@ -338,7 +338,7 @@ def _table(shown: Sequence[Watched]) -> ReportTable:
         chart = one.chart
         last = (chart.values[-1] - chart.mean) / chart.sd
         rows.append((
-            one.quantity, one.told(chart.mean), f"{chart.sd:.2g}", f"{chart.rules.shewhart_factor:.2f} sd",
+            one.quantity, one.told_mean(), f"{chart.sd:.2g}", f"{chart.rules.shewhart_factor:.2f} sd",
             f"{chart.rules.ewma_limit_factor:.2f} sd", f"{fixed(last, 1)} sd",
             str(len({alarm.place for alarm in chart.alarms})),
         ))  # fmt: skip

@@ -83,7 +83,8 @@ def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
     """Return the coat of a sensor with what its design presses in.
 
     The body is pressed into an elastic layer of the pad's thickness, :func:`sim.mechanics.press_layer`; a [surface] is
-    taken as it is. The depth counts from first touch. Where the pad is curved, the layer is that of its crown.
+    taken as it is. The depth counts from first touch. Where the pad is curved, the layer is that of its crown. A body
+    is known at the places of the coat, 0.15 mm apart: a finer peak is blunted.
 
     Parameters
     ----------
@@ -103,7 +104,12 @@ def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
     if design.indenter.depth_mm == 0.0:
         return PressedCoat(rest, rest, np.full(rest.height_mm.shape, np.nan), "at rest")
     tool = _tool_mm(design, rest, folder)
-    _require_gel(tool, "indenter.depth_mm presses it in so far that it")
+    _require_under(tool, design)
+    if (tool < rest.height_mm).all():
+        raise SimulateError(
+            f"the {design.indenter.shape} covers the pad from end to end: of a layer without sides nothing is left "
+            "beside it; make the indenter smaller"
+        )
     layer = press_layer(rest.height_mm - tool, rest.x_mm, rest.z_mm, sensor.pad.thickness_mm, sensor.gel_poisson_ratio)
     pressed = replace(rest, height_mm=rest.height_mm - layer.sunk_mm)
     files = () if design.indenter.file is None else (folder / design.indenter.file,)
@@ -114,34 +120,47 @@ def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
 def _tool_mm(design: FingerDesign, rest: GelHeight, folder: Path) -> Floats:
     """Return the lowest height of the indenter over each place of the pad, (nx, nz); inf where it is not."""
     indenter = design.indenter
-    if not _is_by_formula(indenter):
-        body = rigid_indenter(design, folder)
-        body.check_surface()
-        corners = body.vertices_mm(-indenter.depth_mm)[body.surface.triangles]
-        return np.nan_to_num(height_over_pad_mm(corners, rest.x_mm, rest.z_mm, "lowest"), nan=np.inf)
-    across = indenter.across_mm if indenter.shape == "ball" else 0.0
-    along = rest.z_mm - indenter.position_mm
-    offset = np.hypot(rest.x_mm[:, None] - across if indenter.shape == "ball" else 0.0 * rest.x_mm[:, None], along)
-    bottom = float(rest_height_mm(design, across, indenter.position_mm)) - indenter.depth_mm
-    radius = indenter.radius_mm
-    return np.where(offset < radius, bottom + radius - np.sqrt(np.maximum(radius**2 - offset**2, 0.0)), np.inf)
+    is_ball = indenter.shape == "ball"
+    if not is_ball and (indenter.shape != "cylinder" or indenter.across_mm != 0.0 or any(indenter.rotation_deg)):
+        return _body_mm(design, rest, folder)
+    across = rest.x_mm[:, None] - indenter.across_mm if is_ball else np.zeros((rest.x_mm.size, 1))
+    offset, radius = np.hypot(across, rest.z_mm - indenter.position_mm), indenter.radius_mm
+    under = np.where(offset < radius, -np.sqrt(np.maximum(radius**2 - offset**2, 0.0)), np.inf)
+    first_touch = float((rest.height_mm - under).max())
+    return np.asarray(under + first_touch - indenter.depth_mm)
+
+
+def _body_mm(design: FingerDesign, rest: GelHeight, folder: Path) -> Floats:
+    """Return the same of a body by its triangles."""
+    body = rigid_indenter(design, folder)
+    body.check_surface()
+    corners = body.vertices_mm(-design.indenter.depth_mm)[body.surface.triangles]
+    return np.nan_to_num(height_over_pad_mm(corners, rest.x_mm, rest.z_mm, "lowest"), nan=np.inf)
+
+
+def _require_under(tool_mm: Floats, design: FingerDesign) -> None:
+    """Check that an indenter leaves gel under it."""
+    left_mm = float(tool_mm.min())
+    if left_mm < _THINNEST_GEL_MM:
+        most = design.indenter.depth_mm + left_mm - _THINNEST_GEL_MM
+        raise SimulateError(
+            f"indenter.depth_mm = {design.indenter.depth_mm:g} mm goes through the pad; there it can be at most "
+            f"{max(most, 0.0):.3g} mm, which leaves {_THINNEST_GEL_MM:g} mm of gel"
+        )
 
 
 def _is_by_formula(indenter: Indenter) -> bool:
-    """Return whether the analytic press knows this indenter, or there is none."""
+    """Return whether the analytic press of a finger knows this indenter, or there is none."""
     is_straight = indenter.across_mm == 0.0 and not any(indenter.rotation_deg)
     return indenter.depth_mm == 0.0 or indenter.shape == "ball" or (indenter.shape == "cylinder" and is_straight)
 
 
 def _imprinted(design: FingerDesign, rest: GelHeight, folder: Path) -> tuple[GelHeight, Floats]:
     """Return the coat with the body of a design in it, and the distance from the contact's middle."""
-    body = rigid_indenter(design, folder)
-    body.check_surface()
-    vertices = body.vertices_mm(-design.indenter.depth_mm)
-    tool = height_over_pad_mm(vertices[body.surface.triangles], rest.x_mm, rest.z_mm, "lowest")
-    _require_gel(np.where(np.isnan(tool), np.inf, tool), "indenter.depth_mm presses it in so far that it")
+    tool = _body_mm(design, rest, folder)
+    _require_under(tool, design)
     height = imprinted_height_mm(rest.height_mm, tool, rest.x_mm, rest.z_mm, design.pad.thickness_mm)
-    return replace(rest, height_mm=height), _equal_circle(np.nan_to_num(tool, nan=np.inf) < rest.height_mm, rest)
+    return replace(rest, height_mm=height), _equal_circle(tool < rest.height_mm, rest)
 
 
 _IMPRINT_STEP_MM = 0.2
@@ -434,7 +453,9 @@ def render_ball_presses(
 ) -> BallPresses:
     """Render ball presses on a plain sensor, all with the same random numbers.
 
-    The camera looks straight at the pad: its picture is that of the pad's plane up to 0.2 % of a distance.
+    The balls leave the dent and bulge of the analytic press, whose slopes are exact, not those of an elastic layer: a
+    table of colour against slope serves both. The camera looks straight at the pad: its picture is that of the pad's
+    plane up to 0.2 % of a distance.
 
     Parameters
     ----------

@@ -11,6 +11,7 @@ Free are the lights' places and colours, light a_c that comes from everywhere, t
 how much deeper a ball is than the cap of its labelled circle says: some 2 on a thick layer, 1 on a thin one.
 
 No shadows, no second bounce, no highlights: where these rule, the full renderer must be fitted in its place.
+The layer is that of small strains, at depths of a fifth of the gel and more.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from data_schemas import CHANNELS, SimulatedPress, SimulateError, TactileCapture
 from finray_calib.compare import levelled_images
@@ -35,18 +36,22 @@ LEAST_TEACHING_PRESSES: Final = 3
 """Fewer give no interval, which leaves out one press at a time."""
 
 POISSON_RATIO: Final = 0.49
-#: Thickness and depth in ball radii for which the pressed layer is computed; between them it is interpolated.
-_THICKNESSES: Final = 0.6 * 1.6 ** np.arange(7)
+#: Thickness and depth in ball radii for which the pressed layer is computed; between them it is interpolated, and a
+#: thinner or thicker gel counts as the last one.
+_THICKNESSES: Final = 0.3 * 1.6 ** np.arange(9)
 _DEPTHS: Final = np.array([0.005, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0])
 #: Half-width of the grid and its step, and distances from the middle, in about contact radii.
 _HALF_GRID, _STEP = 6.0, 1.0 / 12.0
 _PLACES: Final = np.concatenate([np.linspace(0.0, 0.96, 13), np.linspace(0.98, 1.6, 32), np.linspace(1.65, 5.0, 50)])
 #: Steeper slopes are no part of a height map; pixels beyond this many half-widths teach nothing.
 _STEEPEST, _REACH = 4.0, 2.6
-_NEAREST_RIM: Final = 0.999
-#: What the model leaves unexplained, of the image's level, and how many independent places of a press show it.
-_MODEL_ERROR, _INDEPENDENT = 0.05, 50
+#: Circles are drawn by hand to a pixel or two; the deepest are as wide as the ball.
+_NEAREST_RIM, _LARGEST_CIRCLE = 0.999, 1.03
+#: What the model leaves unexplained, of the image's level, at first and at least: then as much as it left unexplained.
+#: It is smooth, so that a press shows it at few independent places.
+_MODEL_ERROR, _LEAST_ERROR, _INDEPENDENT = 0.05, 0.003, 50
 _STRIDE_PX, _LEAST_SEEN = 4, 0.2
+_MOST_EVALUATIONS: Final = 200
 _COVERAGE: Final = 0.95
 
 
@@ -59,7 +64,8 @@ class GelNumber:
     name
         In words.
     value, low95, high95
-        Estimate and 95 % interval, by leaving out one press after the other (Student's t).
+        Estimate, and a 95 % interval from the curvature of the posterior at it (prior included) joined with the scatter
+        over presses that are left out one after the other (Student's t). What the model lacks is not in it.
     unit
         "1" for a ratio.
     """
@@ -159,8 +165,8 @@ def _between(grid: Floats, value: float) -> tuple[int, float]:
 # name in words, unit, mean and standard deviation of the prior; of all but directions the logarithm is normal
 _LIGHT = (
     ("direction of the {} light", "deg", 0.0, 0.5),
-    ("its distance from the middle of the picture", "mm", 1.6, 1.0),
-    ("its height below the coat", "mm", 0.9, 1.0),
+    ("distance of the {} light from the middle of the picture", "mm", 1.6, 1.0),
+    ("height of the {} light below the coat", "mm", 0.9, 1.0),
 )
 _COLOURS, _AMBIENT = (-2.0, 1.5), (-1.5, 1.5)
 _SHARED = (
@@ -251,7 +257,7 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     Returns
     -------
     TaughtGel
-        The numbers with the greatest posterior density, and an interval over presses.
+        The numbers with the greatest posterior density, and their intervals.
 
     Raises
     ------
@@ -264,26 +270,41 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
         )
     first = captures[0]
     radius_mm, scale = _ball_and_scale(first)
+    digests = tuple(contact_sha256(capture) for capture in captures)
+    if len(set(digests)) < len(digests):
+        raise SimulateError(f"{captures[-1].name}: one contact image teaches twice; give each press once")
     for capture in captures[1:]:
         if _ball_and_scale(capture) != (radius_mm, scale) or capture.contact.shape != first.contact.shape:
             raise SimulateError(
                 f"{capture.name}: has another ball, scale or size than {first.name}; teach with one ball and one camera"
             )
     presses = [_press(capture, taught=True) for capture in captures]
-    seen = np.mean([np.isfinite(press.ratio).mean(axis=0) for press in presses], axis=0)
-    if seen.min() < _LEAST_SEEN:
-        raise SimulateError(
-            f"near the contacts {100 * (1.0 - seen.min()):.0f} % of the {CHANNELS[int(seen.argmin())]} values are "
-            "clipped; capture the presses at a shorter exposure"
-        )
+    for capture, press in zip(captures, presses, strict=True):
+        _require_seen(capture, press)
     start = _directions(presses)
-    theta = _fitted(presses, start, np.zeros(len(_prior()[0])))
-    without = np.array([_fitted([*presses[:k], *presses[k + 1 :]], start, theta) for k in range(len(presses))])
+    theta, _ = _fitted(presses, start, np.zeros(len(_prior()[0])), _MODEL_ERROR)
+    error = max(_unexplained(presses, _Lights.of(theta, start)), _LEAST_ERROR)
+    theta, curvature = _fitted(presses, start, theta, error)
+    rests = ([*presses[:k], *presses[k + 1 :]] for k in range(len(presses)))
+    without = np.array([_fitted(rest, start, theta, error)[0] for rest in rests])
     shape = _distance(first).shape
     return TaughtGel(
-        theta, start, (shape[0], shape[1]), scale, radius_mm, tuple(c.name for c in captures),
-        tuple(contact_sha256(c) for c in captures), _numbers(theta, without, start, radius_mm),
+        theta, start, (shape[0], shape[1]), scale, radius_mm, tuple(c.name for c in captures), digests,
+        _numbers(theta, curvature, without, start, radius_mm),
     )  # fmt: skip
+
+
+def _require_seen(capture: TactileCapture, press: _Press) -> None:
+    """Refuse a press that shows too little of its contact."""
+    if not len(press.ratio):
+        raise SimulateError(f"{capture.name}: its contact circle lies outside the picture; correct contact_circle")
+    seen = np.isfinite(press.ratio).mean(axis=0)
+    if seen.min() < _LEAST_SEEN:
+        channel = int(seen.argmin())
+        raise SimulateError(
+            f"{capture.name}: near the contact {100 * (1.0 - seen[channel]):.0f} % of the {CHANNELS[channel]} values "
+            "are clipped, or dark without contact; leave this press out, or capture it at another exposure"
+        )
 
 
 def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
@@ -302,6 +323,11 @@ def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
     distance = _distance(capture)
     if distance.shape != gel.shape_px:
         raise SimulateError(f"{capture.name}: has another size than the presses that taught the model")
+    if _ball_and_scale(capture) != (gel.ball_radius_mm, gel.mm_per_px):
+        raise SimulateError(
+            f"{capture.name}: has another ball or scale than the presses that taught the model, of "
+            f"{gel.ball_radius_mm:g} mm radius at {gel.mm_per_px:g} mm a pixel"
+        )
     ratio = _Lights.of(gel.theta, gel.start).ratio(_press(capture, taught=False))
     full_dn = full_scale_dn(capture)
     no_contact = np.nan_to_num(rgb_image(capture.no_contact, capture), nan=full_dn)
@@ -348,9 +374,13 @@ def _press(capture: TactileCapture, *, taught: bool) -> _Press:
     radius_mm, scale = _ball_and_scale(capture)
     distance = _distance(capture)
     circle, cell, step = capture.contact_circle, 1 if capture.layout == "RGB" else 2, scale / radius_mm
-    if circle is None:
-        raise SimulateError(f"{capture.name}: has no contact circle")
-    half_width = min(circle.radius_px / cell * step, _NEAREST_RIM)
+    half_width = 0.0 if circle is None else circle.radius_px / cell * step
+    if circle is None or half_width > _LARGEST_CIRCLE:
+        raise SimulateError(
+            f"{capture.name}: its contact circle of {half_width * radius_mm:.3g} mm radius is larger than the ball of "
+            f"{radius_mm:g} mm; correct contact_circle, mm_per_px or indenter.radius_mm"
+        )
+    half_width = min(half_width, _NEAREST_RIM)
     used = np.ones(distance.shape, dtype=np.bool_)
     ratio = np.empty((0, 3))
     if taught:
@@ -386,25 +416,47 @@ def _directions(presses: Sequence[_Press]) -> Floats:
     return np.array(found)
 
 
-def _fitted(presses: Sequence[_Press], start: Floats, theta: Floats) -> Floats:
-    """Return the numbers of greatest posterior density."""
+def _unexplained(presses: Sequence[_Press], lights: _Lights) -> float:
+    """Return the rms of what a model leaves of the ratios."""
+    left = np.concatenate([(lights.ratio(press) - press.ratio).ravel() for press in presses])
+    return float(np.sqrt(np.nanmean(left**2)))
+
+
+def _fitted(presses: Sequence[_Press], start: Floats, theta: Floats, error: float) -> tuple[Floats, Floats]:
+    """Return the numbers of greatest posterior density, and its curvature there, for an error of the model.
+
+    Raises
+    ------
+    SimulateError
+        The search did not come to its end.
+    """
 
     def misfit(at: Floats) -> Floats:
         lights = _Lights.of(at, start)
         parts = [at]
         for press in presses:
-            weight = np.sqrt(_INDEPENDENT / max(len(press.ratio), 1)) / _MODEL_ERROR
+            weight = np.sqrt(_INDEPENDENT / max(len(press.ratio), 1)) / error
             parts.append(weight * np.nan_to_num(lights.ratio(press) - press.ratio).ravel())
         return np.concatenate(parts)
 
-    return np.asarray(least_squares(misfit, theta, max_nfev=60).x)
+    found = least_squares(misfit, theta, max_nfev=_MOST_EVALUATIONS)
+    if found.status < 1:
+        raise SimulateError(
+            f"the model of an elastic gel was not fitted in {_MOST_EVALUATIONS} steps; are circles, ball and scale "
+            "those of the presses?"
+        )
+    return np.asarray(found.x), np.asarray(found.jac.T @ found.jac)
 
 
-def _numbers(theta: Floats, without: Floats, start: Floats, radius_mm: float) -> tuple[GelNumber, ...]:
-    """Return what was found, with intervals by leaving out one press after the other."""
+def _numbers(
+    theta: Floats, curvature: Floats, without: Floats, start: Floats, radius_mm: float
+) -> tuple[GelNumber, ...]:
+    """Return what was found, with intervals."""
     count = len(without)
     spread = np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
-    reach = float(stdtrit(count - 1, 0.5 + _COVERAGE / 2.0)) * spread
+    known = np.sqrt(np.diag(np.linalg.inv(curvature)))
+    tails = 0.5 + _COVERAGE / 2.0
+    reach = np.hypot(float(ndtri(tails)) * known, float(stdtrit(count - 1, tails)) * spread)
     mean, sd = _prior()
     ends = mean + sd * np.stack([theta, theta - reach, theta + reach])
     found = []

@@ -24,6 +24,7 @@ _HALF_SPACE: Final = 20.0
 #: Of the deepest place: rms by which touching parts of layer and body still differ.
 _TOLERANCE: Final = 1e-4
 _MOST_STEPS: Final = 1000
+_TINY: Final = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,12 +115,12 @@ def press_layer(
 
     wanted = np.full(shape, -np.inf)
     wanted[: wanted_mm.shape[0], : wanted_mm.shape[1]] = wanted_mm
-    pressure = _contact_pressure(wanted, sunk, thickness_mm)
+    pressure = _contact_pressure(wanted, sunk, thickness_mm, max(steps))
     cut = np.s_[: wanted_mm.shape[0], : wanted_mm.shape[1]]
     return PressedLayer(sunk(pressure)[cut], pressure[cut], float(pressure.sum() * steps[0] * steps[1]))
 
 
-def _contact_pressure(wanted: Floats, sunk: Callable[[Floats], Floats], thickness_mm: float) -> Floats:
+def _contact_pressure(wanted: Floats, sunk: Callable[[Floats], Floats], thickness_mm: float, step_mm: float) -> Floats:
     """Return the pressure under which the layer follows the body where they touch, over the shear modulus."""
     deepest = float(wanted.max())
     pressure = np.maximum(wanted, 0.0) / thickness_mm
@@ -134,14 +135,15 @@ def _contact_pressure(wanted: Floats, sunk: Callable[[Floats], Floats], thicknes
         if error <= touched.sum() * (_TOLERANCE * deepest) ** 2 and not (gap[enters] < -_TOLERANCE * deepest).any():
             return pressure
         direction = np.where(touched, gap + goes_on * error / before * direction, 0.0)
-        before = error
+        before = max(error, _TINY)
         along = sunk(direction)
-        step = float((gap[touched] * direction[touched]).sum() / (along[touched] * direction[touched]).sum())
+        work = float((along[touched] * direction[touched]).sum())
+        step = float((gap[touched] * direction[touched]).sum()) / max(work, _TINY)
         pressure = np.where(touched, np.maximum(pressure - step * direction, 0.0), 0.0)
         enters &= pressure == 0.0
         pressure[enters] -= step * gap[enters]
         goes_on = 0.0 if enters.any() else 1.0
     raise SimulateError(
         f"the contact of the indenter with the gel was not found in {_MOST_STEPS} steps; has its surface needles that "
-        "are finer than 0.15 mm?"
+        f"are finer than {step_mm:.2g} mm?"
     )

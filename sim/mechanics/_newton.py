@@ -164,7 +164,7 @@ class _Search:
                     du, rise = -du, -(rise + of_modes) - of_modes
                 if np.isfinite(du).all():
                     found = self._line_search(state, energy, du, rise, moving)
-                if found is None and not moving and not project:
+                if found is None and not moving and not project and np.isfinite(du).all():
                     found, du, rise = self._by_damping(state, energy, gradient, du, rise)
             if found is None and project:
                 return self._result(state, gradient, energy, why)
@@ -184,7 +184,7 @@ class _Search:
         The step followed has the curvature -rise / du^2; twice that much is added to all unknowns, then more. This
         keeps what the tangent knows of all else, which one without negative curvature of each element loses.
         """
-        matrix, found = self.assembly.matrix, None
+        matrix, found, before = self.assembly.matrix, None, self.damping_n_per_mm
         added = _PROXIMAL * abs(rise) / max(_dot(du.ravel(), du.ravel()), 1e-300)
         for _ in range(_PROXIMAL_TRIES):
             matrix.values[matrix.indptr[:-1]] += added
@@ -203,6 +203,8 @@ class _Search:
                 self._least_damping = self.damping_n_per_mm * _SOFTER**2
                 break
             added = (_MORE_PROXIMAL - 1.0) * self.damping_n_per_mm
+        if found is None:
+            self.damping_n_per_mm = before
         return found, du, rise
 
     def _damp(self, du: FloatArray, rise: float, moving: bool) -> None:

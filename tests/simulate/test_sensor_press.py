@@ -104,8 +104,19 @@ class TestIndenters:
 
     def test_a_body_that_goes_through_the_pad(self):
         cuboid = Indenter(shape="cuboid", size_mm=(3.0, 9.0, 3.0), edge_radius_mm=0.5, depth_mm=4.5, position_mm=9.0)
-        with pytest.raises(SimulateError, match=r"presses it in so far that it reaches down to -0\.\d+ mm"):
+        with pytest.raises(SimulateError, match=r"= 4\.5 mm goes through the pad; there it can be at most 3\.95 mm"):
             pressed_coat(SENSOR.model_copy(update={"indenter": cuboid}))
+
+    def test_a_body_larger_than_the_pad(self):
+        cuboid = Indenter(shape="cuboid", size_mm=(40.0, 3.0, 60.0), edge_radius_mm=0.5, depth_mm=0.5, position_mm=9.0)
+        with pytest.raises(SimulateError, match="the cuboid covers the pad from end to end"):
+            pressed_coat(SENSOR.model_copy(update={"indenter": cuboid}))
+
+    def test_the_depth_counts_from_first_touch_beside_the_crown_too(self, tmp_path):
+        round_pad = GelPad(shape="cylindrical", radius_mm=12.0, length_mm=20.0, width_mm=16.0, thickness_mm=4.0)
+        beside = BALL.model_copy(update={"across_mm": 5.0, "depth_mm": 0.5})
+        coat = pressed_coat(SENSOR.model_copy(update={"pad": round_pad, "indenter": beside}))
+        assert (coat.rest.height_mm - coat.pressed.height_mm).max() == pytest.approx(0.5, abs=0.01)
 
     def test_nothing_pressed_in(self):
         coat = pressed_coat(SENSOR.model_copy(update={"indenter": BALL.model_copy(update={"depth_mm": 0.0})}))
