@@ -445,7 +445,8 @@ def _fitted(presses: Sequence[_Press], start: Floats, theta: Floats, error: floa
             f"the model of an elastic gel was not fitted in {_MOST_EVALUATIONS} steps; are circles, ball and scale "
             "those of the presses?"
         )
-    return np.asarray(found.x), np.asarray(found.jac.T @ found.jac)
+    slopes = np.asarray(found.jac, dtype=np.float64)
+    return np.asarray(found.x), slopes.T @ slopes
 
 
 def _numbers(
