@@ -89,7 +89,7 @@ def _put(group: "Group", name: str, value: Any, units: str = "", **attributes: A
 
 def _fill_entry(entry: "Group", session: SessionFrames, origin: str, progress: Progress) -> None:
     """Write everything below the entry."""
-    first, last = session.frames[0], session.frames[-1]
+    first, last = session.first, session.frames[-1]
     entry.attrs["default"] = "data"
     _put(entry, "title", f"{session.kind} session of {session.sample}")
     _put(entry, "start_time", first.captured_utc)
@@ -124,7 +124,7 @@ def _fill_camera(camera: "Group", session: SessionFrames, progress: Progress) ->
         progress(number + 1, len(frames), frame.filter_name)
     exposures_s = np.array([np.nan if f.exposure_s is None else f.exposure_s for f in frames])
     starts_s = np.array([frame.start_s for frame in frames])
-    start = min(frame.captured_utc for frame in frames)
+    start = session.first.captured_utc
     said = session.device("camera")
     _put(camera, "description", (said.model if said is not None else "") or settings.model)
     _put(camera, "serial_number", (said.serial if said is not None else "") or None)

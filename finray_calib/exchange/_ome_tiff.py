@@ -5,6 +5,7 @@ filter in order. OME has no field for the pattern of a Bayer camera, its black l
 wheel: they are map annotations, of the camera and of every plane. Written after the OME schema of June 2016.
 """
 
+import re
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,6 +28,8 @@ from finray_calib.exchange._session_frames import (
 
 SCHEMA: Final = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
 RESOLUTION: Final = "Bayer counts of the sensor, not demosaiced: rows and columns alternate between colours"
+NOT_XML: Final = re.compile(r"[^\t\n\r -\uD7FF\uE000-\uFFFD\U00010000-\U0010FFFF]")
+"""Characters that XML 1.0 does not know, not even by number."""
 Element = ElementTree.Element
 child = ElementTree.SubElement
 
@@ -119,6 +122,8 @@ def ome_xml(
 ) -> bytes:
     """Return the OME-XML of a session, as plain ASCII with character references.
 
+    Characters that XML does not know, such as those of control, become U+FFFD.
+
     Parameters
     ----------
     session, series
@@ -137,7 +142,7 @@ def ome_xml(
     images, first_plane = [], 0
     for number, one in enumerate(series):
         image = child(top, "Image", ID=f"Image:{number}", Name=one.name)
-        child(image, "AcquisitionDate").text = min(f.captured_utc for f in plane_order(one))
+        child(image, "AcquisitionDate").text = min(plane_order(one), key=lambda f: f.start_s).captured_utc
         child(image, "Description").text = _description(session)
         child(image, "InstrumentRef", ID="Instrument:0")
         image.append(_pixels(session, one, number, shape, (identity, file_name, first_plane), notes))
@@ -151,6 +156,9 @@ def ome_xml(
     top.append(notes.all)
     if session.region is not None:
         top.append(_region(session))
+    for element in top.iter():
+        element.text = element.text and NOT_XML.sub("\ufffd", element.text)
+        element.attrib = {name: NOT_XML.sub("\ufffd", value) for name, value in element.attrib.items()}
     text: bytes = ElementTree.tostring(top, encoding="us-ascii")
     return b'<?xml version="1.0" encoding="UTF-8"?>' + text
 
@@ -177,7 +185,7 @@ def _camera_facts(session: SessionFrames, shape: tuple[int, ...], origin: str) -
         "read_noise_e": camera.read_noise_e,
         "full_scale_dn": 2**camera.bit_depth - 1,
         "camera_response": camera.response,
-        "delta_t_counts_from": min(frame.captured_utc for frame in session.frames),
+        "delta_t_counts_from": session.first.captured_utc,
         "session_sha256": session.sha256,
         "written_by": origin,
     }

@@ -60,7 +60,8 @@ class SessionFrame:
     exposure_s
         As the camera read it back (s); None where it does not say.
     start_s
-        Start of the exposure after that of the first frame, by a clock that never steps (s).
+        Start of the exposure after that of the first frame (s), by a clock that never steps; by the host's clock in
+        records of the first versions, which hold no other.
     captured_utc
         Start of the exposure by the host's clock, ISO 8601.
     facts
@@ -145,6 +146,11 @@ class SessionFrames:
     devices: tuple[DeviceIdentity, ...]
     notes: tuple[str, ...]
     frames: tuple[SessionFrame, ...]
+
+    @property
+    def first(self) -> SessionFrame:
+        """The frame whose exposure began first, from which :attr:`SessionFrame.start_s` counts."""
+        return min(self.frames, key=lambda frame: frame.start_s)
 
     def counts(self, frame: SessionFrame) -> NDArray[np.uint16]:
         """Return the counts of a frame (DN), (H, W) or RGB (H, W, 3), after checking its checksum.
@@ -253,7 +259,8 @@ def read_session_frames(folder: Path) -> SessionFrames:
     Raises
     ------
     RecordError
-        The folder is missing, holds no session or no frames, the capture was not finished, or frames are missing.
+        The folder is missing, holds no session or no frames, the capture was not finished, frames are missing, or one
+        names a filter that is not in the rig.
     """
     path = folder / SESSION_NAME
     stored = read_json(path, "a capture session (.json)") if path.is_file() else None
@@ -292,11 +299,20 @@ def _bench(folder: Path, session: Any) -> SessionFrames:
         curves=session.filter_curves if isinstance(session, CaptureSession) else {},
         devices=session.devices,
         notes=session.notes,
-        frames=_bench_frames(session.frames, {band.name: band for band in rig.filter_wheel.filters}),
+        frames=_bench_frames(session.frames, rig.filter_wheel.filters, folder / SESSION_NAME),
     )
 
 
-def _bench_frames(frames: tuple[Frame, ...], bands: Mapping[str, BandPassFilter]) -> tuple[SessionFrame, ...]:
+def _bench_frames(
+    frames: tuple[Frame, ...], filters: tuple[BandPassFilter, ...], path: Path
+) -> tuple[SessionFrame, ...]:
+    bands: dict[str | None, BandPassFilter | None] = {None: None, **{band.name: band for band in filters}}
+    for place, frame in enumerate(frames):
+        if frame.filter_name not in bands:
+            raise RecordError(
+                f"{path}: frames[{place}]: filter '{frame.filter_name}' is not in the rig of the session; there are "
+                f"{', '.join(band.name for band in filters)}; the record was edited: restore it from a copy"
+            )
     # records of the first versions hold no time of the monotonic clock
     is_timed = any(frame.middle_s > 0.0 for frame in frames)
     starts_s = [
@@ -311,7 +327,7 @@ def _bench_frames(frames: tuple[Frame, ...], bands: Mapping[str, BandPassFilter]
             frame.frame_type,
             frame.target,
             frame.light,
-            None if frame.filter_name is None else bands.get(frame.filter_name),
+            bands[frame.filter_name],
             frame.exposure_s,
             start_s - first_s,
             frame.captured_utc,

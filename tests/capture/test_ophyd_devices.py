@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from data_schemas import (
 )
 from rigs import AbsentOperator, Light, OpenRig, open_rig, rig_locked, simulated_rig
 from rigs.light_guard import GuardedLight, LightLostError, guarded_light
-from rigs.ophyd_devices import OphydRig, ophyd_rig
+from rigs.ophyd_devices import OphydRig, RigLight, ophyd_rig
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.light_owner import guards
 from tests.capture.drivers.programs import wait_until
@@ -273,11 +273,17 @@ def test_going_on_lights_no_laser_that_an_earlier_plan_had_lit(engine: RunEngine
     assert seen == [False]
 
 
-@pytest.mark.parametrize(
-    "by", [lambda laser: bps.mv(laser, False), bps.stop, lambda laser: bps.unstage(laser, wait=True)]
-)
+def switch_off(laser: RigLight) -> Plan:
+    yield from bps.mv(laser, False)
+
+
+def end_stage(laser: RigLight) -> Plan:
+    yield from bps.unstage(laser, wait=True)
+
+
+@pytest.mark.parametrize("by", [switch_off, bps.stop, end_stage])
 def test_going_on_lights_no_laser_that_the_plan_itself_had_switched_off(
-    engine: RunEngine, devices: OphydRig, by: Callable[[Any], Plan]
+    engine: RunEngine, devices: OphydRig, by: Callable[[RigLight], Plan]
 ) -> None:
     seen: list[bool] = []
 
@@ -381,12 +387,21 @@ class Faulty:
         self.is_on = False
 
 
+@contextmanager
+def told_at_the_end(rig: RigFile) -> Iterator[OphydRig]:
+    """Open the rig; the end of its block must say that a light is not confirmed off."""
+    with ExitStack() as block:
+        yield block.enter_context(ophyd_rig(rig, Path()))
+        with pytest.raises(UnsafeError, match="NOT CONFIRMED OFF"):
+            block.close()
+
+
 def test_a_laser_that_is_not_confirmed_off_is_told_and_never_lit_again(
     engine: RunEngine, rig: RigFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     light = Faulty(goes_off=False)
     substituting(monkeypatch, laser=light)
-    with pytest.raises(UnsafeError, match="NOT CONFIRMED OFF"), ophyd_rig(rig, Path()) as devices:
+    with told_at_the_end(rig) as devices:
         engine(bps.mv(devices.laser, True))  # the engine only logs it
         for value in (True, False):
             with pytest.raises(FailedStatus) as raised:
@@ -400,7 +415,7 @@ def test_a_pause_with_a_laser_that_is_not_confirmed_off_ends_the_plan(
 ) -> None:
     seen: list[bool] = []
     substituting(monkeypatch, laser=Faulty(goes_off=False))
-    with pytest.raises(UnsafeError, match="NOT CONFIRMED OFF"), ophyd_rig(rig, Path()) as devices:
+    with told_at_the_end(rig) as devices:
         with pytest.raises(UnsafeError, match="NOT CONFIRMED OFF"):
             engine(lit(devices, lambda: pauses(devices, seen)))
         assert engine.state == "idle"
