@@ -16,7 +16,7 @@ import numpy as np
 
 from data_schemas import BandPassFilter, MissingExtraError, naming_file
 from data_schemas.storage import refuse_taken, write_bytes, write_whole
-from finray_calib.exchange._ome_tiff import frame_facts
+from finray_calib.exchange._ome_tiff import exchangeable, frame_facts
 from finray_calib.exchange._session_frames import FrameSink, Progress, SessionFrame, SessionFrames
 
 if TYPE_CHECKING:
@@ -80,10 +80,12 @@ def _group(parent: "Group", name: str, kind: str) -> "Group":
 
 
 def _put(group: "Group", name: str, value: Any, units: str = "", **attributes: Any) -> None:
-    """Add a field with its units; one that is not known is left out."""
+    """Add a field with its units; one that is not known is left out. HDF5 refuses some characters of a text."""
     if value is None:
         return
-    group[name] = value
+    if isinstance(value, list):
+        value = [exchangeable(text) for text in value]
+    group[name] = exchangeable(value) if isinstance(value, str) else value
     group[name].attrs.update(({"units": units} if units else {}) | attributes)
 
 

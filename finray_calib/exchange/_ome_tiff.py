@@ -157,10 +157,15 @@ def ome_xml(
     if session.region is not None:
         top.append(_region(session))
     for element in top.iter():
-        element.text = element.text and NOT_XML.sub("\ufffd", element.text)
-        element.attrib = {name: NOT_XML.sub("\ufffd", value) for name, value in element.attrib.items()}
+        element.text = element.text and exchangeable(element.text)
+        element.attrib = {name: exchangeable(value) for name, value in element.attrib.items()}
     text: bytes = ElementTree.tostring(top, encoding="us-ascii")
     return b'<?xml version="1.0" encoding="UTF-8"?>' + text
+
+
+def exchangeable(text: str) -> str:
+    """Return a text with U+FFFD for every character that XML 1.0 does not know."""
+    return NOT_XML.sub("\ufffd", text)
 
 
 def _frame_word(series: Series) -> str:

@@ -155,6 +155,16 @@ def test_characters_that_xml_does_not_know_are_replaced(session: SessionFrames, 
     assert facts_of(ome, ome.images[0].annotation_refs)["written_by"] == "finray\ufffd"
 
 
+def test_characters_that_hdf5_does_not_know_are_replaced(session: SessionFrames, tmp_path: Path) -> None:
+    first = replace(session.frames[0], facts={**session.frames[0].facts, "setting_note": "n\x00"})
+    odd = replace(session, sample="r\x00\ud800\u00e9", notes=("a\x00", "b"), frames=(first, *session.frames[1:]))
+    write_nexus(odd, tmp_path / "x.nxs", ORIGIN, quiet)
+    with h5py.File(tmp_path / "x.nxs") as file:
+        assert file["entry/sample/name"].asstr()[()] == "r\ufffd\ufffd\u00e9"
+        assert file["entry/notes/data"].asstr()[()] == "a\ufffd\nb"
+        assert file["entry/frames/setting_note"].asstr()[0] == "n\ufffd"
+
+
 def test_planes_are_the_stored_counts_for_three_tiff_readers(session: SessionFrames, written: dict[str, Path]) -> None:
     expected = [
         stored(session, frame)
