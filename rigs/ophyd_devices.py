@@ -9,7 +9,7 @@
 They are the same drivers with the same checks: a wheel has arrived when it says so twice, a frame counts only if wheel
 and lights stand as they stood before the exposure, a laser is lit behind its guard processes only. The RunEngine stops
 what a plan has moved when the plan ends, fails or pauses: a light is off then. When the program dies, its guard
-switches off.
+switches off. The RunEngine only logs that a light is not confirmed off: the end of :func:`ophyd_rig` raises it.
 """
 
 import asyncio
@@ -18,13 +18,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 
-from data_schemas import BadFrameError, MissingExtraError, RefusedError, RigFile, Target
+from data_schemas import BadFrameError, MissingExtraError, RefusedError, RigFile, Target, UnsafeError
 from rigs import Camera, FilterWheel, Light, Operator, open_rig, rig_locked
 from rigs.capture import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S
+from rigs.light_guard import LightLostError, is_hazardous
 
 try:
     from bluesky.run_engine import call_in_bluesky_event_loop
@@ -118,7 +119,8 @@ class RigWheel(StandardReadable):
 class RigLight(StandardReadable):
     """Laser or lamp: ``yield from bps.mv(laser, True)``; off when the plan ends, fails, pauses or unstages it.
 
-    A pause switches off, and going on switches on again what was on.
+    A pause switches off, and going on switches on again what was on: a laser that harms eyes only after asking. A light
+    that is once not confirmed off is never lit again.
 
     Parameters
     ----------
@@ -126,20 +128,33 @@ class RigLight(StandardReadable):
         As a rig opens it: a laser behind its guard.
     name
         Of the device, for the documents.
+    operator
+        Who is asked before a light that harms eyes is lit again after a pause, or after it was lost: somebody may have
+        opened the box. None where it harms nobody.
     """
 
-    def __init__(self, light: Light, name: str) -> None:
-        self._light = light
+    def __init__(self, light: Light, name: str, operator: Operator | None = None) -> None:
+        self._light, self._operator = light, operator
         self._block = ExitStack()
-        self._is_lit = self._was_lit = False
+        self._is_lit = self._was_lost = False
+        self._not_off: UnsafeError | None = None
+        # tasks of the RunEngine, one for each plan
+        self._stopped: asyncio.Task[Any] | None = None
+        self._paused: asyncio.Task[Any] | None = None
         self.call = _Caller(name)
         with self.add_children_as_readables(Format.HINTED_UNCACHED_SIGNAL):
-            self.is_on = _asked(bool, light.state, self.call)
+            self.is_on = _asked(bool, self.state, self.call)
         super().__init__(name=name)
 
     def state(self) -> bool:
         """Return whether the light is on, as its controller says."""
-        return self._light.state()
+        try:
+            is_on = self._light.state()
+        except LightLostError:
+            self._was_lost = True
+            raise
+        self._was_lost |= self._is_lit and not is_on
+        return is_on
 
     @AsyncStatus.wrap
     async def set(self, value: bool) -> None:
@@ -148,42 +163,109 @@ class RigLight(StandardReadable):
         Raises
         ------
         CaptureError
-            It must not be lit, did not come on, or is not confirmed off.
+            It must not be lit, did not come on, or went off by itself after it was lit.
+        UnsafeError
+            It is not confirmed off, or was not before.
         """
-        self._was_lit = False
+        self._stopped = self._paused = None
         await self.call(self._on if value else self.off)
 
-    async def stop(self, success: bool = True) -> None:
-        """Switch off: the plan has ended, failed or paused."""
-        self._was_lit = self._is_lit
+    async def stop(self, success: bool | None = None) -> None:
+        """Switch off: the plan has ended, failed or paused; a plan that stops a light itself says nothing of success.
+
+        Raises
+        ------
+        UnsafeError
+            It is not confirmed off, or was not before.
+        """
+        # in a pause the RunEngine stops what was moved first, and tells of the pause then, in the task of the plan
+        self._stopped = asyncio.current_task() if self._is_lit and success is not None else None
+        if success is None:
+            self._paused = None
         await self.call(self.off)
 
     async def pause(self) -> None:
-        """Switch off, and remember what is to be lit when the plan goes on."""
-        self._was_lit = self._was_lit or self._is_lit
+        """Switch off, and remember whether this plan had lit it.
+
+        Raises
+        ------
+        UnsafeError
+            It is not confirmed off, or was not before.
+        """
+        plan = asyncio.current_task()
+        self._paused = plan if self._is_lit or plan in (self._stopped, self._paused) else None
         await self.call(self.off)
 
     async def resume(self) -> None:
-        """Light again what a pause has switched off."""
-        if self._was_lit:
-            await self.call(self._on)
-        self._was_lit = False
+        """Light again what a pause of this plan has switched off.
+
+        Raises
+        ------
+        LightLostError
+            A person would have to allow it and has not; it stays off, and the plan paused.
+        """
+        if self._paused is not None and not self._paused.done():
+            await self.call(self._on_again)
+        self._stopped = self._paused = None
 
     @AsyncStatus.wrap
     async def unstage(self) -> None:
         """Switch off with the end of a stage."""
+        self._stopped = self._paused = None
         await self.call(self.off)
         await super().unstage()
 
+    def _on_again(self) -> None:
+        self._require_permission("was switched off by a pause")
+        self._on()
+
     def _on(self) -> None:
-        if not self._is_lit:
+        if self._not_off is not None:
+            raise self._not_off
+        if self._is_lit:
+            if not self.state():
+                self.off()
+                raise LightLostError(f"{self.name}: went off by itself and is off; find out why, then light it again")
+            return
+        if self._was_lost:
+            self._require_permission("was lost")
+        try:
             self._block.enter_context(self._light.lit())
-            self._is_lit = True
+        except UnsafeError as error:
+            self._not_off = error
+            raise
+        self._is_lit = True
+
+    def _require_permission(self, what_was: str) -> None:
+        """Ask before a light that harms eyes is lit again."""
+        if self._operator is not None and not self._operator.allows(
+            f"The {self.name} {what_was}. Is the box closed, does everybody wear goggles, and may the {self.name} be "
+            "lit again?"
+        ):
+            raise LightLostError(
+                f"{self.name}: {what_was}, and is not lit again unless a person at the terminal says that the box is "
+                "closed; close the box, then go on in a terminal"
+            )
+        self._was_lost = False
 
     def off(self) -> None:
-        """Switch off."""
+        """Switch off.
+
+        Raises
+        ------
+        UnsafeError
+            It is not confirmed off, or was not before: the RunEngine only logs what a stop raises.
+        """
         self._is_lit = False
-        self._block.close()
+        try:
+            self._block.close()
+        except UnsafeError as error:
+            self._not_off = error
+        except LightLostError:
+            self._was_lost = True
+            raise
+        if self._not_off is not None:
+            raise self._not_off
 
 
 class RigTarget(StandardReadable):
@@ -325,6 +407,8 @@ def ophyd_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> I
         There is no RunEngine yet: its event loop runs the devices.
     CaptureError
         Another process holds a device, or one cannot be reached.
+    UnsafeError
+        At the end: a light was not confirmed off.
     """
     try:
         call_in_bluesky_event_loop(asyncio.sleep(0.0))
@@ -334,7 +418,8 @@ def ophyd_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> I
         filters = {band.slot: band.name for band in rig.filter_wheel.filters}
         with init_devices(set_name=False):
             wheel = RigWheel(opened.wheel, filters)
-            laser, lamp = RigLight(opened.laser, "laser"), RigLight(opened.lamp, "lamp")
+            laser = RigLight(opened.laser, "laser", opened.operator if is_hazardous(rig.laser) else None)
+            lamp = RigLight(opened.lamp, "lamp")
             target = RigTarget(opened.operator)
             camera = RigCamera(opened.camera, rig, (wheel, laser, lamp))
         for device in (target, wheel, camera, lamp, laser):  # the last one is ended first

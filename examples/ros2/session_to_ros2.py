@@ -11,7 +11,6 @@ Topics: /finray/image_raw (sensor_msgs/Image: raw counts with their Bayer patter
 import argparse
 import time
 from collections.abc import Iterator
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +84,11 @@ def wrench(force_n: float, stamp_ns: int) -> dict[str, Any]:
 
 def messages(session: SessionFrames) -> Iterator[Message]:
     """Yield the messages of a session in the order of their times."""
-    first_ns = round(1e9 * min(datetime.fromisoformat(f.captured_utc).timestamp() for f in session.frames))
+    first_ns = round(1e9 * session.first.start_unix_s)
     forces = forces_of(session)
     for frame in sorted(session.frames, key=lambda frame: frame.start_s):
         counts = session.counts(frame)
-        stamp_ns = first_ns + round(1e9 * frame.start_s)  # by the clock that never steps
+        stamp_ns = first_ns + round(1e9 * frame.start_s)  # by the clock that never steps, where the record holds it
         yield IMAGE, stamp_ns, image(counts, session.camera.bayer_pattern, session.camera.bit_depth, stamp_ns)
         yield INFO, stamp_ns, camera_info(*counts.shape[:2], stamp_ns)
         force_n = forces.pop(frame.facts.get("place"), None) if frame.frame_type == "contact" else None

@@ -16,7 +16,7 @@ import numpy as np
 
 from data_schemas import BandPassFilter, MissingExtraError, naming_file
 from data_schemas.storage import refuse_taken, write_bytes, write_whole
-from finray_calib.exchange._session_frames import FrameSink, Progress, SessionFrame, SessionFrames
+from finray_calib.exchange._session_frames import FrameSink, Progress, SessionFrame, SessionFrames, exchangeable
 
 if TYPE_CHECKING:
     from h5py import Group
@@ -79,16 +79,18 @@ def _group(parent: "Group", name: str, kind: str) -> "Group":
 
 
 def _put(group: "Group", name: str, value: Any, units: str = "", **attributes: Any) -> None:
-    """Add a field with its units; one that is not known is left out."""
+    """Add a field with its units; one that is not known is left out. HDF5 refuses some characters of a text."""
     if value is None:
         return
-    group[name] = value
+    if isinstance(value, list):
+        value = [exchangeable(text) for text in value]
+    group[name] = exchangeable(value) if isinstance(value, str) else value
     group[name].attrs.update(({"units": units} if units else {}) | attributes)
 
 
 def _fill_entry(entry: "Group", session: SessionFrames, origin: str, progress: Progress) -> None:
     """Write everything below the entry."""
-    first, last = session.frames[0], session.frames[-1]
+    first, last = session.first, session.frames[-1]
     entry.attrs["default"] = "data"
     _put(entry, "title", f"{session.kind} session of {session.sample}")
     _put(entry, "start_time", first.captured_utc)
@@ -123,7 +125,7 @@ def _fill_camera(camera: "Group", session: SessionFrames, progress: Progress) ->
         progress(number + 1, len(frames), frame.filter_name)
     exposures_s = np.array([np.nan if f.exposure_s is None else f.exposure_s for f in frames])
     starts_s = np.array([frame.start_s for frame in frames])
-    start = min(frame.captured_utc for frame in frames)
+    start = session.first.captured_utc
     said = session.device("camera")
     _put(camera, "description", (said.model if said is not None else "") or settings.model)
     _put(camera, "serial_number", (said.serial if said is not None else "") or None)

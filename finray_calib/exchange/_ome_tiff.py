@@ -23,6 +23,7 @@ from finray_calib.exchange._session_frames import (
     SessionFrame,
     SessionFrames,
     Value,
+    exchangeable,
 )
 
 SCHEMA: Final = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
@@ -119,6 +120,8 @@ def ome_xml(
 ) -> bytes:
     """Return the OME-XML of a session, as plain ASCII with character references.
 
+    Characters that XML does not know, such as those of control, become U+FFFD.
+
     Parameters
     ----------
     session, series
@@ -137,7 +140,7 @@ def ome_xml(
     images, first_plane = [], 0
     for number, one in enumerate(series):
         image = child(top, "Image", ID=f"Image:{number}", Name=one.name)
-        child(image, "AcquisitionDate").text = min(f.captured_utc for f in plane_order(one))
+        child(image, "AcquisitionDate").text = min(plane_order(one), key=lambda f: f.start_s).captured_utc
         child(image, "Description").text = _description(session)
         child(image, "InstrumentRef", ID="Instrument:0")
         image.append(_pixels(session, one, number, shape, (identity, file_name, first_plane), notes))
@@ -151,6 +154,9 @@ def ome_xml(
     top.append(notes.all)
     if session.region is not None:
         top.append(_region(session))
+    for element in top.iter():
+        element.text = element.text and exchangeable(element.text)
+        element.attrib = {name: exchangeable(value) for name, value in element.attrib.items()}
     text: bytes = ElementTree.tostring(top, encoding="us-ascii")
     return b'<?xml version="1.0" encoding="UTF-8"?>' + text
 
@@ -177,7 +183,7 @@ def _camera_facts(session: SessionFrames, shape: tuple[int, ...], origin: str) -
         "read_noise_e": camera.read_noise_e,
         "full_scale_dn": 2**camera.bit_depth - 1,
         "camera_response": camera.response,
-        "delta_t_counts_from": min(frame.captured_utc for frame in session.frames),
+        "delta_t_counts_from": session.first.captured_utc,
         "session_sha256": session.sha256,
         "written_by": origin,
     }

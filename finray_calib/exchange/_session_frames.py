@@ -7,6 +7,7 @@ session does not know is None here and left out there.
 
 import io
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -39,6 +40,8 @@ Progress = Callable[[int, int, str], None]
 Value = str | int | float | bool | None
 DARK: Final = "dark"
 WHITE: Final = ("white", "laser white")
+NOT_XML: Final = re.compile(r"[^\t\n\r -\uD7FF\uE000-\uFFFD\U00010000-\U0010FFFF]")
+"""Characters that XML 1.0 does not know, not even by number."""
 LARGEST_PLAIN_BYTES: Final = 4_000_000_000
 """Of a TIFF with offsets of 32 bits, less room for its directories."""
 
@@ -60,7 +63,8 @@ class SessionFrame:
     exposure_s
         As the camera read it back (s); None where it does not say.
     start_s
-        Start of the exposure after that of the first frame, by a clock that never steps (s).
+        Start of the exposure after that of the first frame (s), by a clock that never steps; by the host's clock in
+        records of the first versions, which hold no other.
     captured_utc
         Start of the exposure by the host's clock, ISO 8601.
     facts
@@ -159,6 +163,11 @@ class SessionFrames:
     devices: tuple[DeviceIdentity, ...]
     notes: tuple[str, ...]
     frames: tuple[SessionFrame, ...]
+
+    @property
+    def first(self) -> SessionFrame:
+        """The frame whose exposure began first, from which :attr:`SessionFrame.start_s` counts."""
+        return min(self.frames, key=lambda frame: frame.start_s)
 
     def counts(self, frame: SessionFrame) -> NDArray[np.uint16]:
         """Return the counts of a frame (DN), (H, W) or RGB (H, W, 3), after checking its checksum.
@@ -267,7 +276,8 @@ def read_session_frames(folder: Path) -> SessionFrames:
     Raises
     ------
     RecordError
-        The folder is missing, holds no session or no frames, the capture was not finished, or frames are missing.
+        The folder is missing, holds no session or no frames, the capture was not finished, frames are missing, or one
+        names a filter that is not in the rig.
     """
     path = folder / SESSION_NAME
     stored = read_json(path, "a capture session (.json)") if path.is_file() else None
@@ -306,11 +316,20 @@ def _bench(folder: Path, session: Any) -> SessionFrames:
         curves=session.filter_curves if isinstance(session, CaptureSession) else {},
         devices=session.devices,
         notes=session.notes,
-        frames=_bench_frames(session.frames, {band.name: band for band in rig.filter_wheel.filters}),
+        frames=_bench_frames(session.frames, rig.filter_wheel.filters, folder / SESSION_NAME),
     )
 
 
-def _bench_frames(frames: tuple[Frame, ...], bands: Mapping[str, BandPassFilter]) -> tuple[SessionFrame, ...]:
+def _bench_frames(
+    frames: tuple[Frame, ...], filters: tuple[BandPassFilter, ...], path: Path
+) -> tuple[SessionFrame, ...]:
+    bands: dict[str | None, BandPassFilter | None] = {None: None, **{band.name: band for band in filters}}
+    for place, frame in enumerate(frames):
+        if frame.filter_name not in bands:
+            raise RecordError(
+                f"{path}: frames[{place}]: filter '{frame.filter_name}' is not in the rig of the session; there are "
+                f"{', '.join(band.name for band in filters)}; the record was edited: restore it from a copy"
+            )
     # records of the first versions hold no time of the monotonic clock
     is_timed = any(frame.middle_s > 0.0 for frame in frames)
     starts_s = [
@@ -325,7 +344,7 @@ def _bench_frames(frames: tuple[Frame, ...], bands: Mapping[str, BandPassFilter]
             frame.frame_type,
             frame.target,
             frame.light,
-            None if frame.filter_name is None else bands.get(frame.filter_name),
+            bands[frame.filter_name],
             frame.exposure_s,
             start_s - first_s,
             frame.captured_utc,
@@ -401,3 +420,8 @@ def _tactile_frames(frames: tuple[TactileFrame, ...]) -> tuple[SessionFrame, ...
 
 def _unix_s(utc: str) -> float:
     return datetime.fromisoformat(utc).timestamp()
+
+
+def exchangeable(text: str) -> str:
+    """Return a text with U+FFFD for every character that XML 1.0 does not know."""
+    return NOT_XML.sub("\ufffd", text)

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,18 @@ from bluesky import RunEngine
 from bluesky.protocols import Movable, Readable, Stoppable, Triggerable
 from bluesky.utils import FailedStatus, RunEngineInterrupted
 
-from data_schemas import BadFrameError, CaptureError, LaserSettings, MissingExtraError, RefusedError, RigFile
+from data_schemas import (
+    BadFrameError,
+    CaptureError,
+    LaserSettings,
+    MissingExtraError,
+    RefusedError,
+    RigFile,
+    UnsafeError,
+)
 from rigs import AbsentOperator, Light, OpenRig, open_rig, rig_locked, simulated_rig
-from rigs.light_guard import GuardedLight, guarded_light
-from rigs.ophyd_devices import OphydRig, ophyd_rig
+from rigs.light_guard import GuardedLight, LightLostError, guarded_light
+from rigs.ophyd_devices import OphydRig, RigLight, ophyd_rig
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.light_owner import guards
 from tests.capture.drivers.programs import wait_until
@@ -233,6 +241,209 @@ def test_a_paused_plan_that_is_given_up_leaves_the_laser_off(
             engine(lit(devices, bps.pause))
         getattr(engine, how)()
         assert not (tmp_path / "on").exists()
+
+
+def pauses(devices: OphydRig, seen: list[bool]) -> Plan:
+    """Return a plan that reads the laser and pauses; what it sees of it when it goes on is added to `seen`."""
+    yield from bps.checkpoint()
+    yield from bps.read(devices.laser)
+    yield from bps.checkpoint()
+    yield from bps.pause()
+    seen.append(devices.laser.state())
+
+
+def interrupted(engine: RunEngine, plan: Plan) -> None:
+    with pytest.raises(RunEngineInterrupted):
+        engine(plan)
+
+
+@pytest.mark.parametrize("end", ["it ends", "it raises", "it is given up in a pause"])
+def test_going_on_lights_no_laser_that_an_earlier_plan_had_lit(engine: RunEngine, devices: OphydRig, end: str) -> None:
+    seen: list[bool] = []
+    if end == "it ends":
+        engine(lit(devices, bps.null))
+    elif end == "it raises":
+        with pytest.raises(ValueError, match="a plan's own mistake"):
+            engine(lit(devices, fails))
+    else:
+        interrupted(engine, lit(devices, lambda: pauses(devices, seen)))
+        engine.abort()
+    interrupted(engine, pauses(devices, seen))
+    engine.resume()
+    assert seen == [False]
+
+
+def switch_off(laser: RigLight) -> Plan:
+    yield from bps.mv(laser, False)
+
+
+def end_stage(laser: RigLight) -> Plan:
+    yield from bps.unstage(laser, wait=True)
+
+
+@pytest.mark.parametrize("by", [switch_off, bps.stop, end_stage])
+def test_going_on_lights_no_laser_that_the_plan_itself_had_switched_off(
+    engine: RunEngine, devices: OphydRig, by: Callable[[RigLight], Plan]
+) -> None:
+    seen: list[bool] = []
+
+    def plan() -> Plan:
+        yield from bps.stage(devices.laser)
+        yield from bps.mv(devices.laser, True)
+        yield from by(devices.laser)
+        yield from pauses(devices, seen)
+
+    interrupted(engine, plan())
+    engine.resume()
+    assert seen == [False]
+
+
+def test_a_second_pause_of_a_plan_lights_again_too(engine: RunEngine, devices: OphydRig) -> None:
+    seen: list[bool] = []
+
+    def twice() -> Plan:
+        yield from pauses(devices, seen)
+        yield from pauses(devices, seen)
+
+    interrupted(engine, lit(devices, twice))
+    with pytest.raises(RunEngineInterrupted):
+        engine.resume()
+    assert not devices.laser.state()
+    engine.resume()
+    assert seen == [True, True]
+
+
+class Asked(AbsentOperator):
+    """A person who gives the next of the answers to each question."""
+
+    def __init__(self, *answers: bool) -> None:
+        super().__init__()
+        self.answers, self.questions = list(answers), []
+
+    def allows(self, question: str) -> bool:
+        self.questions.append(question)
+        return self.answers.pop(0)
+
+
+def substituting(monkeypatch: pytest.MonkeyPatch, **parts: Any) -> None:
+    """Have the simulated rig opened with other parts."""
+
+    @contextmanager
+    def opening(*asked: Any) -> Iterator[OpenRig]:
+        with open_rig(*asked) as opened:
+            yield replace(opened, **parts)
+
+    monkeypatch.setattr("rigs.ophyd_devices.open_rig", opening)
+
+
+def of_class(rig: RigFile, laser_class: str) -> RigFile:
+    return rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": laser_class})})
+
+
+def test_a_laser_that_harms_eyes_is_lit_again_only_after_asking(
+    engine: RunEngine, rig: RigFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    person, seen = Asked(False, True), []
+    substituting(monkeypatch, operator=person)
+    with ophyd_rig(of_class(rig, "3B"), Path()) as devices:
+        interrupted(engine, lit(devices, lambda: pauses(devices, seen)))
+        assert person.questions == []
+        with pytest.raises(LightLostError, match="was switched off by a pause, and is not lit again unless a person"):
+            engine.resume()
+        assert not devices.laser.state()
+        assert engine.state == "paused"
+        engine.resume()
+    assert seen == [True]
+    assert len(person.questions) == 2
+    assert "Is the box closed" in person.questions[0]
+
+
+def test_nobody_is_asked_about_a_laser_that_harms_nobody(
+    engine: RunEngine, rig: RigFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[bool] = []
+    substituting(monkeypatch, operator=Asked())
+    with ophyd_rig(of_class(rig, "2"), Path()) as devices:
+        interrupted(engine, lit(devices, lambda: pauses(devices, seen)))
+        engine.resume()
+    assert seen == [True]
+
+
+class Faulty:
+    """A light that may go off by itself, and that may not be confirmed off."""
+
+    def __init__(self, goes_off: bool) -> None:
+        self.is_on, self.goes_off, self.times_lit = False, goes_off, 0
+
+    def state(self) -> bool:
+        return self.is_on
+
+    @contextmanager
+    def lit(self) -> Iterator[None]:
+        self.is_on, self.times_lit = True, self.times_lit + 1
+        yield
+        if not self.goes_off:
+            raise UnsafeError("laser: NOT CONFIRMED OFF; pull its plug")
+        self.is_on = False
+
+
+@contextmanager
+def told_at_the_end(rig: RigFile) -> Iterator[OphydRig]:
+    """Open the rig; the end of its block must say that a light is not confirmed off."""
+    with ExitStack() as block:
+        yield block.enter_context(ophyd_rig(rig, Path()))
+        with pytest.raises(UnsafeError, match="NOT CONFIRMED OFF"):
+            block.close()
+
+
+def test_a_laser_that_is_not_confirmed_off_is_told_and_never_lit_again(
+    engine: RunEngine, rig: RigFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    light = Faulty(goes_off=False)
+    substituting(monkeypatch, laser=light)
+    with told_at_the_end(rig) as devices:
+        engine(bps.mv(devices.laser, True))  # the engine only logs it
+        for value in (True, False):
+            with pytest.raises(FailedStatus) as raised:
+                engine(bps.mv(devices.laser, value))
+            assert isinstance(raised.value.__cause__, UnsafeError)
+    assert light.times_lit == 1
+
+
+def test_a_pause_with_a_laser_that_is_not_confirmed_off_ends_the_plan(
+    engine: RunEngine, rig: RigFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[bool] = []
+    substituting(monkeypatch, laser=Faulty(goes_off=False))
+    with told_at_the_end(rig) as devices:
+        with pytest.raises(UnsafeError, match="NOT CONFIRMED OFF"):
+            engine(lit(devices, lambda: pauses(devices, seen)))
+        assert engine.state == "idle"
+    assert seen == []
+
+
+def test_a_laser_that_went_off_by_itself_is_not_taken_for_lit(
+    engine: RunEngine, rig: RigFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    light, person = Faulty(goes_off=True), Asked(False, True)
+    substituting(monkeypatch, laser=light, operator=person)
+    with ophyd_rig(of_class(rig, "3B"), Path()) as devices:
+
+        def lost() -> Plan:
+            light.is_on = False
+            yield from bps.mv(devices.laser, True)
+
+        for plan, told in (
+            (lit(devices, lost), "went off by itself"),
+            (bps.mv(devices.laser, True), "was lost, and is not lit again unless a person"),
+        ):
+            with pytest.raises(FailedStatus) as raised:
+                engine(plan)
+            assert told in str(raised.value.__cause__)
+        assert light.times_lit == 1
+        engine(lit(devices, bps.null))
+    assert light.times_lit == 2
+    assert not light.is_on
 
 
 def test_a_guard_that_dies_ends_the_plan_with_the_laser_off(

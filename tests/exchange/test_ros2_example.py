@@ -46,6 +46,17 @@ def replace_force(record: TactileCapture) -> TactileCapture:
     return record.model_copy(update={"force_n": FORCE_N})
 
 
+def test_stamps_count_from_the_frame_that_began_first_though_the_hosts_clock_steps(
+    example: ModuleType, finger: SessionFrames
+) -> None:
+    first, *others = sorted(finger.frames, key=lambda frame: frame.start_s)
+    stepped = replace(
+        finger, frames=(first, *(replace(frame, captured_utc="2020-01-01T00:00:00.000+00:00") for frame in others))
+    )
+    _, stamp_ns, _ = next(iter(example.messages(stepped)))
+    assert stamp_ns == round(1e9 * first.start_unix_s)
+
+
 def test_a_bag_holds_counts_pattern_times_and_forces(
     example: ModuleType, finger: SessionFrames, tmp_path: Path
 ) -> None:

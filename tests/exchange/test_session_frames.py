@@ -27,8 +27,8 @@ from bluesky.callbacks.best_effort import BestEffortCallback
 from bluesky.consolidators import HDF5Consolidator
 from PIL import Image
 
-from data_schemas import ChecksumError, MissingExtraError, RecordError
-from data_schemas.storage import read_frame, write_frame
+from data_schemas import CaptureSession, ChecksumError, MissingExtraError, RecordError, provenance
+from data_schemas.storage import read_frame, read_record, write_frame, write_record
 from finray_calib.exchange import (
     SessionFrames,
     read_session_frames,
@@ -145,6 +145,26 @@ def test_ome_tiff_tells_rig_region_and_which_frames_are_dark(session: SessionFra
     assert any(tagged == ["white frame"] for tagged in words.values())
 
 
+def test_characters_that_xml_does_not_know_are_replaced(session: SessionFrames, tmp_path: Path) -> None:
+    camera = session.camera.model_copy(update={"model": "c\x0b\ud800"})
+    odd = replace(session, sample="r\x01\ufffe\u00e9<\n\U0001f600", camera=camera)
+    write_ome_tiff(odd, tmp_path / "x.ome.tiff", "finray\x00", quiet)
+    ome = ome_types.from_tiff(tmp_path / "x.ome.tiff", validate=True)
+    assert "session of r\ufffd\ufffd\u00e9<\n\U0001f600 on rig" in ome.images[0].description
+    assert ome.instruments[0].detectors[0].model in (session.device("camera").model, "c\ufffd\ufffd")
+    assert facts_of(ome, ome.images[0].annotation_refs)["written_by"] == "finray\ufffd"
+
+
+def test_characters_that_hdf5_does_not_know_are_replaced(session: SessionFrames, tmp_path: Path) -> None:
+    first = replace(session.frames[0], facts={**session.frames[0].facts, "setting_note": "n\x00"})
+    odd = replace(session, sample="r\x00\ud800\u00e9", notes=("a\x00", "b"), frames=(first, *session.frames[1:]))
+    write_nexus(odd, tmp_path / "x.nxs", ORIGIN, quiet)
+    with h5py.File(tmp_path / "x.nxs") as file:
+        assert file["entry/sample/name"].asstr()[()] == "r\ufffd\ufffd\u00e9"
+        assert file["entry/notes/data"].asstr()[()] == "a\ufffd\nb"
+        assert file["entry/frames/setting_note"].asstr()[0] == "n\ufffd"
+
+
 def test_planes_are_the_stored_counts_for_three_tiff_readers(session: SessionFrames, written: dict[str, Path]) -> None:
     expected = [
         stored(session, frame)
@@ -225,6 +245,40 @@ def test_nexus_classes_hold_only_what_their_definitions_know(
     assert axes == ["frame", "row", "column"]
     assert ours == [0, 0]
     assert sum(faulty) > 0
+
+
+def test_times_count_from_the_frame_that_began_first_though_the_hosts_clock_steps(
+    session: SessionFrames, tmp_path: Path
+) -> None:
+    """The clock of the host is put back by a day after the first frame."""
+    first, *others = session.frames
+    assert first.start_s == 0.0
+    first = replace(first, captured_utc="2026-03-02T10:00:00.000+00:00")
+    stepped = replace(
+        session, frames=(first, *(replace(frame, captured_utc="2026-03-01T10:00:01.000+00:00") for frame in others))
+    )
+    write_nexus(stepped, tmp_path / "x.nxs", ORIGIN, quiet)
+    with h5py.File(tmp_path / "x.nxs") as file:
+        for name in ("start_time", "stop_time"):
+            assert file[f"entry/instrument/camera/{name}"].attrs["start"] == first.captured_utc
+    write_ome_tiff(stepped, tmp_path / "x.ome.tiff", ORIGIN, quiet)
+    ome = ome_types.from_tiff(tmp_path / "x.ome.tiff")
+    assert facts_of(ome, ome.images[0].annotation_refs)["delta_t_counts_from"] == first.captured_utc
+
+
+def test_a_filter_that_is_not_in_the_rig_is_refused(folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(folder, other)
+    record = read_record(other / "session.json", CaptureSession)
+    place, frame = next((n, f) for n, f in enumerate(record.frames) if f.filter_name is not None)
+    frames = list(record.frames)
+    frames[place] = frame.model_copy(update={"filter_name": "555"})
+    (other / "session.json").unlink()
+    for array in other.glob("session*.npz"):
+        array.unlink()
+    write_record(record.model_copy(update={"frames": tuple(frames)}), other / "session.json", provenance("pytest"))
+    with pytest.raises(RecordError, match=rf"session\.json: frames\[{place}\]: filter '555' is not in the rig.*405"):
+        read_session_frames(other)
 
 
 def test_frames_lie_in_the_nexus_file_once(session: SessionFrames, written: dict[str, Path]) -> None:
