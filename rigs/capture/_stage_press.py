@@ -323,11 +323,17 @@ class StagePress:
         at_mm, careful = places[stage.press_axis], self._guard(ZERO_MOVED_SHARE * self.limit_n, NOT_CLEAR)
         while stage.into_pad * (stage.clear_mm - at_mm) > stage.step_mm:
             at_mm += stage.into_pad * stage.step_mm
-            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, careful)
+            self._step_to(at_mm, careful)
         if stage.into_pad * (stage.clear_mm - at_mm) > 0.0:
             self._stage.move(stage.press_axis, stage.clear_mm, stage.press_speed_mm_per_s, careful)
             return
         self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, watch)
+
+    def _step_to(self, to_mm: float, watch: Callable[[], None]) -> None:
+        """Move one step towards the pad, and go on only when the amplifier's filter has shown all of its force."""
+        self._stage.move(self._settings.press_axis, to_mm, self._settings.press_speed_mm_per_s, watch)
+        for _ in range(SETTLING_READINGS):
+            watch()
 
     def press(self, press: PlannedPress, contact: int) -> None:
         """Touch the pad at the place of a press and press as it asks; the stage then stands.
@@ -374,7 +380,7 @@ class StagePress:
         stage, watch = self._settings, self._guard(limit_n)
         self._gauge.tare()
         for number, at_mm in enumerate(self._steps(stage.clear_mm, stage.step_mm), 1):
-            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
+            self._step_to(at_mm, watch)
             if abs(self._gauge.reading_n()) > COARSE_SD * self._gauge.noise_n and self._is_touched():
                 break
             if number % STEPS_OF_A_TARE == 0:
@@ -611,7 +617,7 @@ def contact_times(stage: StageSettings, cell: LoadCellSettings, press: PlannedPr
     way_mm = abs(stage.deepest_mm - stage.clear_mm)
     reading_s, exchange_s = 1.0 / cell.rate_hz, EXCHANGE_S
     mean_s = (SETTLING_READINGS + STEP_READINGS) * reading_s
-    coarse_s = exchange_s + stage.step_mm / stage.press_speed_mm_per_s + reading_s
+    coarse_s = EXCHANGE_S + stage.step_mm / stage.press_speed_mm_per_s + (1 + SETTLING_READINGS) * reading_s
     fine_s = exchange_s + stage.touch_step_mm / stage.press_speed_mm_per_s + mean_s
     pressing_s = press.depth_mm / stage.step_mm * (coarse_s + mean_s)
     touch_s = 2.0 * BACK_STEPS * stage.step_mm / stage.touch_step_mm * fine_s + 3.0 * TARE_READINGS * reading_s

@@ -39,7 +39,7 @@ from rigs.capture._exposure import (
     TactileCamera,
     saturated_fraction,
 )
-from rigs.capture._force_gauge import ZERO_MOVED_SHARE, calibration_notes, read_cell_calibration
+from rigs.capture._force_gauge import SETTLING_READINGS, ZERO_MOVED_SHARE, calibration_notes, read_cell_calibration
 from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
 from rigs.capture._journal import JOURNAL_NAME, Journal, fault_notes, faults_noted, healing_s, read_journal
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
@@ -384,9 +384,7 @@ def capture_tactile_session(
                 journal.append("resume", frames=len(interrupted.frames))
             with faults_noted(journal, out, stated_times(rig, plan, presses).healing_s):
                 recorder.record(shots)
-            doubts = (
-                () if calibration is None or rig.load_cell is None else calibration_notes(rig.load_cell, calibration)
-            )
+            doubts = () if calibration is None else calibration_notes(rig, calibration)
             notes = (*driver_notes(rig), *doubts, *(interrupted.notes if interrupted else ()), *fault_notes(out))
             session = _session_of(plan, rig, presses, recorder, device, notes).model_copy(
                 update={"press_devices": opened.press_devices(), "load_cell": calibration}
@@ -525,7 +523,9 @@ def stated_times(rig: TactileRig, plan: TactilePlan, presses: Sequence[PlannedPr
         typical_s += plan.repeats * sum(times.typical_s for times in each)
         # homing, and the way from its zero to clear_mm in steps
         steps = max(abs(end_mm - rig.stage.clear_mm) for end_mm in rig.stage.press_travel_mm) / rig.stage.step_mm
-        longest_s += HOMING_WITHIN_S + steps * (EXCHANGE_S + rig.stage.step_mm / rig.stage.press_speed_mm_per_s)
+        longest_s += HOMING_WITHIN_S + steps * (
+            EXCHANGE_S + rig.stage.step_mm / rig.stage.press_speed_mm_per_s + SETTLING_READINGS / rig.load_cell.rate_hz
+        )
         longest_s += plan.repeats * sum(times.longest_s for times in each)
     return StatedTimes(typical_s, longest_s, healing_s(typical_s))
 
