@@ -602,7 +602,7 @@ def test_stage_that_is_not_seen_to_stop_is_what_the_person_is_told(bench, tmp_pa
 def test_second_interruption_waits_until_the_pad_is_left(bench, tmp_path, monkeypatch):
     from rigs.capture import StagePress
 
-    flee, expose = StagePress._flee, FlatCamera.expose
+    flee, expose = StagePress._flee, FlatCamera.expose  # noqa: SLF001 the flight itself is disturbed
 
     def interrupted(camera: FlatCamera, exposure_s: float, deadline_s: float) -> RawFrame:
         if bench.force_n > 0.0:
