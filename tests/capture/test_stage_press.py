@@ -497,11 +497,13 @@ with open_stage(rig.stage) as stage:
 def test_calibration_of_another_cell_is_refused_or_told(practice):
     path = practice / "load-cell.json"
     record = read_record(path, LoadCellCalibration)
+    path.unlink()
     write_record(record.model_copy(update={"cell": "bench, hx711 /dev/ttyACM0"}), path, provenance("pytest"))
     outcome = session(practice)
     assert outcome.status == 2
     assert "is the calibration of 'bench, hx711 /dev/ttyACM0', and load_cell.driver of the rig file is" in outcome.err
     assert "is the calibration of" in finray(f"rig show {practice}/rig.toml").out
+    path.unlink()
     write_record(record.model_copy(update={"cell": "bench, simulated elsewhere"}), path, provenance("pytest"))
     assert "was calibrated at 'elsewhere'" in finray(f"rig show {practice}/rig.toml").out
     assert session(practice).status == 0

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -164,10 +165,10 @@ def test_controller_that_restarted_at_the_stop_has_lost_its_place(homed, bench, 
 
 def test_detection_changes_nothing(bench, monkeypatch):
     from rigs.stages import grbl
-    from rigs.transports import UsbSerialPort
 
     ports = [
-        UsbSerialPort(str(port.path), "board", "1a86:7523") for port in (bench.controller.port, bench.amplifier.port)
+        SimpleNamespace(address=str(port.path), usb_id="1a86:7523")
+        for port in (bench.controller.port, bench.amplifier.port)
     ]
     monkeypatch.setattr(grbl, "usb_serial_ports", lambda: ports)
     monkeypatch.setattr(bench.controller, "reset", lambda: pytest.fail("it was reset"))
