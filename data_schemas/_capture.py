@@ -223,7 +223,10 @@ NO_CERTIFICATE: Final = "not traceable: no certificate of the masses recorded"
 class LoadCellCalibration(Record):
     r"""Slope of a load cell from known masses, with what a straight line does not say.
 
-    .. math:: m g = s (c - c_0), \quad \text{weighted by } u^2(m) g^2 + s^2 u^2(c)
+    .. math:: m g = s (c - c_0)
+
+    All means weigh the same (their common noise); what masses and gravity leave open goes into the slope's
+    uncertainty.
     """
 
     schema_version: ClassVar[int] = 1

@@ -519,6 +519,11 @@ class StageSettings(Model):
         for name, (low, high) in (("press_travel_mm", self.press_travel_mm), ("pad_travel_mm", self.pad_travel_mm)):
             if low >= high:
                 raise ValueError(f"{name}: {low:g} mm must be below {high:g} mm; write the lowest place first")
+        if self.touch_step_mm > self.step_mm:
+            raise ValueError(
+                f"touch_step_mm = {self.touch_step_mm:g} mm must not exceed step_mm = {self.step_mm:g} mm, the longest "
+                "step towards the pad"
+            )
         low, high = self.press_travel_mm
         if not low <= self.clear_mm <= high or self.clear_mm == self.deepest_mm:
             raise ValueError(

@@ -98,7 +98,7 @@ class BadFrameError(CaptureError):
 
 
 class UnsafeError(CaptureError):
-    """A light could not be confirmed off."""
+    """A light could not be confirmed off, or a stage not be seen to stop."""
 
 
 class RadiometryError(FinrayError):

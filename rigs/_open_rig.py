@@ -475,8 +475,6 @@ def look_at_tactile(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
     folder
         Where relative paths in it start.
     """
-    from rigs.capture import read_cell_calibration  # which needs an open rig itself
-
     camera, stage, cell = rig.camera, rig.stage, rig.load_cell
     if not rig.is_simulated:
         yield _report(device_title("camera", camera), lambda: _camera(lone_camera(rig, folder), camera))
@@ -484,7 +482,15 @@ def look_at_tactile(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
         yield _report(device_title("stage", stage), lambda: _stage(rig, folder))
     if cell is not None:
         yield _report(device_title("load cell", cell), lambda: _cell(rig, folder))
-        yield _report("calibration of the load cell", lambda: iter([str(read_cell_calibration(cell, folder))]))
+        yield _report("calibration of the load cell", lambda: _calibration(rig, cell, folder))
+
+
+def _calibration(rig: TactileRig, settings: LoadCellSettings, folder: Path) -> Lines:
+    from rigs.capture import calibration_notes, read_cell_calibration  # which need an open rig themselves
+
+    calibration = read_cell_calibration(settings, folder)
+    yield str(calibration)
+    yield from map(Warned, calibration_notes(rig, calibration))
 
 
 def _stage(rig: TactileRig, folder: Path) -> Lines:

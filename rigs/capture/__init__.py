@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rigs.capture._camera_session import camera_step, capture_camera_session
     from rigs.capture._check_session import check_filters, record_facts
     from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S
+    from rigs.capture._force_gauge import ForceGauge, calibration_notes, read_cell_calibration
     from rigs.capture._journal import JOURNAL_NAME, read_journal
     from rigs.capture._paint_session import capture_paint_session, forecast, require_ready
     from rigs.capture._plan import Step, paint_steps, planned_presses, tactile_shots
@@ -32,11 +33,10 @@ if TYPE_CHECKING:
         verify_session,
     )
     from rigs.capture._stage_press import (
-        ForceGauge,
         OpenTactileRig,
         StagePress,
+        guard_of_a_clear_way,
         open_tactile_rig,
-        read_cell_calibration,
     )
     from rigs.capture._tactile_session import (
         MOST_SATURATED_FRACTION,
@@ -67,6 +67,7 @@ __all__ = [
     "StagePress",
     "StatedTimes",
     "Step",
+    "calibration_notes",
     "camera_step",
     "capture_camera_session",
     "capture_paint_session",
@@ -74,6 +75,7 @@ __all__ = [
     "check_filters",
     "complete_session",
     "forecast",
+    "guard_of_a_clear_way",
     "is_tactile",
     "is_unborn",
     "lacks_manifest",

@@ -13,7 +13,8 @@ obeys, its deceleration a and the step s: no move towards the pad is longer than
 """
 
 import math
-from collections import deque
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -26,16 +27,14 @@ from data_schemas import (
     CaptureError,
     LoadCellCalibration,
     LoadCellSettings,
-    LostError,
     MeasuredPress,
     PlannedPress,
     PressDevice,
-    RecordError,
     RefusedError,
     StageSettings,
     TactileRig,
+    UnsafeError,
 )
-from data_schemas.storage import read_record
 from rigs import (
     Camera,
     Clock,
@@ -50,26 +49,30 @@ from rigs import (
     open_load_cell,
     open_stage,
 )
+from rigs.capture._force_gauge import (
+    COARSE_SD,
+    SETTLING_READINGS,
+    STEP_READINGS,
+    TARE_READINGS,
+    ZERO_MOVED_SHARE,
+    Force,
+    ForceGauge,
+    read_cell_calibration,
+)
 
 TOUCH_SD: Final = 5.0
 """A force above so many standard deviations is a touch: by chance in fewer than one step of 10,000."""
-TARE_READINGS: Final = 32
-STEP_READINGS: Final = 8
-SETTLING_READINGS: Final = 4
-"""The HX711's filter has taken in a change after four readings (its data sheet: 50 ms at 80 Hz, 400 ms at 10 Hz)."""
-COARSE_SD: Final = 8.0
 BACK_STEPS: Final = 3
 FIRST_POINTS: Final = 3
 STEPS_OF_A_TARE: Final = 10
 """Long steps without a force after which the cell is tared again, because its zero drifts."""
-LEAST_EQUAL: Final = 4
 LEAST_STEP_MM: Final = 0.005
 FORCE_REACHED: Final = 0.98
 HOMING_WITHIN_S: Final = 60.0
 TOUCH_MOVED_MM: Final = 0.1
 """A pad that has crept is touched a few hundredths of a millimetre deeper; more means lost steps."""
-ZERO_MOVED_SHARE: Final = 0.1
-"""Of the force limit: a zero that moved by more during one press tells of a loose cell or a warm amplifier."""
+PRESS_LESS: Final = "press less deep, or raise force_limit_n if finger and cell stand it"
+NOT_CLEAR: Final = "it touches before clear_mm of the rig file, or an axis is reversed: correct them"
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +110,7 @@ def open_tactile_rig(
     rig: TactileRig,
     folder: Path,
     operator: Operator | None = None,
-    only: Literal["camera", "stage", "load cell"] | None = None,
+    only: Literal["camera", "stage", "load cell", "stage and load cell"] | None = None,
 ) -> Iterator[OpenTactileRig]:
     """Open and lock camera, stage and load cell for a ``with`` block; opening a stage stops whatever it was doing.
 
@@ -120,7 +123,7 @@ def open_tactile_rig(
     operator
         Who presses, or is asked; a person at the terminal when left out.
     only
-        The one device to open; all when left out.
+        What to open; all when left out.
 
     Raises
     ------
@@ -137,7 +140,7 @@ def open_tactile_rig(
 
     with ExitStack() as stack:
         parts = {"camera": rig.camera, "stage": rig.stage, "load cell": rig.load_cell}
-        wanted = {role: part for role, part in parts.items() if part is not None and only in (None, role)}
+        wanted = {role: part for role, part in parts.items() if part is not None and (only is None or role in only)}
         for role, part in wanted.items():
             stack.enter_context(device_locked(role, part.driver, part.address))
         # the cell before the stage: what moves is never open without what stops it
@@ -169,97 +172,6 @@ def _open_finger(rig: TactileRig) -> OpenTactileRig:
     )
 
 
-def read_cell_calibration(settings: LoadCellSettings, folder: Path) -> LoadCellCalibration:
-    """Read the calibration that a rig file names.
-
-    Raises
-    ------
-    RecordError
-        It is missing, or no such record.
-    """
-    path = folder / settings.calibration
-    if not path.is_file():
-        raise RecordError(
-            f"{path}: no such file, and without a calibration the load cell tells no newtons; write it with: finray "
-            f"rig calibrate-cell RIG --out {path}"
-        )
-    return read_record(path, LoadCellCalibration)
-
-
-class Force(NamedTuple):
-    """A mean force above the tare, and its standard uncertainty by noise alone (N)."""
-
-    mean_n: float
-    noise_n: float
-
-
-class ForceGauge:
-    """A load cell with its calibration and a tare.
-
-    Parameters
-    ----------
-    cell, settings
-        The open cell and what the rig file says of it.
-    calibration
-        How its counts become newtons.
-    """
-
-    def __init__(self, cell: LoadCell, settings: LoadCellSettings, calibration: LoadCellCalibration) -> None:
-        self._cell, self._settings, self._slope = cell, settings, calibration.slope_n_per_count
-        equal = max(LEAST_EQUAL, math.ceil(settings.silent_s * settings.rate_hz))
-        self._newest: deque[int] = deque(maxlen=equal)
-        self._zero, self._zero_readings, self.noise_n = math.nan, TARE_READINGS, math.nan
-
-    def reading_n(self) -> float:
-        """Return the next reading above the tare (N); nan before there is one.
-
-        Raises
-        ------
-        LostError
-            The same count came for as long as the cell may be silent: an amplifier's noise never does that.
-        TimedOutError
-            No reading came for so long.
-        """
-        counts = self._cell.read(self._settings.silent_s).counts
-        self._newest.append(counts)
-        if len(self._newest) == self._newest.maxlen and len(set(self._newest)) == 1:
-            raise LostError(
-                f"load cell: has said {counts} for {self._newest.maxlen} readings, so it is stuck; check amplifier and "
-                "wiring"
-            )
-        return (counts - self._zero) * self._slope
-
-    def tare(self) -> None:
-        """Take the mean of some readings for no force, and their scatter for the noise of one."""
-        self._zero = 0.0
-        counts = np.array([self.reading_n() for _ in range(TARE_READINGS)]) / self._slope
-        self._zero, self._zero_readings = float(counts.mean()), TARE_READINGS
-        self.noise_n = float(counts.std(ddof=1)) * abs(self._slope)
-
-    def mean(self, readings: int = STEP_READINGS) -> Force:
-        """Return the mean of readings that the amplifier's filter has forgotten the past in."""
-        for _ in range(SETTLING_READINGS):
-            self.reading_n()
-        mean_n = float(np.mean([self.reading_n() for _ in range(readings)]))
-        return Force(mean_n, self.noise_n * math.sqrt(1.0 / readings + 1.0 / self._zero_readings))
-
-    def follow(self, force: Force) -> None:
-        """Take a mean of a step that touched nothing for no force: the zero drifts."""
-        self._zero += force.mean_n / self._slope
-        self._zero_readings = STEP_READINGS
-
-    def settled(self) -> Force:
-        """Return the force when two means in a row agree, or after the longest wait that the rig file allows."""
-        before = self.mean()
-        rounds = int(self._settings.settle_s * self._settings.rate_hz / (STEP_READINGS + SETTLING_READINGS))
-        for _ in range(max(rounds, 1)):
-            now = self.mean()
-            if abs(now.mean_n - before.mean_n) <= 3.0 * self.noise_n * math.sqrt(2.0 / STEP_READINGS):
-                return now
-            before = now
-        return before
-
-
 @dataclass(slots=True)
 class _Touched:
     """The contact that is being made."""
@@ -270,6 +182,35 @@ class _Touched:
     points: list[tuple[float, Force]]
     press: PlannedPress
     before: Force
+    absorbed_n: float
+
+
+def guard_of_a_clear_way(opened: OpenTactileRig, rig: TactileRig, folder: Path) -> Callable[[], None]:
+    """Return what to call while a stage moves where nothing should touch: it raises at a tenth of the force limit.
+
+    Raises
+    ------
+    RefusedError
+        There is no load cell.
+    RecordError
+        There is no calibration of it.
+    """
+    if rig.load_cell is None or opened.load_cell is None:
+        raise RefusedError(f"rig '{rig.name}': has no load cell that could stop its stage")
+    gauge = ForceGauge(opened.load_cell, rig.load_cell, read_cell_calibration(rig.load_cell, folder))
+    gauge.begin(opened.clock.monotonic_s)
+    return _guard(gauge, ZERO_MOVED_SHARE * rig.load_cell.force_limit_n, NOT_CLEAR)
+
+
+def _guard(gauge: ForceGauge, limit_n: float, advice: str) -> Callable[[], None]:
+    """Return what is called while a stage moves: it takes the cell's next reading and raises beyond the limit."""
+
+    def watch() -> None:
+        force_n = gauge.strongest_n()
+        if abs(force_n) > limit_n:
+            raise ForceLimitError(f"stage: stopped at {force_n:.3g} N, beyond the limit of {limit_n:g} N; {advice}")
+
+    return watch
 
 
 class StagePress:
@@ -301,25 +242,16 @@ class StagePress:
             raise RefusedError(f"rig '{rig.name}': has no stage with a load cell; nothing can press by itself")
         self._stage, self._settings, self._cell = opened.stage, rig.stage, rig.load_cell
         self._gauge, self._calibration = ForceGauge(opened.load_cell, rig.load_cell, calibration), calibration
-        self._operator, self._note = opened.operator, note
+        self._operator, self._clock, self._note = opened.operator, opened.clock, note
         self._is_ready = False
         self._now: _Touched | None = None
-        self._touches: dict[float, tuple[float, float]] = {}
+        self.touches: dict[float, tuple[float, float]] = {}
         self.limit_n = rig.load_cell.force_limit_n
         self.measured: dict[int, MeasuredPress] = {}
 
-    def _guard(self, limit_n: float) -> Callable[[], None]:
-        """Return what is called while the stage moves: it takes the cell's next reading and raises beyond the limit."""
-
-        def watch() -> None:
-            force_n = self._gauge.reading_n()
-            if abs(force_n) > limit_n:
-                raise ForceLimitError(
-                    f"stage: stopped at {force_n:.3g} N, beyond the limit of {limit_n:g} N; press less deep, or raise "
-                    "force_limit_n if finger and cell stand it"
-                )
-
-        return watch
+    def _guard(self, limit_n: float, advice: str = PRESS_LESS) -> Callable[[], None]:
+        """Return what is called while the stage moves."""
+        return _guard(self._gauge, limit_n, advice)
 
     @contextmanager
     def standing_by(self) -> Iterator[None]:
@@ -329,35 +261,45 @@ class StagePress:
         except BaseException as error:
             with suppress(CaptureError):
                 self._note("stage stopped", why=f"{type(error).__name__}: {error}")
-            self._flee()
+            with _undisturbed():
+                self._flee(error)
             raise
 
-    def _flee(self) -> None:
-        """Move away from the pad if it is known where that is."""
+    def _flee(self, error: BaseException) -> None:
+        """Move away from the pad if it is known where that is; raise only if the stage is not seen to stop."""
+        stage = self._settings
+        unsafe: UnsafeError | None = None
         try:
             self._stage.stop()
-            places = self._stage.places_mm()
-            if places is None:
+            if (places := self._stage.places_mm()) is None:
                 told = "its place is unknown: it stands where it stopped; free the pad by hand, then home it"
+            elif stage.into_pad * (places[stage.press_axis] - stage.clear_mm) < -LEAST_STEP_MM:
+                told = (
+                    f"stands at {stage.press_axis} = {places[stage.press_axis]:.3f} mm: from there clear_mm = "
+                    f"{stage.clear_mm:g} mm lies towards the pad; free the pad by hand"
+                )
             else:
-                self._away(lambda: None)
-                told = f"moved away to {self._settings.press_axis} = {self._settings.clear_mm:g} mm"
-        except CaptureError as error:
-            told = f"not moved away: {error}"
+                self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, lambda: None)
+                told = f"moved away to {stage.press_axis} = {stage.clear_mm:g} mm"
+        except UnsafeError as worse:
+            unsafe, told = worse, f"not moved away: {worse}"
+        except CaptureError as other:
+            told = f"not moved away: {other}"
         with suppress(CaptureError):
             self._note("stage after stop", text=told)
+        if unsafe is not None:
+            raise unsafe from error
 
     def prepare(self) -> None:
         """Find the stage's zero, and go where nothing touches; once in a session."""
         if self._is_ready:
             return
-        self._gauge.tare()
-        watch = self._guard(self.limit_n)
+        self._gauge.begin(self._clock.monotonic_s)
         if self._settings.homing == "switches":
-            self._stage.home(HOMING_WITHIN_S, watch)
+            self._stage.home(HOMING_WITHIN_S, self._guard(self.limit_n))
         else:
             self._trust_by_hand()
-        self._away(watch)
+        self._away(self._guard(self.limit_n))
         places = self._stage.places_mm()
         self._note("stage ready", places_mm=places, homing=self._settings.homing)
         self._is_ready = True
@@ -373,9 +315,25 @@ class StagePress:
             raise RefusedError("stage: nobody says that it stands at its zero; bring it there, then resume")
 
     def _away(self, watch: Callable[[], None]) -> None:
-        """Move the press axis to where nothing touches."""
+        """Move the press axis to where nothing touches: step by step where that is towards the pad, as after homing."""
         stage = self._settings
+        places = self._stage.places_mm()
+        if places is None:
+            raise RefusedError("stage: does not know where it stands; resume the session, which homes it")
+        at_mm, careful = places[stage.press_axis], self._guard(ZERO_MOVED_SHARE * self.limit_n, NOT_CLEAR)
+        while stage.into_pad * (stage.clear_mm - at_mm) > stage.step_mm:
+            at_mm += stage.into_pad * stage.step_mm
+            self._step_to(at_mm, careful)
+        if stage.into_pad * (stage.clear_mm - at_mm) > 0.0:
+            self._stage.move(stage.press_axis, stage.clear_mm, stage.press_speed_mm_per_s, careful)
+            return
         self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, watch)
+
+    def _step_to(self, to_mm: float, watch: Callable[[], None]) -> None:
+        """Move one step towards the pad, and go on only when the amplifier's filter has shown all of its force."""
+        self._stage.move(self._settings.press_axis, to_mm, self._settings.press_speed_mm_per_s, watch)
+        for _ in range(SETTLING_READINGS):
+            watch()
 
     def press(self, press: PlannedPress, contact: int) -> None:
         """Touch the pad at the place of a press and press as it asks; the stage then stands.
@@ -396,7 +354,8 @@ class StagePress:
         place_mm = stage.base_mm + stage.from_base * press.position_mm
         self._stage.move(stage.pad_axis, place_mm, stage.travel_speed_mm_per_s, self._guard(limit_n))
         above_mm, force = self._find_touch(limit_n)
-        touched = _Touched(contact, above_mm, 0.0, [(above_mm, force)], press, force)
+        absorbed_n = self._gauge.absorbed_n()
+        touched = _Touched(contact, above_mm, 0.0, [(above_mm, force)], press, force, absorbed_n)
         self._push(touched, limit_n)
         touched.before = self._gauge.settled()
         self._note("force", contact=contact, force_n=touched.before.mean_n, before="images")
@@ -421,7 +380,7 @@ class StagePress:
         stage, watch = self._settings, self._guard(limit_n)
         self._gauge.tare()
         for number, at_mm in enumerate(self._steps(stage.clear_mm, stage.step_mm), 1):
-            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
+            self._step_to(at_mm, watch)
             if abs(self._gauge.reading_n()) > COARSE_SD * self._gauge.noise_n and self._is_touched():
                 break
             if number % STEPS_OF_A_TARE == 0:
@@ -431,7 +390,12 @@ class StagePress:
         for at_mm in self._steps(back_mm, stage.touch_step_mm):
             self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
             force = self._gauge.mean()
-            if force.mean_n > TOUCH_SD * force.noise_n and self._is_touched():
+            if abs(force.mean_n) > TOUCH_SD * force.noise_n and self._is_touched():
+                if force.mean_n < 0.0:
+                    raise CaptureError(
+                        f"load cell: says {force.mean_n:.3g} N where the pad is touched: the cell has the other sign; "
+                        "calibrate it as it is mounted (or its zero drifts)"
+                    )
                 return at_mm, force
             self._gauge.follow(force)
         raise AssertionError("the steps end with an error")
@@ -479,6 +443,7 @@ class StagePress:
             touched.points.append((at_mm, self._gauge.mean()))
             if len(touched.points) <= FIRST_POINTS:
                 self._place_touch(touched)
+                self._require_seen(touched)
         if press.until_force_n is not None and force.mean_n < FORCE_REACHED * press.until_force_n:
             raise RefusedError(
                 f"stage: {force.mean_n:.3g} N at the depth of {press.depth_mm:g} mm, and {press.until_force_n:g} N "
@@ -497,10 +462,25 @@ class StagePress:
         before_mm = above_mm - stage.into_pad * stage.touch_step_mm
         threshold_n = (TOUCH_SD + 2.0) * touched.points[0][1].noise_n
         stiffness = [f.mean_n / abs(z - before_mm) for z, f in touched.points[:FIRST_POINTS] if f.mean_n > 0.0]
-        unseen_mm = min(threshold_n / min(stiffness), stage.step_mm) if stiffness else stage.step_mm
+        unseen_mm = (threshold_n + touched.absorbed_n) / min(stiffness) if stiffness else stage.step_mm
         wide_mm = stage.touch_step_mm + unseen_mm
         touched.touch_mm = above_mm - stage.into_pad * 0.5 * wide_mm
         touched.touch_uncertainty_mm = 0.5 * wide_mm / math.sqrt(3.0)
+
+    def _require_seen(self, touched: _Touched) -> None:
+        """Refuse a pad that a short step presses by less than the cell can tell: its touch is found too late."""
+        if len(touched.points) < FIRST_POINTS:
+            return
+        stage, (at_mm, force) = self._settings, touched.points[FIRST_POINTS - 1]
+        way_mm = abs(at_mm - touched.points[0][0]) + stage.touch_step_mm
+        needed_n = (TOUCH_SD + 2.0) * touched.points[0][1].noise_n + touched.absorbed_n
+        got_n = max(force.mean_n, 0.0) * stage.touch_step_mm / way_mm
+        if needed_n > got_n:
+            raise CaptureError(
+                f"load cell: too noisy for this pad: touch_step_mm = {stage.touch_step_mm:g} mm presses it by "
+                f"{1e3 * got_n:.2g} mN, and {1e3 * needed_n:.2g} mN can be told from noise and drift; take a longer "
+                "touch_step_mm, shield the cell's wires, or read it 10 times a second"
+            )
 
     def _require_same_touch(self, touched: _Touched, first_mm: float) -> None:
         """Refuse a touch that has moved since the last one at this place: the stage lost steps, or something moved."""
@@ -509,8 +489,8 @@ class StagePress:
             "touch", contact=touched.contact, place_mm=touched.touch_mm, uncertainty_mm=touched.touch_uncertainty_mm,
             first_force_at_mm=first_mm,
         )  # fmt: skip
-        if place_mm in self._touches:
-            before_mm, before_u_mm = self._touches[place_mm]
+        if place_mm in self.touches:
+            before_mm, before_u_mm = self.touches[place_mm]
             allowed_mm = TOUCH_MOVED_MM + 3.0 * math.hypot(before_u_mm, touched.touch_uncertainty_mm)
             moved_mm = touched.touch_mm - before_mm
             if abs(moved_mm) > allowed_mm:
@@ -519,7 +499,7 @@ class StagePress:
                     f"({allowed_mm:.2f} mm are allowed): it lost steps, or the finger moved; drive slower, fasten "
                     "both, then resume"
                 )
-        self._touches.setdefault(place_mm, (touched.touch_mm, touched.touch_uncertainty_mm))
+        self.touches.setdefault(place_mm, (touched.touch_mm, touched.touch_uncertainty_mm))
 
     def seen(self) -> None:
         """Measure the force again when the images of a contact are taken; what it lost meanwhile is uncertainty."""
@@ -535,6 +515,7 @@ class StagePress:
         stage = self._settings
         force_n, relaxed_n = 0.5 * (done.before.mean_n + after.mean_n), done.before.mean_n - after.mean_n
         noise_n = math.hypot(done.before.noise_n, after.noise_n) / math.sqrt(2.0)
+        absorbed_n = done.absorbed_n / math.sqrt(3.0)
         depths_mm = [stage.into_pad * (z - done.touch_mm) for z, _ in done.points]
         return MeasuredPress(
             contact=done.contact,
@@ -544,7 +525,9 @@ class StagePress:
             depth_mm=max(depths_mm[-1], 0.0),
             depth_uncertainty_mm=math.hypot(done.touch_uncertainty_mm, stage.position_uncertainty_mm),
             force_n=force_n,
-            force_uncertainty_n=math.hypot(self._scale_uncertainty_n(force_n), noise_n, relaxed_n / math.sqrt(12.0)),
+            force_uncertainty_n=math.hypot(
+                self._scale_uncertainty_n(force_n), noise_n, relaxed_n / math.sqrt(12.0), absorbed_n
+            ),
             relaxed_n=relaxed_n,
             point_depths_mm=tuple(depths_mm),
             point_forces_n=tuple(force.mean_n for _, force in done.points),
@@ -582,6 +565,19 @@ class StagePress:
             )
 
 
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Let a second Ctrl-C wait until the stage has left the pad, which takes bounded time."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def with_zero_shift(measured: MeasuredPress, shift_n: float) -> MeasuredPress:
     """Return a contact after which the cell's zero had moved: by any part of it at the force, evenly likely."""
     wider_n = math.hypot(measured.force_uncertainty_n, shift_n / math.sqrt(3.0))
@@ -589,7 +585,7 @@ def with_zero_shift(measured: MeasuredPress, shift_n: float) -> MeasuredPress:
 
 
 def replayed_presses(lines: list[dict[str, Any]]) -> dict[int, MeasuredPress]:
-    """Return the contacts that the lines of a journal hold."""
+    """Return the contacts that the lines of a journal hold, with what the zero had moved after each."""
     presses: dict[int, MeasuredPress] = {}
     for line in lines:
         if line["event"] == "press":
@@ -599,6 +595,10 @@ def replayed_presses(lines: list[dict[str, Any]]) -> dict[int, MeasuredPress]:
             contact = int(line["contact"])
             presses[contact] = with_zero_shift(presses[contact], float(line["shift_n"]))
     return presses
+
+
+EXCHANGE_S: Final = 0.2
+"""What a step of the stage takes beside its way: its line, the answer and two reports."""
 
 
 class ContactTimes(NamedTuple):
@@ -615,9 +615,9 @@ def contact_times(stage: StageSettings, cell: LoadCellSettings, press: PlannedPr
     as the rig file allows. A step costs a fifth of a second of exchanges with the controller.
     """
     way_mm = abs(stage.deepest_mm - stage.clear_mm)
-    reading_s, exchange_s = 1.0 / cell.rate_hz, 0.2
+    reading_s, exchange_s = 1.0 / cell.rate_hz, EXCHANGE_S
     mean_s = (SETTLING_READINGS + STEP_READINGS) * reading_s
-    coarse_s = exchange_s + stage.step_mm / stage.press_speed_mm_per_s + reading_s
+    coarse_s = EXCHANGE_S + stage.step_mm / stage.press_speed_mm_per_s + (1 + SETTLING_READINGS) * reading_s
     fine_s = exchange_s + stage.touch_step_mm / stage.press_speed_mm_per_s + mean_s
     pressing_s = press.depth_mm / stage.step_mm * (coarse_s + mean_s)
     touch_s = 2.0 * BACK_STEPS * stage.step_mm / stage.touch_step_mm * fine_s + 3.0 * TARE_READINGS * reading_s

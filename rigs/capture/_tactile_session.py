@@ -39,18 +39,19 @@ from rigs.capture._exposure import (
     TactileCamera,
     saturated_fraction,
 )
+from rigs.capture._force_gauge import SETTLING_READINGS, ZERO_MOVED_SHARE, calibration_notes, read_cell_calibration
 from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
 from rigs.capture._journal import JOURNAL_NAME, Journal, fault_notes, faults_noted, healing_s, read_journal
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
 from rigs.capture._resume import ORPHANS, begun_with
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
 from rigs.capture._stage_press import (
+    EXCHANGE_S,
     HOMING_WITHIN_S,
     OpenTactileRig,
     StagePress,
     contact_times,
     open_tactile_rig,
-    read_cell_calibration,
     replayed_presses,
 )
 
@@ -277,6 +278,10 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
     wanted = Counter(shot.group for shot in shots)
     there = Counter(shot.group for shot in shots if shot.sequence in good)
     measured = replayed_presses(lines) if rig.stage is not None else {}
+    if rig.load_cell is not None:
+        # one without its zero, or whose zero moved too far, is pressed again
+        most_n = ZERO_MOVED_SHARE * rig.load_cell.force_limit_n
+        measured = {c: m for c, m in measured.items() if m.zero_shift_n is not None and abs(m.zero_shift_n) <= most_n}
 
     def is_whole(shot: TactileShot) -> bool:
         pressed = rig.stage is None or shot.frame_type != "contact" or shot.place in measured
@@ -375,11 +380,12 @@ def capture_tactile_session(
             else:
                 take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
-                recorder.measured.update(interrupted.measured)
+                recorder.go_on_from(interrupted.measured)
                 journal.append("resume", frames=len(interrupted.frames))
             with faults_noted(journal, out, stated_times(rig, plan, presses).healing_s):
                 recorder.record(shots)
-            notes = (*driver_notes(rig), *(interrupted.notes if interrupted else ()), *fault_notes(out))
+            doubts = () if calibration is None else calibration_notes(rig, calibration)
+            notes = (*driver_notes(rig), *doubts, *(interrupted.notes if interrupted else ()), *fault_notes(out))
             session = _session_of(plan, rig, presses, recorder, device, notes).model_copy(
                 update={"press_devices": opened.press_devices(), "load_cell": calibration}
             )
@@ -477,6 +483,12 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
             raise CaptureError(
                 f"{where}: until_force_n must be below force_limit_n of the rig file, {rig.load_cell.force_limit_n:g} N"
             )
+        most_mm = abs(rig.stage.deepest_mm - rig.stage.clear_mm)
+        if press.depth_mm > most_mm:
+            raise CaptureError(
+                f"{where}: depth_mm = {press.depth_mm:g} is more than the {most_mm:g} mm from clear_mm to the end of "
+                "press_travel_mm; press less deep, or correct the rig file"
+            )
         low_mm, high_mm = rig.stage.pad_travel_mm
         at_mm = rig.stage.base_mm + rig.stage.from_base * press.position_mm
         if not low_mm <= at_mm <= high_mm:
@@ -509,7 +521,12 @@ def stated_times(rig: TactileRig, plan: TactilePlan, presses: Sequence[PlannedPr
     if rig.stage is not None and rig.load_cell is not None:
         each = [contact_times(rig.stage, rig.load_cell, press) for press in presses]
         typical_s += plan.repeats * sum(times.typical_s for times in each)
-        longest_s += HOMING_WITHIN_S + plan.repeats * sum(times.longest_s for times in each)
+        # homing, and the way from its zero to clear_mm in steps
+        steps = max(abs(end_mm - rig.stage.clear_mm) for end_mm in rig.stage.press_travel_mm) / rig.stage.step_mm
+        longest_s += HOMING_WITHIN_S + steps * (
+            EXCHANGE_S + rig.stage.step_mm / rig.stage.press_speed_mm_per_s + SETTLING_READINGS / rig.load_cell.rate_hz
+        )
+        longest_s += plan.repeats * sum(times.longest_s for times in each)
     return StatedTimes(typical_s, longest_s, healing_s(typical_s))
 
 
@@ -536,6 +553,14 @@ class _Recorder:
         self._stage = None if calibration is None else StagePress(opened, rig, calibration, journal.append)
         self.frames: dict[int, TactileFrame] = {}
         self.measured: dict[int, MeasuredPress] = {} if self._stage is None else self._stage.measured
+
+    def go_on_from(self, measured: dict[int, MeasuredPress]) -> None:
+        """Take over the contacts that are done, and where each place was touched: a finger that moved is found."""
+        self.measured.update(measured)
+        for contact, press in sorted(measured.items()):
+            if self._stage is not None:
+                place_mm = self._presses[press_of(contact, self._plan.repeats)].position_mm
+                self._stage.touches.setdefault(place_mm, (press.touch_mm, press.touch_uncertainty_mm))
 
     def record(self, shots: tuple[TactileShot, ...]) -> None:
         """Have everything done that needs hands, and take the frames that are missing."""

@@ -250,28 +250,40 @@ LATE_STOP_S = 4.0
 """How much later than its cause a stop may be seen, beyond the way that was left."""
 
 
-def unwatched() -> None:
-    """Watch nothing: what a contract moves touches nothing."""
-
-
 class StageContract:
-    """Tests of a stage; they home it, and move its press axis a few steps from where nothing touches."""
+    """Tests of a stage; they home it, and move its press axis a few steps from where nothing touches.
+
+    Every move towards the pad is one step at the speed of presses, and the load cell is read while anything moves.
+    """
 
     @pytest.fixture
-    def homed(self, stage: Stage, stage_settings: StageSettings) -> Stage:
+    def guard(self) -> Callable[[], None]:
+        """Return what is called while the stage moves; it raises when the load cell feels something."""
+        raise NotImplementedError("give a fixture `guard` that reads the load cell, as TestStage does")
+
+    @pytest.fixture
+    def homed(self, stage: Stage, stage_settings: StageSettings, guard: Callable[[], None]) -> Stage:
         """Return the stage with its places known, clear of the pad."""
         if stage.places_mm() is None:
             if stage_settings.homing == "by hand":
                 stage.trust_places()
             else:
-                stage.home(HOMING_S, unwatched)
-        self.go(stage, stage_settings, 0)
+                stage.home(HOMING_S, guard)
+        self.go(stage, stage_settings, 0, guard)
         return stage
 
-    def go(self, stage: Stage, settings: StageSettings, steps: int) -> float:
-        """Move some long steps into the pad from where nothing touches; return the place."""
-        to_mm = settings.clear_mm + settings.into_pad * steps * settings.step_mm
-        stage.move(settings.press_axis, to_mm, settings.travel_speed_mm_per_s, unwatched)
+    def go(self, stage: Stage, settings: StageSettings, steps: int, guard: Callable[[], None]) -> float:
+        """Move to some long steps into the pad from where nothing touches; return the place."""
+        axis, to_mm = settings.press_axis, settings.clear_mm + settings.into_pad * steps * settings.step_mm
+        places = stage.places_mm()
+        if places is None:
+            raise RefusedError("stage: does not know where it stands; home it")
+        at_mm = places[axis]
+        while settings.into_pad * (to_mm - at_mm) > settings.step_mm:
+            at_mm += settings.into_pad * settings.step_mm
+            stage.move(axis, at_mm, settings.press_speed_mm_per_s, guard)
+        is_away = settings.into_pad * (to_mm - at_mm) < 0.0
+        stage.move(axis, to_mm, settings.travel_speed_mm_per_s if is_away else settings.press_speed_mm_per_s, guard)
         return to_mm
 
     def test_it_says_what_it_is(self, stage: Stage) -> None:
@@ -280,32 +292,40 @@ class StageContract:
         assert identity.role == "stage"
         assert identity.driver
 
-    def test_its_place_is_unknown_before_it_is_homed(self, stage: Stage, stage_settings: StageSettings) -> None:
+    def test_its_place_is_unknown_before_it_is_homed(
+        self, stage: Stage, stage_settings: StageSettings, guard: Callable[[], None]
+    ) -> None:
         """A stage that was only opened moves nowhere."""
         if stage.places_mm() is not None:
             pytest.skip("the stage was homed by a test before")
         with pytest.raises(RefusedError):
-            self.go(stage, stage_settings, 1)
+            stage.move(stage_settings.press_axis, stage_settings.clear_mm, stage_settings.press_speed_mm_per_s, guard)
 
-    def test_it_arrives_and_comes_back(self, homed: Stage, stage_settings: StageSettings) -> None:
+    def test_it_arrives_and_comes_back(
+        self, homed: Stage, stage_settings: StageSettings, guard: Callable[[], None]
+    ) -> None:
         """Each place is reported within the uncertainty of the rig file, also after going back and forth."""
         for steps in (1, SMALL_MOVES, 2, 0, SMALL_MOVES, 0):
-            to_mm = self.go(homed, stage_settings, steps)
+            to_mm = self.go(homed, stage_settings, steps, guard)
             places = homed.places_mm()
             assert places is not None
             assert places[stage_settings.press_axis] == pytest.approx(
                 to_mm, abs=2.0 * stage_settings.position_uncertainty_mm
             )
 
-    def test_travel_is_kept_before_it_moves(self, homed: Stage, stage_settings: StageSettings) -> None:
+    def test_travel_is_kept_before_it_moves(
+        self, homed: Stage, stage_settings: StageSettings, guard: Callable[[], None]
+    ) -> None:
         """A place beyond the travel of the rig file is refused, and nothing moves."""
         before = homed.places_mm()
         beyond_mm = stage_settings.deepest_mm + stage_settings.into_pad
         with pytest.raises(RefusedError):
-            homed.move(stage_settings.press_axis, beyond_mm, stage_settings.travel_speed_mm_per_s, unwatched)
+            homed.move(stage_settings.press_axis, beyond_mm, stage_settings.travel_speed_mm_per_s, guard)
         assert homed.places_mm() == before
 
-    def test_what_the_watch_raises_stops_it(self, homed: Stage, stage_settings: StageSettings) -> None:
+    def test_what_the_watch_raises_stops_it(
+        self, homed: Stage, stage_settings: StageSettings, guard: Callable[[], None]
+    ) -> None:
         """It is told, the stage stands, and it can go on, at once or after it was homed again."""
         for kind in (CaptureError, KeyboardInterrupt):
 
@@ -316,7 +336,7 @@ class StageContract:
             with pytest.raises(kind):
                 homed.move(
                     stage_settings.press_axis,
-                    stage_settings.clear_mm + stage_settings.into_pad * SMALL_MOVES * stage_settings.step_mm,
+                    stage_settings.clear_mm + stage_settings.into_pad * stage_settings.step_mm,
                     stage_settings.press_speed_mm_per_s,
                     watch,
                 )
@@ -324,7 +344,7 @@ class StageContract:
             first = homed.places_mm()
             assert first == homed.places_mm()
             if first is not None:
-                self.go(homed, stage_settings, 0)
+                self.go(homed, stage_settings, 0, guard)
 
 
 class LoadCellContract:
@@ -360,6 +380,11 @@ class LoadCellContract:
 
 class TestStage(StageContract):
     """The stage of the rig file that ``--rig`` names."""
+
+    @pytest.fixture
+    def guard(self, stage_guard: Callable[[], None]) -> Callable[[], None]:
+        """Return what reads the load cell of the rig file."""
+        return stage_guard
 
 
 class TestLoadCell(LoadCellContract):

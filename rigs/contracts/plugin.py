@@ -3,7 +3,7 @@
 An installation offers it to every run of pytest, so that nothing but pytest is imported before a rig file is named.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         TactileRig,
     )
     from rigs import Camera, FilterWheel, Light, LoadCell, Stage
+    from rigs.capture import OpenTactileRig
 
 HERE = Path(__file__).parent
 SUITE = "devices.py"
@@ -152,15 +153,29 @@ def load_cell_settings(named_rig: NamedRig) -> "LoadCellSettings | None":
 
 
 @pytest.fixture(scope="class")
-def stage(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[Stage | None]":
-    """Open the stage."""
+def pressing(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[OpenTactileRig]":
+    """Open the stage, and the load cell that guards it."""
     from rigs.capture import open_tactile_rig
 
     rig = named_rig.finger
     if rig.stage is not None and rig.stage.homing == "by hand" and request.config.getoption("capture") != "no":
         pytest.skip("NOT TESTED: bring the stage to its zero, then run with -s, which says that it stands there")
-    with open_tactile_rig(rig, named_rig.folder, only="stage") as opened:
-        yield opened.stage
+    with open_tactile_rig(rig, named_rig.folder, only="stage and load cell") as opened:
+        yield opened
+
+
+@pytest.fixture(scope="class")
+def stage(pressing: "OpenTactileRig") -> "Stage | None":
+    """Return the stage."""
+    return pressing.stage
+
+
+@pytest.fixture(scope="class")
+def stage_guard(pressing: "OpenTactileRig", named_rig: NamedRig) -> "Callable[[], None]":
+    """Return what reads the load cell, and raises at a force where nothing should touch."""
+    from rigs.capture import guard_of_a_clear_way
+
+    return guard_of_a_clear_way(pressing, named_rig.finger, named_rig.folder)
 
 
 @pytest.fixture(scope="class")

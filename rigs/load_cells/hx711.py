@@ -25,7 +25,10 @@ BAUD: Final = 57600
 FIRMWARE_MAJOR: Final = 1
 FRESH_S: Final = 0.2
 """A reading that waited for longer in a buffer says nothing of the force now."""
-CREEP_S: Final = 2e-5
+CREEP_REL: Final = 0.01
+"""By how much the board's clock may be wrong: the ceramic resonator of an Uno is allowed 0.5 % and ages."""
+BACKLOG_S: Final = 1e-3
+"""A line that is there sooner had waited in a buffer."""
 GREET_WITHIN_S: Final = 3.5
 HIGHEST, LOWEST = 0x7FFFFF, -0x800000
 BOARD_VENDORS: Final = ("2341", "2a03", "1a86")
@@ -65,7 +68,7 @@ class Hx711Cell:
     def __init__(self, link: SerialLink, settings: LoadCellSettings) -> None:
         self._link, self._settings = link, settings
         self._name = f"load cell at {settings.address}"
-        self._last_ms, self._least_late_s = 0, math.inf
+        self._last_ms, self._least_late_s, self._last_s = 0, math.inf, time.monotonic()
         self._version = self._greet()
 
     def identity(self) -> PressDevice:
@@ -76,10 +79,13 @@ class Hx711Cell:
 
     def read(self, deadline_s: float) -> CellReading:
         """Return the next fresh reading; see :class:`rigs.LoadCell`."""
-        end_s = time.monotonic() + deadline_s
+        asked_s = time.monotonic()
+        end_s, is_backlog = asked_s + deadline_s, asked_s - self._last_s > FRESH_S
         while True:
+            began_s = time.monotonic()
             line = self._link.read_until(b"\n", end_s)
             now_s = time.monotonic()
+            is_backlog &= now_s - began_s < BACKLOG_S
             match = _LINE.fullmatch(line)
             if match is None or check_byte(match[1]) != int(match[6], 16):
                 continue  # damaged on the way, or a greeting: the next one comes soon, or the deadline tells
@@ -90,7 +96,7 @@ class Hx711Cell:
                 )
             if status == 1 or counts in (HIGHEST, LOWEST):
                 raise OverloadError(f"{self._name}: reads its end of scale; take the load away and check the wiring")
-            if self._waited_s(int(match[3]), now_s) <= FRESH_S:
+            if self._waited_s(int(match[3]), now_s) <= FRESH_S and not is_backlog:
                 return CellReading(counts, now_s)
             if now_s >= end_s:
                 raise TimedOutError(
@@ -105,8 +111,9 @@ class Hx711Cell:
             raise LostError(f"{self._name}: its board restarted; check its supply and cable")
         self._last_ms += ahead_ms
         late_s = now_s - 1e-3 * self._last_ms
-        # a crystal that is 100 ppm off would else look like lateness within half an hour
-        self._least_late_s = min(late_s, self._least_late_s + CREEP_S)
+        # a board whose clock is slow would else look later and later
+        self._least_late_s = min(late_s, self._least_late_s + CREEP_REL * (now_s - self._last_s))
+        self._last_s = now_s
         return late_s - self._least_late_s
 
     def _greet(self) -> str:

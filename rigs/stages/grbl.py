@@ -9,6 +9,7 @@ until the controller restarts, raises an alarm or is lost.
 """
 
 import contextlib
+import math
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -105,6 +106,7 @@ class GrblStage:
         self._link, self._settings = link, settings
         self._name = f"stage at {settings.address}"
         self._is_known, self._is_unanswered, self._offset_mm = False, False, {"X": 0.0, "Y": 0.0, "Z": 0.0}
+        self._drives = "was not told to move"
         self._numbers: dict[int, float] = {}
         self._firmware = self._reset(GREET_WITHIN_S)
         self._numbers = self._read_settings()
@@ -120,7 +122,7 @@ class GrblStage:
         )
 
     def places_mm(self) -> dict[str, float] | None:
-        """Ask where the axes stand; None while that is unknown."""
+        """Ask where the axes stand; None while that is unknown: not homed, restarted, in alarm, or its count jumped."""
         report = self._report(time.monotonic() + ANSWER_WITHIN_S)
         if report.state == "Alarm":
             self._is_known = False
@@ -138,6 +140,7 @@ class GrblStage:
         """Run the controller's homing cycle; it answers no question meanwhile."""
         self._is_known = False
         end_s = time.monotonic() + deadline_s
+        self._drives = "homes: all axes drive to their switches"
         try:
             self._link.write(b"$H\n", end_s)
             while True:
@@ -147,9 +150,10 @@ class GrblStage:
                     break
                 if line is None and time.monotonic() > end_s:
                     raise TimedOutError(f"{self._name}: did not home within {deadline_s:g} s; look at its switches")
-        except BaseException:
+        except BaseException as error:
             # a feed hold does nothing while it homes
-            self._halt()
+            if not self._halt():
+                raise self._unsafe(error) from error
             raise
         self._wait_for(("Idle",), time.monotonic() + STOP_WITHIN_S)
         self._is_known = True
@@ -158,6 +162,7 @@ class GrblStage:
         """Move one axis; see :class:`rigs.Stage`."""
         start_mm = self._start_of(axis, to_mm)
         deadline_s = abs(to_mm - start_mm) / speed_mm_per_s + MOVE_MARGIN_S
+        self._drives = f"drives on to {axis} = {to_mm:.3f} mm, the end of its move"
         try:
             line = f"$J=G21G90G53{axis}{to_mm:.3f}F{60.0 * speed_mm_per_s:.2f}\n"
             self._is_unanswered = True
@@ -182,16 +187,27 @@ class GrblStage:
             if was_unanswered:
                 # the move began after it was cancelled
                 state = self._stand(end_s)
+            before = self._report(time.monotonic() + ANSWER_WITHIN_S).places_mm
             self._reset(STOP_WITHIN_S)
-            self._is_known &= state != "Alarm"
-            self._is_known &= self._report(time.monotonic() + ANSWER_WITHIN_S).state == "Idle"
+            after = self._report(time.monotonic() + ANSWER_WITHIN_S)
+            # a controller whose supply broke down greets in the same way, and counts from 0
+            stayed = all(abs(after.places_mm[a] - at_mm) <= self._tolerance_mm(a) for a, at_mm in before.items())
+            self._is_known &= state != "Alarm" and after.state == "Idle" and stayed
         except CaptureError as error:
             self._is_known = False
             if not self._halt():
-                raise UnsafeError(
-                    f"{self._name}: NOT SEEN TO STOP: {error}. It drives to the end of its move at most "
-                    f"({self._settings.step_mm:g} mm towards the pad): switch its motors off before anyone touches it"
-                ) from error
+                raise self._unsafe(error) from error
+
+    def _unsafe(self, error: BaseException) -> UnsafeError:
+        """Return what to say of a stage that is not seen to stop: how far it may drive."""
+        return UnsafeError(
+            f"{self._name}: NOT SEEN TO STOP: {error}. It {self._drives}: switch its motors off before anyone touches "
+            "it"
+        )
+
+    def _tolerance_mm(self, axis: str) -> float:
+        """Return one step of the motor, and the rounding of a report."""
+        return 0.001 + 1.0 / self._numbers.get(100 + "XYZ".index(axis), 250.0)
 
     def _stand(self, end_s: float) -> str:
         """Cancel the jog, hold if that does not help, and return the state when it stands."""
@@ -221,8 +237,7 @@ class GrblStage:
 
     def _follow(self, axis: str, to_mm: float, end_s: float, watch: Callable[[], None]) -> None:
         """Return when two reports in a row say that the axis stands at its end."""
-        steps_per_mm = self._numbers.get(100 + "XYZ".index(axis), 250.0)
-        tolerance_mm = 0.001 + 1.0 / steps_per_mm
+        tolerance_mm = self._tolerance_mm(axis)
         asked_s = heard_s = taken_s = time.monotonic()
         is_taken, is_asked, arrivals = False, True, 0
         self._link.write(b"?", end_s)
@@ -381,16 +396,31 @@ def open_stage(settings: StageSettings) -> Iterator[GrblStage]:
 
 
 def found() -> list[tuple[str, str]]:
-    """Return the ports at which GRBL answers, and its version. Opening a port resets most boards."""
+    """Return the ports at which GRBL reports a place, and its version if it greets: boards restart when one is opened.
+
+    Only a status report is asked for, which no state of the controller forbids and which changes nothing.
+    """
     stages = []
     for port in usb_serial_ports():
         if port.usb_id.split(":")[0] not in BOARD_VENDORS:
             continue
-        # nothing moves: the travel is only there because a stage must have one
-        settings = StageSettings(
-            driver="grbl", address=port.address, homing="by hand", base_mm=0.0, clear_mm=0.0,
-            press_travel_mm=(-1.0, 0.0), pad_travel_mm=(0.0, 1.0),
-        )  # fmt: skip
-        with contextlib.suppress(CaptureError), open_stage(settings) as stage:
-            stages.append((port.address, f"GRBL {stage.identity().firmware}"))
+        with contextlib.suppress(CaptureError), SerialLink(port.address, BAUD, "stage") as link:
+            if (firmware := _version_behind(link)) is not None:
+                stages.append((port.address, f"GRBL {firmware}".strip()))
     return stages
+
+
+def _version_behind(link: SerialLink) -> str | None:
+    """Return the version with which a controller greeted, empty without a greeting; None where no place is reported."""
+    end_s, asked_s, firmware = time.monotonic() + GREET_WITHIN_S, -math.inf, ""
+    while time.monotonic() < end_s:
+        if time.monotonic() - asked_s > ASK_AGAIN_S:
+            link.write(b"?", end_s)
+            asked_s = time.monotonic()
+        with contextlib.suppress(TimedOutError):
+            line = link.read_until(b"\n", min(end_s, time.monotonic() + ASK_EVERY_S)).decode("ascii", "replace").strip()
+            if match := _BANNER.match(line):
+                firmware = match[1]
+            elif re.fullmatch(r"<\w+(?::\d+)?\|[MW]Pos:[-\d.,]+.*>", line):
+                return firmware
+    return None

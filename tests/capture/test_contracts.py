@@ -60,6 +60,7 @@ from tests.capture.drivers.test_mjpeg import WIDTH_PX as PICTURE_WIDTH_PX
 from tests.capture.drivers.test_mjpeg import ffmpeg_server
 from tests.capture.drivers.test_stage_and_cell import cell_settings, stage_settings
 from tests.capture.drivers.thorlabs_wheel import emulated_wheel
+from tests.command_line.running import finray
 
 RIG = simulated_rig("red", width_px=64, height_px=64)
 
@@ -76,6 +77,10 @@ class TestSimulatedStage(StageContract):
     def stage(self) -> Iterator[Stage | None]:
         with open_tactile_rig(FINGER, Path()) as opened:
             yield opened.stage
+
+    @pytest.fixture
+    def guard(self) -> Callable[[], None]:
+        return lambda: None  # nothing to touch: only the driver is looked at
 
 
 class TestSimulatedLoadCell(LoadCellContract):
@@ -105,6 +110,10 @@ class TestGrblStage(StageContract):
         with open_stage(stage_settings) as opened:
             yield opened
 
+    @pytest.fixture
+    def guard(self) -> Callable[[], None]:
+        return lambda: None  # nothing to touch: only the driver is looked at
+
 
 class TestHx711Cell(LoadCellContract):
     @pytest.fixture
@@ -121,7 +130,14 @@ class TestHx711Cell(LoadCellContract):
 def test_suite_runs_on_a_finger_rig(tmp_path: Path) -> None:
     write_tactile_rig(FINGER, tmp_path / "rig.toml")
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--pyargs", "rigs.contracts"]
-    done = subprocess.run([*command, "--rig", "rig.toml"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    options = {"cwd": tmp_path, "capture_output": True, "text": True, "check": False}
+    # a stage does not move before its cell can tell newtons
+    refused = subprocess.run([*command, "--rig", "rig.toml", "-k", "TestStage"], **options)
+    assert refused.returncode != 0
+    assert "finray rig calibrate-cell" in refused.stdout
+    calibrated = finray(f"rig calibrate-cell {tmp_path}/rig.toml --masses-g 20,50,100,200 --gravity 9.81")
+    assert calibrated.status == 0
+    done = subprocess.run([*command, "--rig", "rig.toml"], **options)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "IS HOMED and MOVES some steps from clear_mm" in done.stdout
     # five of the stage and four of the cell beside those of the camera

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -146,12 +147,42 @@ def test_reset_in_the_midst_of_a_move_loses_the_place(homed, bench):
     homed.move("Z", -1.0, FAST_MM_PER_S, nothing)
 
 
+def test_controller_that_restarted_at_the_stop_has_lost_its_place(homed, bench, monkeypatch):
+    """Its supply broke down: it greets as after our reset, is not locked ($22=0), and counts from 0."""
+    homed.move("Z", -1.0, FAST_MM_PER_S, nothing)
+    reset = bench.controller.reset
+
+    def cold() -> None:
+        reset()
+        bench.controller.at_mm, bench.controller.state = {"X": 0.0, "Y": 0.0, "Z": 0.0}, "Idle"
+
+    homed.stop()
+    assert homed.places_mm()["Z"] == pytest.approx(-1.0, abs=0.003)
+    monkeypatch.setattr(bench.controller, "reset", cold)
+    homed.stop()
+    assert homed.places_mm() is None
+
+
+def test_detection_changes_nothing(bench, monkeypatch):
+    from rigs.stages import grbl
+
+    ports = [
+        SimpleNamespace(address=str(port.path), usb_id="1a86:7523")
+        for port in (bench.controller.port, bench.amplifier.port)
+    ]
+    monkeypatch.setattr(grbl, "usb_serial_ports", lambda: ports)
+    monkeypatch.setattr(bench.controller, "reset", lambda: pytest.fail("it was reset"))
+    bench.controller.state = "Run"
+    assert grbl.found() == [(str(bench.controller.port.path), "GRBL")]
+    assert bench.controller.lines == []
+
+
 def test_mute_controller_is_stopped_by_a_reset(homed, bench):
     def mute() -> None:
         bench.controller.is_mute = True
 
     threading.Timer(0.3, mute).start()
-    with pytest.raises(UnsafeError, match=r"NOT SEEN TO STOP.*at most"):
+    with pytest.raises(UnsafeError, match=r"NOT SEEN TO STOP.*drives on to Z = -19.000 mm, the end of its move"):
         homed.move("Z", -19.0, 1.0, nothing)
     # it hears although it does not speak
     assert bench.rests
@@ -170,7 +201,8 @@ def test_pulled_cable_ends_in_a_stop_when_it_is_back(homed, bench):
 
 def test_cable_that_stays_away_says_how_far_it_drives(homed, bench):
     threading.Timer(0.2, bench.controller.port.pull).start()
-    with pytest.raises(UnsafeError, match=r"drives to the end of its move at most \(0.05 mm towards the pad\)"):
+    # the whole way, not a step of the rig file
+    with pytest.raises(UnsafeError, match=r"drives on to Z = -1.000 mm, the end of its move: switch its motors off"):
         homed.move("Z", -1.0, 1.0, nothing)
 
 
@@ -232,6 +264,46 @@ def test_old_readings_are_passed_over(cell, bench):
     # at most 0.2 s old, of 80 that wait
     assert reading.at_s >= asked_s
     assert int(bench.amplifier.last_line.split()[1]) > 80
+
+
+@pytest.mark.parametrize("rate_hz", [10, 80])
+@pytest.mark.parametrize("slow_rel", [-0.005, 0.005])
+def test_clock_of_a_resonator_is_not_taken_for_lateness(monkeypatch, rate_hz, slow_rel):
+    """An Uno's is allowed 0.5 %: an hour of readings, with a pause of two minutes after half of it."""
+    clock = Ticking()
+    monkeypatch.setattr("rigs.load_cells.hx711.time", clock)
+    cell = Hx711Cell(BoardOnAClock(clock, rate_hz, slow_rel), cell_settings("/dev/none", rate_hz=rate_hz))
+    for _ in range(1800 * rate_hz):
+        cell.read(0.5)
+    clock.now_s += 120.0
+    for _ in range(1800 * rate_hz):
+        read_at_s = cell.read(0.5).at_s
+        assert clock.now_s - read_at_s < 0.01
+
+
+class Ticking:
+    now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+class BoardOnAClock:
+    """The port of a board whose clock is slow by a share."""
+
+    def __init__(self, clock: Ticking, rate_hz: int, slow_rel: float) -> None:
+        self._clock, self._rate_hz, self._slow_rel, self._number = clock, rate_hz, slow_rel, -1
+
+    def write(self, data: bytes, end_s: float) -> None: ...
+
+    def read_until(self, terminator: bytes, end_s: float) -> bytes:
+        self._number += 1
+        if self._number == 0:
+            return b"CELL 1.0\n"
+        at_s = self._number / self._rate_hz
+        self._clock.now_s = max(self._clock.now_s, at_s)
+        text = f"R {self._number % 65536} {int(1e3 * at_s * (1.0 - self._slow_rel))} {self._number % 7} 0".encode()
+        return text + b" %02X\n" % crc8(text)
 
 
 def test_silent_cell_is_told_in_time(cell, bench):

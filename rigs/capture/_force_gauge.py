@@ -1,0 +1,214 @@
+"""The force of a load cell: counts above a tare by the slope of its calibration, and what makes it doubtful.
+
+The first tare of a session must agree with the empty cell of the calibration, and every later one with the first, so
+that no drift, and no pad that is taken for one, can lift the force limit unseen.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from data_schemas import CaptureError, LoadCellCalibration, LoadCellSettings, LostError, RecordError, TactileRig
+from data_schemas.storage import read_record
+from rigs import LoadCell
+
+TARE_READINGS: Final = 32
+STEP_READINGS: Final = 8
+SETTLING_READINGS: Final = 4
+"""The HX711's filter has taken in a change after four readings (its data sheet: 50 ms at 80 Hz, 400 ms at 10 Hz)."""
+COARSE_SD: Final = 8.0
+LEAST_EQUAL: Final = 4
+ZERO_MOVED_SHARE: Final = 0.1
+"""Of the force limit: a zero that moved by more tells of a loose cell or a warm amplifier; noise must stay below."""
+UNLOADED_SHARE: Final = 0.25
+"""Of the force limit: so far from the empty cell of its calibration may a session begin."""
+FOLLOWED_SD: Final = 2.0
+"""A drift moves a mean by less from step to step; a pad soon moves it by more, and is not taken for a drift."""
+BUFFERED_S: Final = 0.2
+
+
+def read_cell_calibration(settings: LoadCellSettings, folder: Path) -> LoadCellCalibration:
+    """Read the calibration that a rig file names.
+
+    Raises
+    ------
+    RecordError
+        It is missing, no such record, or that of a cell with another driver.
+    """
+    path = folder / settings.calibration
+    if not path.is_file():
+        raise RecordError(
+            f"{path}: no such file, and without a calibration the load cell tells no newtons; write it with: finray "
+            f"rig calibrate-cell RIG --out {path}"
+        )
+    calibration = read_record(path, LoadCellCalibration)
+    driver, _, _ = calibration.cell.rpartition(", ")[2].partition(" ")
+    if driver != settings.driver:
+        raise RecordError(
+            f"{path}: is the calibration of '{calibration.cell}', and load_cell.driver of the rig file is "
+            f"{settings.driver}; calibrate this cell: finray rig calibrate-cell RIG --out {path}"
+        )
+    return calibration
+
+
+def calibration_notes(rig: TactileRig, calibration: LoadCellCalibration) -> tuple[str, ...]:
+    """Say what makes the calibration of a load cell doubtful: another address, and forces beyond its masses."""
+    if (settings := rig.load_cell) is None:
+        return ()
+    heaviest_n, notes = max(calibration.masses_kg) * calibration.gravity_m_per_s2, []
+    _, _, address = calibration.cell.rpartition(", ")[2].partition(" ")
+    if address != settings.address:
+        notes.append(
+            f"load cell: was calibrated at '{address}' and is at '{settings.address}' now; if it is another cell, "
+            "calibrate it"
+        )
+    if settings.force_limit_n > heaviest_n:
+        notes.append(
+            f"load cell: forces above {heaviest_n:.3g} N, the heaviest mass of its calibration, are extrapolated "
+            f"(force_limit_n is {settings.force_limit_n:g} N); their uncertainty holds for a cell that stays straight"
+        )
+    return tuple(notes)
+
+
+class Force(NamedTuple):
+    """A mean force above the tare, and its standard uncertainty by noise alone (N)."""
+
+    mean_n: float
+    noise_n: float
+
+
+class ForceGauge:
+    """A load cell with its calibration and a tare.
+
+    Parameters
+    ----------
+    cell, settings
+        The open cell and what the rig file says of it.
+    calibration
+        How its counts become newtons.
+    """
+
+    def __init__(self, cell: LoadCell, settings: LoadCellSettings, calibration: LoadCellCalibration) -> None:
+        self._cell, self._settings, self._slope = cell, settings, calibration.slope_n_per_count
+        equal = max(LEAST_EQUAL, math.ceil(settings.silent_s * settings.rate_hz))
+        self._newest: deque[int] = deque(maxlen=equal)
+        self._zero, self._zero_readings, self.noise_n = math.nan, TARE_READINGS, math.nan
+        self._tared = self._first_zero = math.nan
+        slope, masses = calibration.slope_n_per_count, np.array(calibration.masses_kg)
+        unloaded = np.array(calibration.counts) - masses * calibration.gravity_m_per_s2 / slope
+        self._unloaded = float(unloaded.mean())
+
+    def reading_n(self) -> float:
+        """Return the next reading above the tare (N); nan before there is one. Raises what :meth:`strongest_n` does."""
+        return (self._counts() - self._zero) * self._slope
+
+    def strongest_n(self) -> float:
+        """Return the next reading above the tare or above the first one of the session (N), whichever is larger.
+
+        Raises
+        ------
+        LostError
+            The same count came for as long as the cell may be silent: an amplifier's noise never does that.
+        TimedOutError
+            No reading came for so long.
+        """
+        counts = self._counts()
+        return max(((counts - zero) * self._slope for zero in (self._zero, self._first_zero)), key=abs)
+
+    def _counts(self) -> int:
+        """Return the next count, unless the cell is stuck."""
+        counts = self._cell.read(self._settings.silent_s).counts
+        self._newest.append(counts)
+        if len(self._newest) == self._newest.maxlen and len(set(self._newest)) == 1:
+            raise LostError(
+                f"load cell: has said {counts} for {self._newest.maxlen} readings, so it is stuck; check amplifier and "
+                "wiring"
+            )
+        return counts
+
+    def begin(self, now_s: Callable[[], float]) -> None:
+        """Tare for the first time in a session, with nothing on the cell; `now_s` tells the time.
+
+        Raises
+        ------
+        CaptureError
+            The cell reads far from the empty one of its calibration, at another rate than the rig file says, or as
+            :meth:`tare` raises.
+        """
+        settings = self._settings
+        for _ in range(math.ceil(BUFFERED_S * settings.rate_hz)):
+            self._counts()
+        began_s = now_s()
+        self.tare()
+        rate_hz = TARE_READINGS / max(now_s() - began_s, 1e-9)
+        if not 0.5 < rate_hz / settings.rate_hz < 2.0:
+            raise CaptureError(
+                f"load cell: says {rate_hz:.3g} readings a second, and rate_hz of the rig file is {settings.rate_hz}; "
+                "correct it, or set the RATE pin of the HX711 (low: 10, high: 80)"
+            )
+        allowed_n, off_n = UNLOADED_SHARE * settings.force_limit_n, (self._zero - self._unloaded) * self._slope
+        if abs(off_n) > allowed_n:
+            raise CaptureError(
+                f"load cell: reads {off_n:.3g} N by its calibration where nothing should touch ({allowed_n:.3g} N are "
+                "allowed): something lies on it or presses, a wire of its bridge is broken, or it is another cell; "
+                "free it, or calibrate it as it is mounted"
+            )
+        self._first_zero = self._zero
+
+    def tare(self) -> None:
+        """Take the mean of some readings for no force, and their scatter for the noise of one.
+
+        Raises
+        ------
+        CaptureError
+            It is far from the first one, or noise could hide a tenth of the force limit.
+        """
+        counts = np.array([self._counts() for _ in range(TARE_READINGS)], dtype=float)
+        self._zero = self._tared = float(counts.mean())
+        self._zero_readings, self.noise_n = TARE_READINGS, float(counts.std(ddof=1)) * abs(self._slope)
+        allowed_n = ZERO_MOVED_SHARE * self._settings.force_limit_n
+        if COARSE_SD * self.noise_n > allowed_n:
+            raise CaptureError(
+                f"load cell: noise of {self.noise_n:.2g} N in one reading is too much for force_limit_n = "
+                f"{self._settings.force_limit_n:g} N ({allowed_n / COARSE_SD:.2g} N are allowed); shield its wires, "
+                "fasten it, or read it 10 times a second"
+            )
+        moved_n = (self._zero - self._first_zero) * self._slope
+        if abs(moved_n) > allowed_n:
+            raise CaptureError(
+                f"load cell: is {moved_n:+.3g} N from the tare of the session's beginning ({allowed_n:.3g} N are "
+                "allowed): its zero drifts, or the pad is still pressed; let it warm up, fasten it, then resume"
+            )
+
+    def mean(self, readings: int = STEP_READINGS) -> Force:
+        """Return the mean of readings that the amplifier's filter has forgotten the past in."""
+        for _ in range(SETTLING_READINGS):
+            self.reading_n()
+        mean_n = float(np.mean([self.reading_n() for _ in range(readings)]))
+        return Force(mean_n, self.noise_n * math.sqrt(1.0 / readings + 1.0 / self._zero_readings))
+
+    def follow(self, force: Force) -> None:
+        """Take a mean of a step that touched nothing for no force, by two standard deviations at most: it drifts."""
+        most_n = FOLLOWED_SD * force.noise_n
+        self._zero += min(max(force.mean_n, -most_n), most_n) / self._slope
+        self._zero_readings = STEP_READINGS
+
+    def absorbed_n(self) -> float:
+        """Return the force of the pad that the zero may have followed since the tare (N)."""
+        followed_n = (self._zero - self._tared) * self._slope
+        return max(followed_n, 0.0) + FOLLOWED_SD * self.noise_n / math.sqrt(STEP_READINGS) if followed_n else 0.0
+
+    def settled(self) -> Force:
+        """Return the force when two means in a row agree, or after the longest wait that the rig file allows."""
+        before = self.mean()
+        rounds = int(self._settings.settle_s * self._settings.rate_hz / (STEP_READINGS + SETTLING_READINGS))
+        for _ in range(max(rounds, 1)):
+            now = self.mean()
+            if abs(now.mean_n - before.mean_n) <= 3.0 * self.noise_n * math.sqrt(2.0 / STEP_READINGS):
+                return now
+            before = now
+        return before
