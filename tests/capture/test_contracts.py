@@ -534,7 +534,7 @@ class TestOnARigFile:
         done = self.run(tmp_path, "--rig", "tactile.toml", "-k", "says_what_it_is")
         assert done.returncode == 0, done.stdout
         assert "camera: folder at .; takes frames" in done.stdout
-        assert "1 passed, 3 skipped" in done.stdout
+        assert "1 passed, 5 skipped" in done.stdout
         assert "a rig of a tactile session has a camera only" in done.stdout
 
     def test_plugin_may_be_named(self, tmp_path: Path) -> None:
