@@ -535,7 +535,7 @@ class TestOnARigFile:
         assert done.returncode == 0, done.stdout
         assert "camera: folder at .; takes frames" in done.stdout
         assert "1 passed, 5 skipped" in done.stdout
-        assert "a rig of a tactile session has a camera only" in done.stdout
+        assert "a rig of a tactile session has no wheel and no light" in done.stdout
 
     def test_plugin_may_be_named(self, tmp_path: Path) -> None:
         """As it had to be before."""
