@@ -1,6 +1,6 @@
 """The finger: mechanics, optics and the studies that join them.
 
-A :class:`~data_schemas.design.FingerDesign`, ready-made (`preset_design`) or written as TOML (`design_toml`),
+A :class:`~data_schemas.FingerDesign`, ready-made (`preset_design`) or written as TOML (`design_toml`),
 becomes a mesh that :mod:`sim.mechanics` presses; :mod:`sim.surface_meshes` turns meshes into the surfaces that
 light meets; :mod:`sim.optics` renders them and sweeps the angle of the light; :mod:`sim.experiments` does both for a
 painted finger and returns records. Mechanics and optics know nothing of each other. A compiled library is proven in

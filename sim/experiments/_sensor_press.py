@@ -120,10 +120,10 @@ def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
 def _tool_mm(design: FingerDesign, rest: GelHeight, folder: Path) -> Floats:
     """Return the lowest height of the indenter over each place of the pad, (nx, nz); inf where it is not."""
     indenter = design.indenter
-    is_ball = indenter.shape == "ball"
-    if not is_ball and (indenter.shape != "cylinder" or indenter.across_mm != 0.0 or any(indenter.rotation_deg)):
+    if not _is_by_formula(indenter):
         return _body_mm(design, rest, folder)
-    across = rest.x_mm[:, None] - indenter.across_mm if is_ball else np.zeros((rest.x_mm.size, 1))
+    across = rest.x_mm[:, None] - indenter.across_mm
+    across = across if indenter.shape == "ball" else 0.0 * across
     offset, radius = np.hypot(across, rest.z_mm - indenter.position_mm), indenter.radius_mm
     under = np.where(offset < radius, -np.sqrt(np.maximum(radius**2 - offset**2, 0.0)), np.inf)
     first_touch = float((rest.height_mm - under).max())
@@ -150,7 +150,7 @@ def _require_under(tool_mm: Floats, design: FingerDesign) -> None:
 
 
 def _is_by_formula(indenter: Indenter) -> bool:
-    """Return whether the analytic press of a finger knows this indenter, or there is none."""
+    """Return whether the indenter is a ball, a cylinder straight across, or none: its shape is a formula."""
     is_straight = indenter.across_mm == 0.0 and not any(indenter.rotation_deg)
     return indenter.depth_mm == 0.0 or indenter.shape == "ball" or (indenter.shape == "cylinder" and is_straight)
 
