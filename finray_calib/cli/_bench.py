@@ -225,7 +225,7 @@ def _of_gel(
     """Return what our model of a gel predicts, and the numbers that the teaching presses gave it."""
     from sim.experiments import predict_on_gel, teach_gel
 
-    say(f"fitting {GEL} to {len(taught)} presses: a minute")
+    say(f"fitting {GEL} to {len(taught)} presses, which takes a minute or two")
     gel = teach_gel([captures[name] for name in taught])
     for number in gel.numbers:
         unit = "" if number.unit == "1" else f" {number.unit}"
