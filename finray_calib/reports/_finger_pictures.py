@@ -287,11 +287,11 @@ def draw_patch(axes: Axes, motion: PressMotion, k: int) -> PathCollection:
     largest = float(np.linalg.norm(motion.shear_mpa[..., [0, 2]], axis=-1).max())
     if largest > 0.0:
         size = max(float(np.ptp(x)), float(np.ptp(z)), 1.0)
-        on_coat = -motion.shear_mpa[k, touches]
-        axes.quiver(
-            x[touches], z[touches], on_coat[:, 0], on_coat[:, 2], angles="xy", scale_units="xy",
-            scale=largest / (_ARROWS_SHARE * size), color=INK, width=0.006,
-        )  # fmt: skip
+        arrows = -motion.shear_mpa[k, touches][:, [0, 2]] * (_ARROWS_SHARE * size / largest)
+        starts = np.column_stack([x, z])[touches]
+        axes.quiver(*starts.T, *arrows.T, angles="xy", scale_units="xy", scale=1.0, color=INK, width=0.006)
+        axes.update_datalim(starts + arrows)
+        axes.autoscale_view()
     x_mm, y_mm, z_mm = motion.moves_mm[k]
     turn = float(np.linalg.norm(motion.turns_deg[k]))
     axes.set_title(
