@@ -159,9 +159,9 @@ docs: $(VENV)/installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --clean --quiet
 	@echo "site/index.html is made; to search in it, serve it: $(BIN)/python -m http.server --bind 127.0.0.1 --directory site"
 
-# The picture of a touch in README.md, rendered anew; some minutes.
+# Pictures of the README and of how-tos, by the commands that their pages tell; some ten minutes.
 pictures: $(VENV)/installed-dev llvm
-	$(BIN)/python -m docs.touch_picture
+	$(BIN)/python -m docs.pictures $(PICTURES)
 
 # Those of docs/reference/paper-experiments.md, by its studies; points of another commit are computed anew. RENEW= keeps them.
 PAPER_STUDIES ?= $(VENV)/studies

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
         TactileCapture,
     )
     from finray_calib.compare import CheckOptions
-    from finray_calib.reports import PressPictures
 
 SUMMARY, TABLE, PAGE = "summary.json", "summary.csv", "summary.html"
 REPORT = ".photometric-error"
@@ -71,20 +70,21 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     CompareError
         No pair is there, or none could be compared (the summary says why, pair by pair).
     """
-    from data_schemas import ComparisonBatch, provenance
-    from data_schemas.storage import ProductSet, write_record
-    from finray_calib.compare import DILATED, rank_simulators, skill_differences, to_capture, worst_pairs
-    from finray_calib.reports import batch_page
-
     jobs, notes = _jobs(arguments)
     out = _place(arguments.out or Path("photometric-errors"), jobs)
     work = _Work(
         out, command_line(), arguments.seed, arguments.register, arguments.despite_mismatch, arguments.normal_map,
         arguments.scale,
     )  # fmt: skip
-    _options.cache_clear()
-    _options(work)  # a map or scale that cannot be read is a mistake of the whole command
     with _Workers(work, jobs) as workers:
+        # while the processes start, too
+        from data_schemas import ComparisonBatch, provenance
+        from data_schemas.storage import ProductSet, write_record
+        from finray_calib.compare import DILATED, rank_simulators, skill_differences, to_capture, worst_pairs
+        from finray_calib.reports import PressPictures, batch_page
+
+        _options.cache_clear()
+        _options(work)  # a map or scale that cannot be read is a mistake of the whole command
         compared, read = _compare_all(jobs, workers)
         chosen = _worst_of_each(compared)
         pages = workers.do("page", [jobs[k] for k in chosen], "pages of the lowest scores")
@@ -102,11 +102,10 @@ def compare_folders(arguments: argparse.Namespace) -> None:
         notes=tuple(notes),
     )
     inputs = read | input_digests([*work.listed, *([] if arguments.pairs is None else [arguments.pairs])])
+    shown = [PressPictures.model_validate(page["pictures"]) for page in pages]
     with ProductSet(out / SUMMARY) as products:
-        shown = []
         for k, page in zip(chosen, pages, strict=True):
-            products.add((out / jobs[k].report).with_suffix(".html"), page.encode())
-            shown.append(_pictures(jobs[k], work))
+            products.add((out / jobs[k].report).with_suffix(".html"), page["page"].encode())
         products.add(out / TABLE, _table(batch).encode())
         products.add(out / PAGE, batch_page(batch, shown, command_line(), inputs).encode())
         write_record(batch, out / SUMMARY, provenance(command_line(), inputs, arguments.seed), products)
@@ -504,32 +503,21 @@ def _stored_report(path: Path, origin: "Provenance") -> "PhotometricErrorReport"
     return report
 
 
-def _shown(job: _Job, work: _Work) -> "tuple[PhotometricErrorReport, SimulatedPress, TactileCapture]":
-    """Return the stored report of a pair, and both sides as they were compared."""
+def _page(job: _Job, work: _Work) -> dict[str, Any]:
+    """Return the page of a pair, and its small pictures for the page over all."""
     from data_schemas import PhotometricErrorReport
     from data_schemas.storage import read_record
     from finray_calib.compare import shown_press
+    from finray_calib.reports import comparison_page, press_pictures
 
     report = read_record(work.out / job.report, PhotometricErrorReport)
     press, capture = _read_pair(job)
-    return report, shown_press(press, capture, work.registered), capture
-
-
-def _page(job: _Job, work: _Work) -> str:
-    """Return the page of a pair."""
-    from finray_calib.reports import comparison_page
-
-    report, shown, capture = _shown(job, work)
+    shown = shown_press(press, capture, work.registered)
     digests: Mapping[str, str] = {} if report.provenance is None else report.provenance.input_sha256
-    return comparison_page(report, shown, capture, work.command, digests)
-
-
-def _pictures(job: _Job, work: _Work) -> "PressPictures":
-    """Return the small pictures of a pair for the page over all."""
-    from finray_calib.reports import press_pictures
-
-    report, shown, capture = _shown(job, work)
-    return press_pictures(job.simulator, job.name, job.report.with_suffix(".html").as_posix(), report, shown, capture)
+    link = job.report.with_suffix(".html").as_posix()
+    small = press_pictures(job.simulator, job.name, link, report, shown, capture)
+    page = comparison_page(report, shown, capture, work.command, digests)
+    return {"page": page, "pictures": small.model_dump(mode="json")}
 
 
 def _worst_of_each(compared: "Sequence[ComparedPair]") -> list[int]:

@@ -145,31 +145,54 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
     distance = _distance(capture)
     if distance.shape != table.shape_px:
         raise CompareError(f"{capture.name}: has another size than the presses that taught the table")
-    full_dn = full_scale_dn(capture)
-    no_contact = np.nan_to_num(rgb_image(capture.no_contact, capture), nan=full_dn)
-    contact = no_contact.copy()
+    ratio = np.ones((*distance.shape, 3))
     near = np.flatnonzero(_near(distance))
     for part in np.array_split(near, max(1, len(near) // _PIXELS_AT_ONCE)):
         where = np.zeros(distance.size, dtype=np.bool_)
         where[part] = True
         where = where.reshape(distance.shape)
-        change = _terms(distance, where, table.half_width_px) @ table.coefficients
-        contact[where] = np.clip(no_contact[where] * (1.0 + change), 0.0, full_dn)
+        ratio[where] += _terms(distance, where, table.half_width_px) @ table.coefficients
+    taught = f"taught by {len(table.taught_by)} other presses: {', '.join(table.taught_by)}"
+    return predicted_press(capture, ratio, distance, ("table", TABLE_LABEL, "table"), taught)
+
+
+def predicted_press(
+    capture: TactileCapture,
+    ratio: Floats,
+    distance: Floats,
+    by: tuple[str, str, Literal["table", "rendered"]],
+    taught: str,
+) -> SimulatedPress:
+    """Return the press that a change of the no-contact image of a capture predicts.
+
+    Parameters
+    ----------
+    capture
+        The capture; its contact image is not looked at.
+    ratio
+        (H, W, 3) contact over no contact.
+    distance
+        (H, W) from the contact in half-widths.
+    by
+        What predicts, in a word; its label; the method of the record.
+    taught
+        Which presses taught it, in words.
+    """
+    predictor, label, method = by
+    full_dn = full_scale_dn(capture)
+    no_contact = np.nan_to_num(rgb_image(capture.no_contact, capture), nan=full_dn)
     return SimulatedPress(
-        name=f"{capture.name}, table",
-        label=TABLE_LABEL,
-        method="table",
+        name=f"{capture.name}, {predictor}",
+        label=label,
+        method=method,
         encoding=capture.encoding,
         no_contact=no_contact.astype(np.float32),
-        contact=contact.astype(np.float32),
+        contact=np.clip(no_contact * ratio, 0.0, full_dn).astype(np.float32),
         distance=distance.astype(np.float32),
         variance=None,
         light_angle_deg=None,
         design=None,
-        notes=(
-            f"taught by {len(table.taught_by)} other presses: {', '.join(table.taught_by)}",
-            "the contact is where the capture has it, and the no-contact image is the capture's",
-        ),
+        notes=(taught, "the contact is where the capture has it, and the no-contact image is the capture's"),
     )
 
 

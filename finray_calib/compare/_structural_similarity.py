@@ -21,7 +21,7 @@ _BORDER_PX = WINDOW_PX // 2
 _SIGMA_PX = 1.5
 _K1, _K2 = 0.01, 0.03
 #: Rows worked at once, in buffers that are allocated once: fresh memory for each band costs more than its arithmetic.
-_BAND_ROWS = 64
+_BAND_ROWS = 128
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from data_schemas import FittedToneCurve, Interval, WhiteBalanceDrift
 from finray_calib.compare._image_noise import block_mean
 from finray_calib.compare._region_sums import RenderLayers
 from finray_calib.compare._regions import every_channel
+from finray_calib.spectra import compiled
 
 Floats = NDArray[np.float64]
 #: Draws of the curve that are stored; with the first of them, and draws of the gains, the score is formed.
@@ -377,28 +378,51 @@ def far_gain(
     """
     side = max(1, min(_FAR_BLOCK_PX, min(distance.shape) // 15))
     far, away = distance > FAR, block_mean(np.nan_to_num(distance), side)
-    found = [
-        _channel_gain(
-            [np.ascontiguousarray(i[..., c]) for i in (*captured, *simulated)], far, away, side, full_scale_dn
-        )
-        for c in range(3)
-    ]
+    contact, rest, rendered, rendered_rest = (np.ascontiguousarray(image) for image in (*captured, *simulated))
+    levels = np.array([_DARKEST_SHARE, _BRIGHTEST_SHARE]) * full_scale_dn
+    sums = np.zeros((5, *away.shape, 3))
+    _add_usable(contact, rest, rendered, rendered_rest, far, levels, side, sums)
+    share = sums[4] / side**2
+    found = [_channel_gain(share[..., c], sums[:4, ..., c], away) for c in range(3)]
     real, expected, noise_u, u, uneven, blocks = (np.array(values) for values in zip(*found, strict=True))
     if blocks.max() < _LEAST_FAR_BLOCKS:
         return None
     return FarGain(real, expected, noise_u, u, uneven, blocks.astype(np.int64))
 
 
-def _channel_gain(
-    images: list[Floats], far: NDArray[np.bool_], away: Floats, side: int, full_scale_dn: float
-) -> tuple[float, float, float, float, float, int]:
-    """Return what `FarGain` holds of one channel, from its far pixels and the blocks' distances; zeros if unknown."""
-    contact, rest = images[:2]
-    usable = far & np.isfinite(contact + rest)
-    for image in (contact, rest):
-        usable &= (image > _DARKEST_SHARE * full_scale_dn) & (image < _BRIGHTEST_SHARE * full_scale_dn)
-    share = block_mean(usable.astype(np.float64), side)
-    sums = np.array([block_mean(np.where(usable, image, 0.0), side) for image in images])
+@compiled
+def _add_usable(
+    contact: Floats,
+    rest: Floats,
+    rendered: Floats,
+    rendered_rest: Floats,
+    far: NDArray[np.bool_],
+    levels: Floats,
+    side: int,
+    sums: Floats,
+) -> None:
+    """Add the far pixels (H, W, 3) between two levels to the sums of blocks, and last their number: (5, rows, ...)."""
+    darkest, brightest = levels
+    for row in range(sums.shape[1] * side):
+        for column in range(sums.shape[2] * side):
+            if not far[row, column]:
+                continue
+            i, j = row // side, column // side
+            for c in range(3):
+                a, b = contact[row, column, c], rest[row, column, c]
+                if darkest < a < brightest and darkest < b < brightest:
+                    sums[4, i, j, c] += 1.0
+                    sums[0, i, j, c] += a
+                    sums[1, i, j, c] += b
+                    sums[2, i, j, c] += rendered[row, column, c]
+                    sums[3, i, j, c] += rendered_rest[row, column, c]
+
+
+def _channel_gain(share: Floats, sums: Floats, away: Floats) -> tuple[float, float, float, float, float, int]:
+    """Return what `FarGain` holds of one channel; zeros if unknown.
+
+    Of each block: the share of its pixels that are usable, their sums in the four images, and its distance.
+    """
     used = (share >= _LEAST_VALID) & (sums > 0.0).all(axis=0)
     blocks = int(used.sum())
     if blocks < _LEAST_FAR_BLOCKS:
@@ -438,7 +462,10 @@ def drift_record(gain: FarGain, is_corrected: bool) -> WhiteBalanceDrift:
 
 def without_gain(image: Floats, log_gain: Floats, offset_dn: float) -> Floats:
     """Return an image at the light of another one: b + (image - b) / gain, per channel."""
-    return np.asarray(image + (image - offset_dn) * np.expm1(-log_gain))
+    changed = image - offset_dn
+    changed *= np.expm1(-log_gain)
+    changed += image
+    return np.asarray(changed)
 
 
 def layers_without_gain(layers: RenderLayers, log_gain: Floats, offset_dn: float) -> RenderLayers:

@@ -4,7 +4,6 @@ Simulators are ranked over the presses that all of them have; the worst presses 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,6 +13,7 @@ from data_schemas import (
     ComparedPair,
     ComparisonBatch,
     ErrorAttribution,
+    Model,
     PhotometricErrorReport,
     SimulatedPress,
     SimulatorScore,
@@ -23,7 +23,7 @@ from data_schemas import (
     package_version,
 )
 from finray_calib.reports._comparison_statements import judged_skill
-from finray_calib.reports._images import ByteImage, touch_changes, touch_pictures
+from finray_calib.reports._images import ByteImage, png_data_uri, touch_changes, touch_pictures
 from finray_calib.reports._page import (
     Content,
     KeyNumber,
@@ -39,7 +39,6 @@ from finray_calib.reports._page import (
     in_rows,
     light_of,
     one_group,
-    raster,
     report_html,
     trust_part,
 )
@@ -52,9 +51,8 @@ _MOST_DOTS = 2000
 _SHOWN_PERCENTILE = 99.0
 
 
-@dataclass(frozen=True, slots=True)
-class PressPictures:
-    """What the page shows of one press.
+class PressPictures(Model):
+    """What the page shows of one press; plain text, so that another process can make it.
 
     Attributes
     ----------
@@ -65,16 +63,16 @@ class PressPictures:
     skill
         Of the simulation.
     tiles
-        Captured, simulated and what is left over, side by side, 8-bit.
+        Captured, simulated and what is left over, side by side, as a PNG data URI.
     attribution
-        Causes of its error; None where they cannot be told.
+        Causes of its error without their maps; None where they cannot be told.
     """
 
     simulator: str
     name: str
     page: str
     skill: float
-    tiles: ByteImage
+    tiles: str
     attribution: ErrorAttribution | None
 
 
@@ -92,7 +90,11 @@ def press_pictures(
     left = changes.simulated - changes.captured
     scale = float(np.nanpercentile(np.abs(changes.captured), _SHOWN_PERCENTILE)) if changes.captured.size else 1.0
     tiles = _tiles([shown.captured, shown.simulated, _signed(left, max(scale, 1e-9))])
-    return PressPictures(simulator, name, page, report.headline_skill.estimate, tiles, report.attribution)
+    causes = None if report.attribution is None else report.attribution.model_copy(update={"maps": None})
+    return PressPictures(
+        simulator=simulator, name=name, page=page, skill=report.headline_skill.estimate, tiles=png_data_uri(tiles),
+        attribution=causes,
+    )  # fmt: skip
 
 
 def _tiles(pictures: Sequence[ByteImage]) -> ByteImage:
@@ -438,7 +440,7 @@ def _worst_picture(batch: ComparisonBatch, press: PressPictures) -> Picture:
         first = press.attribution.causes[0]
         cause = f"; most is lost by {first.cause}: {fixed(first.skill_lost, 3)}"
     text = f"{name}: skill {fixed(press.skill, 3)}{cause}"
-    return raster(press.tiles, f"Captured, simulated and left over, {text}.", text)
+    return Picture(press.tiles, f"Captured, simulated and left over, {text}.", text, is_raster=True, is_small=True)
 
 
 def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part:

@@ -4,7 +4,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from data_schemas import (
@@ -57,16 +60,14 @@ def error_map_figure(
     height, width = outline.shape
     rows, columns = window or (slice(0, height), slice(0, width))
     view = (min(rows.stop, height) - rows.start) / (min(columns.stop, width) - columns.start)
-    figure = new_figure(5.4, 5.4 * 0.8 * view + 0.1)
-    axes = figure.subplots()
+    figure, axes, below = _picture_over_bar(5.4, view)
     top = _top_inside(error, outline)
     extent = (0.0, float(width), float(height), 0.0)
     drawn = axes.imshow(error, cmap="cividis", vmin=0.0, vmax=top if top > 0 else 1.0, extent=extent)
     draw_outline(axes, outline, "--")
     axes.set(xlim=(columns.start, min(columns.stop, width)), ylim=(min(rows.stop, height), rows.start))
     axes.set_axis_off()
-    bar = figure.colorbar(drawn, ax=axes, shrink=0.9, extend="max")
-    bar.set_label("error / untouched level (1)")
+    _put_bar(figure, drawn, below, "error / untouched level (1)", "max")
     return svg_text(figure)
 
 
@@ -100,11 +101,10 @@ def cause_figure(changed: NDArray[np.float32], all_changes: NDArray[np.float32])
     top = max(float(np.percentile(np.abs(all_changes), SHOWN_PERCENTILE)), 1e-9)
     rows, columns = np.flatnonzero(all_changes.any(axis=(0, 2))), np.flatnonzero(all_changes.any(axis=(0, 1)))
     part = changed if not rows.size else changed[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    figure = new_figure(3.4, 3.4 * 0.82 * part.shape[0] / part.shape[1] + 0.3)
-    axes = figure.subplots()
+    figure, axes, below = _picture_over_bar(4.4, part.shape[0] / part.shape[1])
     drawn = axes.imshow(part, cmap="PuOr_r", vmin=-top, vmax=top)
     axes.set_axis_off()
-    figure.colorbar(drawn, ax=axes, shrink=0.8, extend="both").set_label("change / level (1)")
+    _put_bar(figure, drawn, below, "change / level (1)", "both")
     return svg_text(figure)
 
 
@@ -150,32 +150,52 @@ def _wrapped(name: str) -> str:
     return name.replace("$", r"\$")
 
 
+def _put_bar(figure: Figure, drawn: AxesImage, below: Axes, label: str, extend: str) -> None:
+    """Draw the bar of colours of a picture, with as many numbers as have room."""
+    bar = figure.colorbar(drawn, cax=below, orientation="horizontal", extend=extend, ticks=MaxNLocator(_MOST_TICKS))
+    bar.set_label(label)
+
+
+_MOST_TICKS = 5
 _LINES = ("-", "--")
 
 
+@styled()
 def change_figures(changes: TouchChanges) -> tuple[str, str, str]:
     """Draw captured change, simulated change and simulated minus captured, all on one scale with regions outlined."""
-    maps = (changes.captured, changes.simulated, changes.simulated - changes.captured)
-    captured, simulated, left = (_change_figure(values, changes) for values in maps)
-    return captured, simulated, left
-
-
-@styled()
-def _change_figure(values: Floats, changes: TouchChanges) -> str:
-    """Draw one map."""
     height, width = changes.regions[0].shape
-    figure = new_figure(4.0, 4.0 * height / width + 0.75)
-    axes = figure.subplots()
+    figure, axes, below = _picture_over_bar(4.0, height / width)
     # cividis is brighter for larger values, so that brighter than untouched is bright also in a grey print
     drawn = axes.imshow(
-        values, cmap="cividis", vmin=-changes.scale, vmax=changes.scale, extent=(0.0, float(width), float(height), 0.0)
-    )
+        changes.captured, cmap="cividis", vmin=-changes.scale, vmax=changes.scale,
+        extent=(0.0, float(width), float(height), 0.0),
+    )  # fmt: skip
     for mask, line in zip(changes.regions, _LINES, strict=False):
         draw_outline(axes, mask, line)
     axes.set_axis_off()
-    bar = figure.colorbar(drawn, ax=axes, location="bottom", aspect=30, extend="both")
-    bar.set_label("change / untouched level (1)")
-    return svg_text(figure)
+    _put_bar(figure, drawn, below, "change / untouched level (1)", "both")
+
+    def with_values(values: Floats) -> str:
+        drawn.set_data(values)
+        return svg_text(figure)
+
+    left = changes.simulated - changes.captured
+    return with_values(changes.captured), with_values(changes.simulated), with_values(left)
+
+
+def _picture_over_bar(width_in: float, height_rel: float) -> tuple[Figure, Axes, Axes]:
+    """Return a figure of a picture as wide as it, and the axes of the picture and of a bar of colours below.
+
+    The places are known, so nothing has to be laid out, which takes as long as drawing.
+    """
+    below_in, picture_in = 0.62, width_in * height_rel
+    figure = Figure(figsize=(width_in, picture_in + below_in))
+    share = below_in / (picture_in + below_in)
+    return (
+        figure,
+        figure.add_axes((0.0, share, 1.0, 1.0 - share)),
+        figure.add_axes((0.04, 0.72 * share, 0.92, 0.17 * share)),
+    )
 
 
 @styled()

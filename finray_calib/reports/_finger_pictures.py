@@ -285,13 +285,12 @@ def draw_patch(axes: Axes, motion: PressMotion, k: int) -> PathCollection:
     )  # fmt: skip
     axes.scatter(x[slips], z[slips], s=34, facecolors="none", edgecolors=VERMILLION, linewidths=1.0)
     largest = float(np.linalg.norm(motion.shear_mpa[..., [0, 2]], axis=-1).max())
+    size = max(float(np.ptp(x)), float(np.ptp(z)), 1.0)
+    margin_mm = max(_PATCH_MARGIN_MM, _ARROWS_SHARE * size)
     if largest > 0.0:
-        size = max(float(np.ptp(x)), float(np.ptp(z)), 1.0)
-        on_coat = -motion.shear_mpa[k, touches]
-        axes.quiver(
-            x[touches], z[touches], on_coat[:, 0], on_coat[:, 2], angles="xy", scale_units="xy",
-            scale=largest / (_ARROWS_SHARE * size), color=INK, width=0.006,
-        )  # fmt: skip
+        arrows = -motion.shear_mpa[k, touches][:, [0, 2]] * (_ARROWS_SHARE * size / largest)
+        starts = np.column_stack([x, z])[touches]
+        axes.quiver(*starts.T, *arrows.T, angles="xy", scale_units="xy", scale=1.0, color=INK, width=0.006)
     x_mm, y_mm, z_mm = motion.moves_mm[k]
     turn = float(np.linalg.norm(motion.turns_deg[k]))
     axes.set_title(
@@ -299,8 +298,8 @@ def draw_patch(axes: Axes, motion: PressMotion, k: int) -> PathCollection:
     )
     axes.set(
         aspect="equal",
-        xlim=(x.min() - _PATCH_MARGIN_MM, x.max() + _PATCH_MARGIN_MM),
-        ylim=(z.min() - _PATCH_MARGIN_MM, z.max() + _PATCH_MARGIN_MM),
+        xlim=(x.min() - margin_mm, x.max() + margin_mm),
+        ylim=(z.min() - margin_mm, z.max() + margin_mm),
     )
     axes.grid(visible=False)
     return drawn

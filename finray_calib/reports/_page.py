@@ -8,6 +8,7 @@ import base64
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import Final, Literal
 
@@ -350,6 +351,12 @@ def render_page(template: str, **values: object) -> str:
     values
         What the template names.
     """
+    return _environment().get_template(template).render(**values)
+
+
+@cache
+def _environment() -> Environment:
+    """Return what compiles the templates, and keeps them compiled."""
     environment = Environment(
         loader=PackageLoader("finray_calib.reports", "templates"),
         autoescape=True,
@@ -359,4 +366,4 @@ def render_page(template: str, **values: object) -> str:
     )
     environment.filters["unbroken"] = unbroken
     environment.globals["LIGHTS"] = LIGHTS
-    return environment.get_template(template).render(**values)
+    return environment

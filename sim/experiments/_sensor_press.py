@@ -597,7 +597,7 @@ def render_finger_presses(
     SimulateError
         See above, as :func:`sim.optics.render_press` does, or when the camera hardly sees the pad.
     """
-    pictures, no_contact, slopes, distances = [], np.empty(0), [], []
+    pictures, no_contact, maps = [], np.empty(0), []
     designs = planned_presses(finger.design, ball_radius_mm, count)
     how = RenderSettings("b", seed, samples_per_pixel)
     plane: _PadPlane | None = None
@@ -605,12 +605,10 @@ def render_finger_presses(
         render = render_press(design, finger.paints, finger.renderer, how, calibration=finger.calibration)
         matrix = replace(finger, design=design).camera_matrix(render.bands)
         if plane is None:
-            plane = _pad_plane(design, render.no_contact_maps)
+            plane = _PadPlane(design, render.no_contact_maps)
             no_contact = plane.rectified(camera_rgb(render.no_contact_bands, matrix))
         pictures.append(plane.rectified(camera_rgb(render.contact_bands, matrix)))
-        slope, distance = plane.seen(design, render.contact_maps)
-        slopes.append(slope)
-        distances.append(distance)
+        maps.append(plane.seen(design, render.contact_maps))
         if progress is not None:
             progress(step, count, f"press {step}")
     if plane is None:
@@ -623,8 +621,8 @@ def render_finger_presses(
     return BallPresses(
         no_contact=(gains * no_contact).astype(np.float32),
         contacts=(gains * np.stack(pictures)).astype(np.float32),
-        slopes=np.stack(slopes),
-        distance=np.stack(distances),
+        slopes=np.stack([slopes for slopes, _ in maps]),
+        distance=np.stack([distance for _, distance in maps]),
         row_px=np.array([(i.across_mm + pad.width_mm / 2.0) / scale - 0.5 for i in indenters]),
         column_px=np.array([i.position_mm / scale - 0.5 for i in indenters]),
         radius_px=np.array([float(contact_half_width_mm(design)) / scale for design in designs]),
@@ -639,10 +637,21 @@ def render_finger_presses(
 class _PadPlane:
     """The pad at rest as a grid of square pixels, and where in the camera's picture each of them is seen."""
 
-    def __init__(self, rows: Floats, columns: Floats, mm_per_px: float) -> None:
-        self.mm_per_px = mm_per_px
-        self.is_seen = np.isfinite(rows)
-        self._at = np.stack([np.nan_to_num(rows), np.nan_to_num(columns)])
+    def __init__(self, design: FingerDesign, at_rest: PixelMaps) -> None:
+        place = at_rest.coat_mm(design)
+        seen = np.isfinite(place).all(axis=-1)
+        if seen.sum() < _FEWEST_PIXELS:
+            raise SimulateError(
+                f"camera: {int(seen.sum())} pixels see the pad, at least {_FEWEST_PIXELS} are needed; give the camera "
+                "more pixels or turn it to the pad"
+            )
+        pad = design.pad
+        self.mm_per_px = side = float(np.sqrt(pad.length_mm * pad.width_mm / seen.sum()))
+        rows, columns = np.indices((round(pad.width_mm / side), round(pad.length_mm / side)))
+        wanted = np.stack([(columns + 0.5) * side, (rows + 0.5) * side - pad.width_mm / 2.0], axis=-1)
+        pixel = LinearNDInterpolator(place[seen], np.argwhere(seen).astype(np.float64))(wanted)
+        self.is_seen = np.isfinite(pixel[..., 0])
+        self._at = np.nan_to_num(np.moveaxis(pixel, -1, 0))
 
     def rectified(self, image: NDArray[np.float32]) -> Floats:
         """Return an image (H, W, 3) of the camera in the pad's plane; black where the camera does not see the pad."""
@@ -659,21 +668,3 @@ class _PadPlane:
         x, z = np.where(known, x, 0.0), np.where(known, z, 0.0)
         slopes = np.stack([-surface.ev(x, z, dy=1), -surface.ev(x, z, dx=1)], axis=-1)
         return np.where(known[..., None], slopes, np.nan), np.where(known, contact_distance(design, x, z), np.nan)
-
-
-def _pad_plane(design: FingerDesign, at_rest: PixelMaps) -> _PadPlane:
-    """Return the pad's plane as a camera sees it at rest."""
-    place = at_rest.coat_mm(design)
-    seen = np.isfinite(place).all(axis=-1)
-    if seen.sum() < _FEWEST_PIXELS:
-        raise SimulateError(
-            f"camera: {int(seen.sum())} pixels see the pad, at least {_FEWEST_PIXELS} are needed; give the camera more "
-            "pixels or turn it to the pad"
-        )
-    pad = design.pad
-    side = float(np.sqrt(pad.length_mm * pad.width_mm / seen.sum()))
-    shape = (round(pad.width_mm / side), round(pad.length_mm / side))
-    rows, columns = np.indices(shape)
-    wanted = np.stack([(columns + 0.5) * side, (rows + 0.5) * side - pad.width_mm / 2.0], axis=-1)
-    pixel = LinearNDInterpolator(place[seen], np.argwhere(seen).astype(np.float64))(wanted)
-    return _PadPlane(pixel[..., 0], pixel[..., 1], side)

@@ -25,8 +25,8 @@ from scipy.optimize import least_squares
 from scipy.special import ndtri, stdtrit
 
 from data_schemas import CHANNELS, SimulatedPress, SimulateError, TactileCapture
-from finray_calib.compare import levelled_images
-from finray_calib.sensing import contact_distance, contact_sha256, full_scale_dn, rgb_image
+from finray_calib.compare import levelled_images, predicted_press
+from finray_calib.sensing import contact_distance, contact_sha256
 from sim.mechanics import press_layer
 
 Floats = NDArray[np.float64]
@@ -328,26 +328,9 @@ def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
             f"{capture.name}: has another ball or scale than the presses that taught the model, of "
             f"{gel.ball_radius_mm:g} mm radius at {gel.mm_per_px:g} mm a pixel"
         )
-    ratio = _Lights.of(gel.theta, gel.start).ratio(_press(capture, taught=False))
-    full_dn = full_scale_dn(capture)
-    no_contact = np.nan_to_num(rgb_image(capture.no_contact, capture), nan=full_dn)
-    contact = np.clip(no_contact * ratio.reshape(no_contact.shape), 0.0, full_dn)
-    return SimulatedPress(
-        name=f"{capture.name}, elastic gel",
-        label=GEL_LABEL,
-        method="rendered",
-        encoding=capture.encoding,
-        no_contact=no_contact.astype(np.float32),
-        contact=contact.astype(np.float32),
-        distance=distance.astype(np.float32),
-        variance=None,
-        light_angle_deg=None,
-        design=None,
-        notes=(
-            f"fitted to {len(gel.taught_by)} other presses: {', '.join(gel.taught_by)}",
-            "the contact is where the capture has it, and the no-contact image is the capture's",
-        ),
-    )
+    ratio = _Lights.of(gel.theta, gel.start).ratio(_press(capture, taught=False)).reshape(*distance.shape, -1)
+    taught = f"fitted to {len(gel.taught_by)} other presses: {', '.join(gel.taught_by)}"
+    return predicted_press(capture, ratio, distance, ("elastic gel", GEL_LABEL, "rendered"), taught)
 
 
 def _ball_and_scale(capture: TactileCapture) -> tuple[float, float]:

@@ -15,7 +15,8 @@ from data_schemas.json_schemas import STORED, WRITTEN_BY_PEOPLE
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("data_schemas", "rigs", "finray_calib", "sim")
 MODULES = sorted(p for package in PACKAGES for p in (ROOT / package).rglob("*.py"))
-LONGEST_MODULE = 680
+# A face lists the names of its room, and is as long as they are many.
+LONGEST_MODULE = 670
 DUMPING_GROUNDS = {"util", "utils", "helper", "helpers", "common", "misc", "core", "base", "tools"}
 UNIT = re.compile(
     r"_(nm|mm|mm2|mm3|px|s|deg|mpa|n|kg|dn|e|mw|ma|rel|od|db|dn2|k|j|per_j|per_nm|per_s|e_per_dn|e_per_s|dn_per_s|per_px|mm_per_px"
@@ -117,7 +118,7 @@ HEAVY = ("numpy", "scipy", "matplotlib", "mitsuba", "cv2", "colour", "emcee", "p
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_module_is_one_subject(path):
     lines = path.read_text(encoding="utf-8").count("\n")
-    assert lines <= LONGEST_MODULE, f"{path} has {lines} lines: is it one subject?"
+    assert lines <= LONGEST_MODULE or path.name == "__init__.py", f"{path} has {lines} lines: is it one subject?"
     assert path.stem not in DUMPING_GROUNDS
 
 
