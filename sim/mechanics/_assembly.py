@@ -327,9 +327,9 @@ class Elasticity:
     ) -> Iterator[ElementMatrices]:
         """Yield forces and tangents by u with the modes eliminated, a part of the elements at a time.
 
-        The pressures weigh the volume's curvature in the tangent; by default those that u gives. With `project` the
-        tangent of each element has no negative curvature. The arrays are used again after the next step of the
-        iteration. Where an element is inside out (see :meth:`energy`) its arrays mean nothing.
+        The pressures weigh the volume's curvature in the tangent; by default those that u gives. Of the negative
+        curvature of each point the share `removed` is taken away: with 1 no element has any. The arrays are used again
+        after the next step of the iteration. Where an element is inside out (see :meth:`energy`) its arrays mean nothing.
         """
         return self._evaluate(u, modes, pressures or self.pressures_mpa(u, modes), 1, 1.0 - removed)
 
@@ -558,7 +558,11 @@ class Assembly:
         return energy + self.elasticity.energy(state.u_mm, state.modes)
 
     def assemble(self, state: State, removed: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """Fill :attr:`matrix` and return the gradient without the modes, and its part of the terms, in N, (n, 3)."""
+        """Fill :attr:`matrix` and return the gradient without the modes, and its part of the terms, in N, (n, 3).
+
+        The tangent does without the share `removed` of each point's negative curvature; where that is above 0, terms
+        do without all of theirs.
+        """
         if self._version != self.matrix.version:
             self._slots_of(self.matrix.version)
         self.matrix.clear()
