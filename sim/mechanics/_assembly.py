@@ -329,7 +329,8 @@ class Elasticity:
 
         The pressures weigh the volume's curvature in the tangent; by default those that u gives. Of the negative
         curvature of each point the share `removed` is taken away: with 1 no element has any. The arrays are used again
-        after the next step of the iteration. Where an element is inside out (see :meth:`energy`) its arrays mean nothing.
+        after the next step of the iteration. Where an element is inside out (see :meth:`energy`) its arrays mean
+        nothing.
         """
         return self._evaluate(u, modes, pressures or self.pressures_mpa(u, modes), 1, 1.0 - removed)
 
