@@ -323,15 +323,16 @@ class Elasticity:
         return whole
 
     def matrices(
-        self, u: FloatArray, modes: Modes, project: bool = False, pressures: Pressures = ()
+        self, u: FloatArray, modes: Modes, removed: float = 0.0, pressures: Pressures = ()
     ) -> Iterator[ElementMatrices]:
         """Yield forces and tangents by u with the modes eliminated, a part of the elements at a time.
 
-        The pressures weigh the volume's curvature in the tangent; by default those that u gives. With `project` the
-        tangent of each element has no negative curvature. The arrays are used again after the next step of the
-        iteration. Where an element is inside out (see :meth:`energy`) its arrays mean nothing.
+        The pressures weigh the volume's curvature in the tangent; by default those that u gives. Of the negative
+        curvature of each point the share `removed` is taken away: with 1 no element has any. The arrays are used again
+        after the next step of the iteration. Where an element is inside out (see :meth:`energy`) its arrays mean
+        nothing.
         """
-        return self._evaluate(u, modes, pressures or self.pressures_mpa(u, modes), 2 if project else 1)
+        return self._evaluate(u, modes, pressures or self.pressures_mpa(u, modes), 1, 1.0 - removed)
 
     def energy_of_blocks(self) -> dict[str, float]:
         """Return the energy in N mm of each block at the last evaluation."""
@@ -381,7 +382,9 @@ class Elasticity:
         """Return the norm of the forces on the modes at the last :meth:`matrices`."""
         return math.sqrt(sum(float((f**2).sum()) for f in self._mode_force))
 
-    def _evaluate(self, u: FloatArray, modes: Modes, held: Pressures, level: int) -> Iterator[ElementMatrices]:
+    def _evaluate(
+        self, u: FloatArray, modes: Modes, held: Pressures, level: int, kept: float = 1.0
+    ) -> Iterator[ElementMatrices]:
         jobs = [
             (block, slice(start, min(start + _TOGETHER, len(cells))))
             for block, cells in enumerate(self.cells)
@@ -396,7 +399,7 @@ class Elasticity:
             force, tangent = buffers[number % self._threads]
             size = part.stop - part.start
             out = ElementMatrices(block, part, force[:size], tangent[:size])
-            self._evaluate_part(displacement, modes[block], held[block], level, out)
+            self._evaluate_part(displacement, modes[block], held[block], level, kept, out)
             return out
 
         self._evaluated = ()
@@ -409,7 +412,7 @@ class Elasticity:
         self._evaluated = (displacement.copy(), *(m.copy() for m in modes))
 
     def _evaluate_part(
-        self, u: FloatArray, modes: FloatArray, held: FloatArray, level: int, out: ElementMatrices
+        self, u: FloatArray, modes: FloatArray, held: FloatArray, level: int, kept: float, out: ElementMatrices
     ) -> None:
         block, part, material = out.block, out.elements, self._materials[out.block]
         cells = self.cells[block][part]
@@ -427,6 +430,7 @@ class Elasticity:
             parameters,
             held[part],
             level,
+            kept,
             self._energies[block][part],
             out.force,
             out.tangent,
@@ -554,20 +558,24 @@ class Assembly:
                 return energy
         return energy + self.elasticity.energy(state.u_mm, state.modes)
 
-    def assemble(self, state: State, project: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Fill :attr:`matrix` and return the gradient without the modes, and its part of the terms, in N, (n, 3)."""
+    def assemble(self, state: State, removed: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Fill :attr:`matrix` and return the gradient without the modes, and its part of the terms, in N, (n, 3).
+
+        The tangent does without the share `removed` of each point's negative curvature; where that is above 0, terms
+        do without all of theirs.
+        """
         if self._version != self.matrix.version:
             self._slots_of(self.matrix.version)
         self.matrix.clear()
         gradient = np.zeros((self.count, 3))
-        for part in self.elasticity.matrices(state.u_mm, state.modes, project, state.pressures_mpa):
+        for part in self.elasticity.matrices(state.u_mm, state.modes, removed, state.pressures_mpa):
             cells = self.elasticity.cells[part.block][part.elements]
             self.matrix.add_cells(cells, self._slots[part.block][part.elements], part.tangent)
             add_forces(cells, part.force, gradient)
         of_terms = np.zeros((self.count, 3))
         for term in self.terms:
             of_terms += term.gradient(state.u_mm)
-            self.matrix.add_sparse(term.hessian(state.u_mm, project))
+            self.matrix.add_sparse(term.hessian(state.u_mm, removed > 0.0))
         return gradient + of_terms, of_terms
 
     def max_step(self, state: State, du: FloatArray) -> float:

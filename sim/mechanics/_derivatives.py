@@ -116,7 +116,7 @@ class StableEquilibrium:
         solver: SymmetricSolver,
         push: FloatArray | None = None,
     ) -> None:
-        assembly.assemble(state, project=False)
+        assembly.assemble(state)
         self._fixed, self._solver = supports.fixed, solver
         pulled = None if push is None else assembly.matrix.times(push.ravel()).reshape(-1, 3)
         assembly.matrix.constrain(supports.fixed.ravel())

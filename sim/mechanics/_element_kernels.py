@@ -201,8 +201,8 @@ def _add_volumetric(
 
 
 @compiled
-def _without_negative(second: FloatArray, w: FloatArray, v: FloatArray, work: FloatArray) -> None:
-    """Replace a symmetric 3 x 3 matrix by its part of non-negative eigenvalues."""
+def _less_negative(second: FloatArray, kept: float, w: FloatArray, v: FloatArray, work: FloatArray) -> None:
+    """Multiply the negative eigenvalues of a symmetric 3 x 3 matrix by the share that is kept of them."""
     for i in range(3):
         for j in range(3):
             work[i, j] = second[i, j]
@@ -213,7 +213,7 @@ def _without_negative(second: FloatArray, w: FloatArray, v: FloatArray, work: Fl
         for j in range(3):
             second[i, j] = 0.0
             for k in range(3):
-                second[i, j] += max(w[k], 0.0) * v[i, k] * v[j, k]
+                second[i, j] += max(w[k], kept * w[k]) * v[i, k] * v[j, k]
 
 
 @compiled
@@ -386,6 +386,7 @@ def hexahedron(
     mean_dilatation: bool,
     held_mpa: FloatArray,
     level: int,
+    kept: float,
     force: FloatArray,
     tangent: FloatArray,
     swelling: FloatArray,
@@ -411,7 +412,9 @@ def hexahedron(
         modes and swing from point to point; or none (0,): the energy of each point's volume, and its tangent. The
         force is always that of K (v/V - 1).
     level
-        0 energy only, 1 forces and tangent, 2 forces and a tangent without negative curvature.
+        0 energy only, 1 forces and tangent.
+    kept
+        Share of the negative curvature of each point that the tangent keeps: 1 all, as it is; 0 none.
     force, tangent
         Filled: (3 nodes,) in N, (3 nodes, 3 nodes) in N/mm.
     swelling, volume_strain
@@ -475,10 +478,10 @@ def hexahedron(
                     swelling[m, r] += fields[m, q] * dilation[r]
             dilation[:] = 0.0
         _shear_modes(stretch, first, second, shear)
-        if level == 2:
-            _without_negative(second, curve, axes, work)
+        if kept < 1.0:
+            _less_negative(second, kept, curve, axes, work)
             for k in range(6):
-                shear[k] = max(shear[k], 0.0)
+                shear[k] = max(shear[k], kept * shear[k])
         _weigh_rows(here, volume[q:], second, shear, weighted[9 * q : 9 * q + 9])
     if level > 0:
         np.dot(rows.T, weighted, tangent)
@@ -536,6 +539,7 @@ def many_hexahedra(
     parameters: FloatArray,
     held_mpa: FloatArray,
     level: int,
+    kept: float,
     energy: FloatArray,
     force: FloatArray,
     tangent: FloatArray,
@@ -571,6 +575,7 @@ def many_hexahedra(
             extra == 0,
             held_mpa[e],
             level,
+            kept,
             whole_force,
             whole,
             swelling[e],

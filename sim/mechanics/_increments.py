@@ -138,7 +138,7 @@ def with_own_modes(assembly: Assembly, state: State) -> State:
     """
     energy, still = assembly.energy(state), np.zeros_like(state.u_mm)
     for _ in range(_MODE_STEPS):
-        assembly.assemble(state, project=False)
+        assembly.assemble(state)
         there = state.moved(1.0, still, assembly.elasticity.mode_step(still))
         new = assembly.energy(there)
         if not new < energy:

@@ -38,6 +38,10 @@ class SymmetricSolver(Protocol):
         """Factorise; with the same number of the pattern, the matrix differs from the last one in its values only."""
         ...
 
+    def factorise_definite(self, upper: sp.csr_array, pattern: int) -> bool:
+        """Factorise as :meth:`factorise` does, and tell whether the matrix is positive definite: else nothing holds."""
+        ...
+
     def solve(self, right_side: FloatArray) -> FloatArray:
         """Return x (n,) of the last factorised matrix for the right side (n,)."""
         ...
@@ -139,6 +143,11 @@ class SuperLU:
         except RuntimeError as singular:
             raise SimulateError(_SINGULAR) from singular
 
+    def factorise_definite(self, upper: sp.csr_array, pattern: int) -> bool:
+        """Factorise the whole matrix and tell whether it is positive definite."""
+        self.factorise(upper, pattern)
+        return self.definite
+
     def solve(self, right_side: FloatArray) -> FloatArray:
         """Return x (n,)."""
         if self._solve is None:
@@ -199,6 +208,15 @@ class Pardiso:
         except SimulateError:
             self._indefinite = _INDEFINITE_AFTER_FAILURE
             self._factorise(upper, pattern, _SYMMETRIC_INDEFINITE)
+
+    def factorise_definite(self, upper: sp.csr_array, pattern: int) -> bool:
+        """Factorise by Cholesky's method and tell whether that can be: a third of the time where it cannot."""
+        try:
+            self._factorise(upper, pattern, _SYMMETRIC_POSITIVE)
+        except SimulateError:
+            return False
+        self._indefinite = 0
+        return True
 
     def _factorise(self, upper: sp.csr_array, pattern: int, kind: int) -> None:
         """Factorise as a matrix of one kind."""

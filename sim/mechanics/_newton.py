@@ -32,8 +32,9 @@ _FEWEST_REFINEMENTS = 10
 _LED_ASTRAY = 0.3
 _BOLDER = 3.0  # by which what hardly resists may then go further than it went
 _STIFFER, _SOFTER = 4.0, 0.2  # by what this changes when a step was short again, or whole
-# where the exact tangent leads nowhere, its negative curvature along the step is taken away twice, and then more
-_PROXIMAL, _MORE_PROXIMAL, _PROXIMAL_TRIES = 2.0, 8.0, 2
+# shares of each point's negative curvature that are taken away, until the tangent is positive definite; the next step
+# tries with less, and below the least share with the exact tangent
+_REMOVED, _REMOVED_LESS, _LEAST_REMOVED = (0.3, 1.0), 1.0 / 3.0, 0.1
 # a search wanders where the least residual of so many steps is not so much below that of all before, and above such a
 # share of the first one: below it, something soft goes a long way, and a smaller increment leads there too
 _WANDERS_AFTER, _NEARER, _FAR = 8, 0.5, 1e-3
@@ -125,6 +126,7 @@ class _Search:
         self.shares: list[float] = []
         self.taken = 1.0  # of the last step, the share of what the terms allowed
         self.bar_n = 0.0  # what the residual must reach
+        self.removed = 0.0  # of each point's negative curvature, the share that the tangent at hand does without
         self.factors = -1  # version of the pattern whose factors the solver holds
         self._least_damping = 0.0  # below which damping ends
         self.damping_n_per_mm = 0.0  # added to each unknown's own stiffness
@@ -138,9 +140,8 @@ class _Search:
             )
         if not state.pressures_mpa:
             state = self.assembly.with_own_pressures(state)
-        project = False
         while True:
-            gradient, of_terms = self.assembly.assemble(state, project)
+            gradient, of_terms = self.assembly.assemble(state, self.removed)
             remaining = np.where(self.supports.fixed, self.supports.displacement_mm - state.u_mm, 0.0)
             moving = bool(remaining.any())
             settled = self._settled(gradient, of_terms)
@@ -151,61 +152,28 @@ class _Search:
             self._tell()
             found, why = None, "the line search found no lower energy"
             try:
-                du, rise = self._newton_step(gradient, remaining)
+                if moving:
+                    du, rise = self._moving_step(gradient, remaining)
+                else:
+                    gradient, du, rise = self._downhill_step(state, gradient)
             except SimulateError as failed:
                 why = str(failed)
             else:
                 is_whole = self.damping_n_per_mm == 0.0
                 if not moving and is_whole and np.abs(du).max() <= self.options.step_floor_mm:
                     return self._result(self.assembly.with_own_pressures(state), gradient, energy)
-                if not moving and rise > _NOISE * abs(energy):
-                    # uphill: curvature is negative along du, and the energy falls the other way, as by the modes
-                    of_modes = self.assembly.elasticity.mode_work_n_mm()
-                    du, rise = -du, -(rise + of_modes) - of_modes
                 if np.isfinite(du).all():
                     found = self._line_search(state, energy, du, rise, moving)
-                if found is None and not moving and not project and np.isfinite(du).all():
-                    found, du, rise = self._by_damping(state, energy, gradient, du, rise)
-            if found is None and project:
+            if found is None and self.removed == 1.0:
                 return self._result(state, gradient, energy, why)
-            project = found is None
+            less = self.removed * _REMOVED_LESS
+            self.removed = 1.0 if found is None else less if less >= _LEAST_REMOVED else 0.0
             if found is not None:
                 state, energy = found
                 self._damp(du, rise, moving)
                 if not moving and self.taken < 1.0:
                     state = replace(state, modes=self.assembly.elasticity.relaxed(state.u_mm, state.modes))
                     energy = self.assembly.energy(state)
-
-    def _by_damping(
-        self, state: State, energy: float, gradient: FloatArray, du: FloatArray, rise: float
-    ) -> tuple[tuple[State, float] | None, FloatArray, float]:
-        """Return what a line search finds with the tangent damped more, where its step led nowhere; the step; its rise.
-
-        The step followed has the curvature -rise / du^2; twice that much is added to all unknowns, then more. This
-        keeps what the tangent knows of all else, which one without negative curvature of each element loses.
-        """
-        matrix, found, before = self.assembly.matrix, None, self.damping_n_per_mm
-        added = _PROXIMAL * abs(rise) / max(_dot(du.ravel(), du.ravel()), 1e-300)
-        for _ in range(_PROXIMAL_TRIES):
-            matrix.values[matrix.indptr[:-1]] += added
-            self.damping_n_per_mm += added
-            self.solved += 1
-            self.factors = -1
-            try:
-                self.solver.factorise(matrix.upper(), matrix.version)
-                du = self.solver.solve(-np.where(self.supports.fixed, 0.0, gradient).ravel()).reshape(-1, 3)
-            except SimulateError:
-                break
-            rise = _dot(gradient.ravel(), du.ravel()) - self.assembly.elasticity.mode_work_n_mm()
-            if np.isfinite(du).all():
-                found = self._line_search(state, energy, du, rise, False)
-            if found is not None:
-                self._least_damping = self.damping_n_per_mm * _SOFTER**2
-                break
-            added = (_MORE_PROXIMAL - 1.0) * self.damping_n_per_mm
-        if found is None:
-            self.damping_n_per_mm = before
-        return found, du, rise
 
     def _damp(self, du: FloatArray, rise: float, moving: bool) -> None:
         """Choose the damping of the next step (K. Levenberg, 1944) by the share of this one that was taken.
@@ -255,30 +223,55 @@ class _Search:
         self.bar_n = self.options.residual_rel * max(*forces, self.options.force_floor_n)
         return bool(unbalanced <= self.bar_n)
 
-    def _newton_step(self, gradient: FloatArray, remaining: FloatArray) -> tuple[FloatArray, float]:
-        """Return du (n, 3) and the linear change of the energy; for moving supports, how much it may rise."""
+    def _moving_step(self, gradient: FloatArray, remaining: FloatArray) -> tuple[FloatArray, float]:
+        """Return du (n, 3) of supports that move by what remains, and how much the energy may rise."""
         fixed, matrix = self.supports.fixed.ravel(), self.assembly.matrix
-        moving = bool(remaining.any())
         prescribed = remaining.ravel()
-        right = -gradient.ravel()
-        if moving:
-            right -= matrix.times(prescribed)
+        right = -gradient.ravel() - matrix.times(prescribed)
         right[fixed] = prescribed[fixed]
-        stiffness = matrix.values.copy() if moving else None
+        stiffness = matrix.values.copy()
         matrix.values[matrix.indptr[:-1]] += self.damping_n_per_mm
         matrix.constrain(fixed)
         self.solved += 1
-        du = None if moving else self._with_old_factors(right)
-        if du is None:
-            self.factors = -1
-            self.solver.factorise(matrix.upper(), matrix.version)
-            self.factors = matrix.version
-            du = self.solver.solve(right)
+        self.factors = -1
+        self.solver.factorise(matrix.upper(), matrix.version)
+        self.factors = matrix.version if self.removed == 0.0 else -1
+        du = self.solver.solve(right)
         slope = _dot(gradient.ravel(), du) - self.assembly.elasticity.mode_work_n_mm()
-        if stiffness is not None:
-            matrix.values[:] = stiffness
-            slope = abs(slope) + 0.5 * abs(_dot(du, matrix.times(du)))
-        return du.reshape(-1, 3), slope
+        matrix.values[:] = stiffness
+        return du.reshape(-1, 3), abs(slope) + 0.5 * abs(_dot(du, matrix.times(du)))
+
+    def _downhill_step(self, state: State, gradient: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return the gradient, du (n, 3) and the linear change of the energy, by a tangent that is positive definite.
+
+        As little as makes it so is taken away of the negative curvature of each point. Newton's step by an indefinite
+        tangent goes to a saddle of the energy, where a rib stands that would buckle; a multiple of the unit matrix
+        added would hold the soft bending of the whole finger more than the rib.
+
+        Raises
+        ------
+        SimulateError
+            When the tangent without negative curvature is singular.
+        """
+        fixed, matrix = self.supports.fixed.ravel(), self.assembly.matrix
+        self.solved += 1
+        while True:
+            right = np.where(fixed, 0.0, -gradient.ravel())
+            matrix.values[matrix.indptr[:-1]] += self.damping_n_per_mm
+            matrix.constrain(fixed)
+            du = self._with_old_factors(right) if self.removed == 0.0 else None
+            if du is None:
+                self.factors = -1
+                if self.removed == 1.0:
+                    self.solver.factorise(matrix.upper(), matrix.version)
+                elif not self.solver.factorise_definite(matrix.upper(), matrix.version):
+                    self.removed = next(share for share in _REMOVED if share > self.removed)
+                    gradient, _ = self.assembly.assemble(state, self.removed)
+                    continue
+                self.factors = matrix.version if self.removed == 0.0 else -1
+                du = self.solver.solve(right)
+            slope = _dot(gradient.ravel(), du) - self.assembly.elasticity.mode_work_n_mm()
+            return gradient, du.reshape(-1, 3), slope
 
     def _with_old_factors(self, right: FloatArray) -> FloatArray | None:
         """Return the solution to what Newton's method needs, if the last step was nearly linear.
@@ -398,10 +391,10 @@ def find_equilibrium(
     Newton's method on displacements, incompatible modes and the pressures of nearly incompressible elements; each step
     must lower the energy (Armijo), in which the change of volume counts softly; one that has to be shortened goes near
     to the least energy along it, the modes of each element then follow by themselves, and what hardly resisted is
-    damped in the next step. Where the exact tangent's step leads uphill, as in buckling, the other way is taken;
-    where neither lowers the energy, the next one uses a tangent without negative curvature. Supports that
-    are not yet where they shall be move there in the first step, or in several where that turns an element inside out
-    or a term allows less.
+    damped in the next step. Where the exact tangent has negative curvature, as in buckling, as much of that of each
+    point is taken away as makes it positive definite, and all of it after a step that lowered nothing: the search ends
+    at a least energy, where an exact tangent would lead to a saddle as well. Supports that are not yet where they shall
+    be move there in the first step, or in several where that turns an element inside out or a term allows less.
 
     Returns
     -------
