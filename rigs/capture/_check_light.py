@@ -37,6 +37,10 @@ BLOCKED_WIDTHS: Final = 2.0
 """Widths (FWHM) between a filter's centre and the laser, from which the filter counts as one that blocks it."""
 WINDOW: Final = (0.1, 0.9)
 """Lit share of an exposure between which it tells when it began."""
+STEP_SHARE: Final = 0.7
+"""Of the exposure, between two tries of which neither saw the light go on: less than the window."""
+MOST_TRIES: Final = 3
+"""For one that sees the light go on."""
 
 
 class SteppedFrames(Protocol):
@@ -154,7 +158,7 @@ def trigger_latency(
 
     tries: list[LatencyTry] = []
     delay_s = 0.5 * exposure_s
-    for _ in range(plan.latency_tries):
+    while sum(WINDOW[0] < one.lit_share < WINDOW[1] for one in tries) < plan.latency_tries > len(tries) / MOST_TRIES:
         earliest_s, latest_s, raw = _switched_on_within(opened, exposure_s, delay_s)
         tries.append(
             LatencyTry(
@@ -166,9 +170,9 @@ def trigger_latency(
         )
         # lit all the while: the exposure began later than thought; not at all: it ended before
         if tries[-1].lit_share > WINDOW[1]:
-            delay_s += 0.5 * exposure_s
+            delay_s += STEP_SHARE * exposure_s
         elif tries[-1].lit_share < WINDOW[0]:
-            delay_s = max(delay_s - 0.5 * exposure_s, 0.0)
+            delay_s = max(delay_s - STEP_SHARE * exposure_s, 0.0)
     return TriggerLatency(exposure_s=exposure_s, tries=tuple(tries))
 
 

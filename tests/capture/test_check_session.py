@@ -48,7 +48,9 @@ Change = Callable[[OpenRig], OpenRig]
 
 @pytest.fixture(scope="module")
 def plan(rig: RigFile) -> CheckPlan:
-    return CheckPlan(check_name="lab", region=paint_plan("red", rig.camera).region, wheel_moves=5, revisits=2)
+    return CheckPlan(
+        check_name="lab", region=paint_plan("red", rig.camera).region, wheel_moves=5, revisits=2, warm_up_s=4.0
+    )
 
 
 @dataclass
@@ -105,8 +107,8 @@ def test_facts_of_the_simulated_rig(rig: RigFile, plan: CheckPlan) -> None:
     block, guard, dead_man = facts.light_off
     assert (block.layer, block.latest_s, block.still_on) == ("block", (0.0, 0.0, 0.0), 0)
     assert {guard.missing, dead_man.missing} == {"no guard on the simulated rig"}
-    assert [done for done, total, _ in calls] == list(range(11))
-    assert {total for _, total, _ in calls} == {11}
+    assert [done for done, total, _ in calls] == list(range(14))
+    assert {total for _, total, _ in calls} == {14}
 
 
 def test_moves_are_those_of_the_seed(rig: RigFile, plan: CheckPlan) -> None:
