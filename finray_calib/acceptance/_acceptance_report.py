@@ -258,13 +258,17 @@ def judge_revisits(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...
     )
 
 
+SHIFT_SCALE_SD: Final = 0.05
+"""Of a shift of the picture, relative: how it is measured."""
+
+
 def judge_picture(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     r"""Return how far the picture moves when the wheel comes back, as root mean square of n shifts.
 
-    .. math:: y^2 = \sum (r^2 + c^2) / n, \quad u^2 = y^2 / 4 n + \sum s^2 / n
+    .. math:: y^2 = \sum (r^2 + c^2) / n, \quad u^2 = y^2 / 4 n + \sum s^2 / n^2 + (0.05 y)^2
 
-    with the shifts r along rows and c along columns. The uncertainty s of each does not shrink with n: it is mostly of
-    the texture, which is the same every time.
+    with the shifts r along rows and c along columns and the uncertainty s of each, which is mostly noise; the scale of
+    a shift is known to 5 %. Noise makes y larger than it is: the check errs to the safe side.
     """
     if not facts.revisits:
         return ()
@@ -285,7 +289,7 @@ def judge_picture(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]
         for each in zip(*seen, strict=True)
     )
     mean_square = sum((moved.sd_px or 0.0) ** 2 for moved, _ in seen) / number
-    sd = math.sqrt(moved_px**2 / (4 * number) + mean_square)
+    sd = math.sqrt(moved_px**2 / (4 * number) + mean_square / number + (SHIFT_SCALE_SD * moved_px) ** 2)
     evidence = f"{number} times behind filter {facts.revisit_filter}; {still_px:.2g} px without a move"
     return (measured("revisits", name, what, moved_px, sd, "px", evidence, limits=limits),)
 
