@@ -20,11 +20,16 @@ Section = Literal[
     "filters",
     "revisits",
     "exposures",
+    "warm-up",
+    "stray light",
+    "trigger latency",
     "light off",
     "closing",
     "reconnect",
 ]
 RateDnPerS = Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "DN/s"})]
+PixelShift = Annotated[float, Field(gt=0.0, le=100.0, json_schema_extra={"unit": "px"})]
+SettlingS = Annotated[float, Field(gt=0.0, le=7200.0, json_schema_extra={"unit": "s"})]
 PositiveS = Annotated[float, Field(gt=0.0, le=60.0, json_schema_extra={"unit": "s"})]
 
 
@@ -35,6 +40,9 @@ class CheckLimits(Model):
     move_s: PositiveS = Field(default=5.0, description="longest of the moves of the wheel")
     revisit_rel: RelativeUncertainty = Field(
         default=0.01, description="RMS change of the white signal after the wheel has left the filter and come back"
+    )
+    pixel_shift_px: PixelShift = Field(
+        default=0.5, description="RMS shift of the picture after the wheel has left the filter and come back"
     )
     black_level_dn: SignalDn = Field(
         default=2.0, description="largest difference of the dark level from black_level_dn of the rig file"
@@ -56,6 +64,16 @@ class CheckLimits(Model):
     lamp_drift_rel: RelativeUncertainty = Field(
         default=0.01, description="change of the lamp from the first to the last round of white frames"
     )
+    lamp_settles_s: SettlingS = Field(
+        default=60.0, description="time after switching on from which the lamp stays within lamp_drift_rel"
+    )
+    stray_light_rel: RelativeUncertainty = Field(
+        default=0.001, description="laser light on the white tile behind a filter that blocks it, relative to the "
+        "filter that passes it"
+    )  # fmt: skip
+    latency_s: PositiveS = Field(
+        default=0.5, description="time from the request of an exposure until light is collected"
+    )
     reconnect_s: PositiveS = Field(
         default=45.0, description="time until all devices answer again after they were closed"
     )
@@ -67,7 +85,7 @@ class CheckLimits(Model):
 class CheckPlan(Record):
     """Plan of an acceptance check (TOML): where to look, how often, and what is allowed."""
 
-    schema_version: ClassVar[int] = 2
+    schema_version: ClassVar[int] = 3
 
     kind: Literal["check"] = "check"
     check_name: str = Field(description="names the folder of the report")
@@ -78,12 +96,18 @@ class CheckPlan(Record):
     )
     wheel_moves: Annotated[int, Field(ge=0, le=1000)] = Field(default=20, description="random moves")
     revisits: Annotated[int, Field(ge=0, le=100)] = Field(
-        default=8, description="times that the wheel leaves its brightest filter and comes back"
+        default=20, description="times that the wheel leaves its brightest filter and comes back"
     )
     darks_per_exposure: Annotated[int, Field(ge=2, le=100)] = 6
     longest_dark_s: ExposureS = Field(default=1.0, description="exposure of the longest dark frames")
     exposure_rounds: Annotated[int, Field(ge=4, le=100)] = Field(
         default=6, description="times that each of the exposures t, 2 t and 4 t is taken"
+    )
+    warm_up_s: Annotated[float, Field(ge=0.0, le=7200.0, json_schema_extra={"unit": "s"})] = Field(
+        default=180.0, description="how long the lamp is watched after it is switched on; 0: not at all"
+    )
+    latency_tries: Annotated[int, Field(ge=0, le=100)] = Field(
+        default=8, description="exposures during which the lamp is switched on; 0: none"
     )
     light_off_repeats: Annotated[int, Field(ge=1, le=20)] = Field(
         default=3, description="number of mishaps for each layer"
@@ -118,11 +142,25 @@ class WheelMove(Model):
     duration_s: DurationS
 
 
+class PictureShift(Model):
+    """Shift between two pictures of the white tile, in pixels of the raw frame, with its standard uncertainty.
+
+    Fixed pattern of the sensor and noise are not counted as texture of the tile. Where what is left is too faint,
+    `sd_px` is None and the shift says nothing.
+    """
+
+    row_px: float
+    column_px: float
+    sd_px: Annotated[float, Field(ge=0.0)] | None = Field(description="of each of the two; None: no texture to see")
+
+
 class Revisit(Model):
     """Relative change of the white signal between two frames, without and with a move away and back between them."""
 
     still_rel: float
     moved_rel: float
+    still_px: PictureShift | None = Field(default=None, description="of the picture between the same two frames")
+    moved_px: PictureShift | None = None
 
 
 class DarkFrames(Model):
@@ -141,6 +179,49 @@ class ExposureLevel(Model):
     exposure_s: ExposureS = Field(description="as the camera reads it back")
     white_dn: tuple[float, ...] = Field(min_length=4)
     dark_dn: tuple[float, ...] = Field(min_length=4)
+
+
+class WarmUp(Model):
+    """The lamp after it was switched on, and the dark level before and after it was on."""
+
+    filter_name: str
+    times_s: tuple[DurationS, ...] = Field(description="middle of each exposure, after the lamp was confirmed on")
+    white_dn: tuple[float, ...] = Field(description="mean of the region above the black level of the rig file")
+    dark_before_dn: tuple[float, ...] = Field(min_length=4, description="mean of each dark frame")
+    dark_after_dn: tuple[float, ...] = Field(min_length=4)
+
+
+class BlockedLight(Model):
+    """The white tile under the laser behind one filter; "dark" is the same with the laser off."""
+
+    filter_name: str
+    level: ExposureLevel
+
+
+class StrayLight(Model):
+    """Laser light on the white tile behind the filter that passes it, and behind those that block it."""
+
+    passed: BlockedLight | None = None
+    blocked: tuple[BlockedLight, ...] = ()
+    missing: str | None = Field(default=None, description="why nothing can be seen on this rig")
+
+
+class LatencyTry(Model):
+    """One exposure during which the light was switched on; times after the request of the exposure."""
+
+    on_earliest_s: float = Field(description="when the light was told to go on")
+    on_latest_s: float = Field(description="when its controller had confirmed it")
+    lit_share: float = Field(description="signal over that of an exposure with the light on all the while")
+    lit_share_sd: Annotated[float, Field(ge=0.0)]
+
+
+class TriggerLatency(Model):
+    """Exposures during which a light of the rig was switched on."""
+
+    light: Literal["lamp"] = "lamp"
+    exposure_s: ExposureS | None = None
+    tries: tuple[LatencyTry, ...] = ()
+    missing: str | None = Field(default=None, description="why it cannot be measured on this rig")
 
 
 class LightOff(Model):
@@ -174,6 +255,9 @@ class CheckFacts(Model):
     frame_overheads_s: tuple[DurationS, ...] = Field(
         default=(), description="time of each frame of the levels beyond its exposure"
     )
+    warm_up: WarmUp | None = None
+    stray_light: StrayLight | None = None
+    latency: TriggerLatency | None = None
     reconnect_s: DurationS | None = Field(
         default=None, description="from all devices closed to the last answer after they were opened again"
     )
@@ -204,7 +288,7 @@ class CheckResult(Model):
 class AcceptanceReport(Record):
     """The outcome of an acceptance check of a rig: one result for each check, and the facts they follow from."""
 
-    schema_version: ClassVar[int] = 7
+    schema_version: ClassVar[int] = 8
     written_by: ClassVar[str] = "'finray check run'"
     plan: CheckPlan
     rig: RigFile

@@ -67,6 +67,10 @@ class Clock(Protocol):
         """Return seconds since an arbitrary start; it never goes back."""
         ...
 
+    def sleep(self, duration_s: float) -> None:
+        """Let time pass."""
+        ...
+
 
 class Camera(Protocol):
     """A camera with raw Bayer output and settable exposure."""
@@ -353,6 +357,10 @@ class SystemClock:
     def monotonic_s(self) -> float:
         """Return seconds since an arbitrary start."""
         return time.monotonic()
+
+    def sleep(self, duration_s: float) -> None:
+        """Wait."""
+        time.sleep(duration_s)
 
 
 class TerminalOperator:

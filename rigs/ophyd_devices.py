@@ -390,16 +390,7 @@ class OphydRig:
 
 @contextmanager
 def ophyd_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> Iterator[OphydRig]:
-    """Open a rig as ophyd-async devices for a ``with`` block; lights are off and connections closed at its end.
-
-    Parameters
-    ----------
-    rig
-        The rig file's content.
-    folder
-        Where relative paths in the rig file start.
-    operator
-        Who turns a wheel or switches a lamp by hand; a person at the terminal when left out.
+    """Open a rig as ophyd-async devices for a ``with`` block, as :func:`rigs.open_rig` does.
 
     Raises
     ------

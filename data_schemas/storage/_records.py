@@ -379,6 +379,9 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # whether devices come back, how long frames take, drift of the lamp; limits for them, and none: not tried
     ("CheckPlan", 1): _as_it_is,
     ("AcceptanceReport", 6): _as_it_is,
+    # shift of the picture, warm-up, stray light, trigger latency; none: not tried
+    ("CheckPlan", 2): _as_it_is,
+    ("AcceptanceReport", 7): _as_it_is,
     # whole rows and columns in the fixed pattern; none: not separated
     ("CameraCharacterisation", 3): _as_it_is,
     # a fitted tone curve and the gains far from the contact; none: not known

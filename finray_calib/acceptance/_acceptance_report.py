@@ -18,13 +18,13 @@ from data_schemas import (
     CheckResult,
     CheckVerdict,
     DarkFrames,
-    ExposureLevel,
     Handshake,
     LightLayer,
     LightOff,
     RigFile,
     Section,
 )
+from finray_calib.acceptance._check_light import judge_latency, judge_stray_light, judge_warm_up, rate_dn_per_s
 from finray_calib.acceptance._conformity import ToleranceInterval, limit_text, measured, overall, unmeasured
 
 SECTIONS: Final[dict[Section, str]] = {
@@ -35,6 +35,9 @@ SECTIONS: Final[dict[Section, str]] = {
     "filters": "filters in their slots",
     "revisits": "wheel repeats optically",
     "exposures": "exposure ratios",
+    "warm-up": "lamp settles",
+    "stray light": "stray light",
+    "trigger latency": "trigger latency",
     "light off": "laser off after a mishap",
     "closing": "rig closes with its lights off",
     "reconnect": "devices come back",
@@ -63,8 +66,11 @@ def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ..
         "wheel": judge_wheel(facts, plan),
         "dark frames": judge_dark_frames(facts, plan, rig.camera),
         "filters": judge_filters(facts),
-        "revisits": judge_revisits(facts, plan),
+        "revisits": (*judge_revisits(facts, plan), *judge_picture(facts, plan)),
         "exposures": (*judge_exposures(facts, plan), *judge_lamp(facts, plan), *judge_frames(facts, plan)),
+        "warm-up": judge_warm_up(facts, plan),
+        "stray light": judge_stray_light(facts, plan),
+        "trigger latency": judge_latency(facts, plan),
         "light off": judge_light_off(facts, plan),
         "closing": (),
         "reconnect": judge_reconnect(facts, plan),
@@ -252,6 +258,42 @@ def judge_revisits(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...
     )
 
 
+SHIFT_SCALE_SD: Final = 0.05
+"""Of a shift of the picture, relative: how it is measured."""
+
+
+def judge_picture(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
+    r"""Return how far the picture moves when the wheel comes back, as root mean square of n shifts.
+
+    .. math:: y^2 = \sum (r^2 + c^2) / n, \quad u^2 = y^2 / 4 n + \sum s^2 / n^2 + (0.05 y)^2
+
+    with the shifts r along rows and c along columns and the uncertainty s of each, which is mostly noise; the scale of
+    a shift is known to 5 %. Noise makes y larger than it is: the check errs to the safe side.
+    """
+    if not facts.revisits:
+        return ()
+    name, what = "picture stays in place", "RMS shift of the picture of the white tile over a move away and back"
+    limits = ToleranceInterval(None, plan.limits.pixel_shift_px)
+    shifts = [(one.moved_px, one.still_px) for one in facts.revisits if one.moved_px is not None]
+    seen = [(moved, still) for moved, still in shifts if moved.sd_px is not None]
+    if not seen or len(seen) < len(shifts):
+        reason = (
+            f"{len(shifts) - len(seen)} of {len(shifts)} pairs of frames show too little texture above noise and fixed "
+            "pattern; put a printed dot pattern or a rough matt surface in the place of the white tile, in focus, and "
+            "choose a region of 64 x 64 pixels or more"
+        )
+        return (unmeasured("revisits", name, what, "UNDECIDED", reason, limit_text(None, limits.high, "px")),)
+    number = len(seen)
+    moved_px, still_px = (
+        math.sqrt(sum(one.row_px**2 + one.column_px**2 for one in each if one is not None) / number)
+        for each in zip(*seen, strict=True)
+    )
+    mean_square = sum((moved.sd_px or 0.0) ** 2 for moved, _ in seen) / number
+    sd = math.sqrt(moved_px**2 / (4 * number) + mean_square / number + (SHIFT_SCALE_SD * moved_px) ** 2)
+    evidence = f"{number} times behind filter {facts.revisit_filter}; {still_px:.2g} px without a move"
+    return (measured("revisits", name, what, moved_px, sd, "px", evidence, limits=limits),)
+
+
 def judge_dark_frames(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings) -> tuple[CheckResult, ...]:
     """Return dark level, its growth with the exposure, and read noise."""
     if not facts.darks:
@@ -412,21 +454,6 @@ def judge_reconnect(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ..
     evidence = f"{len(before)} devices, the same as before"
     evidence += f"; no name was given before by {', '.join(unknown)}" if unknown else ""
     return (measured("reconnect", name, what, facts.reconnect_s, CLOCK_SD_S, "s", evidence, limits=limits),)
-
-
-def rate_dn_per_s(level: ExposureLevel) -> tuple[float, float]:
-    r"""Return the signal per second of exposure (DN/s) and its standard uncertainty.
-
-    Each mean of n frames has the standard uncertainty of GUM Supplement 1 (6.4.9), which few frames enlarge:
-
-    .. math:: u^2 = \frac{n - 1}{n - 3} \frac{s^2}{n}
-    """
-    white, dark = np.array(level.white_dn), np.array(level.dark_dn)
-    signal_dn = float(white.mean() - dark.mean())
-    variance = sum(
-        float(values.var(ddof=1)) / values.size * (values.size - 1) / (values.size - 3) for values in (white, dark)
-    )
-    return signal_dn / level.exposure_s, math.sqrt(variance) / level.exposure_s
 
 
 def value_text(result: CheckResult) -> str:

@@ -283,7 +283,7 @@ def capture_camera(arguments: argparse.Namespace) -> None:
     """Capture a camera session."""
     from data_schemas import CameraPlan, CaptureError, RigFile
     from data_schemas.storage import read_toml
-    from rigs.capture import camera_step, capture_camera_session
+    from rigs.capture import camera_step, camera_times, capture_camera_session
 
     if arguments.dry_run or arguments.like is not None:
         raise CaptureError("--dry-run and --like are for plans of kind 'paint'; leave them out")
@@ -292,8 +292,12 @@ def capture_camera(arguments: argparse.Namespace) -> None:
     sources = input_digests([arguments.plan, arguments.rig])
     with naming(CaptureError, arguments.plan):
         camera_step(plan, rig)
+    stated = _stated(*camera_times(plan, rig))
     with interruptible(out), arguments.attend(rig, plan, out) as attended:
-        session = capture_camera_session(rig, plan, attended.request(out, arguments.rig.parent, sources))
+        request = replace(attended, progress=_told_first(stated, attended.progress)).request(
+            out, arguments.rig.parent, sources
+        )
+        session = capture_camera_session(rig, plan, request)
     _report(out, session, plan.camera_name)
 
 

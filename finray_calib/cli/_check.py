@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 CHECK_HELP = "check a rig with its hardware in the loop (acceptance), or two tins of a paint"
 CHECK_RUN_HELP = "try every device of a rig and judge it against limits"
 CHECK_RUN_DESCRIPTION = """\
-Try every device of a rig: handshakes, moves of the wheel, filters in their slots, dark level, exposure ratios, and how
-long the laser stays on after a mishap. Every check has a value, its standard uncertainty, a limit and a verdict: PASS,
-FAIL, UNDECIDED, or ERROR when a device ended it early.
+Try every device of a rig: handshakes, moves of the wheel, filters in their slots, shift of the picture, dark level,
+exposure ratios, warm-up, stray light, trigger latency, and how long the laser stays on after a mishap. Every check has
+a value, its standard uncertainty, a limit and a verdict: PASS, FAIL, UNDECIDED, or ERROR when a device ended it early.
 Writes a folder with check.json, junit.xml and report.html. The white tile must be in view, the box closed.
 Exit status: 0 when nothing failed (also with undecided checks, which are named), 1 after FAIL or ERROR, 2 after a
 mistake in plan, rig file or arguments."""

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from rigs.capture._camera_session import camera_step, capture_camera_session
+    from rigs.capture._camera_session import camera_step, camera_times, capture_camera_session
     from rigs.capture._check_session import check_filters, record_facts
     from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S
     from rigs.capture._force_gauge import ForceGauge, calibration_notes, read_cell_calibration
-    from rigs.capture._journal import JOURNAL_NAME, read_journal
+    from rigs.capture._journal import JOURNAL_NAME, StatedTimes, read_journal
     from rigs.capture._paint_session import capture_paint_session, forecast, require_ready
     from rigs.capture._plan import Step, paint_steps, planned_presses, tactile_shots
     from rigs.capture._resume import Interrupted, read_interrupted
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     )
     from rigs.capture._tactile_session import (
         MOST_SATURATED_FRACTION,
-        StatedTimes,
         capture_tactile_session,
         is_tactile,
         read_interrupted_presses,
@@ -69,6 +68,7 @@ __all__ = [
     "Step",
     "calibration_notes",
     "camera_step",
+    "camera_times",
     "capture_camera_session",
     "capture_paint_session",
     "capture_tactile_session",

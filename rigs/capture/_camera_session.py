@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from data_schemas.storage import write_manifest
 from rigs import OpenRig, open_rig, rig_locked
 from rigs.capture._exposure import exposure_ladder, meter_exposure, under_light
 from rigs.capture._frame_store import FrameStore, Shot, numbered
-from rigs.capture._journal import Journal, fault_notes, faults_noted
+from rigs.capture._journal import Journal, StatedTimes, fault_notes, faults_noted, healing_s
 from rigs.capture._plan import Step, require_named, require_region_inside
 from rigs.capture._resume import (
     Interrupted,
@@ -141,6 +141,26 @@ def capture_camera_with(
         write_session(session, out, {**noted, **inputs}, request.command, journal)
     write_manifest(out)
     return session
+
+
+TYPICAL_EXPOSURE_S: Final = 0.25
+"""Mean over flat and dark frames of a tile that saturates in half a second."""
+FRAME_S: Final = 0.3
+"""Checking and writing a frame, beside its exposure: typical of the cameras here."""
+METERING_FRAMES: Final = 12
+CHANNELS: Final = 3
+
+
+def camera_times(plan: CameraPlan, rig: RigFile) -> StatedTimes:
+    """Return what a camera session takes; only metering tells its exposures.
+
+    At the longest each channel has levels of its own, and all exposures are the longest that plan and camera allow.
+    """
+    flats = plan.levels * plan.frames_per_level + plan.repeats
+    most = METERING_FRAMES + 2 * (CHANNELS * flats - (CHANNELS - 1) * plan.repeats) + plan.frames_per_level
+    longest_s = min(plan.longest_exposure_s, rig.camera.longest_exposure_s)
+    typical_s = (METERING_FRAMES + 2 * flats) * (min(TYPICAL_EXPOSURE_S, longest_s) + FRAME_S)
+    return StatedTimes(typical_s, most * (longest_s + FRAME_S), healing_s(typical_s))
 
 
 class _Recorder:

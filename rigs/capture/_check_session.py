@@ -34,8 +34,10 @@ from data_schemas import (
     WrongPositionError,
 )
 from rigs import OpenRig, Operator, TerminalOperator, open_rig, rig_locked
+from rigs.capture._check_light import stray_light, trigger_latency, watch_warm_up
 from rigs.capture._exposure import WHEEL_DEADLINE_S, CheckedCamera, exposure_ladder, meter_exposure, shine
 from rigs.capture._filter_proof import judge_filters, predicted_rates, signal_floor
+from rigs.capture._picture_shift import cells_of, picture_shift
 from rigs.capture._plan import Step, planned_filters, require_named, require_region_inside
 from rigs.capture.light_off_time import (
     CameraWatch,
@@ -136,6 +138,10 @@ class CheckFrames:
             )
         return band
 
+    def dimmest_filter(self) -> BandPassFilter:
+        """Return the filter with the longest metered exposure; the first one while they are not metered."""
+        return max(self._filters, key=lambda band: self._metered_s.get(band.name, 0.0))
+
     @property
     def revisit_filter(self) -> str | None:
         """Name of the brightest filter; None while it is not known."""
@@ -150,10 +156,9 @@ class CheckFrames:
         found: list[Revisit] = []
         with shine(self._opened, "lamp"):
             for turn in range(self._plan.revisits if others else 0):
-                before, still = self._white(step, exposure_s), self._white(step, exposure_s)
-                self._white(self.white_step(others[turn % len(others)]), self._settings.shortest_exposure_s)
-                back = self._white(step, exposure_s)
-                found.append(Revisit(still_rel=still / before - 1.0, moved_rel=back / still - 1.0))
+                before, still = self._region_counts(step, exposure_s), self._region_counts(step, exposure_s)
+                self._region_counts(self.white_step(others[turn % len(others)]), self._settings.shortest_exposure_s)
+                found.append(self._revisit(before, still, self._region_counts(step, exposure_s)))
         return tuple(found)
 
     def exposure_levels(self) -> tuple[ExposureLevel, ...]:
@@ -235,9 +240,20 @@ class CheckFrames:
             raw = self._camera.expose(step, self._metered_s[band.name]).raw
         return self._channel_rates(raw.counts[self._region], raw.exposure_s)
 
-    def _white(self, step: Step, exposure_s: float) -> float:
-        """Return the signal of the region above the black level (DN)."""
-        return max(self.expose(step, exposure_s) - self._settings.black_level_dn, 1.0)
+    def _region_counts(self, step: Step, exposure_s: float) -> Counts:
+        """Return the region of a checked frame."""
+        return self._camera.expose(step, exposure_s).raw.counts[self._region]
+
+    def _revisit(self, *frames: Counts) -> Revisit:
+        """Compare three frames of the region: before, still there, and back."""
+        before, still, back = (max(float(counts.mean()) - self._settings.black_level_dn, 1.0) for counts in frames)
+        pictures = [cells_of(counts) for counts in frames]
+        return Revisit(
+            still_rel=still / before - 1.0,
+            moved_rel=back / still - 1.0,
+            still_px=picture_shift(pictures[0], pictures[1]),
+            moved_px=picture_shift(pictures[1], pictures[2]),
+        )
 
     def _dark(self, step: Step, exposure_s: float) -> DarkFrames:
         """Take the dark frames of one exposure."""
@@ -269,8 +285,10 @@ T = TypeVar("T")
 QUIET_SHARE: Final = 0.95
 """Of the limit: when a dead-man is asked whether it has acted. Earlier questions would keep it from acting."""
 WITH_OPEN_RIG: Final[tuple[Section, ...]] = (
-    "handshake", "wheel", "dark frames", "filters", "revisits", "exposures", "light off",
+    "handshake", "wheel", "dark frames", "warm-up", "filters", "revisits", "exposures", "stray light",
+    "trigger latency", "light off",
 )  # fmt: skip
+WITH_LASER: Final[tuple[Section, ...]] = ("stray light", "light off")
 STEPS: Final = len(WITH_OPEN_RIG) + 4
 """Opening, these, closing, opening once more, and the laser's layers without the rig."""
 
@@ -373,6 +391,12 @@ class _Recorder:
         self._lights_are_off(opened, "wheel")
         self._keep(darks=self._attempt("dark frames", frames.dark_frames) or ())
         self._lights_are_off(opened, "dark frames")
+        # before anything else lights the lamp
+        first = self._filters[0]
+        self._keep(
+            warm_up=self._attempt("warm-up", lambda: watch_warm_up(opened, self._rig, self._plan, frames, first))
+        )
+        self._lights_are_off(opened, "warm-up")
         self._keep(filter_proof=self._attempt("filters", frames.prove_filters))
         self._lights_are_off(opened, "filters")
         self._keep(revisits=self._attempt("revisits", frames.revisits) or (), revisit_filter=frames.revisit_filter)
@@ -380,8 +404,17 @@ class _Recorder:
         self._keep(levels=self._attempt("exposures", frames.exposure_levels) or ())
         self._keep(white_span_s=frames.white_span_s, frame_overheads_s=tuple(frames.overheads_s))
         self._lights_are_off(opened, "exposures")
+        self._off_its_way(opened, frames)
         self._attempt("light off", lambda: self._block_layer(opened))
         self._lights_are_off(opened, "light off")
+
+    def _off_its_way(self, opened: OpenRig, frames: CheckFrames) -> None:
+        """Try the laser behind filters that block it, and the lamp in the middle of exposures."""
+        given = (opened, self._rig, self._plan, frames)
+        self._keep(stray_light=self._attempt("stray light", lambda: stray_light(*given, self._filters)))
+        self._lights_are_off(opened, "stray light")
+        self._keep(latency=self._attempt("trigger latency", lambda: trigger_latency(*given, frames.dimmest_filter())))
+        self._lights_are_off(opened, "trigger latency")
 
     def _reconnect(self, operator: Operator) -> None:
         """Open the closed rig once more, and note what the devices say of themselves."""
@@ -408,7 +441,7 @@ class _Recorder:
             self._errors.setdefault(section, str(error))
             if isinstance(error, UnsafeError):
                 self._ended = "a light is not confirmed off"
-            elif isinstance(error, LightLostError) and section == "light off" and is_hazardous(self._rig.laser):
+            elif isinstance(error, LightLostError) and section in WITH_LASER and is_hazardous(self._rig.laser):
                 self._ended = "the laser went out, and is not lit again until a person has found out why"
             return None
 

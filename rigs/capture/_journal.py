@@ -164,6 +164,14 @@ def healing_s(typical_s: float) -> float:
     return max(LEAST_HEALING_S, HEALING_SHARE * typical_s)
 
 
+class StatedTimes(NamedTuple):
+    """How long a session takes (s), without the time of persons, and how long faults may hold it up."""
+
+    typical_s: float
+    longest_s: float
+    healing_s: float
+
+
 class HealingTimeError(CaptureError):
     """Faults have held a session up for longer than it stated."""
 

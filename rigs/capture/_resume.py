@@ -42,6 +42,10 @@ class LaterClock:
         """Return the seconds of the whole session's time axis."""
         return self.clock.monotonic_s() + self.ahead_s
 
+    def sleep(self, duration_s: float) -> None:
+        """Let time pass."""
+        self.clock.sleep(duration_s)
+
 
 @dataclass(frozen=True, slots=True)
 class Interrupted:

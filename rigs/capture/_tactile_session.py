@@ -10,7 +10,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,15 @@ from rigs.capture._exposure import (
 )
 from rigs.capture._force_gauge import SETTLING_READINGS, ZERO_MOVED_SHARE, calibration_notes, read_cell_calibration
 from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
-from rigs.capture._journal import JOURNAL_NAME, Journal, fault_notes, faults_noted, healing_s, read_journal
+from rigs.capture._journal import (
+    JOURNAL_NAME,
+    Journal,
+    StatedTimes,
+    fault_notes,
+    faults_noted,
+    healing_s,
+    read_journal,
+)
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
 from rigs.capture._resume import ORPHANS, begun_with
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
@@ -500,14 +508,6 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
 
 FRAME_S: Final = 0.3
 """Reading out, checking and writing a frame, beside its exposure: typical of the cameras here."""
-
-
-class StatedTimes(NamedTuple):
-    """How long a tactile session takes (s), without the time of persons, and how long faults may hold it up."""
-
-    typical_s: float
-    longest_s: float
-    healing_s: float
 
 
 def stated_times(rig: TactileRig, plan: TactilePlan, presses: Sequence[PlannedPress]) -> StatedTimes:

@@ -249,6 +249,9 @@ SMALL_MOVES = 4
 LATE_STOP_S = 4.0
 """How much later than its cause a stop may be seen, beyond the way that was left."""
 
+FILTER_READINGS = 4
+"""Of a load cell, until its amplifier shows all of a change."""
+
 
 class StageContract:
     """Tests of a stage; they home it, and move its press axis a few steps from where nothing touches.
@@ -282,6 +285,8 @@ class StageContract:
         while settings.into_pad * (to_mm - at_mm) > settings.step_mm:
             at_mm += settings.into_pad * settings.step_mm
             stage.move(axis, at_mm, settings.press_speed_mm_per_s, guard)
+            for _ in range(FILTER_READINGS):  # before the next step, so that no two are unfelt
+                guard()
         is_away = settings.into_pad * (to_mm - at_mm) < 0.0
         stage.move(axis, to_mm, settings.travel_speed_mm_per_s if is_away else settings.press_speed_mm_per_s, guard)
         return to_mm

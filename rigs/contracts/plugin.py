@@ -33,20 +33,32 @@ class NamedRig(NamedTuple):
 
     @property
     def whole(self) -> "RigFile":
-        """The rig, where it has more than a camera; tests of what it lacks are skipped."""
-        from data_schemas import RigFile
+        """The rig, where it has more than a camera.
+
+        Raises
+        ------
+        RefusedError
+            It is one of tactile sessions; the tests of what it lacks are deselected.
+        """
+        from data_schemas import RefusedError, RigFile
 
         if not isinstance(self.rig, RigFile):
-            pytest.skip("a rig of a tactile session has no wheel and no light")
+            raise RefusedError(f"rig '{self.rig.name}': a rig of a tactile session has no wheel and no light")
         return self.rig
 
     @property
     def finger(self) -> "TactileRig":
-        """The rig, where it is one of tactile sessions with a stage; tests of what others lack are skipped."""
-        from data_schemas import TactileRig
+        """The rig, where it is one of tactile sessions with a stage.
+
+        Raises
+        ------
+        RefusedError
+            It is not; the tests of what it lacks are deselected.
+        """
+        from data_schemas import RefusedError, TactileRig
 
         if not isinstance(self.rig, TactileRig) or self.rig.stage is None:
-            pytest.skip("the rig has no stage with a load cell")
+            raise RefusedError(f"rig '{self.rig.name}': has no stage with a load cell")
         return self.rig
 
 
@@ -120,6 +132,29 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Mod
     if file_path.parent != HERE or file_path.name != SUITE or RIG not in parent.config.stash:
         return None
     return pytest.Module.from_parent(parent, path=file_path)
+
+
+OF_A_BENCH = ("TestFilterWheel", "TestLaser", "TestLamp")
+OF_A_FINGER = ("TestStage", "TestLoadCell")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect the tests of devices that a rig of its kind does not have."""
+    if RIG not in config.stash:
+        return
+    from data_schemas import RigFile
+
+    rig = config.stash[RIG].rig
+    lacks = OF_A_FINGER if isinstance(rig, RigFile) else OF_A_BENCH if rig.stage else (*OF_A_BENCH, *OF_A_FINGER)
+
+    def is_of_none(item: pytest.Item) -> bool:
+        of = item.getparent(pytest.Class)
+        return item.path == HERE / SUITE and of is not None and of.name in lacks
+
+    left = [item for item in items if is_of_none(item)]
+    if left:
+        config.hook.pytest_deselected(items=left)
+        items[:] = [item for item in items if not is_of_none(item)]
 
 
 @pytest.fixture(scope="session")

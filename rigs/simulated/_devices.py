@@ -189,6 +189,10 @@ class SimulatedClock:
         """Return the simulated seconds since the start."""
         return self.elapsed_s
 
+    def sleep(self, duration_s: float) -> None:
+        """Let simulated time pass, at once."""
+        self.elapsed_s += duration_s
+
 
 DRIFTS_WITHIN_S: Final = 60.0
 """Of laser light, until the laser has drifted by all of the size of the fault."""

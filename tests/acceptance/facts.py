@@ -1,6 +1,7 @@
 """Facts of a flawless rig, to be spoilt one by one."""
 
 from data_schemas import (
+    BlockedLight,
     CheckFacts,
     CheckPlan,
     DarkFrames,
@@ -8,9 +9,14 @@ from data_schemas import (
     ExposureLevel,
     FilterProof,
     Handshake,
+    LatencyTry,
     LightOff,
+    PictureShift,
     RegionOfInterest,
     Revisit,
+    StrayLight,
+    TriggerLatency,
+    WarmUp,
     WheelMove,
 )
 
@@ -48,10 +54,39 @@ GOOD = CheckFacts(
     darks=(dark(0.001, 16.0, 16.01), dark(0.5, 16.1, 16.11), dark(1.0, 16.2, 16.21)),
     filter_proof=FilterProof(verdict="confirmed", text="the frames show every filter in its slot"),
     revisit_filter="600",
-    revisits=tuple(Revisit(still_rel=0.001, moved_rel=sign * 0.002) for sign in (1, -1, 1, -1)),
+    revisits=tuple(
+        Revisit(
+            still_rel=0.001,
+            moved_rel=sign * 0.002,
+            still_px=PictureShift(row_px=0.0, column_px=0.01, sd_px=0.02),
+            moved_px=PictureShift(row_px=sign * 0.06, column_px=0.08, sd_px=0.02),
+        )
+        for sign in (1, -1, 1, -1)
+    ),
     levels=(level(0.1, 100.0), level(0.2, 200.0), level(0.4, 400.0)),
     white_span_s=20.0,
     frame_overheads_s=(0.2, 0.3),
+    warm_up=WarmUp(
+        filter_name="600",
+        times_s=tuple(4.0 * k for k in range(40)),
+        white_dn=tuple(1000.0 * (1.0 - 0.04 * 0.5 ** (k / 2)) for k in range(40)),
+        dark_before_dn=(16.0, 16.02, 16.01, 16.0, 16.01),
+        dark_after_dn=(16.1, 16.12, 16.11, 16.1, 16.11),
+    ),
+    stray_light=StrayLight(
+        passed=BlockedLight(filter_name="450", level=level(0.01, 800.0)),
+        blocked=(
+            BlockedLight(filter_name="550", level=level(1.0, 2.0)),
+            BlockedLight(filter_name="600", level=level(1.0, 8.0)),
+        ),
+    ),
+    latency=TriggerLatency(
+        exposure_s=0.4,
+        tries=tuple(
+            LatencyTry(on_earliest_s=0.2, on_latest_s=0.22, lit_share=share, lit_share_sd=0.002)
+            for share in (0.60, 0.61, 0.59, 0.60)
+        ),
+    ),
     reconnect_s=8.0,
     reconnected=tuple(hand.identity for hand in HANDSHAKES if hand.identity is not None),
     light_off=(

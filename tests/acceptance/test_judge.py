@@ -8,10 +8,13 @@ from scipy.stats import binom, linregress
 
 from data_schemas import (
     AcceptanceReport,
+    BlockedLight,
     CheckResult,
     ExposureLevel,
     FilterProof,
+    LatencyTry,
     LightOff,
+    PictureShift,
     Revisit,
     RigFile,
     WheelMove,
@@ -70,9 +73,29 @@ def test_a_flawless_rig_passes_every_check(rig):
     report = judge(GOOD, PLAN, rig)
     assert bad(report) == {}
     assert report.verdict == "PASS"
-    assert len(results(report)) == len(report.results) == 19
+    assert len(results(report)) == len(report.results) == 24
     assert {result.section for result in report.results} == set(SECTIONS) - {"opening", "closing"}
     assert "simulated clock" in report.notes[0]
+
+
+WARM = GOOD.warm_up.model_dump()
+
+
+def shifted(row_px: float, sd_px: float | None) -> tuple[Revisit, ...]:
+    """Return revisits whose picture moved by so much."""
+    there = PictureShift(row_px=row_px, column_px=0.0, sd_px=sd_px)
+    return tuple(one.model_copy(update={"moved_px": there}) for one in GOOD.revisits)
+
+
+def slower(half_life_looks: float, short_of: float = 0.1) -> dict[str, object]:
+    """Return a lamp that begins below its level and comes nearer by half in so many looks."""
+    return {**WARM, "white_dn": tuple(1000.0 * (1.0 - short_of * 0.5 ** (k / half_life_looks)) for k in range(40))}
+
+
+def tries(on_s: float, exposure_s: float, share: float = 0.7) -> dict[str, object]:
+    """Return exposures that a lamp was switched on in."""
+    one = LatencyTry(on_earliest_s=on_s, on_latest_s=on_s + 0.01, lit_share=share, lit_share_sd=0.001)
+    return {"exposure_s": exposure_s, "tries": (one,) * 4}
 
 
 @pytest.mark.parametrize(
@@ -111,9 +134,24 @@ def test_a_flawless_rig_passes_every_check(rig):
          "exchanged"),
         ({"filter_proof": FilterProof(verdict="cannot tell", text="dark")}, "filters in their slots", "UNDECIDED",
          "dark"),
-        ({"revisits": (Revisit(still_rel=0.001, moved_rel=0.05),) * 8}, "wheel repeats optically", "FAIL",
-         "behind filter 600; 0.1 % without a move"),
+        ({"revisits": tuple(one.model_copy(update={"moved_rel": 0.05}) for one in GOOD.revisits)},
+         "wheel repeats optically", "FAIL", "behind filter 600; 0.1 % without a move"),
         ({"revisits": ()}, "wheel repeats optically", "UNDECIDED", "one filter only"),
+        ({"revisits": shifted(1.2, 0.02)}, "picture stays in place", "FAIL", "0.01 px without a move"),
+        ({"revisits": shifted(0.45, 0.1)}, "picture stays in place", "UNDECIDED", "4 times behind filter 600"),
+        ({"revisits": shifted(0.0, None)}, "picture stays in place", "UNDECIDED", "4 of 4 pairs of frames show too"),
+        ({"warm_up": None}, "lamp settles", "UNDECIDED", "warm_up_s = 0"),
+        ({"warm_up": slower(24)}, "lamp settles", "FAIL", "within 156 s; begins -"),
+        ({"warm_up": slower(60, 0.5)}, "lamp settles", "FAIL", "it still changes by +"),
+        ({"warm_up": {**WARM, "dark_after_dn": (20.0, 20.1, 20.0, 20.1)}}, "dark level stays", "FAIL", "after 156 s"),
+        ({"stray_light": {"missing": "no filter blocks it"}}, "stray light", "UNDECIDED", "no filter blocks it"),
+        ({"stray_light": {"passed": GOOD.stray_light.passed, "blocked": (BlockedLight(filter_name="600",
+          level=level(1.0, 500.0)),)}}, "stray light", "FAIL", "largest of 1 filters, behind 600"),
+        ({"stray_light": {"passed": BlockedLight(filter_name="450", level=level(0.01, 0.0)),
+          "blocked": GOOD.stray_light.blocked}}, "stray light", "UNDECIDED", "is not seen behind filter 450 either"),
+        ({"latency": {"missing": "not possible on this rig"}}, "trigger latency", "UNDECIDED", "not possible"),
+        ({"latency": tries(1.0, 1.0)}, "trigger latency", "FAIL", "saw the lamp go on; scatter"),
+        ({"latency": tries(0.2, 1.0, share=1.0)}, "trigger latency", "UNDECIDED", "4 began after the lamp was on"),
         ({"levels": (level(0.1, 100.0), level(0.2, 206.0), level(0.4, 400.0))}, "exposure ratio 2 : 1", "FAIL",
          "0.2 s against 0.1 s"),
         ({"levels": (level(0.1, 0.0), level(0.2, 0.0), level(0.4, 0.0))}, "exposure ratios", "FAIL",
@@ -131,7 +169,9 @@ def test_a_flawless_rig_passes_every_check(rig):
 )  # fmt: skip
 def test_one_fault_changes_one_verdict(rig, changed, name, verdict, evidence):
     report = judge(spoilt(**changed), PLAN, rig)
-    assert bad(report) == {name: verdict}
+    of_one = {"wheel repeats optically": {"picture stays in place"}, "lamp settles": {"dark level stays"}}
+    missing = of_one.get(name, set()) if None in changed.values() or () in changed.values() else set()
+    assert {one: found for one, found in bad(report).items() if one not in missing} == {name: verdict}
     assert evidence in results(report)[name].evidence
     assert report.verdict == verdict
 
@@ -153,7 +193,8 @@ def test_facts_before_an_error_are_still_judged(rig):
 def test_nothing_measured_is_an_error_for_every_section_named(rig):
     errors = dict.fromkeys(SECTIONS, "not tried")
     report = judge(spoilt(**dict.fromkeys(("handshakes", "moves", "darks", "revisits", "levels", "light_off"), ()),
-                          filter_proof=None, errors=errors), PLAN, rig)  # fmt: skip
+                          **dict.fromkeys(("filter_proof", "warm_up", "stray_light", "latency")),
+                          errors=errors), PLAN, rig)  # fmt: skip
     assert bad(report) == dict.fromkeys(SECTIONS.values(), "ERROR")
 
 

@@ -48,7 +48,9 @@ Change = Callable[[OpenRig], OpenRig]
 
 @pytest.fixture(scope="module")
 def plan(rig: RigFile) -> CheckPlan:
-    return CheckPlan(check_name="lab", region=paint_plan("red", rig.camera).region, wheel_moves=5, revisits=2)
+    return CheckPlan(
+        check_name="lab", region=paint_plan("red", rig.camera).region, wheel_moves=5, revisits=2, warm_up_s=4.0
+    )
 
 
 @dataclass
@@ -105,8 +107,8 @@ def test_facts_of_the_simulated_rig(rig: RigFile, plan: CheckPlan) -> None:
     block, guard, dead_man = facts.light_off
     assert (block.layer, block.latest_s, block.still_on) == ("block", (0.0, 0.0, 0.0), 0)
     assert {guard.missing, dead_man.missing} == {"no guard on the simulated rig"}
-    assert [done for done, total, _ in calls] == list(range(11))
-    assert {total for _, total, _ in calls} == {11}
+    assert [done for done, total, _ in calls] == list(range(14))
+    assert {total for _, total, _ in calls} == {14}
 
 
 def test_moves_are_those_of_the_seed(rig: RigFile, plan: CheckPlan) -> None:
@@ -185,7 +187,8 @@ def test_camera_that_fails_ends_its_sections_only(rig, plan, monkeypatch):
         return replace(opened, camera=Device(opened.camera, {"expose": raising(RefusedError("camera: no"))}))
 
     facts = facts_of(rig, plan, monkeypatch, change)
-    assert facts.errors == dict.fromkeys(("dark frames", "filters", "revisits", "exposures"), "camera: no")
+    lost = ("dark frames", "warm-up", "filters", "revisits", "exposures", "stray light")
+    assert facts.errors == dict.fromkeys(lost, "camera: no")
     assert len(facts.moves) == 5
     assert facts.light_off[0].latest_s
 
@@ -245,8 +248,10 @@ def test_light_that_stays_on_ends_the_check(rig, plan, monkeypatch):
         return replace(opened, lamp=Device(opened.lamp, {"lit": lit}))
 
     facts = facts_of(rig, plan, monkeypatch, change)
-    assert "lamp: is reported on after this section; pull its plug" in facts.errors["filters"]
-    assert facts.errors["revisits"] == facts.errors["light off"] == "not tried: the lamp is on"
+    assert "lamp: is reported on after this section; pull its plug" in facts.errors["warm-up"]
+    assert (
+        facts.errors["filters"] == facts.errors["revisits"] == facts.errors["light off"] == "not tried: the lamp is on"
+    )
     assert facts.light_off == ()
 
 
@@ -265,8 +270,8 @@ def test_unsafe_laser_ends_the_check(rig, plan, monkeypatch):
 
     facts = facts_of(rig, plan, monkeypatch, change)
     assert facts.errors == {
-        "light off": "laser: NOT CONFIRMED OFF",
-        "reconnect": "not tried: a light is not confirmed off",
+        "stray light": "laser: NOT CONFIRMED OFF",
+        **dict.fromkeys(("trigger latency", "light off", "reconnect"), "not tried: a light is not confirmed off"),
     }
     assert facts.light_off == ()
 
@@ -481,7 +486,10 @@ def test_a_hazardous_laser_that_went_out_is_not_lit_by_the_next_layer(
     facts = facts_of(
         labelled, plan, monkeypatch, lambda opened: replace(opened, laser=Device(opened.laser, {"lit": lit}))
     )
-    assert facts.errors["light off"].startswith("laser: did not come on")
+    assert facts.errors["stray light"].startswith("laser: did not come on")
+    assert facts.errors["light off"].startswith(
+        "laser: did not come on" if goes_on else "not tried: the laser went out"
+    )
     assert bool(facts.light_off) == goes_on  # what the layers without the rig recorded
 
 
