@@ -31,6 +31,7 @@ from data_schemas import (
     PressMechanics,
     Provenance,
     SimulateError,
+    of_this_process,
 )
 from data_schemas.storage import ProductSet, clear_leftovers, read_record, write_record
 from sim.experiments import (
@@ -287,7 +288,7 @@ def run_dataset(
     clear_leftovers(task.folder / SHARDS)  # the last shard of a run that was killed may be whole already
     todo = [shard for shard in shards if stored_shard(task, shard) is None]
     failed = []
-    for shard, reason in each_computed(_try_shard, task, todo, "shard ", (workers, scheduler), progress):
+    for shard, reason in each_computed(_try_shard, task, todo, "shard ", (workers, scheduler), progress, task.folder):
         if reason is not None:
             failed += [DatasetFailure(press=press, reason=reason) for press in shard.presses]
     kept = [record for shard in shards if (record := stored_shard(task, shard)) is not None]
@@ -332,7 +333,7 @@ def compute_shard(task: DatasetTask, shard: PlannedShard) -> None:
     )
     with ProductSet(file.with_suffix(".json")) as products:
         products.add(file, content)
-        write_record(record, file.with_suffix(".json"), task.origin, products)
+        write_record(record, file.with_suffix(".json"), of_this_process(task.origin), products)
 
 
 def press_samples(task: DatasetTask, press: int) -> list[tuple[DatasetSample, LookTruth]]:

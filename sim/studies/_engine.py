@@ -1,20 +1,18 @@
 """Run the points of a study in worker processes of Dask, on this machine or on a cluster's scheduler.
 
-On one machine a scheduler and single-threaded workers start by themselves, talk over the loopback interface by TLS with
-a certificate made for this run, and end with the study. A point is stored by its worker as soon as it is computed, so
-that whatever ends the study, the same command goes on with what is missing.
+A point is stored by its worker as soon as it is computed, so that whatever ends the study, the same command goes on
+with what is missing.
 """
 
 import importlib
-import itertools
-import logging
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
-from typing import Any, Final, Protocol, TypeVar
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, Protocol, TypeVar
 
-from data_schemas import FinrayError, MissingExtraError, SimulateError, StudyFailure, StudyPoint
+from data_schemas import FinrayError, SimulateError, StudyFailure, StudyPoint
 from data_schemas.storage import clear_leftovers
 from sim.studies._point import (
     POINTS,
@@ -27,6 +25,7 @@ from sim.studies._point import (
     press_file,
     stored_point,
 )
+from sim.studies._workers import Outcome, Unfit, Workers, most_workers, open_workers
 
 
 class Numbered(Protocol):
@@ -41,26 +40,9 @@ class Numbered(Protocol):
 T = TypeVar("T")
 P = TypeVar("P", bound=Numbered)
 Progress = Callable[[int, int, str], None]
-Outcome = str | None
-
-MEMORY_PER_WORKER_BYTES: Final = 2 * 2**30
-"""A worker may take this much; a medium mesh with friction takes 1.2 GB."""
 
 POINTS_IN_FLIGHT_PER_WORKER: Final = 4
 """So many points are given to the scheduler at a time for each worker: a million must not wait in its memory."""
-
-_SETTINGS: Final[Mapping[str, Any]] = {
-    # a solve may hold the interpreter for minutes, in which a worker cannot say that it lives
-    "distributed.scheduler.worker-ttl": None,
-    # what a dead worker had is tried again here, one by one
-    "distributed.scheduler.allowed-failures": 0,
-    # a worker that takes more than its share of memory is ended before the machine has none left
-    "distributed.worker.memory.target": False,
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False,
-    "distributed.worker.memory.terminate": 0.95,
-    "distributed.admin.tick.limit": "10m",
-}
 
 
 def run_study(
@@ -101,32 +83,26 @@ def run_study(
     presses = {file: point for point in todo if (file := press_file(task, point.design)) and not has_press(task, file)}
     failed: dict[int, str] = {}
     if todo:
-        with _client(min(workers or most_workers(), len(todo)), scheduler) as client:
+        with open_workers(min(workers or most_workers(), len(todo)), scheduler, task.folder) as computing:
             steps = _Steps(len(presses) + len(todo), progress)
             broken = {
                 press_file(task, point.design): reason
-                for point, reason in _each(client, _try_press, task, list(presses.values()), steps, "press of point ")
+                for point, reason in _each(
+                    computing, _try_press, task, list(presses.values()), steps, "press of point "
+                )
                 if reason is not None
             }
             whole = [point for point in todo if press_file(task, point.design) not in broken]
             failed = {p.number: f"its press: {broken[press_file(task, p.design)]}" for p in todo if p not in whole}
-            for point, reason in _each(client, _try_point, task, whole, steps, "point "):
+            for point, reason in _each(computing, _try_point, task, whole, steps, "point "):
                 if reason is not None:
                     failed[point.number] = reason
     found = {point.number: stored_point(task, point) for point in points if point.number not in failed}
     kept = [record for record in found.values() if record is not None]
+    failed |= {number: f"was computed, but is not in {task.folder}: {_NOT_SEEN}" for number, record in found.items()
+               if record is None}  # fmt: skip
     return kept, [StudyFailure(number=p.number, changes=p.changes, reason=failed[p.number])
                   for p in points if p.number in failed]  # fmt: skip
-
-
-def most_workers() -> int:
-    """Return how many workers this machine has cores and free memory for, at least one."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-    try:
-        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (ValueError, OSError):
-        return cores
-    return max(1, min(cores, free // MEMORY_PER_WORKER_BYTES))
 
 
 class _Steps:
@@ -141,9 +117,17 @@ class _Steps:
         if self._progress is not None:
             self._progress(self._done, self._of, what)
 
+    def note(self, what: str) -> None:
+        """Tell what happened besides."""
+        if self._progress is not None:
+            self._progress(self._done, self._of, what)
+
+
+_NOT_SEEN = "a worker stored it where this computer does not see it; workers must see the folder under the same path"
+
 
 def _each(
-    client: Any,
+    workers: Workers,
     compute: Callable[[T, P], Outcome],
     task: T,
     points: Sequence[P],
@@ -155,15 +139,14 @@ def _each(
     A worker that dies takes with it what was given to it. These points are tried again one by one: the one that kills
     its worker alone is at fault.
     """
-    window = POINTS_IN_FLIGHT_PER_WORKER * max(1, len(client.scheduler_info()["workers"]))
     died: list[P] = []
-    for point, outcome, has_died in _ended(client, compute, task, points, window):
+    for point, outcome, has_died in _ended(workers, compute, task, points, steps):
         if has_died:
             died.append(point)
             continue
         yield point, outcome
         steps.done(f"{what}{point.number}")
-    for point, outcome, has_died in _ended(client, compute, task, died, 1):
+    for point, outcome, has_died in _ended(workers, compute, task, died, steps, is_one_by_one=True):
         yield point, _DIED_TWICE if has_died else outcome
         steps.done(f"{what}{point.number}")
 
@@ -175,6 +158,7 @@ def each_computed(
     what: str,
     where: tuple[int | None, str | None] = (None, None),
     progress: Progress | None = None,
+    folder: Path | None = None,
 ) -> Iterator[tuple[P, Outcome]]:
     """Yield each of some numbered jobs with why it failed, or None, as worker processes end them.
 
@@ -192,49 +176,67 @@ def each_computed(
         Worker processes on this machine, and the address of a scheduler, as of :func:`run_study`.
     progress
         Called with jobs done, jobs in all, and what was done.
+    folder
+        Which the workers of a scheduler must see.
     """
     if not jobs:
         return
     workers, scheduler = where
-    with _client(min(workers or most_workers(), len(jobs)), scheduler) as client:
-        yield from _each(client, compute, task, jobs, _Steps(len(jobs), progress), what)
+    with open_workers(min(workers or most_workers(), len(jobs)), scheduler, folder) as computing:
+        yield from _each(computing, compute, task, jobs, _Steps(len(jobs), progress), what)
 
 
 _DIED_TWICE = "its worker process died twice: a crash of a compiled library, or too little memory"
 
 
 def _ended(
-    client: Any,
+    workers: Workers,
     compute: Callable[[T, P], Outcome],
     task: T,
     points: Sequence[P],
-    window: int,
+    steps: _Steps,
+    is_one_by_one: bool = False,
 ) -> Iterator[tuple[P, Outcome, bool]]:
-    """Yield each point with why it failed and whether its worker died, as they end; a window of them is in flight."""
-    distributed = importlib.import_module("distributed")
+    """Yield each point with why it failed and whether its worker died, as they end; a window of them is in flight.
+
+    Where a scheduler elsewhere goes away, those in flight are given to it again once it is back.
+    """
+    as_completed = importlib.import_module("distributed").as_completed
     running: dict[str, P] = {}
-    waiting, ended = iter(points), distributed.as_completed()
+    waiting, ended = deque(points), as_completed()
     while True:
-        for point in itertools.islice(waiting, window - len(running)):
-            future = client.submit(compute, task, point, pure=False)
-            running[future.key] = point
-            ended.add(future)
-        if not running:
-            return
         try:
+            window = 1 if is_one_by_one else POINTS_IN_FLIGHT_PER_WORKER * workers.count()
+            while waiting and len(running) < window:
+                future = workers.submit(compute, task, waiting[0])
+                running[future.key] = waiting.popleft()
+                ended.add(future)
+            if not running:
+                return
             future = next(ended)
             error = future.exception()
             outcome = None if error is not None else future.result()
-        except CancelledError as lost:  # Dask cancels what it has given to a scheduler that is gone
-            raise SimulateError(
-                "the Dask scheduler went away in the middle; what is finished is kept: start the scheduler and its "
-                "workers again, and give the same command, which continues with what is missing"
-            ) from lost
+        except (CancelledError, OSError) as lost:  # Dask cancels what it has given to a scheduler that is gone
+            if not workers.reached_again(steps.note):
+                raise SimulateError(_WENT_AWAY) from lost
+            waiting.extendleft(running.values())
+            running, ended = {}, as_completed()
+            continue
         point = running.pop(future.key)
-        if error is None:
+        if isinstance(outcome, Unfit):
+            steps.note(f"worker {outcome.address} is left out: it {outcome.reason}")
+            workers.unfit[outcome.address] = outcome.reason
+            waiting.appendleft(point)
+        elif error is None:
             yield point, outcome, False
         else:
             yield point, f"{type(error).__name__}: {error}", type(error).__name__ == "KilledWorker"
+
+
+_WENT_AWAY = (
+    "the Dask scheduler went away in the middle and did not come back; what is finished is kept: start the scheduler "
+    "and its workers again, and give the same command, which continues with what is missing"
+)
 
 
 def _try_press(task: StudyTask, point: PlannedPoint) -> Outcome:
@@ -242,7 +244,9 @@ def _try_press(task: StudyTask, point: PlannedPoint) -> Outcome:
     try:
         compute_press(task, point.design)
     except FinrayError as error:
-        return str(error)
+        file = press_file(task, point.design)
+        # after a restart of the scheduler another worker may have ended the same press in between
+        return None if file is not None and has_press(task, file) else str(error)
     return None
 
 
@@ -251,40 +255,12 @@ def _try_point(task: StudyTask, point: PlannedPoint) -> Outcome:
     try:
         compute_point(task, point)
     except FinrayError as error:
-        return str(error)
+        return None if _is_stored(task, point) else str(error)
     return None
 
 
-@contextmanager
-def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
-    """Connect to a scheduler, or start one with workers on this machine."""
-    try:
-        dask, distributed = importlib.import_module("dask"), importlib.import_module("distributed")
-    except ImportError as error:
-        raise MissingExtraError(f"design studies need Dask: pip install 'finray-calib[sim]' ({error})") from error
-    with dask.config.set(dict(_SETTINGS)):
-        if scheduler is not None:
-            try:
-                client = distributed.Client(scheduler, timeout="10s")
-            except (OSError, ValueError) as error:
-                raise SimulateError(
-                    f"--scheduler {scheduler}: no Dask scheduler answers there ({error}); start one with 'dask "
-                    "scheduler', or leave it out to compute on this machine"
-                ) from error
-            with client:
-                yield client
-            return
-        with (
-            distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                protocol="tls://",
-                security=distributed.Security.temporary(),
-                dashboard_address="127.0.0.1:0",
-                memory_limit="auto",
-                silence_logs=logging.CRITICAL,
-            ) as cluster,
-            distributed.Client(cluster) as client,
-        ):
-            yield client
+def _is_stored(task: StudyTask, point: PlannedPoint) -> bool:
+    """Return whether another worker has stored a point in between, as after a restart of the scheduler."""
+    with suppress(FinrayError):
+        return stored_point(task, point) is not None
+    return False

@@ -1,9 +1,11 @@
 """Design studies: the points of a plan, the metrics of images, what points share, and workers that fail and die."""
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +15,9 @@ import colour
 import numpy as np
 import psutil
 import pytest
+from distributed import Client
 
-from data_schemas import FingerSurfaces, PressMechanics, RecordError, SimulateError, StudyPoint, provenance
+from data_schemas import FingerSurfaces, PressMechanics, RecordError, SimulateError, StudyPoint, code_digest, provenance
 from data_schemas.storage import read_record, write_record
 from data_schemas.storage._whole_files import part_name
 from finray_calib.cli._study_run import stand_in_paints
@@ -35,7 +38,8 @@ from sim.studies import (
     study_points,
 )
 from sim.studies import _point as point_module
-from sim.studies._engine import _client, _each, _Steps, each_computed
+from sim.studies import _workers as workers_module
+from sim.studies._engine import _each, _Steps, each_computed
 from sim.studies._point import (
     _mean_product,
     _metrics,
@@ -51,6 +55,7 @@ from sim.studies._point import (
     stored_point,
     vividness,
 )
+from sim.studies._workers import _fault, _token_in, open_workers
 from sim.surface_meshes import everyday_objects, pressed_height_mm
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -331,10 +336,10 @@ def test_a_point_that_fails_or_kills_its_worker_stops_no_other(tmp_path):
     points = study_points(plan, path)
     task = StudyTask(plan, StudyPaints({}, {}), "scalar", tmp_path, tmp_path, provenance("a test", {}, 1))
     told = []
-    with _client(2, None) as client:
+    with open_workers(2) as workers:
         ended = {
             point.seed: reason
-            for point, reason in _each(client, tried, task, points, _Steps(5, lambda *step: told.append(step)), "")
+            for point, reason in _each(workers, tried, task, points, _Steps(5, lambda *step: told.append(step)), "")
         }
     assert ended.pop(2).startswith("its worker process died twice")
     assert ended == {0: None, 1: "no equilibrium", 3: None, 4: None}
@@ -437,7 +442,7 @@ def test_points_that_differ_in_the_light_share_their_press(tmp_path):
 
 
 def test_everything_listens_on_the_loopback_interface_only():
-    with _client(1, None):
+    with open_workers(1):
         own = psutil.Process()
         listening = [
             connection.laddr.ip
@@ -458,18 +463,23 @@ def test_a_scheduler_that_does_not_answer_is_told(tmp_path):
 class Server:
     """A Dask scheduler with a worker, on a port of its own, killed as a power cut does."""
 
-    def __init__(self, port):
+    def __init__(self, port, code=ROOT):
         self.address = f"tcp://127.0.0.1:{port}"
-        dask = str(Path(sys.executable).with_name("dask"))
-        common = {"env": {**os.environ, "PYTHONPATH": str(ROOT)}, "stderr": subprocess.DEVNULL}
-        self.processes = [
-            subprocess.Popen([dask, *words.split(), "--no-dashboard"], **common)
-            for words in (
-                f"scheduler --host 127.0.0.1 --port {port}",
-                f"worker {self.address} --host 127.0.0.1 --nthreads 1 --nworkers 1 --no-nanny",
-            )
-        ]
+        self.processes = []
+        self._start(f"scheduler --host 127.0.0.1 --port {port}", code)
         self._wait(port)
+        self.add_worker(code)
+
+    def add_worker(self, code):
+        """Add a worker that runs these sources, and wait until it is there."""
+        self._start(f"worker {self.address} --host 127.0.0.1 --nthreads 1 --nworkers 1 --no-nanny", code)
+        with Client(self.address) as client:
+            client.wait_for_workers(len(self.processes) - 1, timeout=300)
+
+    def _start(self, words, code):
+        dask = str(Path(sys.executable).with_name("dask"))
+        common = {"env": {**os.environ, "PYTHONPATH": str(code)}, "stderr": subprocess.DEVNULL, "cwd": code}
+        self.processes.append(subprocess.Popen([dask, *words.split(), "--no-dashboard"], **common))
 
     def _wait(self, port):
         """Return once the scheduler listens: a busy machine takes its time to import it."""
@@ -502,8 +512,9 @@ def slowly(folder, point):
 
 
 @pytest.mark.timeout(1200)
-def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path):
-    """The same command goes on with what is missing once the scheduler runs again."""
+def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path, monkeypatch):
+    """Once it is given up, the same command goes on with what is missing when it runs again."""
+    monkeypatch.setattr(workers_module, "WAIT_FOR_SCHEDULER_S", 3.0)
     _, points = study_of(tmp_path, vary("seed", [0, 1, 2, 3, 4, 5]))
     folder = tmp_path / "marks"
     folder.mkdir()
@@ -512,7 +523,7 @@ def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path):
         ended = each_computed(slowly, str(folder), points, "point ", (None, server.address))
         next(ended)
         server.kill()
-        with pytest.raises(SimulateError, match="the Dask scheduler went away in the middle; what is finished is kept"):
+        with pytest.raises(SimulateError, match="went away in the middle and did not come back; what is finished is"):
             list(ended)
         done = {path.name for path in folder.iterdir()}
         assert 1 <= len(done) < 6
@@ -523,6 +534,77 @@ def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path):
     finally:
         server.kill()
     assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 7)}
+
+
+@pytest.mark.timeout(1200)
+def test_a_study_waits_for_its_scheduler_while_it_is_started_again(tmp_path):
+    """What was in flight is given again; points that keep what they find are computed once."""
+    _, points = study_of(tmp_path, vary("seed", list(range(8))))
+    folder = tmp_path / "marks"
+    folder.mkdir()
+    port = free_port()
+    server, told = Server(port), []
+    try:
+        ended = each_computed(once_slowly, str(folder), points, "point ", (None, server.address), told_to(told))
+        first, _ = next(ended)
+        server.kill()
+        restarting = threading.Timer(2.0, lambda: servers.append(Server(port)))
+        servers = []
+        restarting.start()
+        numbers = [first.number, *(point.number for point, reason in ended if reason is None)]
+        restarting.join()
+    finally:
+        for one in (server, *servers):
+            one.kill()
+    assert sorted(numbers) == list(range(1, 9))
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 9)}
+    assert f"the scheduler {server.address} went away; waiting for it, 10 minutes at most" in told
+
+
+def told_to(told):
+    return lambda done, of, what: told.append(what)
+
+
+def once_slowly(folder, point):
+    """Compute a point as studies do: nothing that is there already."""
+    return None if (Path(folder) / f"{point.number}").exists() else slowly(folder, point)
+
+
+@pytest.mark.timeout(1200)
+def test_a_worker_with_other_code_or_another_disk_is_refused_or_left_out(tmp_path):
+    """One that is there as the study begins is named; one that comes later gets no more points."""
+    other = tmp_path / "other"
+    for package in ("data_schemas", "finray_calib", "rigs", "sim"):
+        shutil.copytree(ROOT / package, other / package, ignore=shutil.ignore_patterns("__pycache__"))
+    with (other / "sim" / "studies" / "_point.py").open("a") as file:
+        file.write("\n# changed\n")
+    shutil.copytree(ROOT / "tests", other / "tests", ignore=shutil.ignore_patterns("__pycache__"))
+    _, points = study_of(tmp_path, vary("seed", list(range(6))))
+    folder, told = tmp_path / "marks", []
+    folder.mkdir()
+    server = Server(free_port(), other)
+    try:
+        with pytest.raises(SimulateError, match=r"worker tcp://\S+:\d+ runs other code \(finray-calib .* or stop"):
+            list(each_computed(slowly, str(folder), points, "point ", (None, server.address), folder=folder))
+        assert not list(folder.iterdir())
+        server.processes.pop().kill()
+        server.add_worker(ROOT)
+        ended = each_computed(slowly, str(folder), points, "point ", (None, server.address), told_to(told), folder)
+        first, _ = next(ended)
+        server.add_worker(other)
+        numbers = [first.number, *(point.number for point, reason in ended if reason is None)]
+    finally:
+        server.kill()
+    assert sorted(numbers) == [1, 2, 3, 4, 5, 6]
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 7)}
+
+
+def test_a_folder_of_the_same_path_that_is_another_one_is_not_seen(tmp_path):
+    with _token_in(tmp_path) as token:
+        assert _fault(code_digest(), token) is None
+        elsewhere = tmp_path / "elsewhere" / token.name
+        assert _fault(code_digest(), elsewhere) == f"does not see {tmp_path}/elsewhere"
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
@@ -536,8 +618,8 @@ def test_a_full_disk_loses_nothing_that_is_finished(tmp_path):
         task, points = study_of(tmp_path, vary("seed", [0, 1, 2]))
         (disk / "filler").write_bytes(b"0" * 150_000)
         reasons = {}
-        with _client(1, None) as client:
-            reasons |= {p.number: r for p, r in _each(client, stored_big_point, task, points, _Steps(3, None), "")}
+        with open_workers(1) as workers:
+            reasons |= {p.number: r for p, r in _each(workers, stored_big_point, task, points, _Steps(3, None), "")}
             full = [number for number, reason in reasons.items() if reason is not None]
             assert full
             assert all("No space left on device" in reasons[number] for number in full)
@@ -547,7 +629,7 @@ def test_a_full_disk_loses_nothing_that_is_finished(tmp_path):
             (disk / "filler").unlink()
             left = [point for point in points if stored_point(task, point) is None]
             assert [p.number for p in left] == full
-            ended = [r for _, r in _each(client, stored_big_point, task, left, _Steps(len(left), None), "")]
+            ended = [r for _, r in _each(workers, stored_big_point, task, left, _Steps(len(left), None), "")]
         assert ended == [None] * len(full)
         assert all(path.read_bytes() == content for path, content in kept.items())
         assert all(stored_point(task, point) is not None for point in points)
