@@ -219,7 +219,7 @@ def _ended(
         except (CancelledError, OSError) as lost:  # Dask cancels what it has given to a scheduler that is gone
             if not workers.reached_again(steps.note):
                 raise SimulateError(_WENT_AWAY) from lost
-            waiting.extendleft(running.values())
+            waiting.extendleft(reversed(running.values()))
             running, ended = {}, as_completed()
             continue
         point = running.pop(future.key)

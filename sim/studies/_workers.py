@@ -202,6 +202,8 @@ def open_workers(count: int, scheduler: str | None = None, folder: Path | None =
         raise MissingExtraError(f"design studies need Dask: pip install 'finray-calib[sim]' ({error})") from error
     with dask.config.set(dict(_SETTINGS)):
         if scheduler is not None:
+            # what it would log with a traceback is said here in a sentence
+            logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
             try:
                 workers = Workers(distributed.Client(scheduler, timeout="10s"), scheduler, folder)
             except (OSError, ValueError) as error:

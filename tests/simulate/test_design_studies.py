@@ -1,12 +1,7 @@
 """Design studies: the points of a plan, the metrics of images, what points share, and workers that fail and die."""
 
 import os
-import shutil
-import socket
 import subprocess
-import sys
-import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,9 +10,8 @@ import colour
 import numpy as np
 import psutil
 import pytest
-from distributed import Client
 
-from data_schemas import FingerSurfaces, PressMechanics, RecordError, SimulateError, StudyPoint, code_digest, provenance
+from data_schemas import FingerSurfaces, PressMechanics, RecordError, SimulateError, StudyPoint, provenance
 from data_schemas.storage import read_record, write_record
 from data_schemas.storage._whole_files import part_name
 from finray_calib.cli._study_run import stand_in_paints
@@ -38,8 +32,7 @@ from sim.studies import (
     study_points,
 )
 from sim.studies import _point as point_module
-from sim.studies import _workers as workers_module
-from sim.studies._engine import _each, _Steps, each_computed
+from sim.studies._engine import _each, _Steps
 from sim.studies._point import (
     _mean_product,
     _metrics,
@@ -55,7 +48,7 @@ from sim.studies._point import (
     stored_point,
     vividness,
 )
-from sim.studies._workers import _fault, _token_in, open_workers
+from sim.studies._workers import open_workers
 from sim.surface_meshes import everyday_objects, pressed_height_mm
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -458,153 +451,6 @@ def test_a_scheduler_that_does_not_answer_is_told(tmp_path):
     task, points = study_of(tmp_path, vary("light.angle_deg", [0.0]))
     with pytest.raises(SimulateError, match=r"--scheduler tcp://127\.0\.0\.1:1: no Dask scheduler answers there"):
         run_study(task, points, scheduler="tcp://127.0.0.1:1")
-
-
-class Server:
-    """A Dask scheduler with a worker, on a port of its own, killed as a power cut does."""
-
-    def __init__(self, port, code=ROOT):
-        self.address = f"tcp://127.0.0.1:{port}"
-        self.processes = []
-        self._start(f"scheduler --host 127.0.0.1 --port {port}", code)
-        self._wait(port)
-        self.add_worker(code)
-
-    def add_worker(self, code):
-        """Add a worker that runs these sources, and wait until it is there."""
-        self._start(f"worker {self.address} --host 127.0.0.1 --nthreads 1 --nworkers 1 --no-nanny", code)
-        with Client(self.address) as client:
-            client.wait_for_workers(len(self.processes) - 1, timeout=300)
-
-    def _start(self, words, code):
-        dask = str(Path(sys.executable).with_name("dask"))
-        common = {"env": {**os.environ, "PYTHONPATH": str(code)}, "stderr": subprocess.DEVNULL, "cwd": code}
-        self.processes.append(subprocess.Popen([dask, *words.split(), "--no-dashboard"], **common))
-
-    def _wait(self, port):
-        """Return once the scheduler listens: a busy machine takes its time to import it."""
-        deadline = time.monotonic() + 300.0
-        while time.monotonic() < deadline:
-            with socket.socket() as asking:
-                if asking.connect_ex(("127.0.0.1", port)) == 0:
-                    return
-            time.sleep(0.2)
-        self.kill()
-        raise TimeoutError(self.address)
-
-    def kill(self):
-        for process in self.processes:
-            process.kill()
-            process.wait()
-
-
-def free_port():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        return taken.getsockname()[1]
-
-
-def slowly(folder, point):
-    """Add a mark to the file of a point, after a while."""
-    time.sleep(0.5)
-    with (Path(folder) / f"{point.number}").open("a") as file:
-        file.write("x")
-
-
-@pytest.mark.timeout(1200)
-def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path, monkeypatch):
-    """Once it is given up, the same command goes on with what is missing when it runs again."""
-    monkeypatch.setattr(workers_module, "WAIT_FOR_SCHEDULER_S", 3.0)
-    _, points = study_of(tmp_path, vary("seed", [0, 1, 2, 3, 4, 5]))
-    folder = tmp_path / "marks"
-    folder.mkdir()
-    server = Server(free_port())
-    try:
-        ended = each_computed(slowly, str(folder), points, "point ", (None, server.address))
-        next(ended)
-        server.kill()
-        with pytest.raises(SimulateError, match="went away in the middle and did not come back; what is finished is"):
-            list(ended)
-        done = {path.name for path in folder.iterdir()}
-        assert 1 <= len(done) < 6
-        server = Server(free_port())
-        missing = [point for point in points if f"{point.number}" not in done]
-        again = [p.number for p, _ in each_computed(slowly, str(folder), missing, "point ", (None, server.address))]
-        assert again == [point.number for point in missing]
-    finally:
-        server.kill()
-    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 7)}
-
-
-@pytest.mark.timeout(1200)
-def test_a_study_waits_for_its_scheduler_while_it_is_started_again(tmp_path):
-    """What was in flight is given again; points that keep what they find are computed once."""
-    _, points = study_of(tmp_path, vary("seed", list(range(8))))
-    folder = tmp_path / "marks"
-    folder.mkdir()
-    port = free_port()
-    server, told = Server(port), []
-    try:
-        ended = each_computed(once_slowly, str(folder), points, "point ", (None, server.address), told_to(told))
-        first, _ = next(ended)
-        server.kill()
-        restarting = threading.Timer(2.0, lambda: servers.append(Server(port)))
-        servers = []
-        restarting.start()
-        numbers = [first.number, *(point.number for point, reason in ended if reason is None)]
-        restarting.join()
-    finally:
-        for one in (server, *servers):
-            one.kill()
-    assert sorted(numbers) == list(range(1, 9))
-    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 9)}
-    assert f"the scheduler {server.address} went away; waiting for it, 10 minutes at most" in told
-
-
-def told_to(told):
-    return lambda done, of, what: told.append(what)
-
-
-def once_slowly(folder, point):
-    """Compute a point as studies do: nothing that is there already."""
-    return None if (Path(folder) / f"{point.number}").exists() else slowly(folder, point)
-
-
-@pytest.mark.timeout(1200)
-def test_a_worker_with_other_code_or_another_disk_is_refused_or_left_out(tmp_path):
-    """One that is there as the study begins is named; one that comes later gets no more points."""
-    other = tmp_path / "other"
-    for package in ("data_schemas", "finray_calib", "rigs", "sim"):
-        shutil.copytree(ROOT / package, other / package, ignore=shutil.ignore_patterns("__pycache__"))
-    with (other / "sim" / "studies" / "_point.py").open("a") as file:
-        file.write("\n# changed\n")
-    shutil.copytree(ROOT / "tests", other / "tests", ignore=shutil.ignore_patterns("__pycache__"))
-    _, points = study_of(tmp_path, vary("seed", list(range(6))))
-    folder, told = tmp_path / "marks", []
-    folder.mkdir()
-    server = Server(free_port(), other)
-    try:
-        with pytest.raises(SimulateError, match=r"worker tcp://\S+:\d+ runs other code \(finray-calib .* or stop"):
-            list(each_computed(slowly, str(folder), points, "point ", (None, server.address), folder=folder))
-        assert not list(folder.iterdir())
-        server.processes.pop().kill()
-        server.add_worker(ROOT)
-        ended = each_computed(slowly, str(folder), points, "point ", (None, server.address), told_to(told), folder)
-        first, _ = next(ended)
-        server.add_worker(other)
-        numbers = [first.number, *(point.number for point, reason in ended if reason is None)]
-    finally:
-        server.kill()
-    assert sorted(numbers) == [1, 2, 3, 4, 5, 6]
-    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 7)}
-
-
-def test_a_folder_of_the_same_path_that_is_another_one_is_not_seen(tmp_path):
-    with _token_in(tmp_path) as token:
-        assert _fault(code_digest(), token) is None
-        elsewhere = tmp_path / "elsewhere" / token.name
-        assert _fault(code_digest(), elsewhere) == f"does not see {tmp_path}/elsewhere"
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
