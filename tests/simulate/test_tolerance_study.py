@@ -98,9 +98,7 @@ def test_a_box_of_which_a_finger_cannot_be_built_is_made_smaller(drawn):
             raise SimulateError("the camera sees 10 of 30 points")
         return by_formula(design, paints, seed)
 
-    with pytest.raises(
-        SimulateError, match=r"not even fingers within .* can be built: the camera sees"
-    ):
+    with pytest.raises(SimulateError, match=r"not even fingers within .* can be built: the camera sees"):
         study_tolerances(never, DESIGN, drawn, inputs, settings)
 
 
