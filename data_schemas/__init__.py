@@ -199,7 +199,6 @@ if TYPE_CHECKING:
         code_digest,
         digest_of_input,
         note_renderer,
-        of_this_process,
         package_version,
         provenance,
     )
@@ -669,7 +668,6 @@ __all__ = [
     "needed_kind",
     "note_renderer",
     "numbers_of",
-    "of_this_process",
     "package_version",
     "plug_ins",
     "practice_fault",

@@ -56,6 +56,15 @@ class Provenance(BaseModel):
         commit = f", commit {self.git_commit[:12]}" if self.git_commit else ""
         return f"finray-calib {self.package_version}{commit}{', changed since' if self.git_dirty else ''}"
 
+    def of_this_process(self) -> "Provenance":
+        """Return the same origin with interpreter, packages, processor and renderer of the process that computes.
+
+        It may run on another machine than the one that was asked.
+        """
+        here = provenance("")
+        known = {name: getattr(here, name) for name in ("python_version", "packages", "processor", "renderer")}
+        return self.model_copy(update=known)
+
     @property
     def arguments(self) -> tuple[str, ...] | None:
         """The words after "finray" on the command line, or None where the product was not made by one.
@@ -147,19 +156,6 @@ def code_digest() -> str:
     )
     lines = "".join(f"{sha256_of(root / name)}  {name}\n" for name in names)
     return hashlib.sha256(lines.encode()).hexdigest()
-
-
-def of_this_process(origin: Provenance) -> Provenance:
-    """Return an origin with the interpreter, packages, processor and renderer of the process that computes.
-
-    Parameters
-    ----------
-    origin
-        Made by the process that was asked, which may run on another machine.
-    """
-    here = provenance("")
-    known = {name: getattr(here, name) for name in ("python_version", "packages", "processor", "renderer")}
-    return origin.model_copy(update=known)
 
 
 def digest_of_input(path: Path) -> str:

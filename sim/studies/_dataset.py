@@ -31,7 +31,6 @@ from data_schemas import (
     PressMechanics,
     Provenance,
     SimulateError,
-    of_this_process,
 )
 from data_schemas.storage import ProductSet, clear_leftovers, read_record, write_record
 from sim.experiments import (
@@ -333,7 +332,7 @@ def compute_shard(task: DatasetTask, shard: PlannedShard) -> None:
     )
     with ProductSet(file.with_suffix(".json")) as products:
         products.add(file, content)
-        write_record(record, file.with_suffix(".json"), of_this_process(task.origin), products)
+        write_record(record, file.with_suffix(".json"), task.origin.of_this_process(), products)
 
 
 def press_samples(task: DatasetTask, press: int) -> list[tuple[DatasetSample, LookTruth]]:
