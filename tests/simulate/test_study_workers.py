@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 from distributed import Client
 
-from data_schemas import SimulateError, code_digest
+from data_schemas import SimulateError, code_digest, provenance
+from data_schemas import _provenance as provenance_module
 from sim.studies import _workers as workers_module
 from sim.studies._engine import each_computed
 from sim.studies._workers import _fault, _token_in
@@ -233,3 +234,17 @@ def test_a_scheduler_on_another_machine_computes_also_after_its_cable_was_pulled
         server.kill()
     assert sorted(numbers) == list(range(1, 9))
     assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 9)}
+
+
+def test_a_record_names_the_machine_that_computed_it(monkeypatch):
+    asked = provenance("finray study run PLAN", {"plan.toml": "0" * 64}, 3).model_copy(
+        update={"processor": "asked", "packages": {"numpy": "1.0"}, "python_version": "3.0", "renderer": None}
+    )
+    monkeypatch.setattr(provenance_module, "_opened_renderer", ["llvm_ad_rgb"])
+    stored = asked.of_this_process()
+    here = provenance("")
+    assert stored.renderer == "llvm_ad_rgb"
+    for name in ("processor", "packages", "python_version"):
+        assert getattr(stored, name) == getattr(here, name) != getattr(asked, name)
+    for name in ("command", "input_sha256", "seed", "created_utc", "package_version", "git_commit"):
+        assert getattr(stored, name) == getattr(asked, name)
