@@ -120,7 +120,7 @@ examples:
   finray design assess flat-70x35 --pad 60x30 --paint red=red.paint.json --paint green=green.paint.json
   finray design assess finger.toml --paint red=r.json --paint green=g.json --quick"""
 ASSESSMENT_PAGE, ASSESSED_FROM = "assessment.html", "computed-from.sha256"
-_ANGLES_DEG = tuple(float(angle) for angle in range(-30, 121, 10))
+_ANGLES_DEG = tuple(float(angle) for angle in range(-60, 121, 10))
 _PLACES_REL = (0.12, 0.3, 0.5, 0.7, 0.88)
 _PERCENT_CHANGE = 0.2
 
