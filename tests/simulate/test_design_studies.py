@@ -32,7 +32,7 @@ from sim.studies import (
     study_points,
 )
 from sim.studies import _point as point_module
-from sim.studies._engine import _each, _Steps
+from sim.studies._engine import _each, _Steps, open_workers
 from sim.studies._point import (
     _mean_product,
     _metrics,
@@ -48,7 +48,6 @@ from sim.studies._point import (
     stored_point,
     vividness,
 )
-from sim.studies._workers import open_workers
 from sim.surface_meshes import everyday_objects, pressed_height_mm
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,9 +15,8 @@ from distributed import Client
 
 from data_schemas import SimulateError, code_digest, provenance
 from data_schemas import _provenance as provenance_module
-from sim.studies import _workers as workers_module
-from sim.studies._engine import each_computed
-from sim.studies._workers import _fault, _token_in
+from sim.studies import _engine as engine_module
+from sim.studies._engine import _fault, _token_in, each_computed
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -99,7 +98,7 @@ def slowly(folder, point):
 @pytest.mark.timeout(1200)
 def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path, monkeypatch):
     """Once it is given up, the same command goes on with what is missing when it runs again."""
-    monkeypatch.setattr(workers_module, "WAIT_FOR_SCHEDULER_S", 3.0)
+    monkeypatch.setattr(engine_module, "WAIT_FOR_SCHEDULER_S", 3.0)
     points = jobs(6)
     folder = tmp_path / "marks"
     folder.mkdir()
