@@ -327,7 +327,7 @@ def stand_ins() -> Iterator[None]:
             "sim.mechanics._press.press_finger": ReplayedPress(),
             f"{study}.LoadedFinger": Quick,
             f"{study}.press_to_force": no_grip,
-            "sim.studies._engine._client": lambda *_: contextlib.nullcontext(),
+            "sim.studies._engine.open_workers": lambda *_: contextlib.nullcontext(),
             "sim.studies._engine._each": one_after_the_other,
             "time.process_time": lambda: 0.0,
             "sim.experiments._design_search.DesignEvaluations._values": stiffness,

@@ -200,7 +200,14 @@ if TYPE_CHECKING:
         plug_ins,
     )
     from data_schemas._press_surrogate import PressFamily, PressSurrogate, TaughtKernel, TaughtPress
-    from data_schemas._provenance import Provenance, digest_of_input, note_renderer, package_version, provenance
+    from data_schemas._provenance import (
+        Provenance,
+        code_digest,
+        digest_of_input,
+        note_renderer,
+        package_version,
+        provenance,
+    )
     from data_schemas._radiometry import (
         FEWEST_LEVELS,
         BandSignals,
@@ -654,6 +661,7 @@ __all__ = [
     "WrongPositionError",
     "check_magnitude",
     "check_pad_shape",
+    "code_digest",
     "coverage_notes",
     "decimals_for",
     "digest_of_input",

@@ -1,5 +1,6 @@
 """Who made a product, when, with which software and machine, from which inputs and with which seed."""
 
+import hashlib
 import platform
 import shlex
 import subprocess
@@ -13,14 +14,16 @@ from typing import Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from data_schemas._units import Seed
-from data_schemas.storage import digest_as_read
+from data_schemas.storage import digest_as_read, sha256_of
 
 NUMERICAL_PACKAGES: Final = (
     "numpy", "scipy", "numba", "llvmlite", "mitsuba", "drjit", "ipctk", "pypardiso", "mkl", "emcee", "nlopt",
     "colour-science", "opencv-contrib-python-headless", "rawpy",
 )  # fmt: skip
 """Packages whose versions can change a stored number; of these the installed ones are recorded."""
-_SOURCES: Final = ("data_schemas", "rigs", "finray_calib", "sim", "pyproject.toml")
+_PACKAGES: Final = ("data_schemas", "rigs", "finray_calib", "sim")
+_READ_AT_RUN_TIME: Final = (".py", ".c", ".json", ".toml")
+_SOURCES: Final = (*_PACKAGES, "pyproject.toml")
 _SIMD_FLAGS: Final = ("avx512f", "avx2", "avx", "sve", "asimd")
 
 
@@ -52,6 +55,15 @@ class Provenance(BaseModel):
         """Version of the package and, where known, the commit of its sources and whether they were changed since."""
         commit = f", commit {self.git_commit[:12]}" if self.git_commit else ""
         return f"finray-calib {self.package_version}{commit}{', changed since' if self.git_dirty else ''}"
+
+    def of_this_process(self) -> "Provenance":
+        """Return the same origin with interpreter, packages, processor and renderer of the process that computes.
+
+        It may run on another machine than the one that was asked.
+        """
+        here = provenance("")
+        known = {name: getattr(here, name) for name in ("python_version", "packages", "processor", "renderer")}
+        return self.model_copy(update=known)
 
     @property
     def arguments(self) -> tuple[str, ...] | None:
@@ -127,6 +139,23 @@ _opened_renderer: list[str] = []
 def note_renderer(variant: str) -> None:
     """State the renderer's variant that this process has opened; provenance written from now on names it."""
     _opened_renderer[:] = [variant]
+
+
+@cache
+def code_digest() -> str:
+    """Return the SHA-256 of the sources that this process runs: names and contents of all files of the packages.
+
+    Two computers with the same digest run the same finray, installed or from a source tree.
+    """
+    root = Path(__file__).resolve().parent.parent
+    names = sorted(
+        file.relative_to(root).as_posix()
+        for package in _PACKAGES
+        for file in (root / package).rglob("*")
+        if file.suffix in _READ_AT_RUN_TIME and file.is_file()
+    )
+    lines = "".join(f"{sha256_of(root / name)}  {name}\n" for name in names)
+    return hashlib.sha256(lines.encode()).hexdigest()
 
 
 def digest_of_input(path: Path) -> str:

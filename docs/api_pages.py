@@ -26,6 +26,7 @@ BESIDE = {
     "published-fin-ray.md": "A published Fin Ray finger, pressed: force and direction against measured ones",
     "taught-surrogates.md": "Surrogates of a finger: presses in milliseconds, and how far they are off",
     "times-to-light-off.md": "How long a light stays on when processes are killed or stopped",
+    "scale-of-studies.md": "Studies on many machines, and what a million points cost",
     "frames-for-other-programs.md": "Frames for other programs: OME-TIFF, NeXus, bluesky documents and devices",
     "ros2.md": "Frames in ROS 2, by an example",
     "stage-and-load-cell.md": "A stage that presses, and a load cell that stops it: rig file, plan, what stops it",

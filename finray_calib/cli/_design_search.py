@@ -4,11 +4,14 @@
 """
 
 import argparse
+import functools
+import hashlib
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_paint,
@@ -40,6 +43,8 @@ if TYPE_CHECKING:
         Record,
     )
     from sim.experiments import FingerEvaluator, LightMeasure, PaintDraws, ToleranceSettings
+
+T = TypeVar("T", bound="Record")
 
 OPTIMISE_HELP = "search the numbers of a finger, within limits, for the best design by your objectives"
 
@@ -106,13 +111,16 @@ Find what a designer asks of a finger first:
 The folder then holds the finger with the chosen light (TOML), the records and pages of 'finray decide' and 'finray
 design tolerances', the table of 'finray study finger-stiffness', and one page with the numbers of all.
 
+Each part is stored as soon as it is finished: the same command continues where it was interrupted.
+
 --quick takes fewer paths and fingers, and leaves the assumed dimensions of the skeleton: a first look in a third of the
 time. Everything is simulated: no finger was built."""
 ASSESS_EPILOG = """\
 examples:
   finray design assess flat-70x35 --pad 60x30 --paint red=red.paint.json --paint green=green.paint.json
   finray design assess finger.toml --paint red=r.json --paint green=g.json --quick"""
-_ANGLES_DEG = tuple(float(angle) for angle in range(-30, 121, 10))
+ASSESSMENT_PAGE, ASSESSED_FROM = "assessment.html", "computed-from.sha256"
+_ANGLES_DEG = tuple(float(angle) for angle in range(-60, 121, 10))
 _PLACES_REL = (0.12, 0.3, 0.5, 0.7, 0.88)
 _PERCENT_CHANGE = 0.2
 
@@ -127,7 +135,7 @@ def add_assess(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     add_paints_as_given(assess)
     assess.add_argument("--quick", action="store_true", help="fewer paths and fingers, for a first look")
     add_engine(assess, is_scalar_enough=False)
-    assess.add_argument("--out", type=Path, metavar="DIR", help="default: NAME.assessed; must be new")
+    assess.add_argument("--out", type=Path, metavar="DIR", help="default: NAME.assessed")
     add_seed(assess)
     assess.set_defaults(run=run_assess, vary=[], places_mm=[], calibration="own")
 
@@ -480,67 +488,145 @@ def _tolerance_table(record: "FingerTolerances") -> "Iterator[str]":
 
 def run_assess(arguments: argparse.Namespace) -> None:
     """Decide on the light of a finger, then find the tolerances and the stiffness of the finger with that light."""
-    from data_schemas import SimulateError, provenance
-    from data_schemas.storage import ProductSet, write_bytes, write_record
+    from data_schemas import FingerStiffness, FingerTolerances, LightAngleDecision, SimulateError, provenance
+    from data_schemas.storage import write_bytes
     from finray_calib.reports import assessment_page, decision_page, finger_outline
     from finray_calib.reports.tolerances import tolerance_page
-    from sim import design_toml, given_design, with_pad_size
+    from sim import design_inputs, design_toml, given_design, with_pad_size
     from sim.experiments import ToleranceSettings
 
     design, files, folder = given_design(arguments.design)
+    files = design_inputs(design, files[0]) if files else files
+    files += [] if design.indenter.file is None else [folder / design.indenter.file]
     design = design if arguments.pad is None else with_pad_size(design, *arguments.pad)
     paint_paths = both_paint_files(arguments)
-    out = require_new(arguments.out or Path(f"{file_name(design.name)}.assessed"))
     paints = _paint_draws(paint_paths, arguments.paints_as_given)  # what is wrong with them is told before any work
     inputs = input_digests([*files, *paint_paths.values()])
     origin = provenance(command_line(), inputs, arguments.seed)
     arguments.samples = 256 if arguments.quick else 1024
     settings = ToleranceSettings(runs=96 if arguments.quick else 128, seed=arguments.seed)
-
-    def store(name: str, record: "Record", page: str = "") -> None:
-        with ProductSet(out / f"{name}.json") as products:
-            if page:
-                products.add(out / f"{name}.html", page.encode())
-            write_record(record, out / f"{name}.json", origin, products)
-
     with naming(SimulateError, arguments.design):
         finger_outline(design, folder)  # parts that do not fit are told before any work
-        decision, sweeps = _decided(arguments, design, folder, paint_paths)
-        for place_mm, sweep in sweeps.items():
-            store(f"{place_mm:04.1f}mm.sweep", sweep)
-        store("light-angle-decision", decision, decision_page(decision, [*sweeps.values()], command_line(), inputs))
+        of = [design.model_dump_json(exclude={"provenance"}), str(arguments.seed), str(arguments.quick)]
+        parts = _AssessedParts(
+            arguments.out or Path(f"{file_name(design.name)}.assessed"), origin, [*of, *inputs.values()]
+        )
+        sweeps = _swept(arguments, design, folder, paint_paths, parts)
+        decision = parts.part(
+            "light-angle-decision", LightAngleDecision, lambda: _decided(sweeps, arguments.seed),
+            lambda found: decision_page(found, sweeps, command_line(), inputs),
+        )  # fmt: skip
         light = design.light.model_copy(update={"angle_deg": decision.angle_deg})
         design = design.model_copy(update={"light": light})
-        write_bytes(out / "finger.toml", design_toml(_with_whole_paths(design, folder)).encode())
-        tolerances = _tolerances(arguments, design, folder, paints, settings)
-        store("tolerances", tolerances, tolerance_page(tolerances, command_line(), inputs))
-        stiffness = _stiffness(arguments, design)
-        store("finger-stiffness", stiffness)
+        if not (parts.out / "finger.toml").exists():
+            write_bytes(parts.out / "finger.toml", design_toml(_with_whole_paths(design, folder)).encode())
+        tolerances = parts.part(
+            "tolerances", FingerTolerances, lambda: _tolerances(arguments, design, folder, paints, settings),
+            lambda found: tolerance_page(found, command_line(), inputs),
+        )  # fmt: skip
+        stiffness = parts.part("finger-stiffness", FingerStiffness, lambda: _stiffness(arguments, design))
+    parts.warn_of_other_code()
     page = assessment_page(decision, tolerances, stiffness, command_line(), inputs)
-    write_bytes(out / "assessment.html", page.encode())
+    write_bytes(parts.out / ASSESSMENT_PAGE, page.encode())
     _tell_assessment(decision, tolerances, stiffness)
-    wrote(out, "finger.toml with the light that was chosen, records and pages of each part")
-    look_at(out / "assessment.html")
+    wrote(parts.out, "finger.toml with the light that was chosen, records and pages of each part")
+    look_at(parts.out / ASSESSMENT_PAGE)
 
 
-def _decided(
-    arguments: argparse.Namespace, design: "FingerDesign", folder: Path, paints: "Mapping[str, Path]"
-) -> "tuple[LightAngleDecision, dict[float, LightAngleSweep]]":
-    """Sweep at five places of the pad, and decide."""
+class _AssessedParts:
+    """The parts of an assessment: each is stored once it is computed, and read back when the command is given again.
+
+    The folder holds the SHA-256 of what all parts are computed from, so that an assessment of something else does not
+    continue there.
+    """
+
+    def __init__(self, out: Path, origin: "Provenance", computed_from: Sequence[str]) -> None:
+        from data_schemas import RecordError
+        from data_schemas.storage import clear_leftovers, read_text, write_bytes
+
+        self.out, self._origin = require_folder(out), origin
+        self._other_code: dict[str, str] = {}
+        key = hashlib.sha256(json.dumps(list(computed_from)).encode()).hexdigest()
+        clear_leftovers(out)
+        stored = out / ASSESSED_FROM
+        if (out / ASSESSMENT_PAGE).exists() or (out.exists() and any(out.iterdir()) and not stored.exists()):
+            what = "a finished assessment" if stored.exists() else "something other than an assessment"
+            raise RecordError(f"{out}: holds {what}, which is not overwritten; choose another --out or move it away")
+        if not stored.exists():
+            write_bytes(stored, f"{key}\n".encode())
+        elif read_text(stored, "the SHA-256 of an assessment's inputs").strip() != key:
+            raise RecordError(
+                f"{out}: holds an unfinished assessment of another finger, pad, paint, seed or --quick; give the "
+                "command that began it, or another --out"
+            )
+        elif kept := sum(1 for _ in out.glob("*.json")):
+            say(f"{out}: continues; {kept} finished parts are kept")
+
+    def part(self, name: str, kind: type[T], compute: Callable[[], T], page: Callable[[T], str] | None = None) -> T:
+        """Return the record of a part, computed and stored with its page unless it is there."""
+        from data_schemas.storage import ProductSet, read_record, write_record
+
+        file = self.out / f"{name}.json"
+        if file.exists():
+            kept = read_record(file, kind)
+            if kept.provenance is not None and kept.provenance.code != self._origin.code:
+                self._other_code[name] = kept.provenance.code
+            return kept
+        record = compute()
+        with ProductSet(file) as products:
+            if page is not None:
+                products.add(file.with_suffix(".html"), page(record).encode())
+            write_record(record, file, self._origin, products)
+        return record
+
+    def warn_of_other_code(self) -> None:
+        """Warn of parts that another version or commit computed."""
+        other = "; ".join(f"{name} by {code}" for name, code in self._other_code.items())
+        if other:
+            warn(f"parts computed by other code than this ({self._origin.code}) are kept: {other}. To compute them "
+                 "anew, give another --out")  # fmt: skip
+
+
+def _swept(
+    arguments: argparse.Namespace,
+    design: "FingerDesign",
+    folder: Path,
+    paints: "Mapping[str, Path]",
+    parts: _AssessedParts,
+) -> "list[LightAngleSweep]":
+    """Sweep the light's angle at five places of the pad."""
+    from data_schemas import LightAngleSweep
+
+    return [
+        parts.part(
+            f"{share * design.pad.length_mm:04.1f}mm.sweep",
+            LightAngleSweep,
+            functools.partial(_sweep, arguments, _with_whole_paths(design, folder), paints, number),
+        )
+        for number, share in enumerate(_PLACES_REL)
+    ]
+
+
+def _sweep(
+    arguments: argparse.Namespace, design: "FingerDesign", paints: "Mapping[str, Path]", number: int
+) -> "LightAngleSweep":
+    """Sweep the light's angle at one of the places."""
     from finray_calib import sweep_light_angle
+
+    place_mm = round(_PLACES_REL[number] * design.pad.length_mm, 1)
+    with progress_bar(f"light at {place_mm:g} mm, place {number + 1} of {len(_PLACES_REL)}") as progress:
+        return sweep_light_angle(
+            design, _ANGLES_DEG, red=paints["red"], green=paints["green"], seed=arguments.seed, progress=progress,
+            samples=2000 if arguments.quick else 4000, engine=arguments.engine,
+            paints_as_given=arguments.paints_as_given, all_objectives=number == 0, position_mm=place_mm,
+        )  # fmt: skip
+
+
+def _decided(sweeps: "Sequence[LightAngleSweep]", seed: int) -> "LightAngleDecision":
+    """Decide on the light angle."""
     from finray_calib.decide import decide
 
-    sweeps = {}
-    for number, share in enumerate(_PLACES_REL):
-        place_mm = round(share * design.pad.length_mm, 1)
-        with progress_bar(f"light at {place_mm:g} mm, place {number + 1} of {len(_PLACES_REL)}") as progress:
-            sweeps[place_mm] = sweep_light_angle(
-                _with_whole_paths(design, folder), _ANGLES_DEG, red=paints["red"], green=paints["green"],
-                seed=arguments.seed, progress=progress, samples=2000 if arguments.quick else 4000,
-                engine=arguments.engine, paints_as_given=arguments.paints_as_given, all_objectives=number == 0,
-                position_mm=place_mm,
-            )  # fmt: skip
-    return decide([*sweeps.values()], [], arguments.seed), sweeps
+    return decide(sweeps, [], seed)
 
 
 def _with_whole_paths(design: "FingerDesign", folder: Path) -> "FingerDesign":

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         DatasetFailure,
         DatasetPlan,
         DatasetShard,
+        DesignValue,
         LearningDataset,
         Provenance,
         StudyFailure,
@@ -101,6 +102,7 @@ examples:
   finray study dataset finger.toml --presses 1000 --paint red=r.json --paint green=g.json --out presses
   finray study dataset finger.toml --presses 200 --press "finite elements" --shape ball --shape cylinder"""
 DATASET_NAME, INDEX_NAME, CARD_NAME, PLACES_NAME = "dataset.json", "index.csv", "README.md", "places_mm.npy"
+PARQUET_NAME, NETCDF_NAME = "table.parquet", "table.nc"
 TABLE_NAME, RESULT_NAME, PAGE_NAME, PICTURES_NAME = "table.csv", "study.json", "study.html", "pictures.webp"
 
 
@@ -474,9 +476,10 @@ def stand_in_paints() -> "tuple[dict[str, PaintOptics], dict[str, str]]":
 def _store(out: Path, result: "StudyResult", points: "Sequence[StudyPoint]", origin: "Provenance") -> None:
     """Store table, page and result together, in place of those of an earlier run of the same study."""
     from data_schemas.storage import ProductSet, write_record
+    from finray_calib.exchange import parquet_table, study_netcdf
     from finray_calib.reports import design_study_page, study_pictures_webp
 
-    names = (RESULT_NAME, TABLE_NAME, PAGE_NAME, PICTURES_NAME)
+    names = (RESULT_NAME, TABLE_NAME, PARQUET_NAME, NETCDF_NAME, PAGE_NAME, PICTURES_NAME)
     for name in names:  # made again from the points, which are what is kept
         (out / name).unlink(missing_ok=True)
     page = design_study_page(result, points, origin.command, origin.input_sha256, origin.package_version)
@@ -484,22 +487,40 @@ def _store(out: Path, result: "StudyResult", points: "Sequence[StudyPoint]", ori
     with ProductSet(out / RESULT_NAME) as products:
         products.add(out / TABLE_NAME, table_csv(result).encode())
         products.add(out / PAGE_NAME, page.encode())
-        if pictures is not None:
-            products.add(out / PICTURES_NAME, pictures)
+        further = {
+            PARQUET_NAME: parquet_table(_table_rows(result)),
+            NETCDF_NAME: study_netcdf(result),
+            PICTURES_NAME: pictures,
+        }
+        for name, content in further.items():
+            if content is not None:
+                products.add(out / name, content)
         write_record(result, out / RESULT_NAME, origin, products)
 
 
 def table_csv(result: "StudyResult") -> str:
     """Return one row a point: number, what was changed, and each metric with its limits."""
-    names = list(dict.fromkeys(metric.name for row in result.points for metric in row.metrics))
+    rows = _table_rows(result)
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["point", *result.varied, *(f"{n}{end}" for n in names for end in ("", "_low95", "_high95"))])
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _table_rows(result: "StudyResult") -> "list[dict[str, DesignValue | None]]":
+    """Return the rows of the table, all with the same columns."""
+    names = list(dict.fromkeys(metric.name for row in result.points for metric in row.metrics))
+    rows = []
     for row in result.points:
         metrics = {metric.name: metric for metric in row.metrics}
-        cells = [value for name in names for value in _three(metrics.get(name))]
-        writer.writerow([row.number, *(row.changes[field] for field in result.varied), *cells])
-    return text.getvalue()
+        numbers = {
+            f"{name}{end}": value
+            for name in names
+            for end, value in zip(("", "_low95", "_high95"), _three(metrics.get(name)), strict=True)
+        }
+        rows.append({"point": row.number, **{field: row.changes[field] for field in result.varied}, **numbers})
+    return rows
 
 
 def _three(metric: "StudyMetric | None") -> tuple[float | None, float | None, float | None]:

@@ -436,10 +436,14 @@ def _left_out(terms: Floats, values: Floats, weights: Floats) -> Floats:
 def _posterior(
     terms: Floats, values: Floats, weights: Floats, noise: float, left_out: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Return mean and draws of the coefficients; what is not predicted counts as noise of the runs."""
+    """Return mean and draws of the coefficients; what is not predicted counts as noise of the runs.
+
+    The prior is at most as wide as the most likely one of the values: a fit through all runs of few says nothing of the
+    noise, and its coefficients would be drawn from any size.
+    """
     gram = (terms * weights) @ terms.T + noise * np.eye(len(values))
     gain = weights[:, None] * np.linalg.solve(gram, terms).T
-    prior_variance = left_out / noise
+    prior_variance = min(left_out / noise, float(values @ np.linalg.solve(gram, values)) / len(values))
     before = np.sqrt(prior_variance * weights) * rng.standard_normal((_DRAWS, len(weights)))
     seen = before @ terms.T + np.sqrt(left_out) * rng.standard_normal((_DRAWS, len(values)))
     return gain @ values, before + (values - seen) @ gain.T

@@ -23,7 +23,13 @@ if TYPE_CHECKING:
     from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
     from finray_calib.exchange._capture_request import PlannedView, capture_request
     from finray_calib.exchange._lab_measurements import calibration_yaml, read_board_picture, read_force_csv
-    from finray_calib.exchange._learning_dataset import dataset_card, index_csv, index_parquet, read_shard
+    from finray_calib.exchange._learning_dataset import (
+        dataset_card,
+        index_csv,
+        index_parquet,
+        parquet_table,
+        read_shard,
+    )
     from finray_calib.exchange._mesh_files import PrintFormat, printable_parts, vtu_bytes
     from finray_calib.exchange._nexus import write_bluesky_documents, write_nexus
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
@@ -51,6 +57,8 @@ if TYPE_CHECKING:
         capture_container,
         junit_xml,
         record_dataset,
+        study_dataset,
+        study_netcdf,
     )
     from finray_calib.exchange._render_files import (
         press_request,
@@ -96,6 +104,7 @@ __all__ = [
     "nine_dtact_capture",
     "nine_dtact_prediction",
     "paint_spectra",
+    "parquet_table",
     "press_request",
     "printable_parts",
     "raspberry_pi_capture",
@@ -113,6 +122,8 @@ __all__ = [
     "read_tuning",
     "recipe_names",
     "record_dataset",
+    "study_dataset",
+    "study_netcdf",
     "taxim_files",
     "vtu_bytes",
     "with_sizes",

@@ -8,7 +8,7 @@ import importlib
 import importlib.util
 import io
 import tarfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -83,11 +83,16 @@ def index_csv(shards: Iterable[DatasetShard]) -> bytes:
 
 def index_parquet(shards: Iterable[DatasetShard]) -> bytes | None:
     """Return the index as Parquet; None where pyarrow is not installed."""
+    return parquet_table(index_rows(shards))
+
+
+def parquet_table(rows: Iterable[Mapping[str, Any]]) -> bytes | None:
+    """Return a table as Parquet, a column for each key; None where pyarrow is not installed."""
     if importlib.util.find_spec("pyarrow") is None:
         return None
     arrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
     stream = io.BytesIO()
-    parquet.write_table(arrow.Table.from_pylist(index_rows(shards)), stream)
+    parquet.write_table(arrow.Table.from_pylist([dict(row) for row in rows]), stream)
     return stream.getvalue()
 
 

@@ -7,11 +7,13 @@ of the group ``finray_calib.import_formats``, whose module has ``read_capture(fo
 """
 
 import hashlib
+import importlib.util
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Protocol, get_args
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -29,6 +31,7 @@ from data_schemas import (
     Record,
     RecordError,
     SimulatedPress,
+    StudyResult,
     TactileCapture,
     find_plug_in,
 )
@@ -84,6 +87,54 @@ def record_dataset(record: Record) -> "Dataset":
     if not variables:
         raise RecordError(f"a {type(record).__name__} holds no array; its fields are plain numbers and words")
     return Dataset(variables, coords=coordinates, attrs=_attributes(record))
+
+
+def study_dataset(result: StudyResult) -> "Dataset":
+    """Return the table of a design study: numbers and their 95 % limits along "point", and what each point changes.
+
+    A number that a point lacks is NaN. A varied field is a coordinate of its name.
+
+    Parameters
+    ----------
+    result
+        From ``finray study run``.
+
+    Raises
+    ------
+    MissingExtraError
+        xarray is not installed.
+    """
+    try:
+        from xarray import Dataset
+    except ImportError:
+        raise MissingExtraError("a Dataset needs xarray: pip install 'finray-calib[netcdf]'") from None
+    variables: dict[str, Any] = {}
+    for first in {metric.name: metric for row in result.points for metric in row.metrics}.values():
+        of_point = [next((m for m in row.metrics if m.name == first.name), None) for row in result.points]
+        for ending, end in (("", "value"), ("_low95", "low95"), ("_high95", "high95")):
+            known = [None if metric is None else getattr(metric, end) for metric in of_point]
+            if end != "value" and all(value is None for value in known):
+                continue
+            numbers = np.array([np.nan if value is None else value for value in known])
+            words = first.meaning if end == "value" else f"{end.removesuffix('95')} 95 % limit of {first.name}"
+            variables[first.name + ending] = ("point", numbers, {"units": first.unit, "long_name": words})
+    coordinates: dict[str, Any] = {"point": [row.number for row in result.points]}
+    for field in result.varied:
+        values = [row.changes[field] for row in result.points]
+        is_number = all(isinstance(value, int | float) for value in values)
+        coordinates[field] = ("point", np.array(values, dtype=float if is_number else str))
+    origin = {} if result.provenance is None else {"command": result.provenance.command}
+    return Dataset(variables, coords=coordinates, attrs={"name": result.name, "about": result.about, **origin})
+
+
+def study_netcdf(result: StudyResult) -> bytes | None:
+    """Return :func:`study_dataset` as netCDF; None where the packages of the extra "netcdf" are not installed."""
+    if any(importlib.util.find_spec(package) is None for package in ("xarray", "h5netcdf")):
+        return None
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "table.nc"
+        study_dataset(result).to_netcdf(file, engine="h5netcdf")
+        return file.read_bytes()
 
 
 def _spec(annotation: Any, metadata: Iterable[Any] = ()) -> ArraySpec | None:

@@ -75,6 +75,9 @@ _REFINED: Final = 2  # further steps within the bracket
 _CLOSE_REL: Final = 0.1  # of what is allowed: near enough to it
 #: The narrowest number may leave its limit at the ends of the box: there all together exceed what is allowed.
 _BOX_OVER_NARROWEST: Final = 1.25
+#: A box of which a finger cannot be built is made smaller by this, down to this share of the given half-ranges.
+_NARROWER: Final = 0.8
+_SMALLEST_BOX: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,10 +329,7 @@ def study_tolerances(
     factor = _box_factor(sides, settings.allowed_rel)
     told.done("limits once more")
     units = _spread(len(inputs), settings)
-    losses = np.empty(settings.runs)
-    for run, unit in enumerate(units):
-        losses[run] = growth.of(factor * unit)
-        told.done("all together")
+    factor, losses, notes = _all_together(growth, factor, units, lambda: told.done("all together"))
     emulator = fit_chaos(units, losses, settings.seed)
     together = limit_together(emulator, settings.allowed_rel, seed=settings.seed)
     reached = 1.0 if together.value is None else together.value
@@ -346,6 +346,7 @@ def study_tolerances(
         together,
         within,
         count,
+        notes,
     )
 
 
@@ -364,6 +365,7 @@ class ToleranceFindings:
     together: Limit
     within: int
     count: int
+    notes: tuple[str, ...] = ()
 
     def record(
         self,
@@ -373,7 +375,6 @@ class ToleranceFindings:
         settings: ToleranceSettings,
         contact_places_mm: Sequence[float],
         calibration: Calibration,
-        notes: Sequence[str] = (),
     ) -> FingerTolerances:
         """Return the record of a study."""
         rows = self._rows(inputs, settings.allowed_rel)
@@ -401,7 +402,7 @@ class ToleranceFindings:
             losses_rel=self.losses,
             design=design,
             paints=dict(paint_sha256),
-            notes=tuple(notes),
+            notes=self.notes,
         )
 
     def _rows(self, inputs: Sequence[ToleranceInput], allowed: float) -> tuple[ToleranceRow, ...]:
@@ -477,11 +478,50 @@ def _box_factor(sides: Sequence[_Side], allowed: float) -> float:
     return min([_BOX_OVER_NARROWEST * min(limits, default=np.inf), *refused, _TRIED[-1]])
 
 
+def _all_together(
+    growth: _Growth, factor: float, units: Floats, done: Callable[[], None]
+) -> tuple[float, Floats, tuple[str, ...]]:
+    """Return the half-ranges of the box over the given ones, growths of its fingers, and what is said of the box.
+
+    A box in which a finger cannot be built is made smaller, also where each number alone goes further.
+    """
+    first, losses, most, refusal = factor, np.empty(len(units)), 0, ""
+    while True:
+        try:
+            for run, unit in enumerate(units):
+                losses[run] = growth.of(factor * unit)
+                if run >= most:
+                    most = run + 1
+                    done()
+        except SimulateError as refused:
+            refusal = str(refused)
+            if factor * _NARROWER < _SMALLEST_BOX:
+                raise SimulateError(
+                    f"not even fingers within {factor:.2g} times the given half-ranges of all numbers can be built: "
+                    f"{refusal}. Give smaller ones (--vary)"
+                ) from None
+            factor *= _NARROWER
+            continue
+        told = (
+            f"all numbers together vary by {factor:.2g} times the given half-ranges in place of {first:.2g}, because "
+            f"one of those fingers cannot be built: {refusal}"
+        )
+        return factor, losses, (told,) if refusal else ()
+
+
 def _check_together(check: _Growth, factor: float, settings: ToleranceSettings) -> tuple[int, int]:
     """Return how many fingers at the joint limit stay within what is allowed, of how many, with another seed."""
     rng = np.random.default_rng(settings.seed + 1)
     units = rng.uniform(-1.0, 1.0, (settings.checked, len(check.inputs)))
-    return sum(check.of(factor * unit) <= settings.allowed_rel for unit in units), settings.checked
+    return sum(_stays(check, factor * unit, settings.allowed_rel) for unit in units), settings.checked
+
+
+def _stays(check: _Growth, steps: Floats, allowed: float) -> bool:
+    """Return whether a finger can be built and stays within what is allowed."""
+    try:
+        return check.of(steps) <= allowed
+    except SimulateError:
+        return False
 
 
 def _index(estimates: Estimates, k: int) -> VarianceShare:

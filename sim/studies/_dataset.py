@@ -287,7 +287,7 @@ def run_dataset(
     clear_leftovers(task.folder / SHARDS)  # the last shard of a run that was killed may be whole already
     todo = [shard for shard in shards if stored_shard(task, shard) is None]
     failed = []
-    for shard, reason in each_computed(_try_shard, task, todo, "shard ", (workers, scheduler), progress):
+    for shard, reason in each_computed(_try_shard, task, todo, "shard ", (workers, scheduler), progress, task.folder):
         if reason is not None:
             failed += [DatasetFailure(press=press, reason=reason) for press in shard.presses]
     kept = [record for shard in shards if (record := stored_shard(task, shard)) is not None]
@@ -332,7 +332,7 @@ def compute_shard(task: DatasetTask, shard: PlannedShard) -> None:
     )
     with ProductSet(file.with_suffix(".json")) as products:
         products.add(file, content)
-        write_record(record, file.with_suffix(".json"), task.origin, products)
+        write_record(record, file.with_suffix(".json"), task.origin.of_this_process(), products)
 
 
 def press_samples(task: DatasetTask, press: int) -> list[tuple[DatasetSample, LookTruth]]:

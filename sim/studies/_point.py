@@ -337,8 +337,8 @@ def compute_press(task: StudyTask, design: FingerDesign) -> None:
     mechanics, surfaces = press_records(design, pressed)
     _remove(surfaces_file, surfaces_file.name.removesuffix(".surfaces.json"))
     with ProductSet(surfaces_file) as products:
-        write_record(mechanics, _mechanics_file(surfaces_file), task.origin, products)
-        write_record(surfaces, surfaces_file, task.origin, products)
+        write_record(mechanics, _mechanics_file(surfaces_file), task.origin.of_this_process(), products)
+        write_record(surfaces, surfaces_file, task.origin.of_this_process(), products)
 
 
 def compute_point(task: StudyTask, point: PlannedPoint) -> None:
@@ -373,7 +373,7 @@ def compute_point(task: StudyTask, point: PlannedPoint) -> None:
         processor_s=time.process_time() - begun,
     )
     _remove(file, file.stem)
-    write_record(record, file, task.origin)
+    write_record(record, file, task.origin.of_this_process())
 
 
 def _remove(file: Path, name: str) -> None:

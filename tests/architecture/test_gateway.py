@@ -43,6 +43,7 @@ ALLOWED = {
         (
             ("finray_calib/exchange/_paint_reradiation.py", "file.read_bytes"),
             ("finray_calib/exchange/_paint_formats.py", "file.read_bytes"),
+            ("finray_calib/exchange/_record_formats.py", "file.read_bytes"),
         ),
         "what a library has just written into a temporary folder",
     ),

@@ -120,9 +120,10 @@ def test_a_pad_that_no_finger_has_is_refused_before_any_work(paints: Path, tmp_p
         ("--pad 60", "must be LENGTHxWIDTH"),
         ("--pad 60x-3", "must be LENGTHxWIDTH"),
         ("--pad 60x500", "pad.width_mm: 500 mm is outside 5 to 300 mm"),
-        ("", "existed"),
+        ("", "existed: holds something other than an assessment"),
     ):
         (tmp_path / "existed").mkdir(exist_ok=True)
+        (tmp_path / "existed" / "notes.txt").write_text("mine")
         outcome = finray(f"design assess flat-70x35 {given} {files} --out {tmp_path}/{'found' if given else 'existed'}")
         assert outcome.status == 2
         assert words in outcome.err

@@ -2,8 +2,11 @@
 
 import base64
 import json
+import os
 import re
+import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,7 @@ import pytest
 from example_records import example_results
 from html_page import Page, assert_stands_alone
 
-from data_schemas import FingerDesign, FingerStiffness, FingerTolerances
+from data_schemas import FingerDesign, FingerStiffness, FingerTolerances, LightAngleDecision, SimulateError
 from data_schemas.storage import read_record, write_record
 from finray_calib.cli import _design_search
 from finray_calib.reports import finger_page, stiffness_rows
@@ -191,44 +194,122 @@ def test_a_browser_shows_the_viewer_where_it_can(html, tmp_path, options):
     )
 
 
-FROZEN = Path(__file__).parents[1] / "schemas" / "frozen"
+ROOT = Path(__file__).parents[2]
+FROZEN = ROOT / "tests" / "schemas" / "frozen"
 
 
-def test_light_tolerances_and_stiffness_stand_on_one_page(tmp_path, monkeypatch):
-    """What is computed is replaced by records; it is run whole in tests/command_line/test_design_tolerances_verb.py."""
+def put_records_in_place(folder, tolerances_begin=lambda: None):
+    """Replace what an assessment computes by records; return the words of its command, and what was computed.
+
+    It is run whole in tests/command_line/test_design_tolerances_verb.py.
+    """
     results = example_results()
     for colour, paint in results.paints.items():
-        write_record(paint.calibration, tmp_path / f"{colour}.paint.json", results.provenance)
+        file = folder / f"{colour}.paint.json"
+        if not file.exists():
+            write_record(paint.calibration, file, results.provenance)
     found = read_record(FROZEN / "FingerTolerances" / "v2" / "example.json", FingerTolerances)
     stiffness = read_record(FROZEN / "FingerStiffness" / "v4" / "example.json", FingerStiffness)
-    asked = []
+    computed = []
 
-    def decided(arguments, design, folder, paints):
-        return results.decision, {35.0: results.sweep}
+    def sweep(arguments, design, paints, number):
+        computed.append(number)
+        return results.sweep
 
     def tolerances(arguments, design, *_):
-        asked.append(design)
+        tolerances_begin()
+        computed.append(design)
         return found.model_copy(update={"provenance": None, "design": design})
 
-    monkeypatch.setattr(_design_search, "_decided", decided)
-    monkeypatch.setattr(_design_search, "_tolerances", tolerances)
-    monkeypatch.setattr(_design_search, "_stiffness", lambda *_: stiffness.model_copy(update={"provenance": None}))
-    files = f"--paint red={tmp_path}/red.paint.json --paint green={tmp_path}/green.paint.json"
-    said = succeed(f"design assess flat-70x35 --pad 60x30 {files} --out {tmp_path}/found")
+    def stiff(*_):
+        computed.append("stiffness")
+        return stiffness.model_copy(update={"provenance": None})
+
+    patch = pytest.MonkeyPatch()
+    for name, instead in (("_sweep", sweep), ("_decided", lambda *_: results.decision), ("_tolerances", tolerances),
+                          ("_stiffness", stiff)):  # fmt: skip
+        patch.setattr(_design_search, name, instead)
+    files = f"--paint red={folder}/red.paint.json --paint green={folder}/green.paint.json"
+    return f"design assess flat-70x35 --pad 60x30 {files} --out {folder}/found", computed, patch
+
+
+@pytest.fixture
+def assessment(tmp_path):
+    words, computed, patch = put_records_in_place(tmp_path)
+    yield words, computed
+    patch.undo()
+
+
+def test_light_tolerances_and_stiffness_stand_on_one_page(tmp_path, assessment):
+    words, computed = assessment
+    said = succeed(words)
     names = {path.name for path in (tmp_path / "found").iterdir() if path.suffix != ".npz"}
-    assert names == {
-        "35.0mm.sweep.json", "assessment.html", "finger-stiffness.json", "finger.toml", "light-angle-decision.html",
-        "light-angle-decision.json", "tolerances.html", "tolerances.json",
+    sweeps = {f"{place_mm:04.1f}mm.sweep.json" for place_mm in (7.2, 18.0, 30.0, 42.0, 52.8)}
+    assert names == sweeps | {
+        "assessment.html", "computed-from.sha256", "finger-stiffness.json", "finger.toml",
+        "light-angle-decision.html", "light-angle-decision.json", "tolerances.html", "tolerances.json",
     }  # fmt: skip
     finger = read_design(tmp_path / "found" / "finger.toml")
     assert (finger.pad.length_mm, finger.pad.width_mm) == (60.0, 30.0)
-    assert finger.light.angle_deg == asked[0].light.angle_deg == results.decision.angle_deg
+    decision = read_record(tmp_path / "found" / "light-angle-decision.json", LightAngleDecision)
+    tolerances = read_record(tmp_path / "found" / "tolerances.json", FingerTolerances)
+    assert finger.light.angle_deg == computed[5].light.angle_deg == decision.angle_deg
     page = (tmp_path / "found" / "assessment.html").read_text()
     assert_stands_alone(page)
     text = " ".join(Page(page).prose.replace("\u00a0", " ").split())
     assert "A finger with a pad of 60 x 30 mm" in text
-    assert found.sentence in text
-    for row in stiffness_rows(stiffness):
+    assert tolerances.sentence in text
+    for row in stiffness_rows(read_record(tmp_path / "found" / "finger-stiffness.json", FingerStiffness)):
         assert row[1] in text
         assert f"Stiffness, {row[0]}: {row[1]}" in said
     assert said.endswith("assessment.html\n")
+    again = finray(words)
+    assert again.status == 2
+    assert "found: holds a finished assessment, which is not overwritten" in again.err
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from tests.command_line.running import finray
+from tests.documentation.test_finger_page import put_records_in_place
+words, _, _ = put_records_in_place(Path(sys.argv[1]), lambda: os.kill(os.getpid(), signal.SIGKILL))
+finray(words)
+"""
+
+
+def test_an_assessment_that_was_killed_continues_with_what_is_missing(tmp_path, assessment):
+    words, computed = assessment
+    paths = {**os.environ, "PYTHONPATH": os.pathsep.join([os.fspath(ROOT), os.fspath(Path(__file__).parent)])}
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], env=paths, check=False, timeout=600)
+    assert killed.returncode == -signal.SIGKILL
+    out = tmp_path / "found"
+    kept = {path: path.read_bytes() for path in out.iterdir()}
+    assert {"52.8mm.sweep.json", "light-angle-decision.json", "finger.toml"} <= {path.name for path in kept}
+    assert not (out / "tolerances.json").exists()
+
+    for changed in ("--seed 2", "--quick", "--pad 50x30"):
+        refused = finray(f"{words} {changed}")
+        assert refused.status == 2
+        assert "holds an unfinished assessment of another finger, pad, paint, seed or --quick" in refused.err
+    said = succeed(words)
+    assert said.startswith(f"{out}: continues; 6 finished parts are kept")
+    assert [getattr(what, "name", what) for what in computed] == ["flat-70x35-pad-60x30", "stiffness"]
+    assert all(path.read_bytes() == content for path, content in kept.items())
+    assert (out / "assessment.html").exists()
+
+
+def test_parts_of_other_code_are_told_when_an_assessment_continues(tmp_path, assessment, monkeypatch):
+    words, _ = assessment
+    with monkeypatch.context() as earlier:
+        earlier.setattr("data_schemas._provenance.package_version", lambda: "0.0.9")
+        earlier.setattr(_design_search, "_stiffness", stopped)
+        assert finray(words).status == 2
+    outcome = finray(words)
+    assert outcome.status == 0
+    assert "parts computed by other code than this" in outcome.err
+    assert "tolerances by finray-calib 0.0.9" in outcome.err
+
+
+def stopped(*_):
+    raise SimulateError("no equilibrium")

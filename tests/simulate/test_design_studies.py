@@ -1,10 +1,7 @@
 """Design studies: the points of a plan, the metrics of images, what points share, and workers that fail and die."""
 
 import os
-import socket
 import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -35,7 +32,7 @@ from sim.studies import (
     study_points,
 )
 from sim.studies import _point as point_module
-from sim.studies._engine import _client, _each, _Steps, each_computed
+from sim.studies._engine import _each, _Steps, open_workers
 from sim.studies._point import (
     _mean_product,
     _metrics,
@@ -331,10 +328,10 @@ def test_a_point_that_fails_or_kills_its_worker_stops_no_other(tmp_path):
     points = study_points(plan, path)
     task = StudyTask(plan, StudyPaints({}, {}), "scalar", tmp_path, tmp_path, provenance("a test", {}, 1))
     told = []
-    with _client(2, None) as client:
+    with open_workers(2) as workers:
         ended = {
             point.seed: reason
-            for point, reason in _each(client, tried, task, points, _Steps(5, lambda *step: told.append(step)), "")
+            for point, reason in _each(workers, tried, task, points, _Steps(5, lambda *step: told.append(step)), "")
         }
     assert ended.pop(2).startswith("its worker process died twice")
     assert ended == {0: None, 1: "no equilibrium", 3: None, 4: None}
@@ -437,7 +434,7 @@ def test_points_that_differ_in_the_light_share_their_press(tmp_path):
 
 
 def test_everything_listens_on_the_loopback_interface_only():
-    with _client(1, None):
+    with open_workers(1):
         own = psutil.Process()
         listening = [
             connection.laddr.ip
@@ -455,76 +452,6 @@ def test_a_scheduler_that_does_not_answer_is_told(tmp_path):
         run_study(task, points, scheduler="tcp://127.0.0.1:1")
 
 
-class Server:
-    """A Dask scheduler with a worker, on a port of its own, killed as a power cut does."""
-
-    def __init__(self, port):
-        self.address = f"tcp://127.0.0.1:{port}"
-        dask = str(Path(sys.executable).with_name("dask"))
-        common = {"env": {**os.environ, "PYTHONPATH": str(ROOT)}, "stderr": subprocess.DEVNULL}
-        self.processes = [
-            subprocess.Popen([dask, *words.split(), "--no-dashboard"], **common)
-            for words in (
-                f"scheduler --host 127.0.0.1 --port {port}",
-                f"worker {self.address} --host 127.0.0.1 --nthreads 1 --nworkers 1 --no-nanny",
-            )
-        ]
-        self._wait(port)
-
-    def _wait(self, port):
-        """Return once the scheduler listens: a busy machine takes its time to import it."""
-        deadline = time.monotonic() + 300.0
-        while time.monotonic() < deadline:
-            with socket.socket() as asking:
-                if asking.connect_ex(("127.0.0.1", port)) == 0:
-                    return
-            time.sleep(0.2)
-        self.kill()
-        raise TimeoutError(self.address)
-
-    def kill(self):
-        for process in self.processes:
-            process.kill()
-            process.wait()
-
-
-def free_port():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        return taken.getsockname()[1]
-
-
-def slowly(folder, point):
-    """Add a mark to the file of a point, after a while."""
-    time.sleep(0.5)
-    with (Path(folder) / f"{point.number}").open("a") as file:
-        file.write("x")
-
-
-@pytest.mark.timeout(1200)
-def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path):
-    """The same command goes on with what is missing once the scheduler runs again."""
-    _, points = study_of(tmp_path, vary("seed", [0, 1, 2, 3, 4, 5]))
-    folder = tmp_path / "marks"
-    folder.mkdir()
-    server = Server(free_port())
-    try:
-        ended = each_computed(slowly, str(folder), points, "point ", (None, server.address))
-        next(ended)
-        server.kill()
-        with pytest.raises(SimulateError, match="the Dask scheduler went away in the middle; what is finished is kept"):
-            list(ended)
-        done = {path.name for path in folder.iterdir()}
-        assert 1 <= len(done) < 6
-        server = Server(free_port())
-        missing = [point for point in points if f"{point.number}" not in done]
-        again = [p.number for p, _ in each_computed(slowly, str(folder), missing, "point ", (None, server.address))]
-        assert again == [point.number for point in missing]
-    finally:
-        server.kill()
-    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 7)}
-
-
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
 def test_a_full_disk_loses_nothing_that_is_finished(tmp_path):
     """What did not fit is told, leaves no part behind, and is computed once there is room."""
@@ -536,8 +463,8 @@ def test_a_full_disk_loses_nothing_that_is_finished(tmp_path):
         task, points = study_of(tmp_path, vary("seed", [0, 1, 2]))
         (disk / "filler").write_bytes(b"0" * 150_000)
         reasons = {}
-        with _client(1, None) as client:
-            reasons |= {p.number: r for p, r in _each(client, stored_big_point, task, points, _Steps(3, None), "")}
+        with open_workers(1) as workers:
+            reasons |= {p.number: r for p, r in _each(workers, stored_big_point, task, points, _Steps(3, None), "")}
             full = [number for number, reason in reasons.items() if reason is not None]
             assert full
             assert all("No space left on device" in reasons[number] for number in full)
@@ -547,7 +474,7 @@ def test_a_full_disk_loses_nothing_that_is_finished(tmp_path):
             (disk / "filler").unlink()
             left = [point for point in points if stored_point(task, point) is None]
             assert [p.number for p in left] == full
-            ended = [r for _, r in _each(client, stored_big_point, task, left, _Steps(len(left), None), "")]
+            ended = [r for _, r in _each(workers, stored_big_point, task, left, _Steps(len(left), None), "")]
         assert ended == [None] * len(full)
         assert all(path.read_bytes() == content for path, content in kept.items())
         assert all(stored_point(task, point) is not None for point in points)

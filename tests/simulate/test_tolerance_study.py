@@ -68,6 +68,40 @@ def test_limits_and_shares_are_those_of_the_formula(drawn, tmp_path):
     assert read_record(tmp_path / "found.json", FingerTolerances).sentence == record.sentence
 
 
+def test_a_box_of_which_a_finger_cannot_be_built_is_made_smaller(drawn):
+    """Alone, each number may go on; where both are large, the camera does not see the pad."""
+
+    def seen(design, paints, seed):
+        turned, thicker = abs(design.light.angle_deg - 30.0) / 2.0, abs(design.pad.thickness_mm - 6.0) / 0.2
+        if turned + thicker > 8.0 + 1e-9 and min(turned, thicker) > 0.5:
+            raise SimulateError("the camera sees 10 of 30 points")
+        return by_formula(design, paints, seed)
+
+    inputs = tolerance_inputs(DESIGN, drawn, VARY | OTHERS_STAY)
+    settings = ToleranceSettings(runs=64, seed=3)
+    told = []
+    found = study_tolerances(seen, DESIGN, drawn, inputs, settings, lambda *step: told.append(step[:2]))
+    assert told == [(k, told[-1][1]) for k in range(1, told[-1][1] + 1)]
+    record = found.record(DESIGN, {"red": "0" * 64, "green": "1" * 64}, inputs, settings, (35.0,), "own")
+    wide = study_tolerances(by_formula, DESIGN, drawn, inputs, settings)
+    assert record.box_factor < wide.factor
+    # the largest of the Sobol' points in the smaller box can be built, and one of the box before could not
+    assert np.abs(record.inputs[:, :2] * record.box_factor).sum(axis=1).max() <= 8.0
+    assert np.abs(record.inputs[:, :2] * record.box_factor / 0.8).sum(axis=1).max() > 8.0
+    assert record.notes == (
+        f"all numbers together vary by {record.box_factor:.2g} times the given half-ranges in place of "
+        f"{wide.factor:.2g}, because one of those fingers cannot be built: the camera sees 10 of 30 points",
+    )
+
+    def never(design, paints, seed):
+        if abs(design.light.angle_deg - 30.0) > 0.0 and abs(design.pad.thickness_mm - 6.0) > 0.0:
+            raise SimulateError("the camera sees 10 of 30 points")
+        return by_formula(design, paints, seed)
+
+    with pytest.raises(SimulateError, match=r"not even fingers within .* can be built: the camera sees"):
+        study_tolerances(never, DESIGN, drawn, inputs, settings)
+
+
 def _within(factor):
     """Return the share of fingers within 10 % by the formula, all numbers uniform within their half-ranges."""
     rng = np.random.default_rng(0)

@@ -101,10 +101,14 @@ def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
     """Return the numbers of the first screen."""
     factor = "more than " if found.together_factor is None else ""
     value = found.box_factor if found.together_factor is None else found.together_factor
-    interval = f"95 %: {_bound(found.together_low95, found)} to {_bound(found.together_high95, found)}"
+    interval = (
+        f"95 %: {_bound(found.together_low95, found)} to {_bound(found.together_high95, found)}; "
+        if found.together_factor is not None
+        else ""
+    )
     good = light_of(found.q2 >= _ENOUGH_Q2)
     return (
-        KeyNumber("All half-ranges times", f"{factor}{value:.2g}", f"{interval}; 95 % of fingers stay within"),
+        KeyNumber("All half-ranges times", f"{factor}{value:.2g}", f"{interval}95 % of fingers stay within"),
         KeyNumber(
             "Evaluated again at these limits",
             f"{found.checked_within} of {found.checked_fingers}",
@@ -124,6 +128,16 @@ def _sections(found: FingerTolerances) -> tuple[Part, ...]:
     """Return what is found in tables and figures."""
     limits = Content(
         lead="Distances from the drawn value, downwards and upwards, with 95 % intervals by the noise of evaluations.",
+        # the first screen shows it small
+        picture_rows=(
+            (
+                drawing(
+                    tolerance_drawing(found),
+                    "the finger with its limits",
+                    "The finger from its side, cut along the middle, with the limits of each part.",
+                ),
+            ),
+        ),
         tables=(_limit_table(found.rows),),
         has_wide_tables=True,
     )

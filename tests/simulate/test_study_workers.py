@@ -1,0 +1,249 @@
+"""Workers elsewhere: a scheduler that dies and comes back, other code, another disk, another network."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from distributed import Client
+
+from data_schemas import SimulateError, code_digest, provenance
+from data_schemas import _provenance as provenance_module
+from sim.studies import _engine as engine_module
+from sim.studies._engine import _fault, _token_in, each_computed
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is computed, by its number."""
+
+    number: int
+
+
+def jobs(count):
+    return [Job(number) for number in range(1, count + 1)]
+
+
+def copy_of_the_code(folder):
+    """Copy the sources, and these tests, whose functions the workers call."""
+    for package in ("data_schemas", "finray_calib", "rigs", "sim", "tests"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__", "frozen"))
+
+
+class Server:
+    """A Dask scheduler with a worker, on a port of its own, killed as a power cut does."""
+
+    def __init__(self, port, code=ROOT, host="127.0.0.1", network=()):
+        self.host, self.network, self.address = host, network, f"tcp://{host}:{port}"
+        self.processes = []
+        self._start(f"scheduler --host {host} --port {port}", code)
+        self._wait(port)
+        self.add_worker(code)
+
+    def add_worker(self, code):
+        """Add a worker that runs these sources, and wait until it is there."""
+        self._start(f"worker {self.address} --host {self.host} --nthreads 1 --nworkers 1 --no-nanny", code)
+        with Client(self.address) as client:
+            client.wait_for_workers(len(self.processes) - 1, timeout=300)
+
+    def end_worker(self):
+        """End the worker that was added last."""
+        worker = self.processes.pop()
+        worker.kill()
+        worker.wait()
+
+    def _start(self, words, code):
+        dask = str(Path(sys.executable).with_name("dask"))
+        common = {"env": {**os.environ, "PYTHONPATH": str(code)}, "stderr": subprocess.DEVNULL, "cwd": code}
+        self.processes.append(subprocess.Popen([*self.network, dask, *words.split(), "--no-dashboard"], **common))
+
+    def _wait(self, port):
+        """Return once the scheduler listens: a busy machine takes its time to import it."""
+        deadline = time.monotonic() + 300.0
+        while time.monotonic() < deadline:
+            with socket.socket() as asking:
+                if asking.connect_ex((self.host, port)) == 0:
+                    return
+            time.sleep(0.2)
+        self.kill()
+        raise TimeoutError(self.address)
+
+    def kill(self):
+        for process in self.processes:
+            process.kill()
+            process.wait()
+
+
+def free_port():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        return taken.getsockname()[1]
+
+
+def slowly(folder, point):
+    """Add a mark to the file of a point, after a while."""
+    time.sleep(0.5)
+    with (Path(folder) / f"{point.number}").open("a") as file:
+        file.write("x")
+
+
+@pytest.mark.timeout(1200)
+def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path, monkeypatch):
+    """Once it is given up, the same command goes on with what is missing when it runs again."""
+    monkeypatch.setattr(engine_module, "WAIT_FOR_SCHEDULER_S", 3.0)
+    points = jobs(6)
+    folder = tmp_path / "marks"
+    folder.mkdir()
+    server = Server(free_port())
+    try:
+        ended = each_computed(slowly, str(folder), points, "point ", (None, server.address))
+        next(ended)
+        server.kill()
+        with pytest.raises(SimulateError, match="went away in the middle and did not come back; what is finished is"):
+            list(ended)
+        done = {path.name for path in folder.iterdir()}
+        assert 1 <= len(done) < 6
+        server = Server(free_port())
+        missing = [point for point in points if f"{point.number}" not in done]
+        again = [p.number for p, _ in each_computed(slowly, str(folder), missing, "point ", (None, server.address))]
+        assert again == [point.number for point in missing]
+    finally:
+        server.kill()
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 7)}
+
+
+@pytest.mark.timeout(1200)
+def test_a_study_waits_for_its_scheduler_while_it_is_started_again(tmp_path):
+    """What was in flight is given again; points that keep what they find are computed once."""
+    points = jobs(8)
+    folder = tmp_path / "marks"
+    folder.mkdir()
+    port = free_port()
+    server, told = Server(port), []
+    try:
+        ended = each_computed(once_slowly, str(folder), points, "point ", (None, server.address), told_to(told))
+        first, _ = next(ended)
+        server.kill()
+        restarting = threading.Timer(2.0, lambda: servers.append(Server(port)))
+        servers = []
+        restarting.start()
+        numbers = [first.number, *(point.number for point, reason in ended if reason is None)]
+        restarting.join()
+    finally:
+        for one in (server, *servers):
+            one.kill()
+    assert sorted(numbers) == list(range(1, 9))
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 9)}
+    assert f"the scheduler {server.address} went away; waiting for it, 10 minutes at most" in told
+
+
+def told_to(told):
+    return lambda done, of, what: told.append(what)
+
+
+def once_slowly(folder, point):
+    """Compute a point as studies do: nothing that is there already."""
+    return None if (Path(folder) / f"{point.number}").exists() else slowly(folder, point)
+
+
+@pytest.mark.timeout(1200)
+def test_a_worker_with_other_code_or_another_disk_is_refused_or_left_out(tmp_path):
+    """One that is there as the study begins is named; one that comes later gets no more points."""
+    other = tmp_path / "other"
+    copy_of_the_code(other)
+    with (other / "sim" / "studies" / "_point.py").open("a") as file:
+        file.write("\n# changed\n")
+    points = jobs(6)
+    folder, told = tmp_path / "marks", []
+    folder.mkdir()
+    server = Server(free_port(), other)
+    try:
+        with pytest.raises(SimulateError, match=r"worker tcp://\S+:\d+ runs other code \(finray-calib .* or stop"):
+            list(each_computed(slowly, str(folder), points, "point ", (None, server.address), folder=folder))
+        assert not list(folder.iterdir())
+        server.end_worker()
+        server.add_worker(ROOT)
+        ended = each_computed(slowly, str(folder), points, "point ", (None, server.address), told_to(told), folder)
+        first, _ = next(ended)
+        server.add_worker(other)
+        numbers = [first.number, *(point.number for point, reason in ended if reason is None)]
+    finally:
+        server.kill()
+    assert sorted(numbers) == [1, 2, 3, 4, 5, 6]
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 7)}
+
+
+def test_a_folder_of_the_same_path_that_is_another_one_is_not_seen(tmp_path):
+    with _token_in(tmp_path) as token:
+        assert _fault(code_digest(), token) is None
+        elsewhere = tmp_path / "elsewhere" / token.name
+        assert _fault(code_digest(), elsewhere) == f"does not see {tmp_path}/elsewhere"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def other_machine():
+    """A network of its own, joined by a cable: the command that runs a program there, its address, and the cable."""
+    if os.geteuid() != 0 or shutil.which("ip") is None:
+        pytest.skip("only root may make a network, with iproute2")
+    name, cable, subnet = f"finray{os.getpid()}", f"fr{os.getpid() % 10**8}", 16 + os.getpid() % 200
+    made = subprocess.run(["ip", "netns", "add", name], check=False).returncode == 0
+    if not made:
+        pytest.skip("this machine makes no network")
+    inside = ["ip", "-n", name]
+    try:
+        for words in (
+            ["ip", "link", "add", cable, "type", "veth", "peer", "name", "inside", "netns", name],
+            ["ip", "addr", "add", f"10.213.{subnet}.1/24", "dev", cable],
+            ["ip", "link", "set", cable, "up"],
+            [*inside, "addr", "add", f"10.213.{subnet}.2/24", "dev", "inside"],
+            [*inside, "link", "set", "inside", "up"],
+            [*inside, "link", "set", "lo", "up"],
+        ):
+            if subprocess.run(words, check=False).returncode:
+                pytest.skip("this machine joins no networks")
+        yield ("ip", "netns", "exec", name), f"10.213.{subnet}.2", cable
+    finally:
+        subprocess.run(["ip", "netns", "del", name], check=True)
+
+
+@pytest.mark.timeout(1200)
+def test_a_scheduler_on_another_machine_computes_also_after_its_cable_was_pulled(tmp_path, other_machine):
+    network, host, cable = other_machine
+    there = tmp_path / "there"
+    copy_of_the_code(there)
+    points, folder = jobs(8), tmp_path / "marks"
+    folder.mkdir()
+    server = Server(8786, there, host, network)
+    try:
+        ended = each_computed(once_slowly, str(folder), points, "point ", (None, server.address), folder=folder)
+        first, _ = next(ended)
+        subprocess.run(["ip", "link", "set", cable, "down"], check=True)
+        threading.Timer(5.0, lambda: subprocess.run(["ip", "link", "set", cable, "up"], check=True)).start()
+        numbers = [first.number, *(point.number for point, reason in ended if reason is None)]
+    finally:
+        server.kill()
+    assert sorted(numbers) == list(range(1, 9))
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 9)}
+
+
+def test_a_record_names_the_machine_that_computed_it(monkeypatch):
+    asked = provenance("finray study run PLAN", {"plan.toml": "0" * 64}, 3).model_copy(
+        update={"processor": "asked", "packages": {"numpy": "1.0"}, "python_version": "3.0", "renderer": None}
+    )
+    monkeypatch.setattr(provenance_module, "_opened_renderer", ["llvm_ad_rgb"])
+    stored = asked.of_this_process()
+    here = provenance("")
+    assert stored.renderer == "llvm_ad_rgb"
+    for name in ("processor", "packages", "python_version"):
+        assert getattr(stored, name) == getattr(here, name) != getattr(asked, name)
+    for name in ("command", "input_sha256", "seed", "created_utc", "package_version", "git_commit"):
+        assert getattr(stored, name) == getattr(asked, name)
