@@ -11,8 +11,8 @@ with m_c and S_c of the bands that the component predicts, and the gain inside t
 
 .. math:: G = E_c[\mathrm{Cov}(q, \mu\,|\,y, c)]\, N^{-1}
 
-For small d that is the exact derivative Cov(q, mu | y) N^-1, whatever the prior. N is a sum over independent sources, and
-a source makes the variance of that mean over its own errors (GUM 5.1.2, or, where weights move, GUM supplement 1):
+For small d that is the exact derivative Cov(q, mu | y) N^-1, whatever the prior. N is a sum over independent sources,
+and a source makes the variance of that mean over its own errors (GUM 5.1.2; where weights move, GUM supplement 1):
 
 .. math:: \mathrm{Var}(q|y) = \sum_s \mathrm{Var}_{d \sim N(0, \Sigma_s)} E[q|y+d] + \mathrm{rest}, \qquad
     N = \sum_s \Sigma_s

@@ -101,8 +101,8 @@ def test_a_session_measured_again_with_one_error_alone(source, made_of):
     """Spread of the estimate over 20 sessions, each fitted anew, against the spread that the budget gives those errors.
 
     Both take the same errors: the mean jumps where the weights move, one session in twenty by two standard deviations,
-    so that a variance over 20 sessions has no chi-square distribution. The budget holds the noise and the heights of one
-    place: for that its standard uncertainty may be off by a quarter, and shares below 2 % of the variance, where the
+    so that a variance over 20 sessions has no chi-square distribution. The budget holds noise and heights of one place:
+    for that its standard uncertainty may be off by a quarter, and shares below 2 % of the variance, where the
     scatter of the draws counts, are not compared.
     """
     bands = paint_bands(*made_of)
