@@ -145,37 +145,36 @@ def test_a_linear_model_has_its_closed_form():
 
 
 def test_weights_that_move_with_the_data_have_their_closed_form():
-    """Two shapes seen alike well, whose places q lie apart: the variance of the mean over one source, by quadrature.
+    """Two shapes whose quantities lie far apart: the variance of the mean over one source, by quadrature.
 
-    y is normal of variance 2 around -1 or 1 in either shape, and the source is a half of its noise of 1. One place
-    alone would give the square of the slope, which is not that variance.
+    y is normal of variance 2 around -2 or 2, and the source is nine tenths of the noise of 1. The square of the slope
+    at the measured place would be far from that variance.
     """
-    rng, y, q = np.random.default_rng(2), 1.5, np.array([0.0, 10.0])
-    middle, total, source = np.array([-1.0, 1.0]), 2.0, 0.5
+    rng, y, q, count = np.random.default_rng(2), 2.0, np.array([10.0, 0.0]), 400_000
+    middle, total, source = np.array([-2.0, 2.0]), 2.0, 0.9
 
     def mean(at):
         weight = np.exp(-0.5 * (at[:, None] - middle) ** 2 / total)
         weight /= weight.sum(axis=1, keepdims=True)
-        paint = middle + (at[:, None] - middle) / total
-        return (weight * (q + paint)).sum(axis=1), weight
+        return (weight * (q + middle + (at[:, None] - middle) / total)).sum(axis=1), weight
 
-    nodes, share = np.polynomial.hermite_e.hermegauss(40)
-    found = mean(y + np.sqrt(source) * nodes)[0]
-    share = share / share.sum()
-    exact = share @ found**2 - (share @ found) ** 2
-    component = (rng.random(40_000) < mean(np.array([y]))[1][0, 1]).astype(np.int64)
-    paint = middle[component] + (y - middle[component]) / total + np.sqrt(0.5) * rng.standard_normal(40_000)
+    nodes, share = np.polynomial.hermite_e.hermegauss(100)
+    found, share = mean(y + np.sqrt(source) * nodes)[0], share / share.sum()
+    apart = found - share @ found
+    exact = share @ apart**2
+    rare = mean(np.array([y]))[1][0, 0]
+    component = (rng.random(count) >= rare).astype(np.int64)
+    paint = middle[component] + (y - middle[component]) / total + np.sqrt(0.5) * rng.standard_normal(count)
     slope, curvature = -(y - middle)[:, None] / total, np.full((2, 1, 1), -1 / total)
     fitted = SimpleNamespace(noise=np.eye(1), evidence_derivatives=lambda places: (slope[places], curvature[places]))
     drawn = SimpleNamespace(band_draws=paint[:, None], components=component)
-    values = q[component] + paint
     one = UncertaintySource("", "", "B", np.array([[np.sqrt(source)]]))
-    variance, shares = source_shares(values[:, None], drawn, fitted, (one,))
-    # 2,000 errors are drawn, and a variance of 2,000 normal numbers scatters by sqrt(2 / 2,000)
-    assert variance[0] * shares[0, 0] == pytest.approx(exact, rel=4 * np.sqrt(2 / 2000))
-    step = 1e-4
-    local = (np.diff(mean(np.array([y - step, y + step]))[0])[0] / (2 * step)) ** 2 * source
-    assert abs(local / exact - 1) > 0.3
+    variance, shares = source_shares((q[component] + paint)[:, None], drawn, fitted, (one,))
+    # scatter of a variance over the 2,000 errors that are drawn, and of the square of the rare shape's share
+    scatter = np.hypot(np.sqrt((share @ apart**4 / exact**2 - 1) / 2000), 2 / np.sqrt(count * rare))
+    assert variance[0] * shares[0, 0] == pytest.approx(exact, rel=4 * scatter)
+    local = (np.diff(mean(np.array([y - 1e-4, y + 1e-4]))[0])[0] / 2e-4) ** 2 * source
+    assert abs(local / exact - 1) > 4 * scatter
 
 
 def test_the_evidence_of_components_follows_the_bands(bands):
