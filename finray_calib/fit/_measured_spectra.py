@@ -43,7 +43,9 @@ _WIDTH_REACH_SD = 2.0
 _PROCESS_LENGTH_NM, _PROCESS_FLOOR = 14.0, 0.03
 _DETAIL_LENGTH_NM, _DETAIL_SHARE = 5.0, 0.15
 """Part of the variance of the process that changes within a filter: vibronic detail, which smooth curves lack."""
-_SIZES: Final = ((0.05, 0.3), (0.1, 0.4), (0.2, 0.3))
+_SIZES: Final = ((0.03, 0.45), (0.09, 0.35), (0.22, 0.2))
+"""Size and prior share: most paints are near a learned shape and a few far from all, so that one size for all is too
+wide for the most and too narrow for the few. Chosen on half of the fluorophores (docs/verification.md)."""
 _SECOND_DYE: Final = ((0.0, 0.8), (0.3, 0.2))
 _EDGE_SD = 0.25
 _SECOND_RANK = 14
@@ -283,14 +285,19 @@ class _Rig:
         more = self.leak_factor * self.data.leak_mean - 1
         return more, 1 + more * self.data.weights.leaked_white
 
-    def columns(self, curve: Floats | None, reflectance: float) -> Floats:
+    @property
+    def laser_alone(self) -> float:
+        """Reflectance at the laser if the paint did not emit: of the bands that pass it, else of the prior."""
+        lit = self.data.weights.is_excitation[self.data.kept] & (self.laser > 0)
+        if not lit.any():
+            return _REFLECTANCE
+        return float(np.clip(self.laser[lit] @ self.y[lit] / (self.laser[lit] ** 2).sum(), 1e-3, 1.0))
+
+    def columns(self, curve: Floats, reflectance: float) -> Floats:
         """Return the columns of what is uncertain beside noise and paint, calibration first, (K, M)."""
         data, w, kept = self.data, self.data.weights, self.data.kept
-        calibration = data.imperfections()
-        if curve is None:
-            return calibration
         more, white = self._mean_leak()
-        found = [calibration]
+        found = [data.imperfections()]
         mu = (w.emission @ curve + reflectance * w.reflected_laser) / white
         if data.tolerances is not None:
             leak = more + 1
@@ -325,8 +332,8 @@ def fit_spectrum(
 ) -> SpectrumPosterior:
     """Return the posterior of the emission under the learned prior, in closed form.
 
-    Two passes: all components with one size of the departure, then the best with all sizes and a second dye, and with
-    the filters' tolerances at the mean of the first.
+    Two passes: all components with one size of the departure and the filters' tolerances at a paint that only reflects,
+    then the best with all sizes and a second dye, and with the tolerances at the mean of the first.
 
     Parameters
     ----------
@@ -384,6 +391,19 @@ class ScoredSpectra:
         """Covariance (K, K) of all that is uncertain in the bands beside the paint."""
         kept = self.rig.data.kept
         return np.asarray(self.rig.data.covariance[np.ix_(kept, kept)] + self.columns @ self.columns.T)
+
+    def evidence_derivatives(self, places: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        """Return the slope (n, K) and curvature (n, K, K) of the ln evidence of scored components along the bands.
+
+        The evidence is normal in the bands, at the height of the departures: :math:`-S^{-1}(y - m)`, :math:`-S^{-1}`.
+        """
+        scored, rig = self.scored, self.rig
+        lit = np.broadcast_to(rig.laser, (len(places), rig.laser.size))
+        design, inverse = np.stack([self.bands[scored.chosen[places]], lit], axis=2), scored.inverse[places]
+        residual = rig.y - (design @ scored.height[places][..., None])[..., 0]
+        explained = inverse @ design
+        of_both = np.linalg.solve(scored.precision[places], explained.transpose(0, 2, 1))
+        return -(inverse @ residual[..., None])[..., 0], np.asarray(explained @ of_both - inverse)
 
 
 def scored_components(data: BandData, spectra: MeasuredSpectra, ln_blocking_sd: float) -> ScoredSpectra:
@@ -517,7 +537,8 @@ def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.in
     departures = _FIRST_PASS_SIZE**2 * floor[:, :, None] * near * floor[:, None, :]
     moved = parts.moved(seen) @ rig.emission.T
     departures = departures + np.einsum("nqi,nqj->nij", moved, moved)
-    columns = rig.columns(None, 0.0)
+    # without the leaks of the laser a weak paint's best components are those that explain the leak
+    columns = rig.columns(np.zeros(parts.wavelength_nm.size), rig.laser_alone)
     covariance = rig.data.covariance[np.ix_(rig.data.kept, rig.data.kept)]
     rest = covariance + columns @ columns.T
     emitting = ~rig.data.weights.is_excitation[rig.data.kept]

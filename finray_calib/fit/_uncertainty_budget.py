@@ -1,22 +1,30 @@
 r"""Which source of uncertainty makes how much of the variance of a fitted paint: a budget that adds up to all of it.
 
-With y = mu(x) + n, n normal of covariance N, the mean of the posterior of a quantity q(x) follows the bands as
+With y = mu(x) + n, n normal of covariance N, the posterior is a mixture of components c: a shape of the learned prior,
+a size of the departure, a second dye or none. Its mean of a quantity q follows a change d of the bands inside the
+components, and by their weights, which the data decide:
 
-.. math:: \frac{d\,E[q|y]}{dy} = G = \mathrm{Cov}(q, \mu\,|\,y)\, N^{-1}
+.. math:: E[q|y+d] = \sum_c w_c(y+d)\,(\bar q_c + G d), \qquad
+    \ln w_c(y+d) = \ln w_c(y) - d^T S_c^{-1}(y - m_c) - \tfrac12 d^T S_c^{-1} d + \mathrm{const}
 
-exactly, for any prior and any q. N is a sum over independent sources, and so (GUM 5.1.2, sensitivity times standard
-uncertainty)
+with m_c and S_c of the bands that the component predicts, and the gain inside the components
 
-.. math:: \mathrm{Var}(q|y) = \sum_s G\,\Sigma_s\,G^T + \mathrm{rest}, \qquad N = \sum_s \Sigma_s
+.. math:: G = E_c[\mathrm{Cov}(q, \mu\,|\,y, c)]\, N^{-1}
+
+For small d that is the exact derivative Cov(q, mu | y) N^-1, whatever the prior. N is a sum over independent sources,
+and a source makes the variance of that mean over its own errors (GUM 5.1.2; where weights move, GUM supplement 1):
+
+.. math:: \mathrm{Var}(q|y) = \sum_s \mathrm{Var}_{d \sim N(0, \Sigma_s)} E[q|y+d] + \mathrm{rest}, \qquad
+    N = \sum_s \Sigma_s
 
 The rest is what no measurement with these filters would know: the prior. In a linear model it is
 :math:`\|P^{1/2}(g - A^T G^T)\|^2`, of which every part of the prior, independent of the others, has its own term. The
 departure of a paint from the shapes that were learned is one of them (model discrepancy), taken for each component of
 the posterior.
 
-The identity is of one place, that of the bands which were measured. Where the posterior of the bands is wider than
-their noise, which is no normal posterior, the gain is reduced to the one that explains the posterior's own variance;
-the rest is thereby never below zero.
+Limits: N and the height that scales a departure are those of the bands which were measured, and all components share
+one gain. Where sources that move the weights make more than all of the variance together, they are reduced in
+proportion, so that the rest is never below zero.
 """
 
 from collections.abc import Mapping
@@ -51,6 +59,8 @@ Floats = NDArray[np.float64]
 BUDGETED: Final = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "stokes_shift_nm")
 DRAWS: Final = 4000
 """Their scatter adds the number of bands over the number of draws to a share: half a per cent."""
+_SHIFTS: Final = 2000
+"""Errors drawn of each source, moved and scaled to mean zero and unit covariance: a linear model has no scatter."""
 _SAME_SD: Final = 0.25
 """A refit may leave the record's median by so many of its standard deviations."""
 SHARED_BY_ALL: Final = "errors common to all values: laser level, texture of the region, bleaching"
@@ -144,7 +154,8 @@ def _budget(
     quantities = quantity_draws(drawn.curves, drawn.reflectance_at_laser, data)
     _require_same(quantities, paint)
     sources = budget_sources(bands, data, fitted)
-    shares = {name: source_shares(values, drawn, fitted, sources) for name, values in quantities.items()}
+    variance, made = source_shares(np.stack(list(quantities.values()), axis=1), drawn, fitted, sources)
+    shares = {name: (float(variance[i]), made[:, i]) for i, name in enumerate(quantities)}
     departures = _departure_variances(drawn, fitted, rng)
     rows = [
         row
@@ -239,27 +250,49 @@ def _root(covariance: Floats) -> Floats:
 
 def source_shares(
     values: Floats, drawn: SpectrumPosterior, fitted: ScoredSpectra, sources: tuple[UncertaintySource, ...]
-) -> tuple[float, Floats]:
-    """Return the variance of a quantity and the share (S,) of it that each source of the bands makes.
+) -> tuple[Floats, Floats]:
+    """Return the variance (Q,) of quantities and the share (S, Q) of it that each source of the bands makes.
 
     Parameters
     ----------
     values
-        (n,) draws of the quantity.
+        (n, Q) draws of the quantities.
     drawn, fitted
-        Draws of the posterior with the bands of their paints, and the bands' covariance.
+        Draws of the posterior with the bands of their paints; the bands' covariance and the evidence of components.
     sources
         Of the bands.
     """
-    root = np.linalg.cholesky(fitted.noise)
-    white = np.linalg.solve(root, (drawn.band_draws - drawn.band_draws.mean(axis=0)).T).T
-    apart = values - values.mean()
-    variance = float(apart @ apart / apart.size)
-    width, axes = np.linalg.eigh(white.T @ white / apart.size)
-    gain = axes @ ((axes.T @ (white.T @ apart) / apart.size) / np.sqrt(np.maximum(width, 1.0)))
-    onto = np.linalg.solve(root.T, gain)
-    made = np.array([float(np.sum((onto @ source.root) ** 2)) for source in sources])
-    return variance, made / max(variance, 1e-300)
+    rng, variance = np.random.default_rng(0), values.var(axis=0)
+    made = np.zeros((len(sources), values.shape[1]))
+    for which, source in enumerate(sources):
+        errors = _standardised(rng, source.root.shape[1]) @ source.root.T
+        made[which] = moved_means(values, drawn, fitted, errors).var(axis=0)
+    shares = made / np.maximum(variance, 1e-300)
+    return variance, shares / np.maximum(shares.sum(axis=0), 1.0)
+
+
+def moved_means(values: Floats, drawn: SpectrumPosterior, fitted: ScoredSpectra, errors: Floats) -> Floats:
+    """Return the posterior means (M, Q) of quantities, had the bands been off by errors (M, K) more.
+
+    The components' means follow, and so do their weights; the other parameters as of :func:`source_shares`.
+    """
+    places, component, count = np.unique(drawn.components, return_inverse=True, return_counts=True)
+    member = np.equal.outer(np.arange(places.size), component) / count[:, None]
+    means, centres = member @ values, member @ drawn.band_draws
+    inside, apart = values - means[component], drawn.band_draws - centres[component]
+    gain = np.linalg.solve(fitted.noise, apart.T @ inside) / max(len(values) - places.size, 1)
+    slope, curvature = fitted.evidence_derivatives(places)
+    squares = (errors[:, :, None] * errors[:, None, :]).reshape(len(errors), -1)
+    ln = np.log(count) + errors @ slope.T + 0.5 * squares @ curvature.reshape(places.size, -1).T
+    weight = np.exp(ln - ln.max(axis=1, keepdims=True))
+    return np.asarray(weight @ means / weight.sum(axis=1, keepdims=True) + errors @ gain)
+
+
+def _standardised(rng: np.random.Generator, columns: int) -> Floats:
+    """Return normal numbers (n, columns) whose mean and covariance are exactly those of the distribution."""
+    drawn = rng.standard_normal((_SHIFTS, columns))
+    drawn -= drawn.mean(axis=0)
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(drawn.T @ drawn / _SHIFTS), drawn.T).T)
 
 
 def _departure_variances(drawn: SpectrumPosterior, fitted: ScoredSpectra, rng: np.random.Generator) -> dict[str, float]:

@@ -63,7 +63,7 @@ def drawn_paint(parts, rng):
     while True:
         chosen = rng.choice(share.size, 1, p=share / share.sum())
         own = parts.curves[chosen[0]]
-        size = rng.choice([0.05, 0.1, 0.2], p=[0.3, 0.4, 0.3])
+        size = rng.choice([0.03, 0.09, 0.22], p=[0.45, 0.35, 0.2])
         second = rng.choice([0.0, 0.3], p=[0.8, 0.2])
         curve = own + rng.standard_normal(parts.departures(chosen).shape[1]) @ parts.departures(chosen)[0]
         above = parts.wavelength_nm >= parts.laser_nm
