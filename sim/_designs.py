@@ -168,7 +168,7 @@ def given_design(path: Path) -> tuple[FingerDesign, list[Path], Path]:
         return preset_design(str(path)), [], Path()
     if not path.is_file() and str(path) in SENSORS:
         raise SimulateError(
-            f"{path}: is a ready-made classic sensor; a finger is needed: {', '.join(PRESETS)}, or a file"
+            f"{path}: is a ready-made classic sensor, but a finger is needed: {', '.join(PRESETS)}, or a design file"
         )
     return read_design(path), [path], path.parent
 

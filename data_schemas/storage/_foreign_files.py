@@ -380,7 +380,7 @@ def parse_json(
         if b"\\u" in content:
             _refuse_half_characters(parsed)
     except (ValueError, RecursionError) as fault:
-        other = "" if content.lstrip()[:1] in (b"{", b"[") else ", or is it no JSON file at all"
+        other = "" if content.lstrip()[:1] in (b"{", b"[") else ", or is it not a JSON file"
         raise error(f"{where}: cannot be read as JSON ({fault}); was it edited or cut off{other}?") from None
     return parsed
 
@@ -497,8 +497,8 @@ def read_csv(
     long = next(((line, cells) for line, cells in rows[1:] if any(c.strip() for c in cells[len(header) :])), None)
     if long is not None:
         raise error(
-            f"{path}, line {long[0]}: has {len(long[1])} columns, the header has {len(header)}; commas stand between "
-            "columns, the decimal mark is a point"
+            f"{path}, line {long[0]}: has {len(long[1])} columns, the header has {len(header)}; commas stand "
+            "between columns, the decimal mark is a point"
         )
     twice = next((name for name in header if name and header.count(name) > 1), None)
     if twice is not None:

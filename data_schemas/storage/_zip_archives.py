@@ -128,7 +128,7 @@ class _ShortReads:
     def read(self, count: int | None = -1) -> bytes:
         wanted = count if count is not None and count >= 0 else self._left()
         if wanted > self._most_bytes:
-            raise ValueError(f"its list of files takes {wanted} bytes, at most {self._most_bytes} are read")
+            raise ValueError(f"its list of files takes {wanted} bytes, but at most {self._most_bytes} are read")
         return self._file.read(wanted)
 
     def _left(self) -> int:
@@ -140,12 +140,12 @@ class _ShortReads:
 def _accepted(entries: list[zipfile.ZipInfo]) -> Iterator[tuple[str, zipfile.ZipInfo]]:
     """Yield name and entry of the files; an archive with one that is not accepted is refused."""
     if len(entries) > MOST_MEMBERS:
-        raise ValueError(f"holds {len(entries)} files, at most {MOST_MEMBERS} are read; give a part of them")
+        raise ValueError(f"holds {len(entries)} files, but at most {MOST_MEMBERS} are read; give an archive with fewer")
     total = sum(entry.file_size for entry in entries)
     if total > LARGEST_UNPACKED_BYTES:
         raise ValueError(
-            f"holds {total / 2**30:.3g} GB when unpacked, at most {LARGEST_UNPACKED_BYTES / 2**30:g} GB are read; "
-            "unpack it and give the folder"
+            f"holds {total / 2**30:.3g} GB when unpacked, but at most {LARGEST_UNPACKED_BYTES / 2**30:g} GB "
+            "are read; unpack it and give the folder"
         )
     seen: set[str] = set()
     for entry in entries:

@@ -277,8 +277,8 @@ class _Workers:
         count = min(_cores(), len(jobs) // _LEAST_PAIRS_EACH, _MOST_WORKERS)
         if count > 1 and (room := _processes_in_memory(jobs)) < count:
             warn(
-                f"memory is free for {room} of {count} processes that compare these pictures; it takes longer. End "
-                "other programs, or give a part of the pairs"
+                f"the free memory allows {room} of {count} processes for pictures of this size, so the "
+                "comparison takes longer. End other programs, or compare fewer pairs at once"
             )
             count = room
         self._children = [Child([__name__, "finray_calib.compare"]) for _ in range(count if count > 1 else 0)]
@@ -384,8 +384,8 @@ def _of_worker(error: BaseException, jobs: Sequence["_Job"]) -> BaseException:
     if not isinstance(error, DiedError):
         return error
     return DiedError(
-        f"a process at work on {', '.join(job.name for job in jobs)} {error}. The reports that are written are "
-        "complete; the same command compares the others"
+        f"the process that compared {', '.join(job.name for job in jobs)} {error}. Reports already written "
+        "are complete; run the same command again for the others"
     )
 
 

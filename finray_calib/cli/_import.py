@@ -59,7 +59,9 @@ def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     pi.add_argument("--bayer-order", choices=["RGGB", "BGGR", "GRBG", "GBRG"], help="of 16-bit TIFFs")
     pi.add_argument("--bit-depth", type=int, choices=[8, 10, 12, 14, 16], help="of 16-bit TIFFs")
     other = _add_format(formats, "other", "folder of one press, by a format of another package", OTHER)
-    other.add_argument("--format", dest="package_format", required=True, metavar="NAME", help="of the package's format")
+    other.add_argument(
+        "--format", dest="package_format", required=True, metavar="NAME", help="name of the package's format"
+    )
     add_ball_press_formats(formats)
     add_render_format(formats)
     add_bands_format(formats)
@@ -564,8 +566,8 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
             ""
             if first.contact_circle is None
             else (
-                f", correct {out / CIRCLES} (write label as told_by in the lines that you correct), and import "
-                f"with --circles"
+                f", correct {out / CIRCLES} (set told_by to label in the lines that you correct), and import "
+                "again with --circles"
             )
         )
         warn(f"the contacts were searched for: look at {out / CONTACTS}{correct}")

@@ -314,12 +314,21 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
     )  # fmt: skip
     go_on_with("finray sense run", out, "CAPTURE")
     say(f"  on presses it has not seen ({splits} random halves: median [least, most])")
-    say(f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; 0 is a map that knows nothing")
+    say(
+        f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; a map without any "
+        "information scores 0"
+    )
     say(f"  mean angle of its normals {_spread(record.held_out_angle_deg, 1)} deg")
     if record.held_out_depth_rms_mm is not None and record.held_out_height_error_rel is not None:
         off = float((record.held_out_height_error_rel**2).mean() ** 0.5)
-        say(f"  depth inside the contact {_spread(record.held_out_depth_rms_mm, 3)} mm rms; height from rim to middle")
-        say(f"  wrong by {100 * off:.1f} % rms, {100 * record.held_out_height_error_rel.mean():+.1f} % on average")
+        say(
+            f"  rms error of the depth inside the contact {_spread(record.held_out_depth_rms_mm, 3)} mm; the "
+            "height from rim to"
+        )
+        say(
+            f"  middle is wrong by {100 * off:.1f} % rms, {100 * record.held_out_height_error_rel.mean():+.1f} % "
+            "on average"
+        )
 
 
 def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path | None) -> "list[TactileCapture]":

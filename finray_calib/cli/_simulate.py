@@ -48,7 +48,7 @@ a sensor to captures of it."""
 SMALLEST_STEP_DEG = 0.5
 SMALLEST_STEP_MM = 0.5
 CHANGE_SHOWN = 4.0
-NOTHING_KEPT = "Nothing is stored before its end: the same command begins again"
+NOTHING_KEPT = "Nothing is stored before the end, so the same command starts from the beginning"
 
 RENDER_HELP = "render a painted finger or a classic sensor without and with contact, as its camera sees it"
 RENDER_DESCRIPTION = """\
@@ -156,10 +156,13 @@ def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():
-        share = f"{100 * taught.level_share:.0f} % by up to {100 * most:.2f} %"
-        say(f"  {name}: half of the presses that were left out are off by up to {100 * half:.2f} %, {share}")
+        share = f"{100 * taught.level_share:.0f} % of up to {100 * most:.2f} %"
+        say(f"  {name}: of the presses kept for testing, half have an error of up to {100 * half:.2f} %, {share}")
     if taught.crossed_features is not None:
-        say("  ribs pass through each other or buckle in some presses: near them finite elements press instead")
+        say(
+            "  ribs pass through each other or buckle in some presses; presses similar to those are computed by "
+            "finite elements"
+        )
     say(f"  {taught.processor_s / 60.0:.1f} min of processor time")
     give(
         label=taught.label, presses=taught.presses, processor_s=taught.processor_s, level_share=taught.level_share,
@@ -402,7 +405,9 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     }  # fmt: skip
     given = [name for name, is_given in of_fingers.items() if is_given]
     if given:
-        raise SimulateError(f"{arguments.design}: is a classic sensor; {', '.join(given)} belongs to a painted finger")
+        raise SimulateError(
+            f"{arguments.design}: is a classic sensor; {', '.join(given)} is for painted fingers only, leave it out"
+        )
     out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json"), ".json")
     folder = _image_paths(out)[0] if arguments.images else None
     press = render_sensor(

@@ -87,7 +87,7 @@ def _long_work(arguments: argparse.Namespace) -> "LongWork":
     """Return which study is about to be made."""
     from finray_calib.cli._run import LongWork
 
-    kept = "Nothing is stored before its end: the same command begins again"
+    kept = "Nothing is stored before the end, so the same command starts from the beginning"
     if arguments.study == "run":
         return LongWork("the design study", "Finished points are kept: the same command continues with the others")
     if arguments.study == "dataset":
@@ -274,7 +274,10 @@ def _draw(record: Any) -> bytes:
 
 def _tell_fluorescent(study: "FluorescentRendering") -> None:
     """Say how far the paper's emitter is from the baked walls."""
-    say(f"\nAgainst baked walls, blocks of {study.block_px} px of the coat with contact, at equal mean brightness:")
+    say(
+        f"\nCompared with walls that re-emit the light that reaches them, in blocks of {study.block_px} px of the "
+        "coat with contact, at equal mean brightness:"
+    )
     for d in study.differences:
         if d.state == "contact" and d.band != "led":
             name = "as printed (proportional to distance)" if d.level == "a" else "inverse square of the distance"
@@ -317,7 +320,10 @@ def _tell_light_angle(study: "LightAngleIntensity") -> None:
         x, y, z = study.probe_points_mm[p]
         where = f"x = {x:g}, y = {y:.1f}, z = {z:.1f} mm"
         say(f"\n{probe} ({where}), panel's centre {study.led_depth_mm:g} mm below the inner face;")
-        say(f"  highest at (95 % limits), and what the paper's {study.printed_angle_deg:g} deg loses against it:")
+        say(
+            "  angle of the highest brightness (95 % limits), and how much less the paper's "
+            f"{study.printed_angle_deg:g} deg gives:"
+        )
         for top in study.maxima:
             if top.probe == probe:
                 angle = interval_text(top.angle_deg, top.low95_deg, top.high95_deg, most_decimals=1)
@@ -336,7 +342,8 @@ def _whole(angle_deg: float) -> str:
 
 STUDIES = (
     _Study(
-        "fluorescent-rendering", "the paper's emitter on the painted walls beside baked walls", FLUORESCENT,
+        "fluorescent-rendering",
+        "the paper's emitter on the painted walls beside walls that re-emit the light that reaches them", FLUORESCENT,
         "flat-70x35", 32, _make_fluorescent, _tell_fluorescent,
     ),
     _Study(
@@ -440,8 +447,8 @@ def _over_assumptions(study: "FingerStiffness", order: "StiffnessOrder") -> str:
         return "; no dimension was changed"
     holds = "holds" if order.smallest_ratio > 1.0 else f"does not hold ({order.at})"
     return (
-        f"; an assumed dimension changed in both: at least {order.smallest_ratio:.3f}, the order {holds}; changed "
-        f"independently: {order.independent_ratio:.3f}"
+        f"; with an assumed dimension changed in both, the ratio is at least {order.smallest_ratio:.3f} and "
+        f"the order {holds}; with independent changes the ratio is {order.independent_ratio:.3f}"
     )
 
 

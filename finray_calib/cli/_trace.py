@@ -47,7 +47,7 @@ def run_trace(arguments: argparse.Namespace) -> int:
     frames = sum(part.frames for part in tree.all() if not part.is_repeated)
     dirty = sum(part.is_dirty for part in tree.all())
     if dirty:
-        say(f"note: {dirty} of the records were made by sources that differed from the commit that they name")
+        say(f"note: {dirty} of the records were made by source code that differed from the commit that they name")
     if not faults:
         say(f"unchanged: {len(tracer.digests)} files hashed, {frames} of them frames")
     if arguments.replay and not faults:
@@ -78,7 +78,7 @@ def print_faults(faults: "tuple[FileFault, ...]") -> None:
     """Print what is not as it was written, one line each."""
     if not faults:
         return
-    say(f"\nNOT AS WRITTEN: {len(faults)} finding{'s' if len(faults) > 1 else ''}")
+    say(f"\nNOT UNCHANGED: {len(faults)} finding{'s' if len(faults) > 1 else ''}")
     for fault in faults:
         say(f"{fault.state}: {fault.path}: {fault.text}")
 

@@ -81,11 +81,10 @@ class Registration:
     def __str__(self) -> str:
         """Say it in one line."""
         return (
-            f"the render lies {self.move_px:.2f} px (at most {self.largest_move_px:.2f} px) away from the capture, "
-            f"known to {self.residual_px:.2f} px: scale {self.scale_x:.4f} along x and {self.scale_y:.4f} along y, "
-            f"rotation "
-            f"{self.rotation_deg:.2f} deg, correlation of gradients {self.score_before_rel:.2f} before and "
-            f"{self.score_rel:.2f} after"
+            f"the render lies {self.move_px:.2f} px away from the capture (at most {self.largest_move_px:.2f} "
+            f"px; standard uncertainty {self.residual_px:.2f} px): scale {self.scale_x:.4f} along x and "
+            f"{self.scale_y:.4f} along y, rotation {self.rotation_deg:.2f} deg, correlation of gradients "
+            f"{self.score_before_rel:.2f} before and {self.score_rel:.2f} after"
         )
 
 

@@ -108,8 +108,8 @@ def _check(press: BallPress, no_contact_rgb: Bytes, mm_per_px: float, source: st
     rows, columns = no_contact_rgb.shape[:2]
     if press.rgb.shape != no_contact_rgb.shape:
         raise ImportFormatError(
-            f"{where}: an image of shape {press.rgb.shape} beside a no-contact image of {no_contact_rgb.shape}; both "
-            "must come from one camera at one size"
+            f"{where}: an image of shape {press.rgb.shape} with a no-contact image of shape "
+            f"{no_contact_rgb.shape}; both must come from one camera at one size"
         )
     if not (0.0 <= press.row_px < rows and 0.0 <= press.column_px < columns):
         raise ImportFormatError(
@@ -274,7 +274,7 @@ def _rows(path: Path, needed: tuple[str, ...]) -> list[tuple[int, dict[str, str]
     rows = [(line, dict(zip_longest(columns, row[: len(columns)], fillvalue=""))) for line, row in cells]
     if len(rows) > MOST_PRESSES:
         raise ImportFormatError(
-            f"{path}: lists {len(rows)} presses; at most {MOST_PRESSES} are read: give a part of it"
+            f"{path}: lists {len(rows)} presses; at most {MOST_PRESSES} can be read: split the file"
         )
     missing = [name for name in needed if name not in columns]
     if missing:
@@ -433,8 +433,8 @@ def _presses(arrays: Arrays, pickled: tuple[str, ...], path: Path, ball_diameter
     radii = require_array(arrays, pickled, "touch_radius", 1, path).astype(np.float64)
     if centres.shape != (len(images), 2) or radii.shape != (len(images),):
         raise ImportFormatError(
-            f"{path}: {len(images)} images in 'imgs' need as many centres (x, y) and radii, got 'touch_center' of "
-            f"shape {centres.shape} and 'touch_radius' of {radii.shape}"
+            f"{path}: {len(images)} images in 'imgs' need the same number of centres (x, y) and radii, got "
+            f"'touch_center' of shape {centres.shape} and 'touch_radius' of {radii.shape}"
         )
     return [
         BallPress(f"press {k}", _image(image, "imgs", path), float(y), float(x), float(radius), ball_diameter_mm)
@@ -459,7 +459,7 @@ def _pixel_mm(folder: Path) -> float | None:
     try:
         found = read_json(path, "Taxim's parameters", ImportFormatError)["sensor"]["pixmm"]
         if isinstance(found, bool) or not isinstance(found, int | float):
-            raise TypeError(f"is {found!r}, no number")
+            raise TypeError(f"is {found!r}, which is not a number")
         return float(found)
     except (KeyError, TypeError) as error:
         raise ImportFormatError(

@@ -268,7 +268,7 @@ press {REPEATS} times, and take the indenter away between. Take every image at a
    all directions, some into the corners of the picture. Camera, mirror and focus are those of the presses. If the
    printed face cannot lie in the plane of the coat, measure how far behind it the coat is, to 0.1 mm: 1 mm at 50 mm
    changes the scale by 2 %. The ball plan asks for these images first. Its session then gives millimetres per raw pixel
-   along x and y, with uncertainty, and refuses in plain words what cannot be measured:
+   along x and y, with uncertainty, and names what cannot be measured:
 
        finray sense scale SESSION --square-u-mm 0.01 --out pixel-scale.json
 

@@ -293,7 +293,9 @@ def _gains(settings: CaptureSettings, options: RaspberryPiOptions, shape: tuple[
     if options.tuning is None or options.tuning.shading is None:
         raise ImportFormatError("flattening the lens shading needs a tuning file with rpi.alsc tables; give --tuning")
     if settings.temperature_k is None:
-        raise ImportFormatError("metadata: has no ColourTemperature, which the lens-shading tables need")
+        raise ImportFormatError(
+            "metadata: has no ColourTemperature, which the lens-shading tables need; leave out --flatten-shading"
+        )
     return shading_gains(options.tuning.shading, settings.temperature_k, (shape[0], shape[1]))
 
 

@@ -60,9 +60,9 @@ HOLD_SHARE = 0.9
 FAR_HALF_WIDTHS = 1.6
 _SURFACE_DEGREE = 3
 _BITS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
-_MEDIAN_LOSES = "the median of the presses stands in for it; the presses remain in it by some DN: small errors are "
+_MEDIAN_LOSES = "the median of the presses is used instead and still holds some DN of them: small errors are "
 "not seen"
-_SURFACE_LOSES = "a smooth surface through far pixels stands in for it; texture of the gel counts as contact"
+_SURFACE_LOSES = "a smooth surface through far pixels is used instead; texture of the gel counts as contact"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ def read_by_recipe(
     reader = _Folder(inside, recipe, dict(circles or {}))
     read: list[str] = []
     excluded = [name for name in recipe.presses.leave_out if name in reader.files]
-    left_out = {"the recipe leaves it out": excluded} if excluded else {}
+    left_out = {"the recipe excludes it": excluded} if excluded else {}
     names = [name for name in reader.files if name not in recipe.presses.leave_out]
     for number, name in enumerate(names):
         if progress is not None:
@@ -550,7 +550,9 @@ def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
             found[match[1]] = path
     ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
     if len(ordered) > MOST_PRESSES:
-        raise ImportFormatError(f"{folder}: holds {len(ordered)} presses; at most {MOST_PRESSES} are read: give a part")
+        raise ImportFormatError(
+            f"{folder}: holds {len(ordered)} presses; at most {MOST_PRESSES} can be read: give a folder with fewer"
+        )
     for name in ordered:
         yield name, found[name]
 
@@ -647,14 +649,12 @@ def motion_jpeg_frames(path: Path) -> list[bytes]:
     """
     content = read_bytes(path, "a Motion-JPEG video (AVI)", ImportFormatError, LARGEST_VIDEO_BYTES)
     if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
-        raise ImportFormatError(f"{path}: is no AVI video; {_CONVERT}")
+        raise ImportFormatError(f"{path}: is not an AVI video; {_CONVERT}")
     frames = [part for part in _video_parts(content, 0, len(content), 0) if part]
     if not frames or len(frames) > MOST_FRAMES:
-        raise ImportFormatError(
-            f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: give a part of it"
-        )
+        raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
     if not all(frame.startswith(b"\xff\xd8") for frame in frames):
-        raise ImportFormatError(f"{path}: its frames are no JPEG pictures (Motion JPEG); {_CONVERT}")
+        raise ImportFormatError(f"{path}: its frames are not JPEG pictures (Motion JPEG); {_CONVERT}")
     return frames
 
 

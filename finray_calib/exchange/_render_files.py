@@ -196,7 +196,7 @@ LEAST_DEPTH_SHARE: Final = 0.01
 class RenderDescription(Model):
     """What a render's folder says of itself (render.json); what is left out is not known."""
 
-    simulator: str = Field(default="a simulator that is not named", description="program and version")
+    simulator: str = Field(default="a simulator without a name", description="program and version")
     encoding: Literal["linear", "encoded"] | None = Field(
         default=None, description="linear: proportional to light; encoded: as a camera's 8-bit images"
     )
@@ -262,7 +262,7 @@ def _press(folder: Path, capture: TactileCapture | None) -> SimulatedPress:
         )
     if contact_file.suffix != rest_file.suffix:
         raise ImportFormatError(
-            f"{folder}: {contact_file.name} and {rest_file.name} are files of two kinds; write both in the same format"
+            f"{folder}: {contact_file.name} and {rest_file.name} have different formats; write both in the same format"
         )
     encoding = said.encoding or {".exr": "linear", ".png": "encoded"}.get(contact_file.suffix)
     if encoding is None:

@@ -219,9 +219,9 @@ def design_filters(
     offered = [f for f in catalogue if _usable(f, optics)]
     if not 1 <= wanted <= len(offered):
         raise FitError(
-            f"design: {wanted + len(kept)} filters are asked for; give {len(kept) + 1} to {len(kept) + len(offered)} "
-            f"(--number): {len(kept)} are kept, and the others come from the {len(offered)} of the catalogue that "
-            f"pass no laser light"
+            f"design: {wanted + len(kept)} filters were requested; give {len(kept) + 1} to "
+            f"{len(kept) + len(offered)} (--number): {len(kept)} are kept, and the others come from the "
+            f"{len(offered)} of the catalogue that pass no laser light"
         )
     rng = np.random.default_rng(seed)
     with threadpool_limits(limits=1, user_api="blas"):

@@ -357,8 +357,8 @@ def refuse_other_repeat(trend: BleachingTrend, steps: SessionSteps) -> None:
     else:
         return
     raise RadiometryError(
-        f"filter {record.filter_name} and its own repeat disagree: {why}. Did sample, region or laser change during "
-        "the session? Capture again, or give --accept-repeat to take the difference for fading"
+        f"filter {record.filter_name} and its own repeat disagree: {why}. Did sample, region or laser change "
+        "during the session? Capture again, or give --accept-repeat to treat the difference as fading"
     )
 
 

@@ -402,7 +402,9 @@ def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:
     axes.set(xlabel="push of the indenter from first touch (mm)", ylabel="force along the pad's normal (N)")
     title = f"{force[-1]:.2f} N at {depth[-1]:.2f} mm"
     if not force[-1] > 0.0:
-        title += ":\nforce of the mesh, not of the finger: the indenter touches no node or has passed through"
+        title += (
+            ":\nthe force comes from the mesh, not from the finger: the indenter touches no node or has passed through"
+        )
     # a little room below a force that pulls, none below nought
     axes.set(xlim=(0.0, None), ylim=(min(0.0, 1.1 * force.min()), None), title=title)
 

@@ -413,7 +413,7 @@ def prior_table(paint: FittedPaint) -> ReportTable:
         TableGroup("Prior", tuple(words)),
         TableGroup("Shift when all priors are half / twice as wide", tuple(shifts)),
     )
-    return ReportTable(paint.titled("what was believed beforehand"), ("parameter", "value"), groups, is_words=True)
+    return ReportTable(paint.titled("prior, before the measurement"), ("parameter", "value"), groups, is_words=True)
 
 
 def sampling_table(paint: FittedPaint) -> ReportTable:

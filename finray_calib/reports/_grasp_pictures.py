@@ -56,7 +56,10 @@ def grasp_png(grasp: ObjectGrasp, near: Finger, far: Finger, folder: Path | None
     motions = [finger[0].motion for finger in (near, far)]
     first, second = motions
     if first is None or second is None:
-        raise ValueError("these are no fingers of a grasp: their records have no motion")
+        raise ValueError(
+            "these records are not of the fingers of a grasp, because they hold no motion; give those that "
+            "'finray simulate grasp' wrote"
+        )
     figure = new_figure(13.0, 11.0)
     above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(1.25, 1.0)))
     side, curves = np.asarray(above.subfigures(1, 2, width_ratios=(1.5, 1.0)))

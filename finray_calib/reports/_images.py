@@ -451,8 +451,9 @@ def denoised(bands: NDArray[np.float32], samples_per_pixel: int) -> NDArray[np.f
     """
     if samples_per_pixel < FEWEST_SAMPLES:
         raise SimulateError(
-            f"a denoised picture needs at least {FEWEST_SAMPLES} paths per pixel, got {samples_per_pixel}: with fewer "
-            "the denoiser invents light; give --samples 64 or more, or leave out --denoise"
+            f"a denoised picture needs at least {FEWEST_SAMPLES} paths per pixel, got {samples_per_pixel}: "
+            "with fewer the denoiser makes the image too bright; give --samples 64 or more, or leave out "
+            "--denoise"
         )
     denoise = require_denoiser()
     clean = np.empty_like(bands)

@@ -273,7 +273,7 @@ def _picture(axes: Axes) -> None:
 _LEVEL_TITLES = {
     "a": "paper, as printed:\nproportional to distance",
     "a_inverse_square": "paper's idea,\ninverse square of distance",
-    "b": "baked: walls emit what\narriving light excites",
+    "b": "default: walls emit what\narriving light excites",
 }
 _LEVEL_LINES = {"a": (MUTED, "--"), "a_inverse_square": (ORANGE, "-."), "b": (INK, "-")}
 _HEADROOM = 1.45
@@ -478,11 +478,11 @@ _TITLES = (
     "What it absorbs (photons), relative to {laser:.0f} nm",
 )
 _WHY = (
-    "Why they differ: eight bands do not determine an emission between and beyond them. The paper's curve is taken "
-    "to be exact, and its 95 % band is far too\nnarrow; ours lets the paint leave its curve and says by how much. 2 "
-    "to 5 % "
-    "is one 10 nm band, not all emitted light. Absorption is a plateau: where its\nmaximum lies, and with it the "
-    "Stokes shift, is ill-defined, and one laser does not measure it (grey). Stand-ins, not the paper's own paints."
+    "Why they differ: eight bands do not determine an emission between and beyond them. The paper's curve is "
+    "taken to be exact, and its 95 % band is far too\nnarrow; our model lets the paint differ from its curve "
+    "by a stated amount. 2 to 5 % is one 10 nm band, not all emitted light. Absorption is a plateau: where "
+    "its\nmaximum lies, and with it the Stokes shift, is ill-defined, and one laser does not measure it "
+    "(grey). Stand-ins, not the paper's own paints."
 )
 
 

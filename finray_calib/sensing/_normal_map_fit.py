@@ -461,8 +461,8 @@ def _check_together(captures: Sequence[TactileCapture]) -> None:
         digest = contact_sha256(capture)
         if digest in name_of:
             raise CompareError(
-                f"{name_of[digest]} and {capture.name} are one and the same image: a press that is given twice would "
-                f"be judged by a map that it has taught; give each once"
+                f"{name_of[digest]} and {capture.name} are the same image: a press that is given twice would "
+                "be judged by a map that it has taught; give each press once"
             )
         name_of[digest] = capture.name
     for capture in captures[1:]:
@@ -618,8 +618,8 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
     notes = []
     if taught:
         notes.append(
-            f"this press taught the map '{record.name}': its result says nothing about other presses, and the stated "
-            f"uncertainty is too large for it; teach with other presses"
+            f"this press taught the map '{record.name}': its result does not hold for other presses, and the "
+            "stated uncertainty is too large for it; teach with other presses"
         )
     if taught is None:
         notes.append("whether this press taught the map is not known: the map is of an earlier version; teach it again")

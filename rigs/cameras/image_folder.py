@@ -94,7 +94,9 @@ class ImageFolder:
     def _refuse(self, exposure_s: float) -> NoReturn:
         """Say why there is no image."""
         if not self._unused:
-            raise RefusedError(f"{self._where}: all {len(self._images)} images are used; add images or ask for fewer")
+            raise RefusedError(
+                f"{self._where}: all {len(self._images)} images are used up; add images or plan fewer exposures"
+            )
         left = sorted({self._images[number].exposure_s for number in self._unused})
         raise RefusedError(
             f"{self._where}: none of the {len(self._unused)} images that are left was exposed for {exposure_s:g} s; "

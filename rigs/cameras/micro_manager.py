@@ -94,8 +94,8 @@ class MicroManagerCamera:
         actual_s = self._call(lambda: self._set_exposure(exposure_s), min(ANSWER_S, deadline_s))
         if abs(actual_s - exposure_s) > LINE_S + CLOCK_REL * abs(exposure_s):
             raise RefusedError(
-                f"{self._where}: was asked to expose for {exposure_s:g} s and keeps {actual_s:g} s; correct "
-                "shortest_exposure_s and longest_exposure_s of the rig file"
+                f"{self._where}: an exposure of {exposure_s:g} s was requested, but it uses {actual_s:g} s; "
+                "correct shortest_exposure_s and longest_exposure_s of the rig file"
             )
         started_utc = datetime.now(UTC).isoformat(timespec="milliseconds")
         limit_s = min(actual_s + READOUT_S, end_s - time.monotonic())

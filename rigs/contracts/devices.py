@@ -277,7 +277,7 @@ class StageContract:
         axis, to_mm = settings.press_axis, settings.clear_mm + settings.into_pad * steps * settings.step_mm
         places = stage.places_mm()
         if places is None:
-            raise RefusedError("stage: does not know where it stands; home it")
+            raise RefusedError("stage: its position is unknown; home it")
         at_mm = places[axis]
         while settings.into_pad * (to_mm - at_mm) > settings.step_mm:
             at_mm += settings.into_pad * settings.step_mm

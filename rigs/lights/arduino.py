@@ -215,8 +215,8 @@ class ArduinoSwitch:
                         return parse(line, self._name)
         if heard:
             raise RefusedError(
-                f"{self._name}: says {heard[-1][:32]!r} and not which firmware it runs; flash rigs/lights/firmware to "
-                "the board, or correct the address"
+                f"{self._name}: sends {heard[-1][:32]!r}, but does not state its firmware; flash "
+                "rigs/lights/firmware to the board, or correct the address"
             )
         raise TimedOutError(
             f"{self._name}: nothing came within {RESET_WITHIN_S + GREET_AGAIN_S:g} s; check the cable, the address "

@@ -301,8 +301,8 @@ def panel_lines(screen: Screen, numbers: SessionNumbers, height: int) -> list[st
         *(line(text, style) for text, style in filter_lines(numbers)),
         *(line(f"{'  ' if k else 'drift '}{100 * d.change_rel:+.2f}\u00b1{100 * d.uncertainty_rel:.2f} % {d.label}")
           for k, d in enumerate(numbers.drifts)),
-        *([] if numbers.drifts else [line("drift: no reference seen twice")]),
-        line(f"healed: {numbers.repeated} repeated, {numbers.retaken} retaken"),
+        *([] if numbers.drifts else [line("drift: no reference taken twice")]),
+        line(f"faults: {numbers.repeated} repeated, {numbers.retaken} retaken"),
         line(f"{numbers.lights_lost} lights lost, {numbers.repairs} repairs"),
     ]  # fmt: skip
     return [*lines, *[line()] * height][:height]

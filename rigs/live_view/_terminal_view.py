@@ -161,7 +161,8 @@ class _View(TerminalPage):
             has_ended = self._live.ended(ENDS_WITHIN_S)
         if not has_ended:
             raise CaptureError(
-                f"live --terminal: camera and lamp gave no answer for {ENDS_WITHIN_S:g} s; look whether the lamp is off"
+                f"live --terminal: camera and lamp gave no answer for {ENDS_WITHIN_S:g} s; check whether the "
+                "lamp is off"
             )
 
     def _while_asked_for(self) -> None:

@@ -103,8 +103,8 @@ def grasp_record(design: FingerDesign, task: GraspTask, grasp: Grasp, preset: Pr
         lost=grasp.lost,
         notes=(
             grasp.near.contact,
-            "the object is rigid and of even density; jaws do not give way, and nothing else touches the object; the "
-            "least resistance takes the limits of friction as they are at the last increment",
+            "the object is rigid and of even density; the jaws are rigid, and nothing else touches the "
+            "object; the least resistance uses the limits of friction of the last increment",
         ),
     )
 
@@ -318,7 +318,9 @@ def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) ->
         return ()
     told = f"the force is some {100 * short:.0f} % below the barrier's"
     if not touched:
-        told = "it touches no node, or has passed between them, and the force comes from the mesh, not the finger"
+        told = (
+            "it touches no node, or has passed between them, so that the force comes from the mesh, not from the finger"
+        )
     return (f"between nodes the coat cuts into the indenter: {told}",)
 
 

@@ -266,7 +266,8 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     """
     if len(captures) < LEAST_TEACHING_PRESSES:
         raise SimulateError(
-            f"{len(captures)} presses teach; the model of an elastic gel needs at least {LEAST_TEACHING_PRESSES}"
+            f"there are {len(captures)} teaching presses, but the model of an elastic gel needs at least "
+            f"{LEAST_TEACHING_PRESSES}"
         )
     first = captures[0]
     radius_mm, scale = _ball_and_scale(first)
@@ -345,7 +346,7 @@ def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
         design=None,
         notes=(
             f"fitted to {len(gel.taught_by)} other presses: {', '.join(gel.taught_by)}",
-            "the contact is where the capture has it, and the no-contact image is the capture's",
+            "the place of the contact and the no-contact image are taken from the capture",
         ),
     )
 
@@ -365,7 +366,9 @@ def _distance(capture: TactileCapture) -> Floats:
     """Return the distance from the contact of a capture that states it, half-widths."""
     distance = contact_distance(capture)
     if distance is None:
-        raise SimulateError(f"{capture.name}: does not state where its contact is")
+        raise SimulateError(
+            f"{capture.name}: does not state where its contact is; import it with a circle, an outline or a search"
+        )
     return distance
 
 

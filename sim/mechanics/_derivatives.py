@@ -195,8 +195,8 @@ def _require_same_hexahedra(mesh: FingerMesh, other: FingerMesh) -> None:
         one.keys() == two.keys() and all(np.array_equal(one[name], two[name]) for name in one) for one, two in pairs
     ):
         raise SimulateError(
-            "a small change of this number changes the mesh's hexahedra, and the force by itself: it has no derivative "
-            "here; take the difference of two whole presses"
+            "a small change of this number changes the mesh, and thereby the force: there is no derivative "
+            "for it; take the difference of two whole presses"
         )
 
 
@@ -301,7 +301,9 @@ class _Base:
             state = with_own_modes(self._assembly, state)
         reached = find_equilibrium(self._assembly, state, supports, self._solver)
         if reached.failure:
-            raise NoEquilibriumError(f"increment {increment + 1} is no equilibrium of this design: {reached.failure}")
+            raise NoEquilibriumError(
+                f"increment {increment + 1} is not an equilibrium of this design: {reached.failure}"
+            )
         return reached.state, supports
 
 

@@ -42,7 +42,7 @@ def test_the_example_of_the_aiag(aiag):
     assert study.share.estimate == pytest.approx(0.2786, abs=1e-4)
     assert study.distinct_categories == 4
     assert study.verdict == "UNDECIDED"
-    assert "3 sessions say little" in study.notes[-1]
+    assert "3 sessions show little" in study.notes[-1]
 
 
 def test_the_example_without_pooling(aiag):

@@ -99,7 +99,7 @@ def test_session_does_not_go_on_with_another_camera(sensor, tmp_path, monkeypatc
     with pytest.raises(KeyboardInterrupt):
         capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(interrupt_at_press_2))
     monkeypatch.setattr(picamera2_stand_in.Picamera2, "camera_properties", {"Model": "imx708"})
-    with pytest.raises(CaptureError, match=r"imx708 .* answers now; the session began with .*imx219"):
+    with pytest.raises(CaptureError, match=r"imx708 .* answers now, but the session began with .*imx219"):
         resumed(tmp_path, Hands())
 
 

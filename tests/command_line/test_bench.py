@@ -185,8 +185,8 @@ def test_our_physics_beside_the_table(captures: Path) -> None:
     }  # fmt: skip
     refused = finray("bench tactile set --elastic-gel --teach 2 --out two")
     assert refused.status == 2
-    assert "2 presses teach; the model of an elastic gel needs at least 3" in refused.err
+    assert "there are 2 teaching presses, but the model of an elastic gel needs at least 3" in refused.err
     for name in ("elastic gel under three lights", "doing nothing"):
         mistaken = finray(f"bench tactile set --simulator '{name}' --command 'true' --out mistaken")
         assert mistaken.status == 2
-        assert "is a name of a row of ours" in mistaken.err
+        assert "is the name of one of finray's own rows" in mistaken.err

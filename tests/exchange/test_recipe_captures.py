@@ -99,7 +99,7 @@ def test_a_circle_larger_than_its_ball_leaves_the_press_out(tmp_path):
 
 def test_contacts_that_nobody_drew_are_searched_for(tmp_path):
     found = read_by_recipe(write_digit(tmp_path / "f"), shipped("fots-digit", ball=2 * BALL_PX / 21.09))
-    assert found.left_out == {"the recipe leaves it out": ["0001"]}
+    assert found.left_out == {"the recipe excludes it": ["0001"]}
     assert len(found.captures) == 8
     for name, capture in list(found.captures.items())[:3]:
         assert (capture.contact_told_by, capture.no_contact_from) == ("search", "median of presses")
@@ -351,7 +351,7 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"RIFF\0\0\0\0WAVE", "is no AVI video; convert the video: ffmpeg"),
+        (b"RIFF\0\0\0\0WAVE", "is not an AVI video; convert the video: ffmpeg"),
         (b"RIFF\x04\0\0\0AVI ", "holds 0 frames"),
         (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "its frames are no JPEG pictures"),
     ],
@@ -428,7 +428,7 @@ def test_the_median_does_not_use_what_is_left_out(tmp_path):
     chosen = plain.model_copy(update={"presses": plain.presses.model_copy(update={"leave_out": names})})
     found = read_by_recipe(folder, chosen)
     assert float(np.median(found.captures["0000"].no_contact)) == pytest.approx(float(np.median(flat())), abs=3.0)
-    assert found.left_out["the recipe leaves it out"] == list(names)
+    assert found.left_out["the recipe excludes it"] == list(names)
 
 
 def test_who_told_a_circle_is_kept(tmp_path, monkeypatch):

@@ -110,7 +110,7 @@ def _spoil(folder, what):
     contact = np.load(folder / "contact.npy")
     if what == "no untouched image":
         (folder / "no_contact.npy").unlink()
-    elif what == "two kinds":
+    elif what == "different formats":
         (folder / "no_contact.npy").unlink()
         cv2.imwrite(str(folder / "no_contact.png"), np.zeros((*SHAPE, 3), np.uint8))
     elif what == "no encoding":
@@ -139,7 +139,7 @@ def _spoil(folder, what):
     ("what", "message"),
     [
         ("no untouched image", r"there is no no_contact .* beside contact; render the gel untouched"),
-        ("two kinds", r"contact\.npy and no_contact\.png are files of two kinds"),
+        ("different formats", r"contact\.npy and no_contact\.png have different formats"),
         ("no encoding", r'npy files do not say what they hold; write "encoding": "linear"'),
         ("no order", r"npy files do not say their order"),
         ("another size", r"is 160 x 120 px, no_contact\.npy 160 x 118 px; render both with one camera"),

@@ -121,7 +121,7 @@ def test_sessions_that_are_no_repeats_are_refused(session):
         combine_sessions([one, two.model_copy(update={"paint_name": "other"})])
     laser = two.optics.laser.model_copy(update={"wavelength_nm": 405.0})
     with pytest.raises(
-        FitError, match=r"excited at 405 nm, the first at .*: another light .* is given with --other-light"
+        FitError, match=r"excited at 405 nm, the first at .*: a session under another light with --other-light"
     ):
         combine_sessions([one, two.model_copy(update={"optics": two.optics.model_copy(update={"laser": laser})})])
     white = two.optics.white_reference.model_copy(update={"reflectance": 0.9})

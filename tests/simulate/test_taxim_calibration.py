@@ -44,7 +44,7 @@ def test_presses_lie_evenly_on_the_pad():
 @pytest.mark.parametrize(
     ("pad", "ball_mm", "message"),
     [
-        (DOME, 2.0, "Taxim's table takes every slope for contact"),
+        (DOME, 2.0, "Taxim's table treats every slope as contact"),
         (
             SENSOR.pad,
             1.0,

@@ -82,8 +82,8 @@ def _of_nodes(
         if (field.nodes[found] == wanted).all():
             return field.values[found]
     raise ImportFormatError(
-        f"the results hold no {name} of the nodes {wanted[0]} to {wanted[-1]} at step time {time:g}; they must be of "
-        f"a deck of this design on the {preset} mesh, with its output requests: finray export deck "
+        f"the results lack {name} of the nodes {wanted[0]} to {wanted[-1]} at step time {time:g}; they must "
+        f"be of a deck of this design on the {preset} mesh, with its output requests: finray export deck "
         "DESIGN --dialect abaqus"
     )
 

@@ -63,7 +63,7 @@ def test_the_recorded_camera_gives_its_frame_and_settings() -> None:
     ("old", "new", "error", "why"),
     [
         (b'format=".fits"', b'format=".fits.fz"', RefusedError, r"sends frames as '\.fits\.fz', \.fits is needed"),
-        (b'size="', b'size="9', BadFrameError, "bytes where it states 9"),
+        (b'size="', b'size="9', BadFrameError, "bytes, but it states 9"),
         (b'state="Ok"', b'state="Alert" message="no cable"', RefusedError, "refuses to expose for 0.02 s .*no cable"),
         (b"U0lNUExF", b"AAAAAAAA", BadFrameError, "is no FITS file with a complete header"),
     ],
@@ -90,11 +90,11 @@ COUNTS = np.arange(SIZE_PX**2).reshape(SIZE_PX, SIZE_PX) % 1000
 
 
 def test_headers_that_contradict_what_was_asked_are_refused() -> None:
-    with pytest.raises(RefusedError, match=r"sent 32 x 64 px, 64 x 64 px were asked for"):
+    with pytest.raises(RefusedError, match=r"sent 32 x 64 px, but 64 x 64 px were requested"):
         delivered().check(COUNTS[:, :32])
-    with pytest.raises(RefusedError, match=r"0\.2 s were asked for, the frame's header says 0\.1 s"):
+    with pytest.raises(RefusedError, match=r"0\.2 s were requested, but the frame's header states 0\.1 s"):
         delivered().check(COUNTS, exposure_s=0.2)
-    with pytest.raises(RefusedError, match=r"gain 3 was asked for, the frame's header says 4\.0"):
+    with pytest.raises(RefusedError, match=r"gain 3 was requested, but the frame's header states 4\.0"):
         delivered().check(COUNTS, GAIN=4.0)
     with pytest.raises(RefusedError, match="the frame's header states no EXPTIME"):
         delivered().check(COUNTS, EXPTIME="")
@@ -224,7 +224,7 @@ def test_a_driver_that_crashes_is_connected_again_with_its_settings(server: Indi
 @pytest.mark.rigs
 def test_a_setting_changed_by_another_program_is_found_in_the_header(server: IndiServer, camera: Camera) -> None:
     server.put(CCD, "CCD_GAIN.GAIN=55")
-    with pytest.raises(RefusedError, match=r"gain 0 was asked for, the frame's header says 55"):
+    with pytest.raises(RefusedError, match=r"gain 0 was requested, but the frame's header states 55"):
         camera.expose(0.05, FRAME_S)
 
 
