@@ -363,7 +363,7 @@ class PhotometricErrorReport(Record):
         "no-contact level (encoded values: of full scale) times pixels; None: not known (an older version)",
     )
     attribution: ErrorAttribution | None = Field(
-        default=None, description="None where the causes cannot be separated, or were not asked for"
+        default=None, description="None where the causes cannot be separated, or were not requested"
     )
     monte_carlo: MonteCarlo | None = Field(default=None, description="None where no input has a known uncertainty")
     budget: tuple[InputUncertainty, ...] = ()
@@ -384,7 +384,7 @@ class PhotometricErrorReport(Record):
     withheld: tuple[str, ...] = Field(default=(), description="figures that are not given, and why")
     notes: tuple[str, ...] = ()
     packaged_metrics: tuple[PackagedMetric, ...] = Field(
-        default=(), description="of other packages, as they were asked for"
+        default=(), description="metrics of other packages that were requested"
     )
 
 

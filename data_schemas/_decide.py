@@ -43,7 +43,7 @@ class DecidingCapture(Model):
     light_angle_deg: AngleDeg
     light_angle_uncertainty_deg: Annotated[float, Field(ge=0.0, le=90.0)]
     error_rel: float = Field(
-        description="simulated over captured objective, minus one; of absolute ratios without the scale of the rig"
+        description="simulated over captured objective, minus one; for absolute ratios without the scale of the rig"
     )
     error_u_rel: float = Field(description="standard uncertainty of the error, with that of the angle")
     value: float
@@ -323,7 +323,9 @@ class PaintChoice(Record):
 class ToleranceSide(Model):
     """How far one number may leave its value to one side, everything else as designed."""
 
-    limit: float | None = Field(description="distance at which the error has grown by what is allowed; null: not found")
+    limit: float | None = Field(
+        description="distance at which the error has grown by the allowed share; null: not found"
+    )
     low95: float | None = None
     high95: float | None = None
     tried: float = Field(description="largest distance that was evaluated")
@@ -356,7 +358,9 @@ class ToleranceRow(Model):
     more: ToleranceSide
     first: VarianceShare = Field(description="share of the variance that this number causes alone")
     total: VarianceShare = Field(description="share of the variance that would vanish if this number did not vary")
-    is_distinguishable: bool = Field(description="whether the total share is above what the emulator does not explain")
+    is_distinguishable: bool = Field(
+        description="whether the total share exceeds the share that the emulator does not explain"
+    )
 
 
 class FingerTolerances(Record):
@@ -377,17 +381,17 @@ class FingerTolerances(Record):
     contact_places_mm: tuple[float, ...] = Field(description="middles of the contacts along the pad")
     rows: tuple[ToleranceRow, ...] = Field(min_length=1)
     together_factor: float | None = Field(
-        description="largest factor on all half-ranges at which 95 % of the fingers stay within what is allowed; "
-        "null: beyond the box"
+        description="largest factor on all half-ranges at which 95 % of the fingers stay within the allowed growth; "
+        "null: beyond the emulated box"
     )
     together_low95: float | None = None
     together_high95: float | None = None
     within_given_share: Fraction = Field(
-        description="share of the fingers that stay within what is allowed when all numbers vary within the given "
+        description="share of the fingers that stay within the allowed growth when all numbers vary within the given "
         "half-ranges"
     )
     checked_within: Annotated[int, Field(ge=0)] = Field(
-        description="share of fingers within what is allowed at this factor, of fingers that were evaluated "
+        description="share of fingers within the allowed growth at this factor, among fingers that were evaluated "
         "directly with other paths"
     )
     checked_fingers: Annotated[int, Field(ge=0)]

@@ -69,8 +69,8 @@ class PropagatedDraws:
         """
         if self.draws.ndim != 1:
             raise RecordError(
-                f"an estimate is of one number, and the function returned arrays of shape {self.draws.shape[1:]}; take "
-                "estimate, sd, low95 and high95, which have that shape"
+                "an estimate holds one number, but the function returned arrays of shape "
+                f"{self.draws.shape[1:]}; take estimate, sd, low95 and high95, which have that shape"
             )
         low95, low68, estimate, high68, high95 = np.quantile(self.draws, [0.025, 0.16, 0.5, 0.84, 0.975])
         sd = float(self.draws.std(ddof=1))
@@ -404,7 +404,7 @@ class SessionScatter(Model):
 
     level_rel: Estimate = Field(description="relative standard deviation of the level between sessions")
     filter_rel: Estimate = Field(
-        description="relative standard deviation of a single filter between sessions, beside that of the level"
+        description="relative standard deviation of a single filter between sessions, in addition to that of the level"
     )
     session_levels_rel: tuple[float, ...] = Field(
         min_length=2, description="level of each session relative to the common one, in the order given"
@@ -434,12 +434,12 @@ class PaintCalibration(Record):
     paint_name: str
     detection: EmissionDetection | None = Field(
         default=None,
-        description="verdict on whether there is emission, and how sure it is; none: not judged, by an older version",
+        description="verdict on whether there is emission, and its certainty; none: not judged, by an older version",
     )
     spectrum_from: str = Field(default="", description="origin of the reported spectrum; empty: the family")
     family: str = Field(description="family whose sampled parameters stand here, and with which pixels are mapped")
     family_title: str
-    family_choice: str = Field(description="why this family, and how sure that is")
+    family_choice: str = Field(description="reason for this family, and its certainty")
     discrepancy: DiscrepancySettings
     parameters: dict[str, Estimate] = Field(description="quantities of the emission, then the sampled parameters")
     paper: dict[str, Estimate]

@@ -214,7 +214,7 @@ class CoatSurface(Model):
         """Return the fields of a map where a mesh is given."""
         if not self.file.lower().endswith(".stl"):
             return {}
-        why = "it is of a height map, and an STL file holds mm in the axes of the pad; leave it out"
+        why = "it belongs to a height map, but an STL file holds mm in the axes of the pad; leave it out"
         return dict.fromkeys(("holds", "step_mm", "unit_mm", "position_mm", "across_mm"), why)
 
 

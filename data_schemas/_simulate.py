@@ -279,7 +279,7 @@ PartOfEnergy = Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", 
 class VariedPress(Model):
     """The same press of a design with one number changed, or the first part of it."""
 
-    field: str = Field(description="dotted path of the number in the design; of a list, all its numbers")
+    field: str = Field(description="dotted path of the number in the design; for a list, all its numbers")
     change_rel: Annotated[
         float, Field(gt=-1.0, description="change of the number, relative to its value in the design")
     ]
@@ -298,7 +298,7 @@ class VariedPress(Model):
 class ForceSlope(Model):
     """Derivative of a press's force by one number of its design, at each increment."""
 
-    field: str = Field(description="dotted path of the number in the design; of a list, all its numbers together")
+    field: str = Field(description="dotted path of the number in the design; for a list, all its numbers together")
     ln_force_per_ln_number: Annotated[PerIncrement, ArraySpec("<f8", ("increment",))] = Field(
         description="d ln F / d ln x, of the force along the pad's normal"
     )
@@ -320,8 +320,8 @@ class PressSensitivities(Model):
         description="force along the pad's normal, of the unchanged design"
     )
     varied: tuple[VariedPress, ...] = Field(
-        description="whole presses with a number changed: of numbers that have no derivative, and in older versions of "
-        "all"
+        description="complete presses with a number changed: for numbers without a derivative, and in older "
+        "versions for all"
     )
     slopes: tuple[ForceSlope, ...] = ()
 
@@ -603,7 +603,7 @@ class ObjectGrasp(Record):
         "width; negative: the slightest push squeezes it out or tips it over; 0: it can move freely in some "
         "direction"
     )
-    lost: str = Field(description="why the fingers did not reach the wanted force or weight; empty when they did")
+    lost: str = Field(description="why the fingers did not reach the requested force or weight; empty when they did")
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")

@@ -194,12 +194,12 @@ class StiffnessRow(Model):
     slip_torque_per_friction_n_mm: float | None = Field(
         default=None,
         description="torque about the pad's normal at which a gripped cylinder begins to turn, over Coulomb's "
-        "coefficient; of designs as they are",
+        "coefficient; only for unchanged designs",
     )
     tipping_torque_n_mm: float | None = Field(
         default=None,
-        description="torque about the finger's long axis that the gripping force alone resists; of unchanged "
-        "designs only",
+        description="torque about the finger's long axis that the gripping force alone resists; only for unchanged "
+        "designs",
     )
     grip_failure: str = Field(default="", description="why an unchanged design has no torques; otherwise empty")
     failure: str = Field(
@@ -265,7 +265,9 @@ class BandFit(Model):
 
     family: str
     with_discrepancy: bool = Field(description="whether the paint may differ from the family's curve")
-    parameters: dict[str, Estimate] = Field(description="mode_nm and fwhm_nm; of the paper's family also its own")
+    parameters: dict[str, Estimate] = Field(
+        description="mode_nm and fwhm_nm; for the paper's family also its own parameters"
+    )
     wavelength_nm: Annotated[Floats, ArraySpec("<f8", ("wavelength",), "nm")]
     mean_per_nm: OverEmission
     low95_per_nm: OverEmission

@@ -496,7 +496,7 @@ def recolour_press(
             "give both red and green (repeat one that does not change), or neither to keep the paints of the press"
         )
     if red is None and camera is None and white_balance is None:
-        raise SimulateError("no change is asked for: give red and green, camera or white_balance")
+        raise SimulateError("no change is given: give red and green, camera or white_balance")
     rendered, files = given(press, SimulatedPress)
     paints = {c: given(p, PaintCalibration) for c, p in (("red", red), ("green", green)) if p is not None}
     response = None if camera is None else read_camera_response(Path(camera))

@@ -222,7 +222,7 @@ class _Member(NamedTuple):
             with open_regular(self.file, "a zip archive", error) as file:
                 return self.archive.read(self.name, file)
         except ValueError as fault:
-            raise error(f"{self.path}: {fault}; make the archive anew, or fetch it again") from None
+            raise error(f"{self.path}: {fault}; create the archive again, or download it again") from None
 
 
 class _Archives:

@@ -152,14 +152,14 @@ def _accepted(entries: list[zipfile.ZipInfo]) -> Iterator[tuple[str, zipfile.Zip
         name = entry.filename.rstrip("/")
         why = _refused(entry, name) or ("is in it twice" if name in seen else None)
         if why is not None:
-            raise ValueError(f"{entry.orig_filename[:80]!r} {why}; make the archive anew from plain files")
+            raise ValueError(f"{entry.orig_filename[:80]!r} {why}; create the archive again from plain files")
         seen.add(name)
         if not entry.is_dir() and PurePosixPath(name).parts[0] != NOT_OF_THE_USER:
             yield name, entry
     files = {entry.filename for entry in entries if not entry.is_dir()}
     inside = {str(above) for name in seen for above in PurePosixPath(name).parents}
     if both := sorted(files & inside):
-        raise ValueError(f"{both[0][:80]!r} is a file and a folder; make the archive anew from plain files")
+        raise ValueError(f"{both[0][:80]!r} is a file and a folder; create the archive again from plain files")
 
 
 def _refused(entry: zipfile.ZipInfo, name: str) -> str | None:
@@ -191,7 +191,9 @@ def _require_apart(entries: list[zipfile.ZipInfo]) -> None:
     end = 0
     for entry in sorted(entries, key=lambda e: e.header_offset):
         if entry.header_offset < end:
-            raise ValueError(f"{entry.filename[:80]!r} overlaps another file; make the archive anew from plain files")
+            raise ValueError(
+                f"{entry.filename[:80]!r} overlaps another file; create the archive again from plain files"
+            )
         end = entry.header_offset + _LOCAL_HEADER_BYTES + entry.compress_size
 
 

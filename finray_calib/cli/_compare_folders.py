@@ -180,7 +180,11 @@ def _of_folders(arguments: argparse.Namespace) -> tuple[list[_Job], list[str]]:
         paired, alone = pair_by_name(*([file.name for file in files_in(part)] for part in (folder, captured)))
         jobs += [_Job(name, press, folder / one, captured / two, Path()) for press, (one, two) in paired.items()]
         # a capture that the table was taught with has no press: that is no fault
-        notes += [f"{f}: has no partner and was left out" for f in alone if len(named) == 1 or has_file(folder / f)]
+        notes += [
+            f"{f}: has no counterpart in the other folder and was left out"
+            for f in alone
+            if len(named) == 1 or has_file(folder / f)
+        ]
     notes = list(dict.fromkeys(notes))
     for note in notes:
         warn(note)

@@ -231,7 +231,10 @@ def _refuse_ignored(arguments: argparse.Namespace) -> None:
     if arguments.paint is not None and not arguments.map:
         raise FitError("--paint: is the fit of the region that --map starts from; give --map too, or leave it out")
     if arguments.map and len(arguments.bands) > 1:
-        raise FitError(f"{arguments.bands[1]}: a map is of one session; give the pixel signals of one, and its --paint")
+        raise FitError(
+            f"{arguments.bands[1]}: a map belongs to one session; give the pixel signals of one session, and its "
+            "--paint"
+        )
 
 
 _LABELS = {
@@ -465,10 +468,11 @@ def _number_line(number: "FittedNumber") -> str:
 
 MATERIAL_HELP = "fit the moduli of a gel to force curves of a bench"
 MATERIAL_DESCRIPTION = """\
-Fit the moduli of a gel to measured forces over displacement: of blocks of it between plates, or of a finger. The model
-is the finite elements of 'finray simulate press' with their derivatives. Found are C10 and K/mu of the gel, of a finger
-also the moduli of its other parts; first touch, zero and drift of the load cell and the noise are found beside them.
-Each modulus is said to be measured, constrained in part, or not measured: then the interval is what was assumed before.
+Fit the moduli of a gel to measured curves of force over displacement. The curves come from blocks of the gel between
+plates, or from a finger. The model is the finite elements of 'finray simulate press' with their derivatives. The fit
+gives C10 and K/mu of the gel, and for a finger also the moduli of its other parts, together with first touch, zero and
+drift of the load cell and the noise. Each modulus is reported as measured, constrained in part, or not measured; where
+it was not measured, its interval is the one assumed before.
 
   finray fit-material free.csv tight.csv --on 20x20x10:lubricated --on 20x20x10:confined
   finray fit-material finger.csv --on finger.toml"""

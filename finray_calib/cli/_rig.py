@@ -193,8 +193,8 @@ def _require_masses(arguments: argparse.Namespace, capacity_n: float) -> None:
     heaviest_n = max(arguments.masses_g) * arguments.gravity
     if heaviest_n > capacity_n:
         raise CurveError(
-            f"--masses-g: {1e3 * max(arguments.masses_g):g} g weigh {heaviest_n:.3g} N, and the cell stands "
-            f"{capacity_n:g} N (capacity_n of the rig file); leave that mass out"
+            f"--masses-g: {1e3 * max(arguments.masses_g):g} g weigh {heaviest_n:.3g} N, but the cell can bear "
+            f"only {capacity_n:g} N (capacity_n of the rig file); leave that mass out"
         )
 
 
@@ -531,7 +531,10 @@ def _in_view(
         file.unlink(missing_ok=True)
         file.touch(mode=0o600, exist_ok=False)
         file.write_text(f"{url}\n", encoding="utf-8")
-        say(f"{url}\n  open it in a browser; it also stands in {file}, for you only. Ctrl-C ends the session")
+        say(
+            f"{url}\n  open it in a browser; the address is also stored in {file}, which only you can read. "
+            "Ctrl-C ends the session"
+        )
         give(url=url)
 
     def progress(done: int, total: int, what: str) -> None:

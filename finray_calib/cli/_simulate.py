@@ -94,7 +94,7 @@ each where least is known, teach the rest. They are kept: the same command conti
 def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register ``finray simulate teach``."""
     parser = jobs.add_parser("teach", help=TEACH_HELP, description=TEACH_DESCRIPTION)
-    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter does not count")
+    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter is ignored")
     parser.add_argument(
         "--presses", type=_presses, metavar="N", help="by finite elements that teach, at least 20 (default: 40)"
     )
@@ -421,7 +421,7 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     wrote(out, f"{press.label}; {', '.join(press.notes)}")
     _give_press(press, out)
     if folder is not None:
-        wrote(folder, "images; README.txt there says what each one is")
+        wrote(folder, "images; README.txt in this folder explains each of them")
         look_at(folder)
 
 
@@ -451,8 +451,8 @@ def run_sweep(arguments: argparse.Namespace) -> None:
         return
     if arguments.surfaces is not None:
         raise SimulateError(
-            "--positions are places of a press by a formula, and --surfaces are of one place: sweep each with its own "
-            "--surfaces and --out, and give all of them to 'finray decide'"
+            "--positions are for presses by a formula, but --surfaces hold a press at one place: sweep each "
+            "with its own --surfaces and --out, and give all of them to 'finray decide'"
         )
     _sweep_places(arguments, require_ending(out, ".json"))
 
@@ -564,7 +564,7 @@ def _store_images(
         write_record(press, out, origin, stored)
     wrote(out, press.label)
     wrote(capture, f"raw counts of {press.design.camera.bit_depth if press.design else 0} bit, for 'finray compare'")
-    wrote(folder, "images; README.txt there says what each one is")
+    wrote(folder, "images; README.txt in this folder explains each of them")
     say(str(products.colours))
     _give_press(press, out)
     look_at(folder / "README.txt")
@@ -636,7 +636,7 @@ def run_recolour(arguments: argparse.Namespace) -> None:
 
     files = paint_files(arguments, without="the press's own paints")
     if not files and arguments.camera is None and arguments.white_balance is None:
-        raise SimulateError("no change is asked for: give --paint for both walls, --camera or --white-balance")
+        raise SimulateError("no change is given: give --paint for both walls, --camera or --white-balance")
     out = require_new(arguments.out or arguments.press.with_name(f"{arguments.press.stem}-recoloured.json"), ".json")
     press = read_record(arguments.press, SimulatedPress)
     paints = {colour: paint_optics(read_record(path, PaintCalibration)) for colour, path in files.items()}

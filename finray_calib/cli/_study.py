@@ -282,14 +282,14 @@ def _tell_fluorescent(study: "FluorescentRendering") -> None:
         if d.state == "contact" and d.band != "led":
             name = "as printed (proportional to distance)" if d.level == "a" else "inverse square of the distance"
             say(
-                f"  {name:38s} {d.band:6s} {100 * d.shape_error_rel:5.1f} % off (render noise "
+                f"  {name:38s} {d.band:6s} {100 * d.shape_error_rel:5.1f} % error (render noise "
                 f"{100 * d.noise_rel:.1f} %)"
             )
     for k, wall in enumerate(study.walls):
         off = ", ".join(f"{100 * v:.0f} %" for v in study.wall_error_rel[:-1, k])
         say(
-            f"  {wall} wall along z: {off} off; {100 * study.second_order_wall_share[wall]:.1f} % excited by other "
-            f"paint"
+            f"  {wall} wall along z: error {off}; {100 * study.second_order_wall_share[wall]:.1f} % of its "
+            "light is excited by the other paint"
         )
     means = study.wall_by_angle_rel.mean(axis=2) / study.wall_radiance_rel[-1].mean(axis=1)
     told = ", ".join(f"{angle:g} deg {mean[0]:.2f}" for angle, mean in zip(study.angles_deg, means, strict=True))
@@ -307,8 +307,9 @@ def _tell_two_lights(study: "TwoLights") -> None:
         numbers = f"{u.variation_rel:9.2f}{u.middle_variation_rel:21.2f}{u.min_to_max_ratio:30.2f}{u.noise_rel:25.2f}"
         say(f"  {u.lights:28s}{u.channel:9s}{numbers}")
     say(
-        "  red, green, led: light of each paint and of the LEDs, before the camera; R, G, B: the camera's channels."
-        f"\n  Cells of {study.cell_mm:g} mm; their noise is taken out of sd / mean, not of darkest / brightest."
+        "  red, green, led: light of each paint and of the LEDs, before the camera; R, G, B: the camera's "
+        f"channels.\n  Cells of {study.cell_mm:g} mm; their noise is subtracted from sd / mean, but not from "
+        "darkest / brightest."
     )
 
 

@@ -570,7 +570,7 @@ def _lacking(scored: Sequence[ComparedPair]) -> tuple[tuple[bool, str, str], ...
     return (
         (
             without_floor > 0,
-            "a second image without contact beside each press",
+            "a second image without contact for each press",
             f"{without_floor} of {len(scored)} pairs have none, so it is not known how much of their error is noise",
         ),
         (
@@ -586,12 +586,12 @@ def _lacking(scored: Sequence[ComparedPair]) -> tuple[tuple[bool, str, str], ...
         (
             len({pair.session for pair in scored}) < LEAST_UNITS,
             f"the same presses in {LEAST_UNITS} sessions, after taking the sensor off",
-            "drift and mounting are not in the interval",
+            "the interval does not include drift and mounting",
         ),
         (
             len({pair.sensor for pair in scored}) < LEAST_UNITS,
             f"{LEAST_UNITS} sensors",
-            "how sensors of one kind differ is not in the interval",
+            "the interval does not include differences between sensors of one kind",
         ),
     )
 

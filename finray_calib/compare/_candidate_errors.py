@@ -554,6 +554,6 @@ def check_metric(metric: Metric, rows: int = 48, columns: int = 64) -> None:
         raise plug_in.refusal("depends on pixels outside the region")
     if (perfect > nothing) != (metric.BETTER == "higher"):
         raise plug_in.refusal(
-            f"is {perfect:.4g} for the captured image itself and {nothing:.4g} for doing nothing, and says that "
-            f"{metric.BETTER} is better"
+            f"is {perfect:.4g} for the captured image itself and {nothing:.4g} for doing nothing, but "
+            f"declares that {metric.BETTER} is better"
         )

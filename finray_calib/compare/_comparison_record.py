@@ -392,8 +392,8 @@ _PARTS: Final = (
     "tiles of the region, drawn with replacement); they are not 95 % intervals"
 )
 _NOT_PRESSES: Final = (
-    "They say nothing about another press, which usually differs by several times as much; compare folders of three "
-    "presses or more for an interval over presses"
+    "They do not apply to another press, which usually differs by several times as much; compare folders of "
+    "three presses or more for an interval over presses"
 )
 COVERS_PARTS = f"{_PARTS}; no input of this image has a known uncertainty. {_NOT_PRESSES}"
 COVERS_CURVE = (

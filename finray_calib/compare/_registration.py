@@ -232,24 +232,27 @@ def _require_trustworthy(found: Registration, side_px: int) -> None:
     largest_px = LARGEST_MOVE_OF_SIDE * side_px
     reasons = []
     if not found.score_rel >= LEAST_SCORE:
-        reasons.append(f"the gradients correlate by {found.score_rel:.2f} only, at least {LEAST_SCORE:g} is needed")
+        reasons.append(f"the gradients correlate by {found.score_rel:.2f} only, but at least {LEAST_SCORE:g} is needed")
     if not found.score_rel >= found.score_before_rel:
-        reasons.append(f"the gradients correlate less than without it ({found.score_before_rel:.2f})")
+        reasons.append(f"the gradients correlate less than before the registration ({found.score_before_rel:.2f})")
     if found.largest_move_px > largest_px:
-        reasons.append(f"it moves the render by up to {found.largest_move_px:.1f} px, {largest_px:.0f} px are allowed")
+        reasons.append(
+            f"it moves the render by up to {found.largest_move_px:.1f} px, but at most {largest_px:.0f} px are allowed"
+        )
     if max(abs(found.scale_x - 1), abs(found.scale_y - 1)) > LARGEST_SCALE_CHANGE:
         reasons.append(
-            f"it changes the scale to {found.scale_x:.3f} and {found.scale_y:.3f}, {100 * LARGEST_SCALE_CHANGE:.0f} "
-            f"% is "
-            "allowed"
+            f"it changes the scale to {found.scale_x:.3f} and {found.scale_y:.3f}, but at most "
+            f"{100 * LARGEST_SCALE_CHANGE:.0f} % is allowed"
         )
     if abs(found.rotation_deg) > LARGEST_ROTATION_DEG:
-        reasons.append(f"it turns the render by {found.rotation_deg:.1f} deg, {LARGEST_ROTATION_DEG:g} deg are allowed")
+        reasons.append(
+            f"it turns the render by {found.rotation_deg:.1f} deg, but at most {LARGEST_ROTATION_DEG:g} deg are allowed"
+        )
     largest_residual_px = max(LARGEST_RESIDUAL_PX, LARGEST_RESIDUAL_OF_MOVE * found.move_px)
     if not found.residual_px <= largest_residual_px:
         reasons.append(
-            f"two halves of the picture disagree: the move is known to {found.residual_px:.1f} px only, "
-            f"{largest_residual_px:.1f} px are allowed"
+            "two halves of the picture disagree: the standard uncertainty of the move is "
+            f"{found.residual_px:.1f} px, but at most {largest_residual_px:.1f} px are allowed"
         )
     if reasons:
         raise CompareError(f"registration is rejected: {'; '.join(reasons)}")

@@ -120,10 +120,10 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
     """
     if _PAPER_EMITTER in report.label:
         raise DecideError(
-            f"the report on {report.captured} is of a render by level a ('{report.label}'), the sweep is of "
-            "level b: walls of level a emit the same at every angle of the light, so their error cannot "
-            "validate the curve. Simulate the press with --level b (the default) and compare again, or leave "
-            "the report out"
+            f"the report on {report.captured} belongs to a render by level a ('{report.label}'), but the "
+            "sweep was rendered by level b: walls of level a emit the same at every angle of the light, so "
+            "their error cannot validate the curve. Simulate the press with --level b (the default) and "
+            "compare again, or leave the report out"
         )
     if report.forced_mismatch:
         raise DecideError(

@@ -303,8 +303,8 @@ def _diameter(stated: str | None, given_mm: float | None, where: str) -> float:
     require_length(diameter, f"{where}: {_DIAMETER}", "--ball-diameter-mm")
     if given_mm is not None and abs(diameter - given_mm) > _SAME_DIAMETER_MM:
         raise ImportFormatError(
-            f"{where}: the catalog says a ball of {diameter:g} mm, --ball-diameter-mm {given_mm:g} mm; leave the "
-            "option out, or correct the catalog"
+            f"{where}: the catalog states a ball of {diameter:g} mm, but --ball-diameter-mm is {given_mm:g} "
+            "mm; leave the option out, or correct the catalog"
         )
     return diameter
 
@@ -410,8 +410,9 @@ def read_taxim(folder: Path, ball_diameter_mm: float | None = None, mm_per_px: f
     no_contact = _image(require_array(arrays, pickled, "f0", 3, path), "f0", path)
     if "imgs" not in arrays and "imgs" not in pickled:
         raise ImportFormatError(
-            f"{path}: holds the no-contact image only, no presses ('imgs'); that is enough for Taxim to render, but "
-            f"there is nothing to compare with: ask for the folder that the table was made from"
+            f"{path}: holds the no-contact image only, no presses ('imgs'); that is enough for Taxim to "
+            "render, but there is nothing to compare with: ask its owner for the folder from which the table "
+            "was made"
         )
     scale = require_length(
         _pixel_mm(folder) if mm_per_px is None else mm_per_px, "millimetres per pixel", "--mm-per-px", LARGEST_PIXEL_MM

@@ -207,8 +207,8 @@ class _Folder:
         if any(image.shape != images[0].shape for image in images):
             sizes = ", ".join(f"{image.shape[1]} x {image.shape[0]}" for image in images)
             raise ImportFormatError(
-                f"{self.files[name]}: its image and those without contact are of several sizes ({sizes} px); all must "
-                "come from one camera at one size"
+                f"{self.files[name]}: its image and those without contact have different sizes ({sizes} px); "
+                "all must come from one camera at one size"
             )
         capture = self._placed(name, self._unplaced(name, images, force_n))
         if self.recipe.no_contact.far_pixels:
@@ -286,8 +286,8 @@ class _Folder:
             full = self.recipe.picture.full_scale
             if full is None:
                 raise ImportFormatError(
-                    f"recipe '{self.recipe.name}': picture.full_scale is missing; say which value of {path.name} "
-                    "becomes the largest of 65535 steps"
+                    f"recipe '{self.recipe.name}': picture.full_scale is missing; state which value of "
+                    f"{path.name} becomes the largest of 65535 steps"
                 )
             steps = np.rint(exr_rgb(path) / full * 65535.0)
             return self._arranged(np.clip(steps, 0.0, 65535.0))
@@ -340,8 +340,8 @@ class _Folder:
         before = self.recipe.no_contact.frames_before
         if before is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': no_contact.frames_before is missing; say how many frames of a video are "
-                "without contact"
+                f"recipe '{self.recipe.name}': no_contact.frames_before is missing; state how many frames of "
+                "a video are without contact"
             )
         path = self.files[name]
         self._made_of.add(path)
@@ -457,7 +457,7 @@ class _Folder:
         contact = self.recipe.contact
         path = _named(self.folder, (contact.file if contact is not None else None) or "", name)
         if not has_file(path):
-            raise LeftOutError(f"there is no {contact.file if contact is not None else ''}, which holds its contact")
+            raise LeftOutError(f"the file {contact.file if contact is not None else ''} with its contact is missing")
         self._made_of.add(path)
         arrays, pickled = read_npz(path)
         corners = [
@@ -511,11 +511,19 @@ class _Folder:
         source = self.recipe.no_contact
         common = source.file is not None and PRESS not in source.file
         lacks = (
-            (capture.repeat_no_contact is None, "a second image without contact", "no floor: what noise explains"),
+            (
+                capture.repeat_no_contact is None,
+                "a second image without contact",
+                "the floor: how much of an error is noise",
+            ),
             (common, "an image without contact of each press", "drift and wear of the gel cannot be separated"),
             (source.median_of_presses, "an image without contact", _MEDIAN_LOSES),
             (source.far_pixels, "an image without contact", _SURFACE_LOSES),
-            (capture.contact_told_by == "search", "a drawn contact", "searched for: its size is known to 20 %"),
+            (
+                capture.contact_told_by == "search",
+                "a drawn contact",
+                "it was found by a search: its size is accurate to 20 %",
+            ),
             (capture.contact_told_by is None, "where the contact is", "the simulated side must give the region"),
             (capture.indenter.radius_mm is None, "the indenter's size", "slopes and depth have no scale"),
             (capture.mm_per_px is None, "the scale, mm per px", "depth has no scale"),
@@ -616,7 +624,9 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
     distance = contact_distance(capture)
     if distance is None:
-        raise LeftOutError("the place of its contact is not known, so finray cannot tell which pixels are far from it")
+        raise LeftOutError(
+            "the place of its contact is not known, so finray cannot determine which pixels are far from it"
+        )
     rows, columns = distance.shape
     y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
     powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]

@@ -180,9 +180,9 @@ def _warnings(channels: list[ChannelCharacterisation], empty_fraction: float) ->
             )
     if empty_fraction > LARGEST_EMPTY_FRACTION:
         warnings.append(
-            f"{100 * empty_fraction:.1f} % of the dark counts are 0 (at most {100 * LARGEST_EMPTY_FRACTION:.1f} % is "
-            f"allowed): the "
-            "read noise comes out too small; raise the camera's black level"
+            f"{100 * empty_fraction:.1f} % of the dark counts are 0 (at most "
+            f"{100 * LARGEST_EMPTY_FRACTION:.1f} % is allowed): the read noise is underestimated; raise the "
+            "camera's black level"
         )
     gain = np.array([c.gain_e_per_dn.estimate for c in channels])
     weight = np.array([1.0 / c.gain_e_per_dn.sd**2 for c in channels])

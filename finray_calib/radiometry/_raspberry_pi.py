@@ -444,7 +444,7 @@ def _numbers(metadata: Mapping[str, Any], control: str, count: int, image: str) 
     """Return `count` finite numbers of a control; all but matrix entries and black levels must be positive."""
     if control not in metadata:
         raise ImportFormatError(
-            f"{image}: its metadata has no {control}, so nothing says how it was exposed; write the metadata with "
+            f"{image}: its metadata has no {control}, so its exposure is not known; write the metadata with "
             "rpicam-still --metadata, or with picamera2's capture_metadata()"
         )
     try:

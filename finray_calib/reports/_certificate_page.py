@@ -328,7 +328,7 @@ def _uncertainty(has_budget: bool) -> str:
         "The budget holds standard uncertainties (k = 1): sensitivity of the posterior mean times the standard "
         "uncertainty of each source (GUM 5.1.2), and the rest comes from the prior."
     )
-    return f"{told} {budget}" if has_budget else f"{told} A budget by source was not asked for."
+    return f"{told} {budget}" if has_budget else f"{told} A budget by source was not requested."
 
 
 def _rule(results: Sequence[CertifiedResult]) -> str:

@@ -438,8 +438,9 @@ def assessment_page(
 
 
 _ASSESSED_LIMIT: Final = (
-    "Tolerances and stiffness are simulated, of assumed dimensions of the skeleton; no finger of this drawing was "
-    "built or loaded. The range of a stiffness changes one dimension at a time and is no confidence interval."
+    "Tolerances and stiffness are simulated, of assumed dimensions of the skeleton; no finger of this "
+    "drawing was built or loaded. The range of a stiffness changes one dimension at a time and is not a "
+    "confidence interval."
 )
 
 

@@ -295,10 +295,11 @@ def _emission_picture(paint: FittedPaint) -> Picture:
 def _families(paints: Paints) -> Content:
     """Show what each family makes of the same bands."""
     return Content(
-        lead="Each family is a different idea of what an emission curve looks like. Evidence and probability say how "
-        "well a family predicts the bands before seeing them, all equally likely beforehand. The score of the left-out "
-        "bands says how well each band is predicted from the others: higher is better, \u00b1 is the standard error of "
-        "the difference to the default family, and scores with \u2248 are only indicative (Pareto k above 0.7).",
+        lead="Each family is a different idea of what an emission curve looks like. Evidence and probability show "
+        "how well a family predicts the bands before seeing them, all equally likely beforehand. The score "
+        "of the left-out bands says how well each band is predicted from the others: higher is better, "
+        "\u00b1 is the standard error of the difference to the default family, and scores with \u2248 are "
+        "only indicative (Pareto k above 0.7).",
         picture_rows=_row(paints, _families_picture),
         remarks=tuple(said.family_statement(paint) for paint in paints),
         tables=tuple(families_table(paint) for paint in paints),
@@ -405,8 +406,8 @@ def _marginals_picture(paint: FittedPaint) -> Picture:
         f"Prior and posterior of {len(paint.fit.sampled)} parameters of {paint.subject}; the mode of the emission is "
         f"narrowed to {mode}.",
         paint.titled(
-            "what was believed before (hatched) and after (filled) the measurement. What to see: a filled peak much "
-            "narrower than the hatching was set by the measurement, not by the prior."
+            "prior before (hatched) and posterior after (filled) the measurement. What to see: a filled peak "
+            "much narrower than the hatching was set by the measurement, not by the prior."
         ),
     )
 

@@ -125,7 +125,7 @@ def _draw_way(figure: SubFigure, grasp: ObjectGrasp) -> None:
     if grasp.weight_n > 0.0:
         force.plot(steps, grasp.carried_n, "-o", color=VERMILLION, markersize=3, label="weight carried")
         force.axhline(grasp.weight_n, color=VERMILLION, ls=":", lw=1.0)
-    force.set(ylabel="force (N); dotted: wanted", ylim=(0.0, None))
+    force.set(ylabel="force (N); dotted: requested", ylim=(0.0, None))
     force.legend()
     for k, (name, colour) in enumerate((("across, x", VERMILLION), ("closing, y", BLUE), ("along, z", GREEN))):
         way.plot(steps, grasp.moves_mm[:, k], "-o", color=colour, markersize=3, label=name)

@@ -300,7 +300,9 @@ def _wall_panels(figure: SubFigure, study: FluorescentRendering) -> None:
             colour, dashes = _LEVEL_LINES[level]
             axes.plot(study.z_mm, study.wall_radiance_rel[k, w] / scale, dashes, color=colour,
                       label=_LEVEL_TITLES[level].split(":")[0].replace("\n", " "))  # fmt: skip
-        axes.plot(study.z_mm, study.second_order_rel[w] / scale, ":", color=BLUE, label="of it, excited by other paint")
+        axes.plot(
+            study.z_mm, study.second_order_rel[w] / scale, ":", color=BLUE, label="part of it that other paint excites"
+        )
         axes.set(title=f"{wall} wall emits", xlabel="z along, from the base (mm)")
         axes.set_ylim(0, _HEADROOM * float(study.wall_radiance_rel[:, w].max() / scale))
     panels[0].set_ylabel("relative to the baked mean")

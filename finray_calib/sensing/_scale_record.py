@@ -277,10 +277,10 @@ def patch_scale(
     seen = scales_only(plane, np.concatenate([patch, pad]))
     if not at_middle.u_rel.max() <= LARGEST_U_REL:
         raise CompareError(
-            f"{capture.name}: at column {middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, the pixel "
-            f"scale is not known to {100 * LARGEST_U_REL:.0f} %: the camera does not see the plane of the pad there, "
-            f"or no "
-            f"picture shows the board near it. Is it of this camera? Then lay the board where the patch is"
+            f"{capture.name}: at column {middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, "
+            f"the pixel scale is not known to {100 * LARGEST_U_REL:.0f} %: the camera does not see the plane "
+            "of the pad there, or no picture shows the board near it. If it belongs to this camera, lay the "
+            "board where the patch is and measure again"
         )
     along = _along_picture(plane_places_mm(plane, middle_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
     side_mm, u_rel = cell * at_middle.mm_per_px[0, :2], at_middle.u_rel[0, :2]
@@ -334,8 +334,9 @@ def scale_finding(found: PatchScale, capture: TactileCapture) -> str | None:
     if apart <= allowed:
         return None
     return (
-        f"scale: {capture.name} states {capture.mm_per_px:.4g} mm per pixel, the pixel scale {measured:.4g} at the "
-        f"patch (u = {100 * u_rel:.1f} %): one of them is of another camera, place or picture size"
+        f"scale: {capture.name} states {capture.mm_per_px:.4g} mm per pixel, but the pixel scale is "
+        f"{measured:.4g} at the patch (u = {100 * u_rel:.1f} %): one of them belongs to another camera, place "
+        "or picture size"
     )
 
 
@@ -345,8 +346,9 @@ def _require_same_picture(record: PixelScale, capture: TactileCapture) -> None:
     lens = record.calibration
     if (lens.width_px, lens.height_px) != (columns, rows):
         raise CompareError(
-            f"the pixel scale is of pictures of {lens.width_px} x {lens.height_px} px, {capture.name} has {columns} x "
-            f"{rows} px: measure it with the camera of the capture, at its full frame"
+            f"the pixel scale was measured on pictures of {lens.width_px} x {lens.height_px} px, but "
+            f"{capture.name} has {columns} x {rows} px: measure it with the camera of the capture, at its "
+            "full frame"
         )
 
 

@@ -70,7 +70,8 @@ def right_aligned(counts: NDArray[np.uint16], pixels: RawPixels, bit_depth: int,
         if surplus and np.any(counts & np.uint16(2**surplus - 1)):
             raise RefusedError(
                 f"{camera}: {pixels.name} carries more than the {bit_depth} bits of the rig file (its lowest "
-                f"{surplus} bits are not all 0); correct bit_depth, or see what the camera does to raw counts"
+                f"{surplus} bits are not all 0); correct bit_depth, or check how the camera processes raw "
+                "counts"
             )
         return counts >> np.uint16(surplus)
     if counts.max(initial=0) >= 2**pixels.bits:

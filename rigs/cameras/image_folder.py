@@ -138,7 +138,7 @@ def _raw_images(path: Path, where: str) -> tuple[StoredImage, ...]:
     """Return the images of a folder in order of their names."""
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
     if not files:
-        raise RefusedError(f"{where}: {path} holds no images; known are {', '.join(SUFFIXES)}")
+        raise RefusedError(f"{where}: {path} holds no images; supported endings are {', '.join(SUFFIXES)}")
     listed = _listed_exposures(path / EXPOSURES_NAME, where)
     lost = sorted(set(listed) - {file.name for file in files})
     if lost:

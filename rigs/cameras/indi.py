@@ -278,7 +278,9 @@ def _header(data: bytes, name: str) -> tuple[dict[str, CardValue], int]:
             return header, -(-(at + CARD_BYTES) // BLOCK_BYTES) * BLOCK_BYTES
         if card[8:10] == "= " and (value := _value(card[10:])) is not None:
             header[key] = value
-    raise BadFrameError(f"{name}: sends {data[:10]!r}..., which is no FITS file with a complete header; expose again")
+    raise BadFrameError(
+        f"{name}: sends {data[:10]!r}..., which is not a FITS file with a complete header; expose again"
+    )
 
 
 def _value(field: str) -> CardValue | None:

@@ -161,8 +161,8 @@ class MicroManagerCamera:
         wanted = (settings.bit_depth, settings.width_px, settings.height_px)
         if found != wanted:
             raise RefusedError(
-                f"{self._where}: has {found[0]} bits and {found[1]} x {found[2]} px; the rig file says {wanted[0]} "
-                f"bits and {wanted[1]} x {wanted[2]} px: correct bit_depth, width_px and height_px"
+                f"{self._where}: has {found[0]} bits and {found[1]} x {found[2]} px, but the rig file states "
+                f"{wanted[0]} bits and {wanted[1]} x {wanted[2]} px: correct bit_depth, width_px and height_px"
             )
 
     def _identity(self) -> DeviceIdentity:

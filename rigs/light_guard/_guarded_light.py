@@ -234,7 +234,7 @@ class GuardClient:
         except HungUpError as error:
             raise self._end() from error
         except TimeoutError as error:
-            raise TimedOutError(f"{self.name}: its guard process said nothing for {within_s:g} s") from error
+            raise TimedOutError(f"{self.name}: its guard process sent nothing for {within_s:g} s") from error
         if "gone" in message:
             raise self._end(message)
         return message
@@ -293,7 +293,11 @@ class GuardClient:
                 "is off. Continue the capture with --resume"
             )
         if (why_not := self._rescue()) is not None:
-            return UnsafeError(self.unconfirmed(f"the guard process has ended ({reason}), and then: {why_not}"))
+            return UnsafeError(
+                self.unconfirmed(
+                    f"the guard process has ended ({reason}), and switching the light off without it failed: {why_not}"
+                )
+            )
         return LightLostError(
             f"{self.name}: the guard process has ended ({reason}); the light has been switched off without it and is "
             "confirmed off. Continue the capture with --resume"

@@ -386,7 +386,7 @@ class Guard:
             answer = {**error_words(error)}
             if isinstance(error, LostError | TimedOutError):
                 if self._lit:
-                    self._doubt = f"it is lit and cannot be asked ({error})"
+                    self._doubt = f"it is on, and its state cannot be read ({error})"
                 else:
                     self._light.close()  # the next question opens it anew
         self._tell(number=message["number"], faults=faults[-MOST_FAULTS:], **answer)

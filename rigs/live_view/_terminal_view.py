@@ -397,9 +397,9 @@ def exposure_aid(numbers: LiveNumbers) -> tuple[str, str]:
     if numbers.brightest_fraction < DARK_SHARE and not numbers.lamp:
         return "the lamp is off: [o] lights it", YELLOW
     if numbers.brightest_fraction < GOOD_SHARE[0]:
-        return "expose more [+], 70 % is wanted", YELLOW
+        return "expose more [+], 70 % is best", YELLOW
     if numbers.brightest_fraction > GOOD_SHARE[1]:
-        return "expose less [-], 70 % is wanted", YELLOW
+        return "expose less [-], 70 % is best", YELLOW
     return "good", GREEN
 
 

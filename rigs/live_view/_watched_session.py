@@ -259,7 +259,7 @@ class WatchedSession(SessionWatch):
                 self._publish(told="the view cannot switch the light of the finger: switch it off at the finger")
                 return
             self._kept_off, self._presses = True, self._presses + 1
-            self._publish(kept_off=True, told="light off by hand: no light is lit before you say so")
+            self._publish(kept_off=True, told="light off by hand: no light goes on before you confirm it")
             if self._shining:
                 insist = threading.Timer(DARK_WITHIN_S, self._insist, (self._presses,))
                 insist.daemon = True

@@ -106,7 +106,7 @@ class GrblStage:
         self._link, self._settings = link, settings
         self._name = f"stage at {settings.address}"
         self._is_known, self._is_unanswered, self._offset_mm = False, False, {"X": 0.0, "Y": 0.0, "Z": 0.0}
-        self._drives = "was not told to move"
+        self._drives = "was not sent to any place"
         self._numbers: dict[int, float] = {}
         self._firmware = self._reset(GREET_WITHIN_S)
         self._numbers = self._read_settings()

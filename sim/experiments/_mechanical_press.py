@@ -173,8 +173,8 @@ def _check_same_design(record: PressIncrement, design: FingerDesign) -> None:
     ]
     if other or record.preset != design.mesh.preset:
         raise SimulateError(
-            f"the stored increment is of a press of another design: it differs in {', '.join(other) or 'mesh'}; only "
-            "indenter.depth_mm may change between an increment and the press that continues it"
+            f"the stored increment belongs to another design: it differs in {', '.join(other) or 'mesh'}; "
+            "only indenter.depth_mm may change between an increment and the press that continues it"
         )
 
 
@@ -199,7 +199,7 @@ def _same_mesh(record: PressIncrement, design: FingerDesign) -> FingerMesh:
     # a barrier's indenter is one node more
     if len(record.nodes_mm) not in {own, own + 1} or not np.array_equal(record.nodes_mm[:own], mesh.nodes_mm):
         raise SimulateError(
-            "the stored increment is of another mesh of this design, made by another version; press from the start"
+            "the stored increment has another mesh of this design, which another version made; press from the start"
         )
     return replace(mesh, nodes_mm=record.nodes_mm)
 

@@ -186,8 +186,9 @@ class CondensedFinger:
         size = 3 * len(self.coat)
         if condensed.compliance_mm_per_n.shape != (size, size) or condensed.shapes.shape[1] != self.mesh.nodes_mm.size:
             raise SimulateError(
-                f"the condensation is of another mesh: its coat has {len(condensed.compliance_mm_per_n) // 3} "
-                f"nodes, but that of the design has {len(self.coat)}; condense this design again"
+                "the condensation belongs to another mesh: its coat has "
+                f"{len(condensed.compliance_mm_per_n) // 3} nodes, but that of the design has "
+                f"{len(self.coat)}; condense this design again"
             )
         self._quads = np.searchsorted(self.coat, self.mesh.surfaces["coat"])
         self._rest = self.mesh.nodes_mm[self.coat]

@@ -230,8 +230,8 @@ def press_derivatives(
     settings = settings or PressSettings()
     if pressed.kind != "penalty" or pressed.motion is not None or design.indenter.friction > 0.0:
         raise SimulateError(
-            "derivatives are of a press by the penalty along the pad's normal, without friction: friction and a path "
-            "remember what came before; take differences of whole presses"
+            "derivatives need a press by the penalty along the pad's normal, without friction, because with "
+            "friction or a path the force depends on earlier increments; take differences of whole presses"
         )
     base = _Base(design, pressed.mesh, settings, folder)
     sides: dict[str, tuple[_Side, _Side]] = {}
@@ -316,5 +316,5 @@ def _exact(term: Term) -> PenaltyContact:
         When it is another contact.
     """
     if not isinstance(term, PenaltyContact):
-        raise SimulateError("derivatives are of a press by the penalty; press with --contact penalty")
+        raise SimulateError("derivatives need a press by the penalty; press with --contact penalty")
     return term.with_curvature()

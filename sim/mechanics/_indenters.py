@@ -251,8 +251,8 @@ class PackagedBody:
         outside = self._given((share[None, :, None] * rays[:, None, :]).reshape(-1, 3))[0].reshape(beyond.shape) > 0.0
         if twice := int(((outside != beyond) & away).any(axis=1).sum()):
             raise self._plug_in.refusal(
-                f"is not seen whole from its origin: {twice} of {len(rays)} rays leave the body more than once; move "
-                'its origin, or press its STL as indenter.shape = "mesh"'
+                f"is not fully visible from its origin: {twice} of {len(rays)} rays leave the body more than once; "
+                'move its origin, or press its STL as indenter.shape = "mesh"'
             )
         self._check_gradient(rays, radii, size)
 

@@ -412,7 +412,7 @@ def test_holder_that_cannot_hold_says_why(monkeypatch: pytest.MonkeyPatch) -> No
     with pytest.raises(CaptureError, match=r"that should keep it on answered: laser at /dev/no-such-port"):
         after_kill(laser, "guard", ConnectionWatch(laser), 1)
     monkeypatch.setattr("rigs.capture.light_off_time.START_WITHIN_S", 0.0)
-    with pytest.raises(TimedOutError, match="said nothing for 0 s"):
+    with pytest.raises(TimedOutError, match="did not answer within 0 s"):
         after_kill(laser, "guard", ConnectionWatch(laser), 1)
 
 

@@ -94,7 +94,7 @@ def test_a_number_that_changes_the_mesh_is_pressed_again(pressed):
 
 
 def test_presses_by_the_barrier_have_none(pressed):
-    with pytest.raises(SimulateError, match="derivatives are of a press by the penalty"):
+    with pytest.raises(SimulateError, match="derivatives need a press by the penalty"):
         press_derivatives(design(), replace(pressed, kind="barrier"), {}, SETTINGS)
 
 

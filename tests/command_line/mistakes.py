@@ -823,7 +823,7 @@ CASES = (
     Case(
         "places of one press",
         SWEEP + " --angles 0:90:30 --positions 8,20 --surfaces {lab}/finger.toml",
-        r"--positions are places of a press by a formula, and --surfaces are of one place: sweep each with its own",
+        r"--positions are for presses by a formula, but --surfaces hold a press at one place: sweep each with its own",
     ),
     # compare and decide
     Case(

@@ -39,7 +39,7 @@ def folders(tmp_path: Path) -> Path:
 def test_folders_give_reports_and_a_summary_and_survive_a_bad_pair(folders: Path) -> None:
     outcome = finray(f"compare {folders}/simulated {folders}/captured --out {folders}/out")
     assert outcome.status == 0
-    assert "alone.press.json: has no partner and was left out" in outcome.err
+    assert "alone.press.json: has no counterpart in the other folder and was left out" in outcome.err
     assert "bgr: " in outcome.err
     assert "2 of 3 pairs compared" in outcome.out
     batch = read_record(folders / "out/summary.json", ComparisonBatch)

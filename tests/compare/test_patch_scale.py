@@ -74,7 +74,7 @@ def test_another_scale_in_the_capture_is_told(scale):
         capture = capture_of(simulated, 50.0).model_copy(update={"mm_per_px": stated})
         report, _ = compare_checked(simulated, capture, 1, CheckOptions(pixel_scale=scale))
         assert (
-            any(re.search(r"states 0\.2 mm per pixel, the pixel scale 0\.(4|39|40)", f) for f in report.findings)
+            any(re.search(r"states 0\.2 mm per pixel, but the pixel scale is 0\.(4|39|40)", f) for f in report.findings)
             is told
         )
 

@@ -103,7 +103,7 @@ def test_what_cannot_be_trusted_is_rejected_with_reasons():
         CompareError, match=r"changes the scale to 1\.\d\d\d .* 5 % is allowed; it turns .* 5 deg are allowed"
     ):
         register(shaded(np.random.default_rng(1)), seen_through(large, 1))
-    with pytest.raises(CompareError, match=r"the gradients correlate by 0\.\d\d only, at least 0\.85 is needed"):
+    with pytest.raises(CompareError, match=r"the gradients correlate by 0\.\d\d only, but at least 0\.85 is needed"):
         register(shaded(np.random.default_rng(1)), seen_through(np.eye(2, 3), 1, noise=0.3))
     with pytest.raises(CompareError, match=r"only 0\.0 % of the picture is usable .* at least 5 % is needed"):
         register(shaded(rng), np.full((*SHAPE, 3), np.nan))

@@ -141,7 +141,7 @@ def test_the_choice_of_family_is_told_in_words_and_with_its_price() -> None:
 
 
 def test_a_stokes_shift_from_the_prior_is_called_belief() -> None:
-    assert "prior belief, not a measurement" in said.absorption_statement(RED)
+    assert "this comes from the prior, not from a measurement" in said.absorption_statement(RED)
     measured = RED.fit.reradiation.model_copy(update={"prior_driven": False, "statement": "three lights fix it"})
     lights = with_fit(RED, reradiation=measured)
     assert said.absorption_statement(lights) == "Red paint: Stokes shift 38 [13, 63] nm. Three lights fix it."
@@ -227,7 +227,7 @@ def test_the_page_shows_what_a_student_needs_to_judge_the_fit(html: str) -> None
     prose = Page(html).prose.replace("\u00a0", " ")
     for words in (
         "Warning: 3.1 % of the fitted emission lies below the laser line",
-        "Stokes shift 38 [13, 63] nm: prior belief, not a measurement",
+        "Stokes shift 38 [13, 63] nm: this comes from the prior, not from a measurement",
         "camera response R covers 400 to 780 nm",
         f"centres within {RED.fit.optics.filters[0].center_uncertainty_nm:g} nm",
         "A diffuse paint",

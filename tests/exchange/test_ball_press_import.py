@@ -234,7 +234,7 @@ def test_wrong_gs_sdk_folders_are_refused(tmp_path, file, content, message):
 
 def test_what_is_missing_or_disagrees_is_refused(tmp_path):
     folder = write_catalog(tmp_path / "g", 1)
-    with pytest.raises(ImportFormatError, match="the catalog says a ball of 4 mm, --ball-diameter-mm 5 mm"):
+    with pytest.raises(ImportFormatError, match="the catalog states a ball of 4 mm, but --ball-diameter-mm is 5 mm"):
         read_ball_presses(folder, MM_PER_PX, 5.0)
     np.savez(folder / "4.000mm/0/label.npz", center=[1.0, 2.0, 3.0], radius=1.0)
     with pytest.raises(ImportFormatError, match=r"'center' must be \(x, y\)"):

@@ -344,7 +344,7 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
     with pytest.raises(ImportFormatError, match=r"rest\.png: is neither PNG nor JPEG"):
         read_by_recipe(tmp_path, recipe(PICTURES))
     save(tmp_path / "rest.png", flat((60, 80)))
-    with pytest.raises(ImportFormatError, match=r"several sizes \(160 x 120, 80 x 60 px\)"):
+    with pytest.raises(ImportFormatError, match=r"different sizes \(160 x 120, 80 x 60 px\)"):
         read_by_recipe(tmp_path, recipe(PICTURES))
 
 

@@ -111,7 +111,7 @@ def test_a_render_names_its_paints_and_is_recoloured(lab, paint, rendered, tmp_p
     assert f"{lab}/finger.toml" in rendered.provenance.input_sha256
     grey = finray.recolour_press(rendered, white_balance="pad")
     assert not np.array_equal(grey.contact, rendered.contact)
-    with pytest.raises(SimulateError, match="no change is asked for"):
+    with pytest.raises(SimulateError, match="no change is given"):
         finray.recolour_press(rendered)
     with pytest.raises(SimulateError, match="give both red and green"):
         finray.recolour_press(rendered, red=paint)

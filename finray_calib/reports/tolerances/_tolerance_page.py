@@ -108,7 +108,7 @@ def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
         KeyNumber(
             "Evaluated again at these limits",
             f"{found.checked_within} of {found.checked_fingers}",
-            "fingers within, with other paths, paint draws and noise",
+            "fingers within the allowed growth, with other paths, paint draws and noise",
         ),
         KeyNumber("The emulator predicts", percent(found.q2), "of the variance of runs left out (Q2)", good,
                   f"{'at least' if good == 'good' else 'less than'} {percent(_ENOUGH_Q2)}"),

@@ -137,7 +137,7 @@ def test_folder_that_is_missing_or_empty_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match="there is no folder"), open_camera(settings(tmp_path / "no"), Path()):
         pass
     with (
-        pytest.raises(RefusedError, match=r"holds no images; known are \.dng"),
+        pytest.raises(RefusedError, match=r"holds no images; supported endings are \.dng"),
         open_camera(settings(tmp_path), Path()),
     ):
         pass
@@ -309,7 +309,7 @@ def test_pictures_are_no_raw_counts(tmp_path: Path) -> None:
 
 def test_dng_without_a_known_pattern_is_refused(tmp_path: Path) -> None:
     write_dng(tmp_path / "a.dng", COUNTS, (0, 0, 0, 0))
-    with pytest.raises(BadFrameError, match=r"Bayer pattern \[0, 0, 0, 0\] of an image .* is not understood"):
+    with pytest.raises(BadFrameError, match=r"Bayer pattern \[0, 0, 0, 0\] of an image .* is not supported"):
         read_raw(tmp_path / "a.dng")
 
 

@@ -65,7 +65,7 @@ def test_the_recorded_camera_gives_its_frame_and_settings() -> None:
         (b'format=".fits"', b'format=".fits.fz"', RefusedError, r"sends frames as '\.fits\.fz', \.fits is needed"),
         (b'size="', b'size="9', BadFrameError, "bytes, but it states 9"),
         (b'state="Ok"', b'state="Alert" message="no cable"', RefusedError, "refuses to expose for 0.02 s .*no cable"),
-        (b"U0lNUExF", b"AAAAAAAA", BadFrameError, "is no FITS file with a complete header"),
+        (b"U0lNUExF", b"AAAAAAAA", BadFrameError, "is not a FITS file with a complete header"),
     ],
 )
 def test_frames_that_are_not_as_asked_for(old: bytes, new: bytes, error: type[Exception], why: str) -> None:

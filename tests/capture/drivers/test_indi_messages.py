@@ -212,7 +212,7 @@ def test_fits_that_is_something_else_is_refused() -> None:
 def test_fits_that_is_cut_off_is_a_bad_frame() -> None:
     whole = fits(np.ones((4, 4)))
     for cut in (0, 79, BLOCK_BYTES - 2400, BLOCK_BYTES, len(whole) - 1):
-        with pytest.raises(BadFrameError, match=r"is no FITS file with a complete header|bytes after its header"):
+        with pytest.raises(BadFrameError, match=r"is not a FITS file with a complete header|bytes after its header"):
             read_fits_image(whole[:cut], "camera")
     with pytest.raises(BadFrameError, match="0 x 4 px"):
         read_fits_image(fits(np.ones((4, 4)), NAXIS1="1E9"), "camera")

@@ -455,7 +455,7 @@ class TestLightInAFile:
                 hung_s = time.monotonic()
                 wait_until(lambda: not (folder / "on").exists(), "the light to go off")
                 assert time.monotonic() - hung_s <= GUARD_SILENT_S + OFF_WITHIN_S
-                with pytest.raises(TimedOutError, match=r"its guard process said nothing for 4\.5 s"):
+                with pytest.raises(TimedOutError, match=r"its guard process sent nothing for 4\.5 s"):
                     light.state()
                 with pytest.raises(BlockingIOError):
                     fill(light._guard._channel)  # noqa: SLF001 - as no program of ours does

@@ -132,7 +132,7 @@ def test_time_out_of_a_device_is_a_time_out(tmp_path: Path) -> None:
     ("lines", "change", "message"),
     [
         ((), {"gain_db": 3.0}, "gains of Micro-Manager have no common unit.*leave gain_db out"),
-        ((), {"bit_depth": 10}, "has 12 bits and 512 x 512 px; the rig file says 10 bits"),
+        ((), {"bit_depth": 10}, "has 12 bits and 512 x 512 px, but the rig file states 10 bits"),
         (("Property,Camera,PixelType,32bitRGB",), {}, r"delivers 4 component\(s\) in 4 bytes a pixel"),
         (("Property,Core,Camera,",), {}, "the configuration names no camera"),
         (("Device,More,NoSuchAdapter,X",), {}, "reports .*NoSuchAdapter.*the folder that MICROMANAGER_PATH names"),
