@@ -313,10 +313,10 @@ class PaintStandIn(Model):
     photon_yield: float = Field(description="emitted over incident photons")
     printed_patch: ColourPatch
     closest_patch: ColourPatch
-    paper_curve: CurveFit = Field(description="the paper's family, whole emission seen")
-    our_curve: CurveFit = Field(description="our default family, whole emission seen")
-    absorption_curve: CurveFit = Field(description="the paper's family, whole absorption seen")
-    paper_fit: BandFit = Field(description="emission from the filter bands, the paper's family alone")
+    paper_curve: CurveFit = Field(description="the paper's family, fitted to the whole emission")
+    our_curve: CurveFit = Field(description="our default family, fitted to the whole emission")
+    absorption_curve: CurveFit = Field(description="the paper's family, fitted to the whole absorption")
+    paper_fit: BandFit = Field(description="emission from the filter bands, by the paper's family alone")
     our_fit: BandFit = Field(description="emission from the filter bands, our default family with discrepancy")
     one_laser: Reradiation = Field(description="our absorption from the yield under the laser alone")
     several_lights: Reradiation = Field(description="our absorption from the yields under several lights")
@@ -374,7 +374,7 @@ class StudyMeasure(Model):
         description="how the indenter is pressed in: by a formula, where the pad takes its shape at once, or by "
         "finite elements, which also give the force",
     )
-    increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="steps of the push")
+    increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="number of steps of the push")
     images: bool = Field(default=True, description="whether the press is rendered; without, only mechanics is computed")
     samples: Annotated[int, Field(ge=2, le=100_000, multiple_of=2)] = Field(
         default=64, description="paths per pixel of each repeat"

@@ -40,17 +40,17 @@ that can be turned in a browser, and all its numbers with their origin.
 For a classic sensor the command also reports where its lights are and which numbers are published; the drawing is a
 .png."""
 EXPORT_DESCRIPTION = """\
-Write what a finger is printed from, in mm and in the finger's axes (x across, y along the pad's outward normal, z along
-the finger), so that the parts fit together:
+Write the files from which a finger is printed, in mm and in the finger's axes (x across, y along the pad's outward
+normal, z along the finger), so that the parts fit together:
 
   skeleton     fins, ribs and tip, one closed body
-  base_plate   a print of its own, because it is stiffer; --one-piece joins it to the skeleton (skeleton_and_base)
+  base_plate   printed separately, because it is stiffer; --one-piece joins it to the skeleton (skeleton_and_base)
   backing      plate on the back fin, where the design has one
-  mould        tray in which the pad is cast, coat down, open where the inner face will be; its rim carries the
-               film's flange. Upright walls, no allowance for shrinkage
+  mould        tray in which the pad is cast with its coat down; the tray is open where the inner face will be, and
+               its rim carries the film's flange. The walls are upright, without an allowance for shrinkage
 
-STL is for slicers. STEP (AP214) is for CAD programs: planes, and the exact cylinder or ellipsoid on the bottom of the
-mould; curved fins are strips of 1 mm, 0.3 um from their curve."""
+STL is for slicers. STEP (AP214) is for CAD programs: it holds planes, and the exact cylinder or ellipsoid on the bottom
+of the mould; curved fins are approximated by strips of 1 mm, within 0.3 um of their curve."""
 
 PAINTS_HELP = "rank calibrated paints for a finger by the error of the sensed normal"
 PAINTS_DESCRIPTION = """\

@@ -45,8 +45,8 @@ from finray_calib.reports._plain_text import Json, percent, plain, probability, 
 Floats = NDArray[np.float64]
 #: Whether it is decided, and what follows.
 VERDICTS: Final = {
-    "decided": ("decided", "only nearby angles are as good"),
-    "tie": ("decided", "neighbouring angles are as good"),
+    "decided": ("decided", "only nearby angles are equally good"),
+    "tie": ("decided", "neighbouring angles are equally good"),
     "undecided": ("not decided", "more renders are needed"),
     "needs captures": ("not decided", "captures are needed"),
 }
@@ -447,7 +447,7 @@ def decision_meaning(decision: LightAngleDecision) -> str:
     if decision.verdict == "decided":
         return (
             f"Mount the light at {angle}: the loss against the best angle stays within {tolerance} with 95 % "
-            f"probability, and only nearby angles are as good ({equivalent_text(decision.statement)})."
+            f"probability, and only nearby angles are equally good ({equivalent_text(decision.statement)})."
         )
     if decision.verdict == "tie":
         return (

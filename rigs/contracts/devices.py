@@ -297,7 +297,7 @@ class StageContract:
     ) -> None:
         """A stage that was only opened moves nowhere."""
         if stage.places_mm() is not None:
-            pytest.skip("the stage was homed by a test before")
+            pytest.skip("an earlier test has homed the stage")
         with pytest.raises(RefusedError):
             stage.move(stage_settings.press_axis, stage_settings.clear_mm, stage_settings.press_speed_mm_per_s, guard)
 

@@ -27,7 +27,7 @@ LLVM_VARIANT = "llvm_ad_rgb"
 SCALAR_VARIANT = "scalar_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
 MINIMUM_LLVM_MAJOR = 17
-MISSING_NOTE = "rendering needs Mitsuba, of the extra 'sim': pip install 'finray-calib[sim]'"
+MISSING_NOTE = "rendering needs Mitsuba, which is in the extra 'sim': pip install 'finray-calib[sim]'"
 GPU_NOTE = "the GPU variants need an NVIDIA driver with CUDA and OptiX; use 'auto' to render on the processor"
 INSTALL_NOTE = "install LLVM 17 or newer to render faster and with less noise (Debian: apt-get install libllvm19)"
 

@@ -68,7 +68,7 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
 @pytest.mark.parametrize(
     ("verdict", "title", "meaning"),
     [
-        ("decided", "Mount the light at 32 deg", "only nearby angles are as good"),
+        ("decided", "Mount the light at 32 deg", "only nearby angles are equally good"),
         ("tie", "Several angles are equally good; take 32 deg if nothing speaks against it", "easiest to build"),
         ("undecided", "Not decided yet; 32 deg is the best guess so far", "More angles or more repeats would help"),
         (
