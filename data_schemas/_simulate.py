@@ -168,7 +168,7 @@ class AngleObjective(Model):
     def _positive(self) -> "AngleObjective":
         least = min(float(v.min()) for v in (self.values, self.place_values) if v is not None)
         if not least > 0.0:
-            raise ValueError(f"{self.name}: values must be positive, the least is {least:g} {self.unit}")
+            raise ValueError(f"{self.name}: values must be positive, but the least is {least:g} {self.unit}")
         if (self.place_values is None) != (self.places_mm is None):
             raise ValueError(f"{self.name}: values at places and the places themselves belong together")
         check_dimensions(self)

@@ -229,7 +229,7 @@ def _refuse_ignored(arguments: argparse.Namespace) -> None:
             "imperfections from --paint; leave it out, or leave out --map"
         )
     if arguments.paint is not None and not arguments.map:
-        raise FitError("--paint: is the fit of the region that --map starts from; give --map too, or leave it out")
+        raise FitError("--paint: names the fit of the region from which --map starts; give --map too, or leave it out")
     if arguments.map and len(arguments.bands) > 1:
         raise FitError(
             f"{arguments.bands[1]}: a map belongs to one session; give the pixel signals of one session, and its "
@@ -272,7 +272,7 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
     if paint.prior_shares:
         shares = ", ".join(f"{_LABELS[name]} {100 * value.share:.0f} %" for name, value in paint.prior_shares.items())
         say(f"  share of the prior's variance that is left: {shares}")
-    beside = "" if paint.spectrum_from in ("", paint.family_title) else " of the parameters beside the spectrum"
+    beside = "" if paint.spectrum_from in ("", paint.family_title) else " of the parameters besides the spectrum"
     say(f"  family{beside}: {paint.family_choice}")
     trust = "trusted" if paint.diagnostics.trusted else "NOT trusted"
     if paint.detection is not None:

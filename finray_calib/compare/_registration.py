@@ -126,9 +126,9 @@ def register(rendered: Floats, captured: Floats, mask: Mask | None = None) -> Re
     usable = moving_usable & fixed_usable & (True if mask is None else mask)
     if usable.mean() < LEAST_SHARE_OF_PICTURE:
         raise CompareError(
-            f"only {100 * usable.mean():.1f} % of the picture is usable on both sides, at least "
-            f"{100 * LEAST_SHARE_OF_PICTURE:.0f} % "
-            "is needed to register: expose the capture so that less of it is clipped"
+            f"only {100 * usable.mean():.1f} % of the picture is usable on both sides, but at least "
+            f"{100 * LEAST_SHARE_OF_PICTURE:.0f} % is needed to register: expose the capture so that less of "
+            "it is clipped"
         )
     matrix, motion = _simplest_map(moving, fixed, usable)
     halves = [_refined(moving, fixed, usable & half, matrix, 1, motion) for half in _halves(usable.shape)]

@@ -488,8 +488,8 @@ class _Folder:
             return label_entry(path, value)
         if press is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': 'press' is missing beside file = \"{file}\"; name the column that "
-                f"holds the press of each line"
+                f"recipe '{self.recipe.name}': 'press' is missing, which belongs to file = \"{file}\"; name "
+                "the column that holds the press of each line"
             )
         table = self._tables.get((path, press)) or read_label_table(path, press)
         self._tables[path, press] = table

@@ -442,7 +442,7 @@ def refuse_unfit_lights(bands: BandSignals, other_lights: Sequence[BandSignals])
     for light in other_lights:
         if light.paint_name != bands.paint_name:
             raise FitError(
-                f"other lights: one session is of paint {light.paint_name!r}, the first is of paint "
+                f"other lights: one session is of paint {light.paint_name!r}, but the first is of paint "
                 f"{bands.paint_name!r}; give sessions of one paint (the paint_name of their plans)"
             )
     lights_nm = [light.optics.laser.wavelength_nm for light in (bands, *other_lights)]

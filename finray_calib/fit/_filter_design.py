@@ -176,7 +176,7 @@ def _numbers(where: str, cells: Sequence[str], places: Sequence[int]) -> list[fl
         except ValueError:
             value = np.nan
         if not low <= value <= high:
-            raise FitError(f"{where}: {name} is {text!r}, must be a number from {low:g} to {high:g}")
+            raise FitError(f"{where}: {name} is {text!r}, but must be a number from {low:g} to {high:g}")
         found.append(value)
     return found
 

@@ -98,8 +98,9 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
     for number, one in enumerate(sessions[1:], start=2):
         if one.paint_name != first.paint_name:
             raise FitError(
-                f"session {number} is of paint {one.paint_name!r}, the first is of paint {first.paint_name!r}; give "
-                "sessions of one paint (the paint_name of their plans), and fit other paints by themselves"
+                f"session {number} is of paint {one.paint_name!r}, but the first is of paint "
+                f"{first.paint_name!r}; give sessions of one paint (the paint_name of their plans), and fit "
+                "other paints by themselves"
             )
         unlike = [
             name for name in type(first.optics).model_fields

@@ -151,7 +151,7 @@ def traceability_of(results: Sequence[CertifiedResult], *, is_simulated: bool = 
         alike.setdefault(result.traceability, []).append(_SHORT[result.name])
     told = "; ".join(f"{', '.join(names)}: {text}" for text, names in alike.items())
     told = NO_REFERENCE if list(alike) == [NO_REFERENCE] else told
-    return f"no paint was measured, the rig is simulated; {told}" if is_simulated else told
+    return f"no paint was measured, because the rig is simulated; {told}" if is_simulated else told
 
 
 def _head(details: CertificateDetails, session: CaptureSession | None, issued_on: date) -> tuple[tuple[str, str], ...]:

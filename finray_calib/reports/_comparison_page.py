@@ -254,9 +254,10 @@ def _metrics(report: PhotometricErrorReport) -> Part:
     return Part(
         "All metrics",
         Content(
-            lead="Every number stands beside doing nothing (the untouched image in place of the simulation) and the "
-            "floor (a second capture without contact in place of the first). A metric that rates doing nothing nearly "
-            f"as good as the simulation cannot distinguish them. Square brackets: {_BRACKETS[interval_name(report)]}.",
+            lead="Every number is given also for doing nothing (the untouched image in place of the simulation) "
+            "and for the floor (a second capture without contact in place of the first). A metric that rates "
+            "doing nothing nearly as good as the simulation cannot distinguish them. Square brackets: "
+            f"{_BRACKETS[interval_name(report)]}.",
             tables=(*(metric_table(report, region) for region in report.regions), *others),
             remarks=(f"SSIM: {report.ssim_settings}.",),
             has_wide_tables=True,

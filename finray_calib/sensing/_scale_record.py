@@ -97,8 +97,8 @@ def pixel_scale(
     require_plausible(board)
     if len(lens_views) < LEAST_VIEWS:
         raise CompareError(
-            f"{len(lens_views)} usable pictures of the board beside that on the pad: give {LEAST_VIEWS} or more (ten "
-            f"are good), each with the board turned and tilted in a different way"
+            f"{len(lens_views)} usable pictures of the board besides that on the pad: give {LEAST_VIEWS} or "
+            "more (ten are good), each with the board turned and tilted in a different way"
         )
     views = [pad, *lens_views]
     found = _best_lens(views, size_px, model)
@@ -200,10 +200,9 @@ def _require_known(found: ScaleDraws, pad: BoardView) -> None:
     if not u_rel <= LARGEST_U_REL:
         worst = max(found.parts_rel, key=lambda name: float(found.parts_rel[name][0].max()))
         raise CompareError(
-            f"{pad.name}: the scale is known to {100 * u_rel:.0f} % only, {100 * LARGEST_U_REL:.0f} % is allowed; "
-            f"most comes from "
-            f"'{worst}'. Show more of the board, larger in the picture, and take more pictures with it turned and "
-            "tilted"
+            f"{pad.name}: the standard uncertainty of the scale is {100 * u_rel:.0f} %, but at most "
+            f"{100 * LARGEST_U_REL:.0f} % is allowed; most of it comes from '{worst}'. Show more of the "
+            "board, larger in the picture, and take more pictures with it turned and tilted"
         )
 
 

@@ -396,8 +396,9 @@ class IndiFrames:
         if pattern not in ("", self._settings.bayer_pattern) or offsets != [0.0, 0.0] or upside_down:
             raise RefusedError(
                 f"{self._client.name}: sends the colour pattern {pattern or 'none'} (offset {offsets[0]}, "
-                f"{offsets[1]}, rows {header.get('ROWORDER', 'TOP-DOWN')}), {self._settings.bayer_pattern} from the "
-                "top left is needed; choose a camera or a frame with this pattern"
+                f"{offsets[1]}, rows {header.get('ROWORDER', 'TOP-DOWN')}), but "
+                f"{self._settings.bayer_pattern} from the top left is needed; choose a camera or a frame with "
+                "this pattern"
             )
         return "BayerRG16" if pattern else "Mono16"
 

@@ -317,8 +317,8 @@ class RaspberryPiCamera:
             # libcamera gives 0 as the highest where it knows none.
             if value < lowest * (1 - TOLERANCE_REL) or (highest and value > highest * (1 + TOLERANCE_REL)):
                 raise RefusedError(
-                    f"{self._name}: {control} {value * scale:g}{unit} is out of its range, {lowest * scale:g} to "
-                    f"{highest * scale:g}{unit} are allowed"
+                    f"{self._name}: {control} {value * scale:g}{unit} is out of its range: {lowest * scale:g} "
+                    f"to {highest * scale:g}{unit} are allowed"
                 )
         frame_us = max(round(FRAME_FACTOR * exposure_us), limits["FrameDurationLimits"][0])
         asked = {

@@ -309,8 +309,8 @@ class StagePress:
         places = self._stage.trust_places()
         where = ", ".join(f"{axis} {at_mm:.3f} mm" for axis, at_mm in sorted(places.items()))
         if not self._operator.allows(
-            f"The stage counts {where}. Have you brought it to the zero that the rig file counts its places from, and "
-            "is the way to clear_mm free?"
+            f"The stage reports its position as {where}. Have you brought it to the zero from which the rig "
+            "file counts positions, and is the way to clear_mm free?"
         ):
             raise RefusedError("stage: nobody has confirmed that it stands at its zero; bring it there, then resume")
 

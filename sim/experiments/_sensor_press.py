@@ -667,8 +667,8 @@ def _pad_plane(design: FingerDesign, at_rest: PixelMaps) -> _PadPlane:
     seen = np.isfinite(place).all(axis=-1)
     if seen.sum() < _FEWEST_PIXELS:
         raise SimulateError(
-            f"camera: {int(seen.sum())} pixels see the pad, at least {_FEWEST_PIXELS} are needed; give the camera more "
-            "pixels or turn it to the pad"
+            f"camera: {int(seen.sum())} pixels see the pad, but at least {_FEWEST_PIXELS} are needed; give "
+            "the camera more pixels or turn it to the pad"
         )
     pad = design.pad
     side = float(np.sqrt(pad.length_mm * pad.width_mm / seen.sum()))

@@ -200,7 +200,7 @@ CASES = (
     Case(
         "text without quotes",
         BAD_PLAN,
-        r"plan\.toml: .*; correct the line 'paint_name = red': text stands in straight quotes",
+        r"plan\.toml: .*; correct the line 'paint_name = red': put text in straight quotes",
         edited("plan.toml", 'paint_name = "red"', "paint_name = red"),
     ),
     Case(
@@ -229,7 +229,7 @@ CASES = (
     Case(
         "semicolons between columns",
         BAD_RIG,
-        r"camera\.csv: semicolons or tabs stand between its columns; export it with commas, and decimal points",
+        r"camera\.csv: semicolons or tabs separate its columns; export it with commas, and decimal points",
         curve("400;1,5;2;3\n700;1;2;3\n", header="wavelength_nm;red_percent;green_percent;blue_percent\n"),
     ),
     Case("path with spaces", "capture a plan.toml", r"knows no plan\.toml; put a path with spaces in quotes; "),
@@ -313,7 +313,7 @@ CASES = (
     Case(
         "region's fit without map",
         "fit {lab}/bands.json --paint {paints}/red/paint.json",
-        r"--paint: is the fit of the region that --map starts from",
+        r"--paint: names the fit of the region from which --map starts",
     ),
     Case(
         "record is a folder",
@@ -557,7 +557,7 @@ CASES = (
     Case(
         "semicolons in a study",
         "check gauge-rr {tmp}/study.csv",
-        r"error: \S*study\.csv: semicolons or tabs stand between its columns",
+        r"error: \S*study\.csv: semicolons or tabs separate its columns",
         file("study.csv", "sample;session;value\nA;1;2\n"),
     ),
     Case(

@@ -230,14 +230,16 @@ def test_a_board_seen_from_the_side_is_refused():
 def test_a_scale_that_is_hardly_known_is_refused():
     rng = np.random.default_rng(16)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, 8), rng)
-    with pytest.raises(CompareError, match=r"known to 8 % only, 5 % is allowed; most comes from 'printed squares'"):
+    with pytest.raises(
+        CompareError, match=r"is 8 %, but at most 5 % is allowed; most of it comes from 'printed squares'"
+    ):
         pixel_scale(views[0], views[1:], SIZE_PX, BOARD, Declared(0.08), 1, "pinhole")
 
 
 def test_few_pictures_beside_the_pad_are_refused():
     rng = np.random.default_rng(17)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, 3), rng)
-    with pytest.raises(CompareError, match="3 usable pictures of the board beside that on the pad: give 4"):
+    with pytest.raises(CompareError, match="3 usable pictures of the board besides that on the pad: give 4"):
         pixel_scale(views[0], views[1:], SIZE_PX, BOARD, Declared(0.0), 1, "pinhole")
 
 
@@ -256,7 +258,7 @@ def test_pictures_without_a_usable_board_are_refused(seen):
         find_board(np.full_like(grey, 128), BOARD, "blank")
     with pytest.raises(CompareError, match="of the 24 corners"):
         find_board(grey, BOARD.model_copy(update={"squares": (5, 7)}), "turned")
-    with pytest.raises(CompareError, match="DICT_4X4_50 has 50 markers, a board of 12 x 9 squares needs 54"):
+    with pytest.raises(CompareError, match="DICT_4X4_50 has 50 markers, but a board of 12 x 9 squares needs 54"):
         find_board(grey, BOARD.model_copy(update={"squares": (12, 9)}), "large")
 
 

@@ -289,7 +289,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         ),
         (('"{press}.png"', '"../{press}.png"'), None, "must be a path within the folder"),
         (('"{press}.png"', '"a.png"'), None, r"must contain \{press\} exactly once"),
-        (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing beside file"),
+        (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing, which belongs to file"),
         (("[indenter]\n", CIRCLE), ('= "x"', '= "y"'), "t.csv: has no column 'y'; it has n, x, r: correct the recipe"),
         (("[indenter]\n", CIRCLE), ('"n"', '"m"'), "has no column 'm' that names the press"),
         (("[indenter]\n", CIRCLE), ('= "x"', '= "r"'), "r of a must be a number, got 'wide'"),

@@ -235,7 +235,7 @@ def without_shape(ln_weight):
 
 
 def test_unusable_sessions_are_refused(bands):
-    with pytest.raises(FitError, match="only 3 bands have a usable channel, at least 4"):
+    with pytest.raises(FitError, match="only 3 bands have a usable channel, but at least 4"):
         band_data(flagged(bands, {"405", "500", "532", "560", "600"}))
     y = bands.fluorescence.copy()
     y[2, 1] = np.nan

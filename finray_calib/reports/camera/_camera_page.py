@@ -305,8 +305,8 @@ def _limits(camera: CameraCharacterisation) -> tuple[str, ...]:
         "There are no spectrograms and no counts of defect pixels.",
         f"One exposure of the lamp repeats within {percent(camera.light_repeatability_rel)} (one standard deviation, "
         "with drift). A linearity error below that cannot be seen.",
-        "The exposure times are those that the camera reports: an offset of its shutter shows in the linearity line, "
-        "a proportional error is not seen.",
+        "The exposure times are those that the camera reports: an offset of its shutter shows in the "
+        "linearity line, but a proportional error cannot be seen.",
         "The temperature of the sensor was not recorded. Dark current doubles every 6 to 10 degrees, and the numbers "
         "hold for these settings of the camera.",
         "Saturation lies between two exposures: its interval reaches from one to the other.",
