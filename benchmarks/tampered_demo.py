@@ -58,7 +58,7 @@ def _finray(verb: str, path: Path) -> subprocess.CompletedProcess[str]:
 
 def _names(said: str, file: str) -> bool:
     """Whether a finding names the file."""
-    findings = said.partition("NOT UNCHANGED")[2].splitlines()[1:]
+    findings = said.partition("NOT AS WRITTEN")[2].splitlines()[1:]
     return any(file in line for line in findings)
 
 

@@ -78,7 +78,7 @@ def print_faults(faults: "tuple[FileFault, ...]") -> None:
     """Print what is not as it was written, one line each."""
     if not faults:
         return
-    say(f"\nNOT UNCHANGED: {len(faults)} finding{'s' if len(faults) > 1 else ''}")
+    say(f"\nNOT AS WRITTEN: {len(faults)} finding{'s' if len(faults) > 1 else ''}")
     for fault in faults:
         say(f"{fault.state}: {fault.path}: {fault.text}")
 
