@@ -601,7 +601,7 @@ def test_faults_that_cost_more_than_the_session_stated_end_it_in_the_dark(
         failing = replace(opened, wheel=wheel, camera=ChangedCamera(opened.camera, torn))
         with pytest.raises(
             HealingTimeError,
-            match=rf"and {stated.healing_s:.0f} s are allowed; journal\.jsonl lists each fault: ",
+            match=rf"and at most {stated.healing_s:.0f} s are allowed; journal\.jsonl lists each fault: ",
         ):
             capture(failing, rig, small, tmp_path)
         assert dark(opened)

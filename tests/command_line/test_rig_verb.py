@@ -231,7 +231,7 @@ def test_show_prints_every_part_of_a_simulated_rig_and_moves_nothing(
     assert "450 nm, 4.5 mW, class 3R" in said
     assert "at slot 1, filter 405" in said
     assert "320 x 256 px; 0.01 s requested, 0.01 s read back" in said
-    assert "the black level is 16 DN" in said
+    assert "states a black level of 16 DN" in said
     rows = [line.split() for line in said.splitlines() if line.endswith(" nominal")]
     assert [row[1] for row in rows] == ["405", "450", "500", "532", "560", "600", "630", "660"]
     assert rows[0] == ["1", "405", "405", "+-", "0.15", "10", "+-", "0.15", "5", "nominal"]

@@ -163,7 +163,7 @@ def test_simulators_are_ranked_over_the_presses_that_all_have():
 def test_what_to_capture_next_follows_from_what_is_missing():
     told = to_capture([pair("a", 0.9), pair("b", 0.8)])
     assert told[0].startswith("1 more press, at other places and depths: an interval needs 3")
-    assert any("second image without contact for each press: 2 of 2 have none" in wish for wish in told)
+    assert any("second image without contact for each press: 2 of 2 pairs have none" in wish for wish in told)
     many = to_capture([pair(k, s) for k, s in enumerate((0.93, 0.95, 0.96, 0.94, 0.95, 0.97))])
     assert re.match(r"\d+ more presses: the interval of 6 is 0\.0\d+ to either side", many[0])
     assert to_capture([pair("a", None)]) == ()

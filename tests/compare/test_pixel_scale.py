@@ -254,7 +254,7 @@ def test_another_unit_is_recognised(square_mm, unit, meant):
 def test_pictures_without_a_usable_board_are_refused(seen):
     _, images = seen
     grey = images["board-0.png"]
-    with pytest.raises(CompareError, match="blank: 0 of the 24 corners of the board are found, 8 are needed"):
+    with pytest.raises(CompareError, match="blank: 0 of the 24 corners of the board are found, but 8 are needed"):
         find_board(np.full_like(grey, 128), BOARD, "blank")
     with pytest.raises(CompareError, match="of the 24 corners"):
         find_board(grey, BOARD.model_copy(update={"squares": (5, 7)}), "turned")
@@ -272,7 +272,7 @@ def test_a_board_that_is_too_small_or_a_line_is_refused(monkeypatch):
 
     grey = np.zeros(SIZE_PX[::-1], dtype=np.uint8)
     monkeypatch.setattr(board_corners, "_detected", found(300.0 + 0.05 * seen, ids))
-    with pytest.raises(CompareError, match=r"too small in the picture, a square has 4\.\d px of 8 px"):
+    with pytest.raises(CompareError, match=r"too small in the picture: a square has 4\.\d px, but 8 px"):
         find_board(grey, BOARD, "far")
     wide = BOARD.model_copy(update={"squares": (10, 5)})
     monkeypatch.setattr(board_corners, "_detected", found(seen[:9], np.arange(9)))

@@ -82,7 +82,7 @@ def test_a_report_relative_to_the_no_contact_image_keeps_its_level():
     assert only.value == pytest.approx(curve, rel=0.02)
     # the table's error is what was compared, whatever the curve takes up of it
     assert only.error_rel == pytest.approx(np.expm1(0.1), rel=0.01)
-    assert "A capture at 30 deg is in this" in decision.sentence
+    assert "A capture at 30 deg is included" in decision.sentence
     assert any("relative to the no-contact image" in note for note in decision.notes)
     assert any("older version without its channels" in note for note in decision.notes)
 

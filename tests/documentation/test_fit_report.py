@@ -98,10 +98,12 @@ def test_the_verdict_is_care_with_a_warning_or_an_unexplained_band() -> None:
     assert fit_verdict(CALM.model_copy(update={"bands": unexplained})) == "Use with care"
 
 
-def test_the_sampling_is_told_with_what_was_wanted() -> None:
+def test_the_sampling_is_told_with_what_is_allowed() -> None:
     diagnostics = RED.fit.diagnostics
     told = said.sampling_statement(diagnostics)
-    assert told.startswith("draws by importance sampling, trusted: Pareto k 0.31 (at most 0.7 wanted), 3120 effective")
+    assert told.startswith(
+        "draws by importance sampling, trusted: Pareto k 0.31 (at most 0.7 is allowed), 3120 effective"
+    )
     assert "2 maxima of the posterior. emcee, run as an independent check, agrees with them" in told
     assert "differ by at most 0.03 standard deviations" in told
     assert "DISAGREES" in said.sampling_statement(diagnostics.model_copy(update=shifted(diagnostics, -0.4)))
@@ -111,7 +113,7 @@ def test_the_sampling_is_told_with_what_was_wanted() -> None:
     moved = diagnostics.model_copy(update={"method": "resample-move", "pareto_k": 0.5, "memory": 0.083, "chain": None})
     assert said.sampling_statement(moved) == (
         "draws by resample-move, trusted: importance sampling was uneven (Pareto k 0.50), so its draws were moved "
-        "until they no longer depended on where they began (correlation 0.08, at most 0.15 wanted); "
+        "until they no longer depended on where they began (correlation 0.08, at most 0.15 is allowed); "
         "2 maxima of the posterior."
     )
     taken_over = diagnostics.model_copy(update={"method": "emcee", "pareto_k": 1.2})
@@ -124,7 +126,7 @@ def test_the_sampling_is_told_with_what_was_wanted() -> None:
 
 def test_a_shape_of_weights_that_is_unknown_is_a_dash() -> None:
     unknown = replace(RED, fit=with_diagnostics(RED.fit, pareto_k=None))
-    assert "trusted: Pareto k \u2013 (at most 0.7 wanted)" in said.sampling_statement(unknown.fit.diagnostics)
+    assert "trusted: Pareto k \u2013 (at most 0.7 is allowed)" in said.sampling_statement(unknown.fit.diagnostics)
     assert cells(sampling_table(unknown))["Pareto k of the weights"] == ("\u2013",)
     rough = with_fit(RED, families=tuple(f.model_copy(update={"left_out_pareto_k": None}) for f in RED.fit.families))
     assert cells(families_table(rough))["log-normal in wavenumber (reported)"][-1] == "\u2248 143.5"

@@ -210,7 +210,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(device: EmulatedWheel) -> N
 @pytest.mark.rigs
 def test_six_slots_do_not_hold_eight_filters(device: EmulatedWheel) -> None:
     device.control.put(pcount=6)
-    what = r"has slots 1 to 6, the rig file puts filter 7 in slot 7, filter 8 in slot 8; 8 filters need an FW212C"
+    what = r"has slots 1 to 6, but the rig file puts filter 7 in slot 7, filter 8 in slot 8; 8 filters need an FW212C"
     with pytest.raises(RefusedError, match=what), opened(device.address):
         pass
     with opened(device.address, range(1, 7)) as wheel:
