@@ -209,8 +209,8 @@ def test_results_in_words(rig):
     assert value_text(found["wheel arrives"]) == "0 moves"
     assert value_text(found["filters in their slots"]) == ""
     assert result_line(found["laser off by the guard"]) == (
-        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps; measured by a new "
-        "connection"
+        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps; measured by "
+        "a new connection"
     )
     line = result_line(found["filters in their slots"])
     assert line == "PASS      filters in their slots: the frames show every filter in its slot"
