@@ -430,7 +430,9 @@ class TactileCamera(Model):
         """Return the field of view where a calibration tells it."""
         if self.calibration is None:
             return {}
-        return {"field_of_view_deg": "camera.calibration states where each pixel looks; leave one of them out"}
+        return {
+            "field_of_view_deg": "camera.calibration already states where each pixel looks; leave out one of the two"
+        }
 
 
 class Enclosure(Model):

@@ -315,7 +315,7 @@ class PackagedPad:
         if abs(middle) > _CROWN_MM or drop.min() < -_CROWN_MM:
             raise self._plug_in.refusal(
                 "has its crown at another place: drop_mm must be 0 mm in the middle of the pad and nowhere "
-                    f"below that, but is {middle:.3g} mm there and {drop.min():.3g} mm at its least", "pad: ",
+                f"below that, but is {middle:.3g} mm there and {drop.min():.3g} mm at its least", "pad: ",
             )  # fmt: skip
         if drop.max() >= thickness_mm:
             at = np.unravel_index(int(drop.argmax()), drop.shape)

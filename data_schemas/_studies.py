@@ -575,7 +575,7 @@ class DatasetSample(Model):
         description="colour -> number of the draw of the paint's posterior; or empty"
     )
     emission_factors: dict[str, float] = Field(
-        description="colour -> factor on the paint's emission, without posterior"
+        description="colour -> factor on the emission of a paint without a posterior"
     )
     render_seed: Annotated[int, Field(ge=0)]
     gains: tuple[float, float, float] = Field(description="linear camera RGB was multiplied by these before encoding")

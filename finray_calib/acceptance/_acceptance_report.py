@@ -187,7 +187,7 @@ def _light_off(layer: LightOff, plan: CheckPlan) -> CheckResult:
         return unmeasured(
             "light off", name, what, "FAIL",
             f"the laser was still on after {layer.still_on} of {layer.still_on + len(layer.latest_s)} "
-                f"mishaps; each was watched for {layer.watched_s:g} s",
+            f"mishaps; each was watched for {layer.watched_s:g} s",
             f"at most {limit_s:g} s",
         )  # fmt: skip
     value_s, sd_s = slowest_off(layer)

@@ -47,8 +47,8 @@ _ERROR_CURVE = (
 #: Shape of what is looked at where the error of the normal is decided on.
 FACET = "facet"
 _ASSUMED_SIZE = (
-    "3 %, 95 % between 0.4 % and 21 %; with a probability of 1/2 less in proportion where the curve varies less with "
-    "the angle than is usual"
+    "3 %, 95 % between 0.4 % and 21 %; with a probability of 1/2, it is proportionally smaller where the "
+    "curve varies less with the angle than usual"
 )
 
 

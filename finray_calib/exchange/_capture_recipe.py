@@ -82,7 +82,7 @@ class RecipeNoContact(Model):
         if sum(given) != 1:
             raise ValueError("give exactly one of file, frames_before, median_of_presses and far_pixels")
         if self.repeat_file is not None and self.file is None:
-            raise ValueError("repeat_file goes with file")
+            raise ValueError("repeat_file needs file; give file too, or leave repeat_file out")
         return self
 
 
@@ -130,14 +130,16 @@ class RecipeScale(Model):
     mm_per_px: Positive | None = None
     px_per_mm: Positive | None = None
     check_length_mm: Positive | None = None
-    check_length_px: Quantity | None = Field(default=None, description="the same length in the labels or pictures")
+    check_length_px: Quantity | None = Field(
+        default=None, description="the same length, measured in pixels in the labels or pictures"
+    )
 
     @model_validator(mode="after")
     def _one_scale(self) -> "RecipeScale":
         if (self.mm_per_px is None) == (self.px_per_mm is None):
             raise ValueError("give mm_per_px or px_per_mm, one of the two")
         if (self.check_length_mm is None) != (self.check_length_px is None):
-            raise ValueError("check_length_mm and check_length_px go together")
+            raise ValueError("check_length_mm and check_length_px go together: give both or leave both out")
         return self
 
     @property

@@ -161,7 +161,9 @@ def filter_catalogue(
             f"{origin}: lacks column {', '.join(lacking)}; a catalogue has the columns {', '.join(_COLUMNS)}"
         )
     if not rows:
-        raise FitError(f"{origin}: holds no filter; give one a row: {', '.join(_COLUMNS)}")
+        raise FitError(
+            f"{origin}: holds no filter; give one filter in each row, with the columns {', '.join(_COLUMNS)}"
+        )
     places = [header.index(name) for name in _COLUMNS]
     return tuple(CatalogueFilter(*_numbers(f"{origin}, line {line}", cells, places)) for line, cells in rows)
 

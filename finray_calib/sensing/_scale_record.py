@@ -213,10 +213,9 @@ def _notes(
     notes = []
     if widened > 1.0:
         notes.append(
-            f"the scale scatters by {100 * resampled_u:.2f} % when pictures are drawn with replacement, "
-            f"{widened:.1f} times "
-            "what independent corners allow: corners of a picture err together (is the board flat, are pictures "
-            "sharp?). Uncertainties are widened by this factor"
+            f"resampling the pictures gives a scatter of the scale of {100 * resampled_u:.2f} %, "
+            f"{widened:.1f} times that of independent corners, so the corners of one picture have common "
+            "errors (is the board flat, are the pictures sharp?). Uncertainties are widened by this factor"
         )
     others = float(np.sqrt(np.mean([r.rms_px**2 for r in residuals[1:]])))
     if residuals[0].rms_px > _WORSE_FACTOR * others:

@@ -60,7 +60,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--with-laser",
         action="store_true",
-        help="switch the laser of the rig on for moments: box closed, goggles on everyone in the room",
+        help="switch the laser of the rig on for moments; close the box first, with goggles on everyone in the room",
     )
 
 

@@ -112,7 +112,7 @@ def _verdict(camera: CameraCharacterisation) -> tuple[str, Light, str]:
     if bent:
         return "The camera model does not hold", "bad", (
             f"The noise of {_listed(bent)} does not grow with the signal as that of photons does; read the "
-                "findings below."
+            "findings below."
         )  # fmt: skip
     grows = "The noise of every channel grows with the signal as that of photons does"
     if _findings(camera) or camera.warnings:

@@ -574,6 +574,6 @@ def _map_content(found: LightPlaceMap) -> Content:
         light_map_sentence(found),
         picture_rows=((drawing(light_map_figure(found), "error of the normal, evenness and brightness over two numbers",
                                "Star: least error of the sensed normal. Dots: not distinguishable (two "
-                                   "standard uncertainties). White: cannot be built. Everything else is as in "
-                                   "the design, with the present powers."),),),
+                               "standard uncertainties). White: cannot be built. Everything else is as in "
+                               "the design, with the present powers."),),),
     )  # fmt: skip
