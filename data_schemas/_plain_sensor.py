@@ -241,7 +241,7 @@ class PlainSensor(Record):
     pad: GelPad = GelPad(length_mm=20.0, width_mm=20.0, thickness_mm=4.0)
     coating: SensorCoat = SensorCoat(diffuse_share=0.8)
     gel_poisson_ratio: PoissonRatio = Field(
-        default=0.49, description="Poisson's ratio of the gel, of silicone above 0.47"
+        default=0.49, description="Poisson's ratio of the gel; silicones have more than 0.47"
     )
     walls: Literal["dark", "clear"] = Field(default="dark", description="sides of the gel: black-painted, or bare gel")
     wall_reflectance: Fraction = Field(default=0.05, description="reflectance of dark walls")

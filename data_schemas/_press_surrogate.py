@@ -141,8 +141,8 @@ class PressSurrogate(Record):
         "were left out, where each increment has the weight of the part of the family that is nearest to it"
     )
     surface_floor_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="floor of the standard deviation: that one of several shares of the median for left-out presses "
-        "which makes the bars narrowest over the family"
+        description="floor of the standard deviation: a share of its median over left-out presses, chosen so that the "
+        "bars are narrowest over the family"
     )
     force_bar_rel: Annotated[float, Field(gt=0.0)]
     force_floor_rel: Annotated[float, Field(ge=0.0)]

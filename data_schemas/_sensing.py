@@ -195,13 +195,13 @@ class NormalMapRecord(Record):
     )
     held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
         default=None,
-        description="for each press, by that map: sensed / true - 1 of the height from the rim to the middle",
+        description="relative error of the height from the rim to the middle, for each press, by the same maps",
     )
     held_out_level_mm: Annotated[Floats, ArraySpec("<f8", ("ring",), "mm")] | None = Field(
         default=None,
-        description="for each press with such a ring in view, by those maps: mean depth 2.5 to 3.5 radii from the "
-        "contact, where the gel is taken as flat, relative to the border of the picture; none: not "
-        "known",
+        description="mean depth, relative to the border of the picture, in a ring 2.5 to 3.5 radii from the contact, "
+        "where the gel should be flat; for each press with this ring in view, by maps that it did not teach; "
+        "none: not known",
     )
     taught_by_sha256: tuple[str, ...] = Field(
         default=(), description="SHA-256 of the contact images that taught it; none: not known"

@@ -264,7 +264,7 @@ def _run_simulator(arguments: argparse.Namespace, protocol: Path, renders: Path)
         done = subprocess.run(words, stdin=subprocess.DEVNULL, timeout=arguments.limit_s, check=False)
     except subprocess.TimeoutExpired:
         raise CompareError(
-            f"--command: ran longer than {arguments.limit_s:g} s; give --limit-s more, or fewer presses"
+            f"--command: ran longer than {arguments.limit_s:g} s; raise --limit-s, or give fewer presses"
         ) from None
     except (OSError, ValueError) as error:
         raise CompareError(f"--command: {words[0] if words else 'nothing'} cannot be run ({error})") from None

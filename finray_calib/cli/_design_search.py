@@ -156,8 +156,8 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     search.add_argument(
         "--within", action="append", default=[], metavar="FIELD[=LOW:HIGH]",
-        help="a number that may change, and its limits (repeatable; default: light angle and place, pad thickness, and "
-        "ribs and fin where stiffness is asked for)",
+        help="a number that may change, and its limits (repeatable; default: light angle and place, pad "
+            "thickness, and ribs and fin if stiffness is an objective)",
     )  # fmt: skip
     search.add_argument(
         "--evaluations", type=_evaluation_count, default=60, metavar="N", help="designs to compute (default: 60)"

@@ -152,7 +152,7 @@ def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     import numpy as np
 
     wrote(out, taught.label)
-    wrote(kept, "the presses that taught it; a command with more --presses and this --out's name continues with them")
+    wrote(kept, "the presses that taught it; the same command with more --presses continues with them")
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():

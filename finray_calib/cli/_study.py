@@ -147,9 +147,9 @@ ILLUMINATION_EPILOG = """\
 Without --design, the preset {preset}. Without --paint, the two default paints of the simulated rig stand in for
 the paper's, whose spectra nobody has published; the record says so."""
 FLUORESCENT = """\
-The paper's figure of its fluorescent light source and rendering: painted walls that shine by their distance from the
-blue light (as printed, and by the inverse square) beside walls that re-emit the light that reaches them. The figure
-shows press and rest through the camera and per band, the emission along the walls, and how much they differ.
+The paper's figure of its fluorescent light source and rendering: painted walls whose light depends on their distance
+from the blue light (as printed, and by the inverse square) beside walls that re-emit the light that reaches them. The
+figure shows press and rest through the camera and per band, the emission along the walls, and how much they differ.
 docs/explanation/fluorescent-rendering.md gives the reasons."""
 TWO = """\
 The paper's second blue light: one panel at the base against panels at base and tip (second_light of the design, else

@@ -200,7 +200,7 @@ def trust_part(limits: Iterable[str], notes: Sequence[str] = (), assumed: Sequen
     parts = [] if not assumed else [Part("Assumed, not measured", Content(points=tuple(assumed)))]
     if notes:
         parts.append(Part(f"Notes of the records ({len(notes)})", Content(points=tuple(notes)), is_detail=True))
-    return Part("Limits of this result", Content(points=tuple(limits), parts=tuple(parts)))
+    return Part("How far to trust this", Content(points=tuple(limits), parts=tuple(parts)))
 
 
 def raster(rgb8: ByteImage, alternative: str, caption: str) -> Picture:

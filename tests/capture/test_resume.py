@@ -162,7 +162,7 @@ def test_folder_without_a_beginning_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"journal\.jsonl: no such file; .*interrupted 'finray capture'"):
         read_interrupted(tmp_path)
     (tmp_path / "journal.jsonl").write_text('{"event": "start", "utc": "", "monotonic_s": 0}\n')
-    with pytest.raises(CaptureError, match=r"does not say how the session began"):
+    with pytest.raises(CaptureError, match=r"lacks the line with which a session begins"):
         read_interrupted(tmp_path)
 
 

@@ -152,5 +152,5 @@ def test_resume_through_the_command_line(sensor, tmp_path, monkeypatch):
 @pytest.mark.parametrize("start", ["", '{"event": "start", "kind": "tactile"}', '{"event": "start", "kind": "paint"}'])
 def test_journal_without_a_start_is_refused(tmp_path, start):
     (tmp_path / "journal.jsonl").write_text(start + '\n{"event": "frame", "file": "no"}\n', encoding="utf-8")
-    with pytest.raises(CaptureError, match="does not say how the session began"):
+    with pytest.raises(CaptureError, match="lacks the line with which a session begins"):
         read_interrupted_presses(tmp_path)

@@ -109,7 +109,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
         (
             f"set --teach 2 --simulator mine --limit-s 0.2 --command '{sys.executable} -c \"import time; "
             "time.sleep(9)\"'",
-            "--command: ran longer than 0.2 s; give --limit-s more",
+            "--command: ran longer than 0.2 s; raise --limit-s",
         ),
         (
             f"set --teach 2 --simulator mine --command '{sys.executable} -c \"pass\"'",

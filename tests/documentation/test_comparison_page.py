@@ -74,7 +74,7 @@ def test_the_verdict_stands_before_trust_images_and_tables(html, page):
     headings = re.findall(r"<h2[^>]*>([^<]*)</h2>", html)
     assert headings == [
         "What was found",
-        "Limits of this result", "Images", "All metrics", "Uncertainty", "Where the level agrees (ASME V&amp;V 20)",
+        "How far to trust this", "Images", "All metrics", "Uncertainty", "Where the level agrees (ASME V&amp;V 20)",
         "What was compared", "Methods, for a paper", "How to get this again",
     ]  # fmt: skip
 

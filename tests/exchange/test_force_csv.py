@@ -41,7 +41,7 @@ def test_uncertainties_may_be_absent(tmp_path):
     [
         (
             csv("displacement_mm,force_gf"),
-            r"bench\.csv: column 'force_gf' is unknown; needed are displacement_mm, force_n",
+            r"bench\.csv: column 'force_gf' is unknown; required columns are displacement_mm, force_n",
         ),
         (csv("displacement_um,force_n"), "column 'displacement_um' is unknown; .* mm and N"),
         (

@@ -261,7 +261,7 @@ def test_nothing_pickled_is_opened_and_the_lines_that_convert_it_are_told(tmp_pa
     pickled = plain.model_copy(
         update={"force": plain.force.model_copy(update={"file": "example_data/2023-12-16/{press}_forces.pkl"})}
     )
-    with pytest.raises(ImportFormatError, match="is pickled, and opening it could run a stranger's code"):
+    with pytest.raises(ImportFormatError, match="is pickled, and opening it could run code of an unknown author"):
         read_by_recipe(tmp_path / "v", pickled)
     assert not sprung.exists()
 
@@ -323,7 +323,7 @@ def test_what_a_recipe_and_a_folder_contradict_is_told(tmp_path, change, of_cont
         (PICTURES + "[contact]\noutline = ['a']\n", "file: missing"),
         (PICTURES + "[picture]\nsize_px = [100, 100]\n", "corners_px and size_px go together"),
         (PICTURES.replace("shape =", "form ="), "form"),
-        (PICTURES.replace("file = \"rest.png\"", "far_pixels = true\nrepeat_file = 'x'"), "repeat_file goes with file"),
+        (PICTURES.replace("file = \"rest.png\"", "far_pixels = true\nrepeat_file = 'x'"), "repeat_file needs file"),
     ],
 )  # fmt: skip
 def test_recipes_that_contradict_themselves_are_refused(tmp_path, text, message):
@@ -353,7 +353,7 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
     [
         (b"RIFF\0\0\0\0WAVE", "is not an AVI video; convert the video: ffmpeg"),
         (b"RIFF\x04\0\0\0AVI ", "holds 0 frames"),
-        (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "its frames are no JPEG pictures"),
+        (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "its frames are not JPEG pictures"),
     ],
 )
 def test_files_that_are_no_motion_jpeg_are_refused(tmp_path, content, message):

@@ -140,7 +140,7 @@ def _spoil(folder, what):
     [
         ("no untouched image", r"there is no no_contact .* beside contact; render the gel untouched"),
         ("different formats", r"contact\.npy and no_contact\.png have different formats"),
-        ("no encoding", r'npy files do not say what they hold; write "encoding": "linear"'),
+        ("no encoding", r'npy files do not state what they hold; write "encoding": "linear"'),
         ("no order", r"npy files do not state the order"),
         ("another size", r"is 160 x 120 px, no_contact\.npy 160 x 118 px; render both with one camera"),
         ("negative", r"expected finite numbers >= 0 of shape \(rows, columns, 3\)"),

@@ -257,7 +257,7 @@ def under_another_light(bands, **fields):
 
 
 def test_another_light_of_another_paint_is_refused(bands):
-    with pytest.raises(FitError, match="a session is of paint 'green', the first of 'red'"):
+    with pytest.raises(FitError, match="one session is of paint 'green', but the first is of paint 'red'"):
         calibrate_paint(bands, 1, FEW, other_lights=[under_another_light(bands, paint_name="green")])
 
 

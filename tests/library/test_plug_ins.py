@@ -362,7 +362,9 @@ def test_body_that_a_ray_leaves_twice_is_refused():
         return np.minimum(near - 6.0, other - 9.0), way / np.linalg.norm(way, axis=1, keepdims=True)
 
     two_balls = SimpleNamespace(body=lambda: SimpleNamespace(distances=distances))
-    with pytest.raises(SimulateError, match=r"is not seen whole from its origin: \d+ of 400 rays leave the body more"):
+    with pytest.raises(
+        SimulateError, match=r"is not fully visible from its origin: \d+ of 400 rays leave the body more"
+    ):
         check_indenter_shape(two_balls)
 
 

@@ -89,7 +89,7 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_reflectance_rgb = [0.1, 0.2, 0.3]\n[coating.translucent]\n',
-            RecordError, r"diffuse_reflectance_rgb has no effect: coating\.translucent has its own",
+            RecordError, r"diffuse_reflectance_rgb has no effect: coating\.translucent already has its own",
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_share = 1.0\nroughness_alpha = 0.2\n',
@@ -97,7 +97,7 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[camera]\ncalibration = "lens.yaml"\nfield_of_view_deg = 40.0\n',
-            RecordError, r"field_of_view_deg has no effect: camera\.calibration states",
+            RecordError, r"field_of_view_deg has no effect: camera\.calibration already states",
         ),
         (
             'kind = "sensor"\n[surface]\nfile = "a.stl"\nstep_mm = 0.1\n', RecordError,

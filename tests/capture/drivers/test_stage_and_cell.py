@@ -228,7 +228,7 @@ def test_homing_is_ended_by_a_reset(stage, bench):
 
 
 def test_something_else_at_the_port(bench):
-    with pytest.raises(TimedOutError, match="nothing that calls itself GRBL"):
+    with pytest.raises(TimedOutError, match="no GRBL controller"):
         open_stage(stage_settings(str(bench.amplifier.port.path))).__enter__()
 
 
