@@ -125,7 +125,7 @@ def test_frame_of_another_size_is_taken_again_and_refused_at_last(rig: RigFile) 
         taken = over(rig, opened, cut(3))
         assert taken.camera.expose(DARK, 0.01).attempts == 3
         assert all("delivered a frame of" in text for text in taken.refused)
-        message = rf"the rig file says .* px.*\({ATTEMPTS} attempts at dark"
+        message = rf"the rig file states .* px.*\({ATTEMPTS} attempts at dark"
         with pytest.raises(RefusedError, match=message):
             over(rig, opened, cut(99)).camera.expose(DARK, 0.01)
 

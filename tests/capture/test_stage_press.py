@@ -185,7 +185,7 @@ def test_plans_with_forces_need_a_cell(practice, tmp_path):
     (tmp_path / "by-hand.toml").write_text(text, encoding="utf-8")
     outcome = finray(f"capture {practice}/rig-presses.toml --rig {tmp_path}/by-hand.toml --dry-run")
     assert outcome.status == 2
-    assert "plan.presses (entry 2): names a force, and the rig has no stage" in outcome.err
+    assert "plan.presses (entry 2): names a force, but the rig has no stage" in outcome.err
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("set --teach 7", "--teach 7: must be 1 to 4, for 5 presses of which"),
+        ("set --teach 7", "--teach 7: must be 1 to 4: there are 5 presses, and those"),
         ("set --teach 2 --simulator mine", "--simulator NAME and --command WORDS go together; give both"),
         ("nowhere", "nowhere: holds 0 captures that state where their contact is; at least 2 are needed"),
         (

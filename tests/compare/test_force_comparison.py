@@ -193,7 +193,9 @@ def test_inputs_without_a_press_are_named(rng):
     again = press.sensitivities.model_copy(update={"varied": (failed, *others)})
     found = compare_force(changed(press, sensitivities=again), measure(rng, 0.0, 0.0, NOISE_N), rng)
     assert "mechanics.gel.c10_mpa: its press failed (parts overlap)" in found.not_included
-    assert any(missing.startswith("indenter.radius_mm: stated by the design") for missing in found.not_included)
+    assert any(
+        missing.startswith("indenter.radius_mm: the design states its uncertainty") for missing in found.not_included
+    )
 
 
 def test_another_mesh_adds_its_difference(rng):

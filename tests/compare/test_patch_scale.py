@@ -83,7 +83,9 @@ def test_a_scale_of_another_picture_is_refused(scale):
     simulated = press()
     capture = capture_of(simulated, 50.0)
     other = scale.model_copy(update={"calibration": scale.calibration.model_copy(update={"width_px": 640})})
-    with pytest.raises(CompareError, match="is of pictures of 640 x 60 px, capture of the strip has 80 x 60 px"):
+    with pytest.raises(
+        CompareError, match="was measured on pictures of 640 x 60 px, but capture of the strip has 80 x 60 px"
+    ):
         patch_scale(other, capture, simulated.distance, FACTORS)
 
 

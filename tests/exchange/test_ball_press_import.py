@@ -262,7 +262,7 @@ def test_what_is_missing_or_disagrees_is_refused(tmp_path):
         ("a.png,1,2,0", "line 2: radius_px = 0 must be above 0"),
         ("a.png,1,2,3\na.png,1,2,3", "line 3: a.png has a circle already"),
         ('a.png,1,2,3\n"b.png,1,2,3', "line 3: cannot be read as CSV"),
-        ("a.png,1,2,3\n" * 2001, "lists 2001 presses; at most 2000 are read"),
+        ("a.png,1,2,3\n" * 2001, "lists 2001 presses; at most 2000 can be read"),
         ("a" * 140_000 + ",1,2,3", r"line 2: cannot be read as CSV \(field larger than field limit"),
     ],
 )
@@ -355,7 +355,7 @@ def test_the_measured_scale_takes_the_place_of_the_stated_one(tmp_path):
     write_record(other, tmp_path / "other.json", provenance("pytest"))
     outcome = finray(f"sense teach {files} --scale {tmp_path}/other.json --out {tmp_path}/n.json")
     assert outcome.status == 2
-    assert "is of pictures of 640 x 60 px" in outcome.err
+    assert "was measured on pictures of 640 x 60 px" in outcome.err
 
 
 def test_an_image_that_is_none_is_refused(tmp_path):

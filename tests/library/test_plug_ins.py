@@ -261,7 +261,7 @@ def test_record_is_read_where_the_package_is_not_installed():
         (
             'shape = "barrel"\nparameters = { radius = 40.0 }',
             r"pad shape 'barrel' of package my-finger-parts 0\.1 takes the parameters radius_mm, along_radius_mm \(by "
-            r"default 0\.0\), and the design gives radius",
+            r"default 0\.0\), but the design gives radius",
         ),
         ('shape = "barrel"\nparameters = { radius_mm = 9.0 }', r"fails|leaves no gel|not finite"),
         ('shape = "barrel"\nparameters = { radius_mm = "9" }', r"parameters\.radius_mm.*must be a number"),
@@ -413,7 +413,11 @@ def test_pad_that_breaks_its_contract_is_refused(old, new, told):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('BETTER = "lower"', 'BETTER = "higher"', "0 for the captured image itself and .* says that higher is better"),
+        (
+            'BETTER = "lower"',
+            'BETTER = "higher"',
+            "0 for the captured image itself and .* declares that higher is better",
+        ),
         ('BETTER = "lower"', 'BETTER = "less"', "has BETTER = 'less', where"),
         ('UNIT = "1"', "UNIT = 1", "has UNIT = 1, where a text is needed"),
         ("(candidate - captured)[region]", "(candidate - captured)", "depends on pixels outside the region"),

@@ -85,7 +85,7 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_reflectance = 0.5\ndiffuse_reflectance_rgb = [0.1, 0.2, 0.3]\n',
-            RecordError, r"diffuse_reflectance has no effect: coating\.diffuse_reflectance_rgb states",
+            RecordError, r"diffuse_reflectance has no effect: coating\.diffuse_reflectance_rgb already states",
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_reflectance_rgb = [0.1, 0.2, 0.3]\n[coating.translucent]\n',
@@ -101,7 +101,7 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[surface]\nfile = "a.stl"\nstep_mm = 0.1\n', RecordError,
-            r"surface\.step_mm has no effect: it is of a height map",
+            r"surface\.step_mm has no effect: it belongs to a height map",
         ),
         (
             'kind = "sensor"\n[origin]\n"lights.wdith_mm" = "measured"\n', RecordError,

@@ -300,7 +300,7 @@ def test_errors_of_the_simulator_are_ours(server: AlpacaServer) -> None:
         with pytest.raises(RefusedError, match=r"'position' fails with error 0x401 \(invalid value\)"):
             client.put("position", {"Position": bad}, soon())
     with (
-        pytest.raises(RefusedError, match="and the rig file puts F9 in slot 9"),
+        pytest.raises(RefusedError, match="but the rig file puts F9 in slot 9"),
         open_wheel(wheel_settings(f"{server.url}/0", "alpaca", 9), OPERATOR),
     ):
         pass

@@ -97,7 +97,7 @@ def test_frames_from_before_the_call_are_dropped(sensor):
     [
         ("ExposureTime", 5000, r"ExposureTime 10000 was requested, but it reads back 5000"),
         ("AnalogueGain", 8.0, r"AnalogueGain 1\.0 was requested, but it reads back 8\.0"),
-        ("ColourGains", (2.1, 1.4), r"ColourGains \(1\.0, 1\.0\) was asked for"),
+        ("ColourGains", (2.1, 1.4), r"ColourGains \(1\.0, 1\.0\) was requested"),
         ("age_ns", 10**12, r"all frames are older than the call"),
     ],
 )

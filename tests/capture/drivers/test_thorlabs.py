@@ -240,7 +240,7 @@ def test_a_setting_that_is_not_kept(device: EmulatedWheel, setting: str) -> None
 @pytest.mark.rigs
 def test_another_device_is_refused(device: EmulatedWheel) -> None:
     device.control.put(idn="THORLABS SC10 VERSION 1.07")
-    what = r"says that it is 'THORLABS SC10 VERSION 1\.07', but a Thorlabs FW102C or FW212C"
+    what = r"identifies itself as 'THORLABS SC10 VERSION 1\.07', but a Thorlabs FW102C or FW212C"
     with pytest.raises(RefusedError, match=what), opened(device.address):
         pass
 
