@@ -78,7 +78,7 @@ class PaintPlan(Record):
         default=0.7, description="brightest pixel of the region as a fraction of full scale"
     )
     bracket: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = Field(
-        default=(1.0, 0.25), min_length=1, description="exposures of each step relative to the metered one"
+        default=(1.0, 0.25), min_length=1, description="exposures of each step, as factors of the metered one"
     )
     darks_per_exposure: Annotated[int, Field(ge=1, le=50)] = 2
     second_tilt_deg: Annotated[float, Field(ge=5.0, le=75.0, json_schema_extra={"unit": "deg"})] | None = Field(
@@ -137,10 +137,10 @@ class Frame(Model):
         default={}, description="other settings as the camera reads them back, by name (gain, pixel format)"
     )
     attempts: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=1, description="number of exposures that were taken for it; more than one where frames were refused"
+        default=1, description="number of exposures that this frame needed; more than one where frames were refused"
     )
-    tilt_deg: AngleDeg = Field(default=0.0, description="between the laser beam and the sample's normal")
-    saturated_fraction: Fraction = Field(description="pixels of the region at full scale")
+    tilt_deg: AngleDeg = Field(default=0.0, description="angle between the laser beam and the sample's normal")
+    saturated_fraction: Fraction = Field(description="share of the pixels of the region at full scale")
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
 
@@ -165,9 +165,11 @@ class CaptureSession(Record):
     )
     lamp: SpectralCurve
     frames: tuple[Frame, ...]
-    devices: tuple[DeviceIdentity, ...] = Field(default=(), description="what the devices said they are")
+    devices: tuple[DeviceIdentity, ...] = Field(default=(), description="identity of the devices, as they report it")
     filter_proof: FilterProof | None = Field(
-        default=None, description="judged from the white frames under the lamp and the laser's line"
+        default=None,
+        description="whether the filters are in their slots, judged from the white frames under the lamp and from the "
+        "laser's line",
     )
     white_rates_dn_per_s: tuple[tuple[float, float, float], ...] = Field(
         default=(), description="red, green, blue rates of the white tile behind each filter: the session's fingerprint"
@@ -184,10 +186,12 @@ class IndenterPose(Model):
     """What was pressed, where and how deep; the circle or strip it touches. Uncertainties are standard ones."""
 
     shape: Literal["cylinder", "ball", "cuboid", "mesh"]
-    radius_mm: LengthMm | None = Field(description="half the width where it is not round; none: not known")
+    radius_mm: LengthMm | None = Field(description="radius, or half the width where it is not round; none: not known")
     depth_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None
     position_mm: PositionMm | None = Field(description="place along the pad, from the base")
-    tilt_deg: AngleDeg | None = Field(default=None, description="between the indenter's axis and the pad's normal")
+    tilt_deg: AngleDeg | None = Field(
+        default=None, description="angle between the indenter's axis and the pad's normal"
+    )
     depth_uncertainty_mm: UncertaintyMm | None = None
     position_uncertainty_mm: UncertaintyMm | None = None
     tilt_uncertainty_deg: UncertaintyDeg | None = None
@@ -235,22 +239,22 @@ class LoadCellCalibration(Record):
 
     cell: str = Field(description="rig, driver and address")
     calibrated_utc: str
-    certificate: str | None = Field(default=None, description="of the masses; none: not recorded")
+    certificate: str | None = Field(default=None, description="certificate of the masses; none: not recorded")
     gravity_m_per_s2: Annotated[float, Field(ge=9.7, le=9.9, json_schema_extra={"unit": "m/s^2"})]
     gravity_uncertainty_m_per_s2: Annotated[float, Field(ge=0.0, le=0.1, json_schema_extra={"unit": "m/s^2"})]
     masses_kg: tuple[Annotated[float, Field(ge=0.0, le=1000.0, json_schema_extra={"unit": "kg"})], ...] = Field(
-        description="in the order in which they lay on the cell, loading and unloading"
+        description="masses in the order in which they lay on the cell, loading and unloading"
     )
     mass_uncertainty_rel: RelativeUncertainty = Field(description="standard uncertainty, shared by all masses")
-    counts: tuple[float, ...] = Field(description="mean count of each")
+    counts: tuple[float, ...] = Field(description="mean count of each load")
     counts_uncertainties: tuple[float, ...] = Field(description="standard uncertainty of each mean")
     slope_n_per_count: float
     slope_uncertainty_n_per_count: Annotated[float, Field(ge=0.0)]
     linearity_n: UncertaintyN = Field(description="largest distance of a mean from the straight line")
     hysteresis_n: UncertaintyN = Field(description="largest difference of one mass between loading and unloading")
     noise_n: UncertaintyN = Field(description="standard deviation of one reading")
-    drift_n_per_s: float = Field(description="of the empty cell, from the first to the last mass")
-    readings: Annotated[int, Field(ge=2)] = Field(description="readings of each mean")
+    drift_n_per_s: float = Field(description="drift of the empty cell, from the first to the last mass")
+    readings: Annotated[int, Field(ge=2)] = Field(description="number of readings of each mean")
 
     @property
     def traceability(self) -> str:
@@ -275,16 +279,18 @@ class MeasuredPress(Model):
     """What stage and load cell measured of one contact; uncertainties are standard ones."""
 
     contact: Annotated[int, Field(ge=1)]
-    ended_by: Literal["depth", "force"] = Field(description="what the plan asked for, and was reached")
+    ended_by: Literal["depth", "force"] = Field(description="whether the press ended at its depth or at its force")
     touch_mm: PositionMm = Field(description="machine coordinate of the press axis at the touch that the cell found")
     touch_uncertainty_mm: UncertaintyMm
     depth_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
     depth_uncertainty_mm: UncertaintyMm
-    force_n: SignedN = Field(description="mean of before and after the images")
+    force_n: SignedN = Field(description="force of the press: mean of before and after the images")
     force_uncertainty_n: UncertaintyN
     relaxed_n: SignedN = Field(description="by how much the force fell while the images were taken")
-    zero_shift_n: SignedN | None = Field(default=None, description="of the cell, after the indenter was taken away")
-    point_depths_mm: tuple[float, ...] = Field(default=(), description="of the steps since the touch")
+    zero_shift_n: SignedN | None = Field(
+        default=None, description="shift of the cell's zero, after the indenter was taken away"
+    )
+    point_depths_mm: tuple[float, ...] = Field(default=(), description="depths of the steps since the touch")
     point_forces_n: tuple[float, ...] = ()
     point_uncertainties_n: tuple[float, ...] = ()
 
@@ -332,7 +338,8 @@ class TactileCapture(Record):
     )
     led_current_ma: CurrentMa | None = Field(default=None, description="current of the blue LED panel")
     exposure_bracket_s: tuple[ExposureS, ...] = Field(
-        default=(), description="all exposures of the press, this one among them; the session holds the others' frames"
+        default=(),
+        description="all exposures of the press, including this one; the session holds the frames of the others",
     )
     contact_outline: tuple[PlaceInImage, ...] | None = Field(
         default=None, description="corners of the contact region where it is not a circle, in order"
@@ -341,13 +348,15 @@ class TactileCapture(Record):
         default=None, description="search: found in the picture by the program; none: not known"
     )
     no_contact_from: Literal["image", "median of presses", "pixels far from the contact"] = Field(
-        default="image", description="what the no-contact image is; all but an image are substitutes"
+        default="image", description="origin of the no-contact image; everything but 'image' is a substitute"
     )
     force_n: Annotated[float, Field(ge=-1000.0, le=1000.0, json_schema_extra={"unit": "N"})] | None = Field(
         default=None, description="force of the press at the contact image"
     )
     force_uncertainty_n: UncertaintyN | None = Field(default=None, description="standard uncertainty; none: not known")
-    press: MeasuredPress | None = Field(default=None, description="none where no stage pressed")
+    press: MeasuredPress | None = Field(
+        default=None, description="what the stage recorded; none where no stage pressed"
+    )
     load_cell: LoadCellCalibration | None = Field(default=None, description="how the force was calibrated")
     licence: str | None = Field(
         default=None, description="licence under which the images were published; none: not known"
@@ -384,9 +393,13 @@ class TactileRig(Record):
 
     name: str
     camera: CameraSettings
-    stage: StageSettings | None = Field(default=None, description="left out, a person presses")
-    load_cell: LoadCellSettings | None = Field(default=None, description="a stage presses only with one")
-    simulated: SimulatedFinger | None = Field(default=None, description="what real drivers ignore")
+    stage: StageSettings | None = Field(default=None, description="stage that presses; left out: a person presses")
+    load_cell: LoadCellSettings | None = Field(
+        default=None, description="load cell that stops the stage; a stage needs one"
+    )
+    simulated: SimulatedFinger | None = Field(
+        default=None, description="settings of the simulated bench; real drivers ignore them"
+    )
 
     @property
     def is_simulated(self) -> bool:
@@ -426,12 +439,13 @@ class PlannedPress(Model):
 
     depth_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
     position_mm: PositionMm = Field(description="place along the pad, from the base")
-    tilt_deg: AngleDeg = Field(default=0.0, description="between the indenter's axis and the pad's normal")
+    tilt_deg: AngleDeg = Field(default=0.0, description="angle between the indenter's axis and the pad's normal")
     depth_uncertainty_mm: UncertaintyMm
     position_uncertainty_mm: UncertaintyMm
     tilt_uncertainty_deg: UncertaintyDeg | None = None
     force_limit_n: ForceN | None = Field(
-        default=None, description="the stage stops here and the session ends; left out: the limit of the rig file"
+        default=None,
+        description="force at which the stage stops and the session ends; left out: the limit of the rig file",
     )
     until_force_n: ForceN | None = Field(
         default=None, description="press until this force; depth_mm is then the depth that must not be exceeded"
@@ -457,7 +471,8 @@ class CharucoBoard(Model):
     square_mm: LengthMm
     marker_mm: LengthMm
     dictionary: str = Field(
-        pattern=r"^DICT_((4X4|5X5|6X6|7X7)_(50|100|250|1000)|ARUCO_ORIGINAL)$", description="OpenCV's name of it"
+        pattern=r"^DICT_((4X4|5X5|6X6|7X7)_(50|100|250|1000)|ARUCO_ORIGINAL)$",
+        description="name of the markers' dictionary in OpenCV",
     )
     images: Annotated[int, Field(ge=1, le=200)] = 10
     on_pad: bool = Field(
@@ -479,10 +494,12 @@ class TactilePlan(Record):
     schema_version: ClassVar[int] = 2
 
     kind: Literal["tactile"] = "tactile"
-    name: str = Field(description="names the session's folder and its captures")
+    name: str = Field(description="name of the session, for its folder and its captures")
     design: str = Field(description="finger or sensor: its design file, or name and number")
     indenter: PressIndenter
-    presses: tuple[PlannedPress, ...] = Field(default=(), description="asked of the operator one after another")
+    presses: tuple[PlannedPress, ...] = Field(
+        default=(), description="presses, which the operator is asked to do one after another"
+    )
     poses_csv: str | None = Field(
         default=None,
         description="in place of 'presses': a CSV file of poses that a stage reports, with the names of their "
@@ -503,7 +520,7 @@ class TactilePlan(Record):
         f"rig's camera allows, such as [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]",
     )
     led_current_ma: CurrentMa = Field(description="current of the blue LED panel")
-    light_angle_deg: AngleDeg = Field(description="measured: the panel's normal from the pad plane")
+    light_angle_deg: AngleDeg = Field(description="measured angle of the panel's normal from the pad plane")
     light_angle_uncertainty_deg: UncertaintyDeg
     mm_per_px: LengthMm | None = Field(
         default=None, description="side of a raw pixel on the pad, as 'finray sense scale' measures it"
@@ -549,7 +566,7 @@ class TactileFrame(Model):
         "(0 where there is none), a board image that of the board's place"
     )
     exposure_requested_s: ExposureS
-    exposure_s: ExposureS | None = Field(description="none where the camera does not report it")
+    exposure_s: ExposureS | None = Field(description="as the camera reports it; none where it does not")
     captured_utc: str
     captured_s: DurationS = Field(description="end of the exposure on the journal's monotonic clock")
     frame_id: int | None = None
@@ -558,7 +575,7 @@ class TactileFrame(Model):
         default={}, description="other settings as the camera reads them back, by name"
     )
     attempts: Annotated[int, Field(ge=1, le=100)] = 1
-    saturated_fraction: Fraction = Field(description="pixels with a value at full scale")
+    saturated_fraction: Fraction = Field(description="share of the pixels with a value at full scale")
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
 
@@ -574,7 +591,11 @@ class TactileSession(Record):
     frames: tuple[TactileFrame, ...]
     captures: tuple[str, ...] = Field(description="files of the tactile captures, in the order of the contacts")
     devices: tuple[DeviceIdentity, ...] = ()
-    press_devices: tuple[PressDevice, ...] = Field(default=(), description="stage and load cell, where they pressed")
-    measured: tuple[MeasuredPress, ...] = Field(default=(), description="of each contact, where a stage pressed")
+    press_devices: tuple[PressDevice, ...] = Field(
+        default=(), description="identity of stage and load cell, where they pressed"
+    )
+    measured: tuple[MeasuredPress, ...] = Field(
+        default=(), description="what was recorded of each contact, where a stage pressed"
+    )
     load_cell: LoadCellCalibration | None = None
     notes: tuple[str, ...] = ()

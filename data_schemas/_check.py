@@ -36,7 +36,9 @@ PositiveS = Annotated[float, Field(gt=0.0, le=60.0, json_schema_extra={"unit": "
 class CheckLimits(Model):
     """Largest allowed values; a check passes when its value is inside with 95 % confidence."""
 
-    handshake_s: PositiveS = Field(default=2.0, description="one answer of a device about its identity and state")
+    handshake_s: PositiveS = Field(
+        default=2.0, description="longest time for one answer of a device about its identity and state"
+    )
     move_s: PositiveS = Field(default=5.0, description="longest of the moves of the wheel")
     revisit_rel: RelativeUncertainty = Field(
         default=0.01, description="RMS change of the white signal after the wheel has left the filter and come back"
@@ -59,7 +61,7 @@ class CheckLimits(Model):
         description="largest difference of the signals at 2 t and 4 t from 2 and 4 times that at t, relative to them",
     )
     frame_overhead_s: PositiveS = Field(
-        default=1.0, description="time until a checked frame is there, beyond its exposure"
+        default=1.0, description="longest time until a checked frame is stored, beyond its exposure"
     )
     lamp_drift_rel: RelativeUncertainty = Field(
         default=0.01, description="change of the lamp from the first to the last round of white frames"
@@ -88,20 +90,22 @@ class CheckPlan(Record):
     schema_version: ClassVar[int] = 3
 
     kind: Literal["check"] = "check"
-    check_name: str = Field(description="names the folder of the report")
-    filters: tuple[str, ...] | None = Field(default=None, description="names to be checked; all of the rig if left out")
+    check_name: str = Field(description="name of the check, and of the report's folder")
+    filters: tuple[str, ...] | None = Field(
+        default=None, description="names of the filters to check; all of the rig if left out"
+    )
     region: RegionOfInterest = Field(description="evenly lit part of the white tile")
     target_fraction: Annotated[float, Field(gt=0.1, lt=0.95)] = Field(
         default=0.7, description="brightest pixel of the region as a fraction of full scale"
     )
     wheel_moves: Annotated[int, Field(ge=0, le=1000)] = Field(default=20, description="random moves")
     revisits: Annotated[int, Field(ge=0, le=100)] = Field(
-        default=20, description="times that the wheel leaves its brightest filter and comes back"
+        default=20, description="how often the wheel leaves its brightest filter and comes back"
     )
     darks_per_exposure: Annotated[int, Field(ge=2, le=100)] = 6
     longest_dark_s: ExposureS = Field(default=1.0, description="exposure of the longest dark frames")
     exposure_rounds: Annotated[int, Field(ge=4, le=100)] = Field(
-        default=6, description="times that each of the exposures t, 2 t and 4 t is taken"
+        default=6, description="how often each of the exposures t, 2 t and 4 t is taken"
     )
     warm_up_s: Annotated[float, Field(ge=0.0, le=7200.0, json_schema_extra={"unit": "s"})] = Field(
         default=180.0, description="how long the lamp is watched after it is switched on; 0: not at all"
@@ -127,7 +131,7 @@ class Handshake(Model):
     """What a device said of itself, and how long each asking took."""
 
     role: Literal["camera", "filter wheel", "laser", "lamp"]
-    driver: str = Field(description="as the rig file names it")
+    driver: str = Field(description="name of the driver in the rig file")
     identity: DeviceIdentity | None
     durations_s: tuple[DurationS, ...]
     error: str | None = None
@@ -176,7 +180,7 @@ class DarkFrames(Model):
 class ExposureLevel(Model):
     """White frames of one exposure time and dark frames of the same, reduced to the region."""
 
-    exposure_s: ExposureS = Field(description="as the camera reads it back")
+    exposure_s: ExposureS = Field(description="exposure as the camera reads it back")
     white_dn: tuple[float, ...] = Field(min_length=4)
     dark_dn: tuple[float, ...] = Field(min_length=4)
 
@@ -251,7 +255,9 @@ class CheckFacts(Model):
     revisit_filter: str | None = None
     revisits: tuple[Revisit, ...] = ()
     levels: tuple[ExposureLevel, ...] = ()
-    white_span_s: DurationS = Field(default=0.0, description="from the first to the last white frame of the levels")
+    white_span_s: DurationS = Field(
+        default=0.0, description="time from the first to the last white frame of the levels"
+    )
     frame_overheads_s: tuple[DurationS, ...] = Field(
         default=(), description="time of each frame of the levels beyond its exposure"
     )
@@ -259,9 +265,9 @@ class CheckFacts(Model):
     stray_light: StrayLight | None = None
     latency: TriggerLatency | None = None
     reconnect_s: DurationS | None = Field(
-        default=None, description="from all devices closed to the last answer after they were opened again"
+        default=None, description="time from closing all devices to the last answer after they were opened again"
     )
-    reconnected: tuple[DeviceIdentity, ...] = Field(default=(), description="what they then said of themselves")
+    reconnected: tuple[DeviceIdentity, ...] = Field(default=(), description="identity that the devices then reported")
     light_off: tuple[LightOff, ...] = ()
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 

@@ -109,14 +109,15 @@ class ErrorRow(Model):
     candidate: Literal["do nothing", "simulation", "floor"]
     skill: Interval = Field(
         description="1 - squared error relative to that of the no-contact image; the true one is at most 1, but an "
-        "estimate and its interval may lie above it: the noise is taken out, and what is left scatters to both sides. "
-        "An interval altogether above 1 means that model and noise disagree: less is left than noise explains"
+        "estimate and its interval may lie above it, because noise is subtracted and the remainder scatters "
+        "to both sides. An interval that lies entirely above 1 means that model and noise disagree: the "
+        "remaining error is smaller than the noise explains"
     )
     skill_per_channel: tuple[float | None, float | None, float | None] = Field(
         description="None where contact does not change the channel"
     )
     relative_rms: tuple[Interval, Interval, Interval] | None = Field(
-        description="per channel; None where values are not linear light"
+        description="RMS error of each channel; None where values are not linear light"
     )
     difference_gradient_rms_per_px: Interval | None = Field(
         default=None,
@@ -126,10 +127,16 @@ class ErrorRow(Model):
         default=None, description="RMS error of R and G over R + G + B; None where noise hides them"
     )
     ms_ssim: float | None = Field(default=None, description="multi-scale SSIM of the frame; None in small images")
-    ciede2000_mean: float | None = Field(default=None, description="as displayed, mean over the region")
-    ciede2000_p95: float | None = Field(default=None, description="as displayed, 95th percentile over the region")
-    flip_mean: float | None = Field(default=None, description="as displayed, mean over the headline region")
-    psnr_db: float | None = Field(description="None for identical images")
+    ciede2000_mean: float | None = Field(
+        default=None, description="colour difference of the displayed images, mean over the region"
+    )
+    ciede2000_p95: float | None = Field(
+        default=None, description="colour difference of the displayed images, 95th percentile over the region"
+    )
+    flip_mean: float | None = Field(
+        default=None, description="difference of the displayed images, mean over the headline region"
+    )
+    psnr_db: float | None = Field(description="peak signal-to-noise ratio; None for identical images")
     ssim: float | None = Field(
         description="mean of the SSIM map over the region; for comparison with papers; None without a complete window"
     )
@@ -164,7 +171,7 @@ class SensingError(Model):
     normal_map: str
     presses: int
     held_out_explained_rel: Interval = Field(
-        description="median, least and greatest over random halves of the presses; no 95 % interval"
+        description="median, least and greatest over random halves of the presses; this is not a 95 % interval"
     )
     outside_share_simulated: float
     outside_share_captured: float
@@ -181,7 +188,7 @@ class MetricRow(Model):
 
     candidate: Literal["do nothing", "simulation", "floor"]
     value: Interval = Field(
-        description="of the simulation over draws of its uncertain inputs, where there are; else without width"
+        description="value of the simulation over draws of its uncertain inputs; without width where there are none"
     )
 
 
@@ -189,11 +196,13 @@ class PackagedMetric(Model):
     """A metric that another package brings, over the headline region."""
 
     name: str
-    package: str = Field(description="that brings it, with its version")
+    package: str = Field(description="package that provides it, with its version")
     unit: str = Field(description="1: a pure number")
     better: Literal["higher", "lower"]
-    words: str = Field(description="what it is, in the words of its package")
-    draws: Annotated[int, Field(ge=0)] = Field(description="of the inputs, behind the simulation's interval; 0: none")
+    words: str = Field(description="what the metric is, in the words of its package")
+    draws: Annotated[int, Field(ge=0)] = Field(
+        description="number of draws of the inputs behind the simulation's interval; 0: none"
+    )
     rows: tuple[MetricRow, ...]
 
 
@@ -244,8 +253,8 @@ class FittedToneCurve(Model):
     images cannot be known, nor an exponent apart from an error of the render's contrast.
     """
 
-    exponent: Interval = Field(description="p; 0.45 is sRGB, 1 linear")
-    offset_dn: Interval = Field(description="b, above the recorded black level")
+    exponent: Interval = Field(description="exponent p; 0.45 is sRGB, 1 linear")
+    offset_dn: Interval = Field(description="offset b above the recorded black level")
     white_balance: tuple[Interval, Interval, Interval] = Field(
         description="scale of red, green and blue in linear light, relative to green"
     )
@@ -254,8 +263,8 @@ class FittedToneCurve(Model):
     )
     skill_u: NotNegative = Field(description="standard uncertainty of the headline skill from curve and gains alone")
     outside_share: Fraction = Field(
-        description="pixels of the headline region whose level does not occur without contact: there the curve is "
-        "a guess"
+        description="share of the pixels of the headline region whose level does not occur without contact: there the "
+        "curve is an extrapolation"
     )
     log_light: Annotated[NDArray[np.float64], ArraySpec("<f8", ("block", "3"))] = Field(
         description="logarithm of the render's level, relative to the mean of its channel"
@@ -344,9 +353,9 @@ class PhotometricErrorReport(Record):
     interval_covers: str = Field(description="what the intervals cover, in plain words")
     interval_over: Literal["inputs", "pixels of this press"] | None = Field(
         default=None,
-        description="inputs: the interval holds 95 % of what the inputs leave open; pixels of this press: it is only "
-        "the spread over parts of the region and says nothing about another press; None: not known (an "
-        "older version)",
+        description="inputs: the interval holds 95 % of what the inputs leave open; pixels of this press: it "
+        "is only the spread over parts of the region and does not apply to another press; None: not "
+        "known (an older version)",
     )
     contact_signal: NotNegative | None = Field(
         default=None,
@@ -354,7 +363,7 @@ class PhotometricErrorReport(Record):
         "no-contact level (encoded values: of full scale) times pixels; None: not known (an older version)",
     )
     attribution: ErrorAttribution | None = Field(
-        default=None, description="None where the causes cannot be separated, or were not asked for"
+        default=None, description="None where the causes cannot be separated, or were not requested"
     )
     monte_carlo: MonteCarlo | None = Field(default=None, description="None where no input has a known uncertainty")
     budget: tuple[InputUncertainty, ...] = ()
@@ -375,7 +384,7 @@ class PhotometricErrorReport(Record):
     withheld: tuple[str, ...] = Field(default=(), description="figures that are not given, and why")
     notes: tuple[str, ...] = ()
     packaged_metrics: tuple[PackagedMetric, ...] = Field(
-        default=(), description="of other packages, as they were asked for"
+        default=(), description="metrics of other packages that were requested"
     )
 
 
@@ -453,7 +462,9 @@ class ComparisonBatch(Record):
     simulators: tuple[SimulatorScore, ...] = Field(default=(), description="the best first")
     differences: tuple[SkillDifference, ...] = Field(default=(), description="difference of every two simulators")
     worst: tuple[str, ...] = Field(default=(), description="names of the pairs of lowest skill, the lowest first")
-    to_capture_next: tuple[str, ...] = Field(default=(), description="which captures would make the scores surer")
+    to_capture_next: tuple[str, ...] = Field(
+        default=(), description="which captures would make the scores more certain"
+    )
     notes: tuple[str, ...] = ()
 
 
@@ -500,8 +511,8 @@ class ForceRow(Model):
 
     candidate: Literal["do nothing", "simulation"]
     rms_rel: ForceEstimate = Field(
-        description="root mean square of the error over that of the measured force, noise taken out of both; the "
-        "interval holds the model's own error, whatever the inputs really are"
+        description="root mean square of the error over that of the measured force, with noise removed from both; the "
+        "interval includes the model's own error"
     )
 
 
@@ -557,7 +568,7 @@ PerForce = NDArray[np.float64]
 class FittedModulus(Model):
     """A modulus, or a ratio of two, before and after force curves were seen."""
 
-    field: str = Field(description="of a finger's design; of a list of constants, their sum")
+    field: str = Field(description="field of the finger's design; for a list of constants, their sum")
     unit: str
     prior: Estimate = Field(description="without the curves")
     posterior: Estimate
@@ -565,7 +576,8 @@ class FittedModulus(Model):
         description="width of the middle 68 % of its logarithm after the curves over that before"
     )
     verdict: MaterialVerdict = Field(
-        description="by what is left of the prior: below a quarter and known to 15 %, below 0.8, or more"
+        description="verdict by the share of the prior's width that is left: below a quarter and known to 15 %, below "
+        "0.8, or more"
     )
 
 
@@ -580,11 +592,11 @@ class FittedForceCurve(Model):
         description="median over the posterior, with the load cell's zero and drift"
     )
     low95_n: Annotated[PerForce, ArraySpec("<f8", ("point",), "N")] = Field(
-        description="of a point measured again: with the noise"
+        description="95 % limits of a point that is measured again, with the noise"
     )
     high95_n: Annotated[PerForce, ArraySpec("<f8", ("point",), "N")]
     first_touch_mm: Estimate = Field(description="displacement at which the plate or indenter touches")
-    noise_n: Estimate = Field(description="standard deviation of a point beside its stated uncertainty")
+    noise_n: Estimate = Field(description="standard deviation of a point, in addition to its stated uncertainty")
     scale_ln: Estimate = Field(description="logarithm of the factor by which the computed force is wrong")
     residual_rms_n: NotNegative
 
@@ -603,10 +615,10 @@ class MaterialFit(Record):
     name: str
     moduli: tuple[FittedModulus, ...]
     draws: Annotated[PerForce, ArraySpec("<f8", ("draw", "modulus"))] = Field(
-        description="of the posterior, columns in the order of moduli, each in its unit"
+        description="draws of the posterior; columns in the order of moduli, each in its unit"
     )
     bulk_modulus_mpa: Estimate = Field(
-        description="K of the gel, which a confined block tells although neither of its two factors is told apart"
+        description="K of the gel; a confined block determines it, although not its two factors separately"
     )
     curves: tuple[FittedForceCurve, ...]
     effective_samples: Annotated[float, Field(gt=0.0)]

@@ -129,8 +129,8 @@ class DonaldsonMatrix(Model):
         wanted = (len(self.emission_nm), len(self.excitation_nm))
         if self.radiance_factor_per_nm.shape != wanted:
             raise ValueError(
-                f"radiance_factor_per_nm has shape {self.radiance_factor_per_nm.shape}, wanted emission x "
-                f"excitation = {wanted}"
+                f"radiance_factor_per_nm has shape {self.radiance_factor_per_nm.shape}, but must have "
+                f"emission x excitation = {wanted}"
             )
         return self
 

@@ -43,7 +43,7 @@ class DecidingCapture(Model):
     light_angle_deg: AngleDeg
     light_angle_uncertainty_deg: Annotated[float, Field(ge=0.0, le=90.0)]
     error_rel: float = Field(
-        description="simulated over captured objective, minus one; of absolute ratios without the scale of the rig"
+        description="simulated over captured objective, minus one; for absolute ratios without the scale of the rig"
     )
     error_u_rel: float = Field(description="standard uncertainty of the error, with that of the angle")
     value: float
@@ -58,7 +58,9 @@ class AngleProposal(Model):
         description="expected increase of the best expected objective by this observation, relative to that objective"
     )
     noise_rel: float = Field(description="assumed standard uncertainty of the observation, relative")
-    position_mm: float | None = Field(default=None, description="where to touch the pad; None: where the sweep does")
+    position_mm: float | None = Field(
+        default=None, description="where to touch the pad; None: at the place of the sweep"
+    )
 
 
 class OtherObjective(Model):
@@ -67,9 +69,9 @@ class OtherObjective(Model):
     name: str
     best_deg: AngleDeg = Field(description="where this objective has its optimum")
     loss_rel: float = Field(description="mean loss at the decided angle, relative to that optimum")
-    loss_90_rel: tuple[float, float] = Field(description="its 5 % and 95 % quantiles")
+    loss_90_rel: tuple[float, float] = Field(description="5 % and 95 % quantiles of that loss")
     disagrees: bool | None = Field(
-        description="whether it exceeds the tolerance with 95 % probability; None: cannot be determined"
+        description="whether the loss exceeds the tolerance with 95 % probability; None: cannot be determined"
     )
     cost_rel: float | None = Field(
         default=None,
@@ -175,7 +177,7 @@ class DesignParameter(Model):
     low: float
     high: float
     is_whole: bool = Field(default=False, description="whole numbers only, such as a number of ribs")
-    start: float = Field(description="value in the design that was given")
+    start: float = Field(description="value in the starting design")
 
 
 class EvaluatedDesign(Record):
@@ -188,7 +190,7 @@ class EvaluatedDesign(Record):
     key: str = Field(description="SHA-256 of what the numbers were computed from")
     values: dict[str, float] = Field(description="objective -> its number; empty where it failed")
     failure: str = Field(default="", description="why the design could not be evaluated")
-    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time that it took")
+    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time of the evaluation")
     design: FingerDesign
 
 
@@ -199,7 +201,9 @@ class OptimisedDesign(Model):
     """One design of a search."""
 
     number: Annotated[int, Field(ge=1)]
-    role: DesignRole = Field(description="as given; computed in the screening; proposed by the emulator; recommended")
+    role: DesignRole = Field(
+        description="origin of the design: as given; computed in the screening; proposed by the emulator; recommended"
+    )
     changes: dict[str, float] = Field(description="parameter -> its value")
     values: dict[str, float] = Field(description="objective -> its number, as computed; empty where it failed")
     failure: str = ""
@@ -232,7 +236,7 @@ class DesignGain(Model):
     )
     confirmed_95_rel: tuple[float, float] | None = Field(default=None, description="Student's t over these seeds")
     shrinkage_rel: float | None = Field(
-        default=None, description="gain in the search minus the confirmed one: what was luck of the search"
+        default=None, description="gain in the search minus the confirmed one: the part that was chance"
     )
 
 
@@ -258,7 +262,7 @@ class DesignOptimum(Record):
     sentence: str
     objectives: tuple[DesignObjective, ...] = Field(min_length=1)
     parameters: tuple[DesignParameter, ...] = Field(min_length=1)
-    designs: tuple[OptimisedDesign, ...] = Field(min_length=1, description="all that were computed, in order")
+    designs: tuple[OptimisedDesign, ...] = Field(min_length=1, description="all designs that were computed, in order")
     chosen: Annotated[int, Field(ge=1)] = Field(description="number of the recommended design")
     screen_best: Annotated[int, Field(ge=1)] = Field(description="number of the best design of the screen, as computed")
     gains: tuple[DesignGain, ...]
@@ -312,18 +316,23 @@ class PaintChoice(Record):
     @model_validator(mode="after")
     def _one_row_a_pair(self) -> "PaintChoice":
         if len(self.normal_error_draws_deg) != len(self.pairs):
-            raise ValueError(f"{len(self.normal_error_draws_deg)} rows of draws for {len(self.pairs)} pairs")
+            raise ValueError(f"there are {len(self.normal_error_draws_deg)} rows of draws, but {len(self.pairs)} pairs")
         return self
 
 
 class ToleranceSide(Model):
     """How far one number may leave its value to one side, everything else as designed."""
 
-    limit: float | None = Field(description="distance at which the error has grown by what is allowed; null: not found")
+    limit: float | None = Field(
+        description="distance at which the error has grown by the allowed share; null: not found"
+    )
     low95: float | None = None
     high95: float | None = None
-    tried: float = Field(description="farthest distance that was evaluated")
-    ended_by: str = Field(default="", description="why no farther distance was evaluated: what the design refused")
+    tried: float = Field(description="largest distance that was evaluated")
+    ended_by: str = Field(
+        default="",
+        description="why no larger distance was evaluated: the reason for which the design could not be built",
+    )
     checked_loss_rel: float | None = Field(
         default=None, description="growth of the error at the limit, with other paths, draws and noise"
     )
@@ -343,13 +352,15 @@ class ToleranceRow(Model):
     field: str
     unit: str
     nominal: float
-    given: Annotated[float, Field(gt=0.0)] = Field(description="half-range that was given for it")
+    given: Annotated[float, Field(gt=0.0)] = Field(description="half-range that was given for the number")
     origin: str = Field(description="where the half-range comes from")
     less: ToleranceSide
     more: ToleranceSide
     first: VarianceShare = Field(description="share of the variance that this number causes alone")
     total: VarianceShare = Field(description="share of the variance that would vanish if this number did not vary")
-    is_distinguishable: bool = Field(description="whether the total share is above what the emulator does not explain")
+    is_distinguishable: bool = Field(
+        description="whether the total share exceeds the share that the emulator does not explain"
+    )
 
 
 class FingerTolerances(Record):
@@ -370,17 +381,17 @@ class FingerTolerances(Record):
     contact_places_mm: tuple[float, ...] = Field(description="middles of the contacts along the pad")
     rows: tuple[ToleranceRow, ...] = Field(min_length=1)
     together_factor: float | None = Field(
-        description="largest factor on all half-ranges at which 95 % of the fingers stay within what is allowed; "
-        "null: beyond the box"
+        description="largest factor on all half-ranges at which 95 % of the fingers stay within the allowed growth; "
+        "null: beyond the emulated box"
     )
     together_low95: float | None = None
     together_high95: float | None = None
     within_given_share: Fraction = Field(
-        description="share of the fingers that stay within what is allowed when all numbers vary within the given "
+        description="share of the fingers that stay within the allowed growth when all numbers vary within the given "
         "half-ranges"
     )
     checked_within: Annotated[int, Field(ge=0)] = Field(
-        description="share of fingers within what is allowed at this factor, of fingers that were evaluated "
+        description="share of fingers within the allowed growth at this factor, among fingers that were evaluated "
         "directly with other paths"
     )
     checked_fingers: Annotated[int, Field(ge=0)]
@@ -391,7 +402,9 @@ class FingerTolerances(Record):
     noise_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="standard deviation of a growth by its random numbers"
     )
-    inputs: Annotated[Floats, ArraySpec("<f8", ("run", "input"))] = Field(description="-1 to 1 of the emulated box")
+    inputs: Annotated[Floats, ArraySpec("<f8", ("run", "input"))] = Field(
+        description="inputs of each run, from -1 to 1 over the emulated box"
+    )
     losses_rel: Annotated[Floats, ArraySpec("<f8", ("run",))] = Field(description="growth of the error of each run")
     design: FingerDesign
     paints: dict[str, str] = Field(description="colour -> SHA-256 of the calibration")
@@ -407,14 +420,14 @@ class FingerTolerances(Record):
 class LightPowerRow(Model):
     """One light and the power that lights the coat most evenly."""
 
-    field: str = Field(description="where its power stands in the design")
-    light: str = Field(description="which one it is, in words")
+    field: str = Field(description="field of its power in the design")
+    light: str = Field(description="the light in words")
     now_rel: Annotated[float, Field(gt=0.0)] = Field(description="power_rel of the design")
     least_rel: Annotated[float, Field(ge=0.0)]
     most_rel: Annotated[float, Field(gt=0.0)]
     power_rel: Annotated[float, Field(ge=0.0)] = Field(description="recommended")
     optimum_rel: Estimate = Field(description="the most even power by draws of paths and paints")
-    share_now: Fraction = Field(description="of the light that all lights emit now")
+    share_now: Fraction = Field(description="share of the light that all lights emit now")
 
 
 class NormalErrorChange(Model):
@@ -422,7 +435,7 @@ class NormalErrorChange(Model):
 
     now_deg: Annotated[float, Field(gt=0.0)]
     recommended_deg: Annotated[float, Field(gt=0.0)]
-    change_rel: float = Field(description="recommended over now, less 1; by the same draws")
+    change_rel: float = Field(description="change with the recommended powers, relative to now, by the same draws")
     low95_rel: float
     high95_rel: float
 
@@ -435,8 +448,8 @@ class LightPlaceMap(Model):
     first: Annotated[Floats, ArraySpec("<f8", ("first",))]
     second: Annotated[Floats, ArraySpec("<f8", ("second",))]
     normal_error_deg: Annotated[Floats, ArraySpec("<f8", ("first", "second"), "deg", allow_nan=True)] = Field(
-        description="expected error of the sensed normal, what is not seen counts as not tilted; none where the finger "
-        "cannot be built"
+        description="expected error of the sensed normal; places that are not seen count as not tilted; none where the "
+        "finger cannot be built"
     )
     above_best_u_deg: Annotated[Floats, ArraySpec("<f8", ("first", "second"), "deg", allow_nan=True)] = Field(
         description="standard uncertainty of the difference to the best, by paths, paints and noise"
@@ -466,20 +479,30 @@ class LightPowers(Record):
     variation_now_rel: Estimate = Field(
         description="standard deviation over the places of the brightness over its mean, now"
     )
-    variation_rel: Estimate = Field(description="the same with the recommended powers")
-    gain_rel: Estimate = Field(description="by which share the variation falls")
+    variation_rel: Estimate = Field(
+        description="standard deviation over the places of the brightness over its mean, with the recommended powers"
+    )
+    gain_rel: Estimate = Field(description="share by which the variation falls")
     gap_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="no allowed powers are more even by a larger share than this, on this basis"
     )
     brightness_rel: Annotated[float, Field(gt=0.0)] = Field(description="mean brightness over that of now")
-    normal_error: NormalErrorChange | None = Field(default=None, description="none where it is not evaluated")
+    normal_error: NormalErrorChange | None = Field(
+        default=None, description="error of the normal; none where it is not evaluated"
+    )
     at_rest: Annotated[int, Field(ge=1)] = Field(description="rows of the basis that are at rest; others are touched")
-    places_mm: Annotated[Floats, ArraySpec("<f8", ("row", "2"), "mm")] = Field(description="x, z on the pad")
+    places_mm: Annotated[Floats, ArraySpec("<f8", ("row", "2"), "mm")] = Field(
+        description="x and z of each place on the pad"
+    )
     basis: Annotated[Floats, ArraySpec("<f8", ("light", "row"))] = Field(
         description="brightness by each light at its power of now; the mean of all together is 1 in each state"
     )
-    basis_u: Annotated[Floats, ArraySpec("<f8", ("light", "row"))] = Field(description="standard uncertainty by paths")
-    power_draws: Annotated[Floats, ArraySpec("<f8", ("draw", "light"))] = Field(description="factors on those of now")
+    basis_u: Annotated[Floats, ArraySpec("<f8", ("light", "row"))] = Field(
+        description="standard uncertainty of the basis from the noise of the paths"
+    )
+    power_draws: Annotated[Floats, ArraySpec("<f8", ("draw", "light"))] = Field(
+        description="draws of the most even powers, as factors of the present ones"
+    )
     map: LightPlaceMap | None = None
     design: FingerDesign | None = Field(default=None, description="the finger as it is now")
     sensor: PlainSensor | None = Field(default=None, description="the classic sensor as it is now")
@@ -488,9 +511,11 @@ class LightPowers(Record):
     @model_validator(mode="after")
     def _one_row_a_light(self) -> "LightPowers":
         if len(self.basis) != len(self.rows):
-            raise ValueError(f"a basis of {len(self.basis)} lights for {len(self.rows)} rows")
+            raise ValueError(f"the basis has {len(self.basis)} lights, but there are {len(self.rows)} rows")
         if (self.design is None) == (self.sensor is None):
-            raise ValueError("light powers are of a finger (design) or of a classic sensor (sensor), of one of them")
+            raise ValueError(
+                "light powers belong either to a finger (design) or to a classic sensor (sensor); give one of them"
+            )
         check_dimensions(self)
         return self
 

@@ -262,7 +262,10 @@ _PARTS: Final = (
 class FingerIdentity(Model):
     """A finger with its indenter, without the angle of its light and the depth of the press."""
 
-    version: int = Field(default=1, description="version of what is hashed; parts of two versions cannot be compared")
+    version: int = Field(
+        default=1,
+        description="version of the rules for hashing; parts that were hashed by different versions cannot be compared",
+    )
     name: str
     depth_mm: float = Field(description="depth of the press; another depth is another press of the same finger")
     parts: dict[str, str] = Field(description="part of the design -> SHA-256 of its values")

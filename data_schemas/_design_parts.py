@@ -48,7 +48,7 @@ class FromPackage(Model):
 
     def _idle_here(self, name: str) -> dict[str, str]:
         """Return the fields that only what another package brings has."""
-        why = f'it is of what another package brings, not of "{name}"; leave it out'
+        why = f'it belongs to what another package provides, not to "{name}"; leave it out'
         return dict.fromkeys(("parameters", "package"), why)
 
 
@@ -91,7 +91,7 @@ class GelPad(FromPackage):
         needs = {"cylindrical": "radius_mm", "ellipsoidal": "semi_axes_mm"}
         for shape, name in needs.items():
             if (getattr(self, name) is not None) != (self.shape == shape):
-                state = "missing" if self.shape == shape else f"given for a {self.shape} pad"
+                state = "missing" if self.shape == shape else f"given, although the pad is {self.shape}"
                 raise ValueError(f'{name} is {state}; it belongs to shape = "{shape}" and only to that')
         half_width, half_length = self.width_mm / 2.0, self.length_mm / 2.0
         if self.radius_mm is not None and self.radius_mm <= half_width:
@@ -199,14 +199,16 @@ class PathPose(Model):
     normal, z along it. From one pose to the next, moves and rotation vectors change linearly.
     """
 
-    across_mm: MoveMm = Field(default=0.0, description="x, across the pad")
-    push_mm: MoveMm = Field(default=0.0, description="into the pad, along its normal; below 0 it has left the coat")
-    along_mm: MoveMm = Field(default=0.0, description="z, along the pad from its base")
+    across_mm: MoveMm = Field(default=0.0, description="move along x, across the pad")
+    push_mm: MoveMm = Field(
+        default=0.0, description="push into the pad, along its normal; below 0 the indenter has left the coat"
+    )
+    along_mm: MoveMm = Field(default=0.0, description="move along z, along the pad from its base")
     turn_x_deg: TurnDeg = 0.0
-    turn_y_deg: TurnDeg = Field(default=0.0, description="a twist about the pad's normal")
+    turn_y_deg: TurnDeg = Field(default=0.0, description="turn about the pad's normal")
     turn_z_deg: TurnDeg = 0.0
     increments: Annotated[int, Field(ge=1, le=MOST_INCREMENTS)] | None = Field(
-        default=None, description="equal steps on the way to this pose; none: as many as the command has"
+        default=None, description="number of equal steps on the way to this pose; none: as many as the command takes"
     )
 
 
@@ -299,7 +301,7 @@ class Indenter(FromPackage):
         """Return the sizes of other shapes."""
         of_shapes = {"radius_mm": ("cylinder", "ball"), "edge_radius_mm": ("cuboid",)}
         return ({} if self.is_packaged else self._idle_here(self.shape)) | {
-            name: f'it is of a {" or a ".join(shapes)}, not of shape = "{self.shape}"; leave it out, or change shape'
+            name: f'it belongs to a {" or a ".join(shapes)}, not to shape = "{self.shape}"; omit it, or change shape'
             for name, shapes in of_shapes.items()
             if self.shape not in shapes
         }
@@ -359,10 +361,10 @@ class Mirror(Model):
         description="y and z where its line meets the pad's tip; by default -4.5, 70 for a pad of 70 x 35 mm, scaled",
     )
     overhang_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})] = Field(
-        default=4.0, description="how far it reaches beyond both places"
+        default=4.0, description="how far the mirror reaches beyond both places"
     )
     side_overhang_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})] = Field(
-        default=1.0, description="how far it reaches beyond the pad at each side"
+        default=1.0, description="how far the mirror reaches beyond the pad at each side"
     )
 
     @model_validator(mode="after")
@@ -428,7 +430,9 @@ class TactileCamera(Model):
         """Return the field of view where a calibration tells it."""
         if self.calibration is None:
             return {}
-        return {"field_of_view_deg": "camera.calibration states where each pixel looks; leave one of them out"}
+        return {
+            "field_of_view_deg": "camera.calibration already states where each pixel looks; leave out one of the two"
+        }
 
 
 class Enclosure(Model):
@@ -495,7 +499,9 @@ class Backing(Model):
     """Semi-rigid plate on the outer side of the back fin, against twisting."""
 
     thickness_mm: WallMm = 0.8
-    from_z_mm: PositionMm = Field(default=-5.0, description="below the hollow (about -4 mm) it joins the base plate")
+    from_z_mm: PositionMm = Field(
+        default=-5.0, description="z where the backing begins; below the hollow (about -4 mm) it joins the base plate"
+    )
     to_z_mm: PositionMm = 60.0
 
     @model_validator(mode="after")
@@ -532,15 +538,18 @@ class Skeleton(Model):
     )
     rib_count: Annotated[int, Field(ge=0, le=40)] = 6
     rib_spacing_mm: SizeMm | None = Field(
-        default=None, description="between centres, along the front fin; by default even from base to tip"
+        default=None,
+        description="distance between the ribs' centres along the front fin; by default evenly spread from base to tip",
     )
     rib_thickness_mm: WallMm = 1.2
-    rib_width_mm: WallMm = Field(default=3.0, description="across the finger, of the rib at each side of the hollow")
+    rib_width_mm: WallMm = Field(
+        default=3.0, description="width of the rib at each side of the hollow, across the finger"
+    )
     rib_angle_deg: RibAngleDeg = Field(
         default=0.0, description="angle from the pad's normal; positive when the rib rises towards its back"
     )
     mirror_thickness_mm: SheetMm = 0.15
-    backing: Backing | None = Field(default=None, description="no backing without this table")
+    backing: Backing | None = Field(default=None, description="plate on the back fin; left out: none")
 
     @model_validator(mode="after")
     def _ribs_stand_apart(self) -> "Skeleton":
@@ -557,7 +566,7 @@ class Skeleton(Model):
         """Return the fields of ribs that are not there."""
         without = {"rib_spacing_mm": 2, "rib_thickness_mm": 1, "rib_angle_deg": 1}
         return super().idle_fields() | {
-            name: f"it needs rib_count = {needed} or more, which is {self.rib_count}; leave it out, or add ribs"
+            name: f"it needs rib_count = {needed} or more, but rib_count is {self.rib_count}; leave it out, or add ribs"
             for name, needed in without.items()
             if self.rib_count < needed
         }
@@ -569,7 +578,9 @@ class Rubber(FromPackage):
     ``law`` then names it, and ``parameters`` its constants; the constants of our own law have no effect.
     """
 
-    law: str | None = Field(default=None, description="of another package, by its name; none: the law of this table")
+    law: str | None = Field(
+        default=None, description="material law of another package, by its name; none: the law of this table"
+    )
 
     @model_validator(mode="after")
     def _law_is_installed(self) -> "Rubber":
@@ -591,7 +602,7 @@ class Rubber(FromPackage):
         if self.law is None:
             return self._idle_here("its own law")
         own = set(type(self).model_fields) - set(Rubber.model_fields) - {"bulk_over_shear"}
-        return dict.fromkeys(sorted(own), f'it is of our own law, not of law = "{self.law}"; leave it out')
+        return dict.fromkeys(sorted(own), f'it belongs to the built-in law, not to law = "{self.law}"; leave it out')
 
 
 class OgdenSolid(Rubber):

@@ -69,8 +69,8 @@ class PropagatedDraws:
         """
         if self.draws.ndim != 1:
             raise RecordError(
-                f"an estimate is of one number, and the function returned arrays of shape {self.draws.shape[1:]}; take "
-                "estimate, sd, low95 and high95, which have that shape"
+                "an estimate holds one number, but the function returned arrays of shape "
+                f"{self.draws.shape[1:]}; take estimate, sd, low95 and high95, which have that shape"
             )
         low95, low68, estimate, high68, high95 = np.quantile(self.draws, [0.025, 0.16, 0.5, 0.84, 0.975])
         sd = float(self.draws.std(ddof=1))
@@ -185,7 +185,8 @@ class Reradiation(Model):
     stokes_shift_draws_nm: Annotated[Floats, ArraySpec("<f8", ("draw",), "nm")]
     measured_at_nm: tuple[WavelengthNm, ...] = Field(description="excitation lights with a measured yield")
     prior_driven: bool = Field(
-        description="True while the Stokes shift is belief: one light alone, or a standard deviation above 15 nm"
+        description="True where the Stokes shift comes from the prior: one light alone, or a standard "
+        "deviation above 15 nm"
     )
     prior: dict[str, str] = Field(description="prior of each parameter in words, with its origin")
     distinct_shapes: int = Field(ge=0, description="effective number of absorption shapes among the weighted ones")
@@ -195,7 +196,7 @@ class Reradiation(Model):
     violating_share: Fraction = Field(
         description="share of draws that emit more than is absorbed at the laser line; at other wavelengths none does"
     )
-    statement: str = Field(description="what the measurement determines and what stays belief")
+    statement: str = Field(description="what the measurement determines and what comes from the prior")
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "Reradiation":
@@ -204,8 +205,9 @@ class Reradiation(Model):
 
 
 NO_SPECTRUM = (
-    "'finray fit' found no emission in this sample, so there is no spectrum to simulate, map, compare or export. Give "
-    "the fit of a fluorescent paint; if this should be one, look at its limit and at the laser, and measure it again"
+    "'finray fit' found no emission in this sample, so there is no spectrum to simulate, map, compare or "
+    "export. Give the fit of a fluorescent paint; if this should be one, check its limit and the laser, and "
+    "measure it again"
 )
 _WHOLE_FROM_SD = 10.0
 EmissionVerdict = Literal["emission measured", "no emission"]
@@ -219,7 +221,7 @@ class EmissionDetection(Model):
         description="fitted emission over the standard deviation that it has in a sample without emission; the "
         "largest value over many shapes"
     )
-    threshold_sd: float = Field(description="size that the stated share of simulated blanks exceeds")
+    threshold_sd: float = Field(description="value of the statistic that the stated share of simulated blanks exceeds")
     blanks_above: Fraction = Field(description="share of simulated blanks with at least this statistic")
     blanks: int = Field(ge=1, description="number of simulated blanks: same rig and reflectance, no emission")
     false_alarm: Fraction = Field(description="share of blanks that the threshold calls emission")
@@ -240,8 +242,8 @@ class EmissionDetection(Model):
         """The verdict as one sentence."""
         size = f"{self.statistic_sd:.0f}" if self.statistic_sd >= _WHOLE_FROM_SD else f"{self.statistic_sd:.1f}"
         beyond = (
-            f"beyond reflected laser, leak and stray light the signal is {size} standard deviations, "
-            f"threshold {self.threshold_sd:.2g}"
+            f"beyond reflected laser, leak and stray light the signal is {size} standard deviations "
+            f"(threshold {self.threshold_sd:.2g})"
         )
         if self.yield_limit is None:
             return f"{self.verdict}: {beyond}"
@@ -259,14 +261,16 @@ class PaintWithoutEmission(Record):
 
     paint_name: str
     detection: EmissionDetection
-    reflectance_at_laser: float = Field(ge=0.0, description="from the filter at the laser line; 1 where it is lost")
+    reflectance_at_laser: float = Field(
+        ge=0.0, description="reflected share of the laser, from the filter at its line; 1 where it is lost"
+    )
     reflectance: tuple[Estimate, ...] = Field(description="reflectance at each filter under the lamp")
     optics: Optics
     usable: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("filter", "3"))]
     measured: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
     measured_sd: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
     blank: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))] = Field(
-        description="expected of a sample that reflects as much and emits nothing; 0 where not usable"
+        description="signals that are expected of a sample with this reflectance that emits nothing; 0 where not usable"
     )
     blank_sd: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))] = Field(
         description="standard deviation of the blank over noise, leaks, tolerances and calibration"
@@ -290,7 +294,8 @@ class ChainCheck(Model):
     walkers: int
     steps: int
     converged: bool = Field(
-        description="longer than 50 autocorrelation times, R-hat at most 1.01, 400 effective samples"
+        description="True where the chains are longer than 50 autocorrelation times, R-hat is at most 1.01 and "
+        "there are 400 effective samples"
     )
     acceptance_fraction: float
     autocorrelation_time: dict[str, float]
@@ -307,20 +312,22 @@ class Diagnostics(Model):
 
     method: SamplingMethod
     trusted: bool = Field(
-        description="importance sampling: Pareto k at most 0.7 and 800 effective draws; resample-move: memory at most "
-        "0.15; emcee: converged"
+        description="whether the draws meet their criteria: importance sampling, Pareto k at most 0.7 and 800 "
+        "effective draws; resample-move, memory at most 0.15; emcee, converged"
     )
     pareto_k: float | None = Field(description="shape of the weights' tail; none where it cannot be estimated")
-    effective_samples: float = Field(description="of moved draws: how many of them are distinct")
+    effective_samples: float = Field(description="for moved draws: how many of them are distinct")
     ln_evidence: float
     ln_evidence_sd: float
     maxima: tuple[float, ...] = Field(description="log posterior of the distinct maxima that were found, best first")
     memory: Fraction | None = Field(
         default=None,
-        description="of moved draws: largest correlation with what they were before the last moves (ranks of "
-        "parameters and of the density, place among the maxima)",
+        description="for moved draws: largest correlation with their state before the last moves (ranks of parameters "
+        "and of the density, place among the maxima)",
     )
-    chain: ChainCheck | None = Field(default=None, description="emcee, where it took over or was asked for as a check")
+    chain: ChainCheck | None = Field(
+        default=None, description="run of emcee, where it replaced importance sampling or was requested as a check"
+    )
 
 
 class BandResidual(Model):
@@ -380,8 +387,8 @@ class PriorSensitivity(Model):
 class PriorShare(Model):
     """How much of a reported quantity is belief from before the measurement."""
 
-    share: Fraction = Field(description="variance after over variance before the measurement, at most 1")
-    shift_sd: float = Field(description="mean after minus mean before, in standard deviations before")
+    share: Fraction = Field(description="variance after the measurement over variance before it, at most 1")
+    shift_sd: float = Field(description="shift of the mean by the measurement, in standard deviations of the prior")
 
     @property
     def mostly_prior(self) -> bool:
@@ -397,7 +404,7 @@ class SessionScatter(Model):
 
     level_rel: Estimate = Field(description="relative standard deviation of the level between sessions")
     filter_rel: Estimate = Field(
-        description="relative standard deviation of a single filter between sessions, beside that of the level"
+        description="relative standard deviation of a single filter between sessions, in addition to that of the level"
     )
     session_levels_rel: tuple[float, ...] = Field(
         min_length=2, description="level of each session relative to the common one, in the order given"
@@ -427,12 +434,12 @@ class PaintCalibration(Record):
     paint_name: str
     detection: EmissionDetection | None = Field(
         default=None,
-        description="verdict on whether there is emission, and how sure it is; none: not judged, by an older version",
+        description="verdict on whether there is emission, and its certainty; none: not judged, by an older version",
     )
     spectrum_from: str = Field(default="", description="origin of the reported spectrum; empty: the family")
     family: str = Field(description="family whose sampled parameters stand here, and with which pixels are mapped")
     family_title: str
-    family_choice: str = Field(description="why this family, and how sure that is")
+    family_choice: str = Field(description="reason for this family, and its certainty")
     discrepancy: DiscrepancySettings
     parameters: dict[str, Estimate] = Field(description="quantities of the emission, then the sampled parameters")
     paper: dict[str, Estimate]
@@ -482,7 +489,7 @@ class PaintCalibration(Record):
     usable_values: int = Field(ge=0, description="number of band values that entered the fit")
     between_sessions: SessionScatter | None = Field(
         default=None,
-        description="how the sessions differ that this fit combines; none: one session, or made by an older version",
+        description="differences between the sessions that this fit combines; none: one session, or an older version",
     )
     diagnostics: Diagnostics
     warnings: tuple[str, ...] = ()
@@ -614,7 +621,7 @@ class PaintMap(Record):
 
     paint_name: str
     family: str
-    area: RegionOfInterest = Field(description="what the maps cover, in pixels of the raw frame")
+    area: RegionOfInterest = Field(description="area of the maps, in pixels of the raw frame")
     mode_nm: MapNm
     mode_sd_nm: MapNm
     fwhm_nm: MapNm
@@ -628,21 +635,27 @@ class PaintMap(Record):
     shape_sd: PlainMap
     reflectance_at_laser: PlainMap
     reflectance_at_laser_sd: PlainMap
-    chi_square: PlainMap = Field(description="squared residuals of the bands in standard deviations, prior left out")
+    chi_square: PlainMap = Field(
+        description="sum of squared residuals of the bands in standard deviations, without the prior"
+    )
     bands_used: Annotated[NDArray[np.uint8], ArraySpec("|u1", ("row", "column"))]
     converged: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("row", "column"))]
-    region: dict[str, Estimate] = Field(description="the region's fit: centre of the prior, error common to all pixels")
+    region: dict[str, Estimate] = Field(
+        description="fit of the region: the centre of the prior, whose error all pixels share"
+    )
     prior_sd: dict[str, float] = Field(description="prior of a pixel around the region's fit")
     prior_in_words: str
     band_factor: Annotated[Floats, ArraySpec("<f8", ("filter", "3"), allow_nan=True)] = Field(
         description="region's signal over its family curve; NaN where a filter and channel is not used"
     )
     fitted_pixels: Annotated[int, Field(ge=1)]
-    unusable_pixels: Annotated[int, Field(ge=0)] = Field(description="masked, or fewer than four usable bands")
+    unusable_pixels: Annotated[int, Field(ge=0)] = Field(
+        description="number of pixels that are masked or have fewer than four usable bands"
+    )
     unconverged_pixels: Annotated[int, Field(ge=0)]
     uniformity: dict[MappedQuantity, PaintSpread]
     block_px: Annotated[int, Field(ge=2)] = Field(description="side of a block")
-    block_mode_nm: BlockMapNm = Field(description="median over a block; NaN with too few pixels")
+    block_mode_nm: BlockMapNm = Field(description="median over each block; NaN with too few pixels")
     block_mode_sd_nm: BlockMapNm
     block_energy_yield: BlockMap
     block_energy_yield_sd: BlockMap

@@ -109,7 +109,9 @@ class CameraBelow(Model):
         """Return the field of view where a calibration tells it."""
         if self.calibration is None:
             return {}
-        return {"field_of_view_deg": "camera.calibration states where each pixel looks; leave one of them out"}
+        return {
+            "field_of_view_deg": "camera.calibration already states where each pixel looks; leave out one of the two"
+        }
 
 
 class TranslucentLayer(Model):
@@ -119,9 +121,11 @@ class TranslucentLayer(Model):
     """
 
     thickness_mm: LengthMm = Field(default=1.0, description="thickness at rest, as part of the pad's thickness")
-    scattering_length_mm: LengthMm = Field(default=0.5, description="1 / S, S the scattering of Kubelka and Munk")
+    scattering_length_mm: LengthMm = Field(
+        default=0.5, description="1 / S, where S is the scattering coefficient of Kubelka and Munk"
+    )
     absorption_length_mm: Annotated[float, Field(gt=0.0, le=1e6, json_schema_extra={"unit": "mm"})] = Field(
-        default=100.0, description="1 / K, K the absorption of Kubelka and Munk"
+        default=100.0, description="1 / K, where K is the absorption coefficient of Kubelka and Munk"
     )
     backing_reflectance: Fraction = 0.03
 
@@ -165,10 +169,12 @@ class SensorCoat(Coating):
         idle = super().idle_fields()
         layer = self.translucent is not None
         if layer and self.diffuse_reflectance_rgb is not None:
-            idle["diffuse_reflectance_rgb"] = "coating.translucent has its own reflectance; leave one of them out"
+            idle["diffuse_reflectance_rgb"] = (
+                "coating.translucent already has its own reflectance; leave out one of the two"
+            )
         if layer or self.diffuse_reflectance_rgb is not None:
             other = "translucent" if layer else "diffuse_reflectance_rgb"
-            idle["diffuse_reflectance"] = f"coating.{other} states the reflectance; leave one of them out"
+            idle["diffuse_reflectance"] = f"coating.{other} already states the reflectance; leave out one of the two"
         if self.diffuse_share == 1.0:
             idle["roughness_alpha"] = "a coat of diffuse_share = 1 holds no metal; leave it out, or lower the share"
         return idle
@@ -214,7 +220,7 @@ class CoatSurface(Model):
         """Return the fields of a map where a mesh is given."""
         if not self.file.lower().endswith(".stl"):
             return {}
-        why = "it is of a height map, and an STL file holds mm in the axes of the pad; leave it out"
+        why = "it belongs to a height map, but an STL file holds mm in the axes of the pad; leave it out"
         return dict.fromkeys(("holds", "step_mm", "unit_mm", "position_mm", "across_mm"), why)
 
 
@@ -235,7 +241,7 @@ class PlainSensor(Record):
     pad: GelPad = GelPad(length_mm=20.0, width_mm=20.0, thickness_mm=4.0)
     coating: SensorCoat = SensorCoat(diffuse_share=0.8)
     gel_poisson_ratio: PoissonRatio = Field(
-        default=0.49, description="Poisson's ratio of the gel, of silicone above 0.47"
+        default=0.49, description="Poisson's ratio of the gel; silicones have more than 0.47"
     )
     walls: Literal["dark", "clear"] = Field(default="dark", description="sides of the gel: black-painted, or bare gel")
     wall_reflectance: Fraction = Field(default=0.05, description="reflectance of dark walls")
@@ -279,7 +285,7 @@ class PlainSensor(Record):
         idle = super().idle_fields()
         idle["indenter.path"] = "a classic sensor's indenter is pressed along the pad's normal, by depth_mm"
         if self.surface is not None:
-            idle["indenter"] = "[surface] and [indenter] both state the pressed shape; leave one of them out"
+            idle["indenter"] = "[surface] and [indenter] both state the pressed shape; leave out one of the two tables"
         if self.walls == "clear":
             idle["wall_reflectance"] = 'walls = "clear" have no reflectance; leave it out'
         return idle

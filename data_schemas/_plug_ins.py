@@ -26,11 +26,17 @@ EXTEND: Final = "docs/reference/extend-finray.md"
 
 Parameters = Annotated[
     dict[str, float],
-    Field(description="of what another package brings, by that package's names; numbers, with the unit in the name"),
+    Field(
+        description="parameters of what another package provides, by the names of that package; numbers, with "
+        "the unit in the name"
+    ),
 ]
 PackageName = Annotated[
     str | None,
-    Field(description="that brings it, with its version; filled in when the design is read, and then held to"),
+    Field(
+        description="package that provides it, with its version; finray fills it in when it reads the design, "
+        "and later requires that version"
+    ),
 ]
 
 
@@ -147,7 +153,7 @@ class PlugIn:
             taken = list(signature.parameters.values())[positional:]
             names = [p.name if p.default is p.empty else f"{p.name} (by default {p.default})" for p in taken]
             raise self.kind.error(
-                f"{self.label} takes the parameters {', '.join(names) or 'none'}, and the design gives "
+                f"{self.label} takes the parameters {', '.join(names) or 'none'}, but the design gives "
                 f"{', '.join(parameters) or 'none'}: correct parameters beside the name"
             ) from None
 
@@ -183,8 +189,8 @@ def find_plug_in(kind: PlugInKind, name: str, ours: Iterable[str] = ()) -> PlugI
     if not found:
         known = ", ".join([*ours, *sorted(one.label for one in offered)]) or "none"
         raise kind.error(
-            f"no installed package brings the {kind.noun} '{name}'; there are: {known}. Correct the name, or install "
-            f"the package that brings it ({kind.how_to})"
+            f"no installed package provides the {kind.noun} '{name}'; there are: {known}. Correct the name, "
+            f"or install the package that provides it ({kind.how_to})"
         )
     if len(found) > 1:
         raise kind.error(
@@ -206,8 +212,9 @@ def held_plug_in(kind: PlugInKind, name: str, source: str | None, ours: Iterable
     if source is not None and found.source != source:
         package, _, version = source.rpartition(" ")
         raise kind.error(
-            f"{kind.noun} '{name}' is that of {source} in this design, and {found.source} is installed: install that "
-            f"version (pip install {package}=={version}), or take package out of the design and compute again"
+            f"{kind.noun} '{name}' comes from {source} in this design, but {found.source} is installed: "
+            f"install that version (pip install {package}=={version}), or take package out of the design and "
+            "compute again"
         )
     return found
 
@@ -307,8 +314,8 @@ class PackagedPad:
         middle = float(drop[_CHECKED_A_SIDE // 2, _CHECKED_A_SIDE // 2])
         if abs(middle) > _CROWN_MM or drop.min() < -_CROWN_MM:
             raise self._plug_in.refusal(
-                f"has its crown elsewhere: drop_mm must be 0 mm in the middle of the pad and nowhere below that, and "
-                f"is {middle:.3g} mm there and {drop.min():.3g} mm at its least", "pad: ",
+                "has its crown at another place: drop_mm must be 0 mm in the middle of the pad and nowhere "
+                f"below that, but is {middle:.3g} mm there and {drop.min():.3g} mm at its least", "pad: ",
             )  # fmt: skip
         if drop.max() >= thickness_mm:
             at = np.unravel_index(int(drop.argmax()), drop.shape)

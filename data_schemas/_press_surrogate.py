@@ -24,7 +24,7 @@ class PressFamily(Model):
     radius_mm: Range
     position_mm: Range = Field(description="along the pad")
     across_mm: Range
-    turn_deg: Range = Field(description="of a cylinder about the pad's normal")
+    turn_deg: Range = Field(description="turn of a cylinder about the pad's normal")
     depth_mm: Range
 
     def outside(self, indenter: Indenter) -> str:
@@ -66,9 +66,11 @@ class PressFamily(Model):
 class TaughtKernel(Model):
     """Covariance exp(-d^2 / 2) + linear_rel (1 + x . y) of a Gaussian process, d by the lengths; times a variance."""
 
-    lengths: Annotated[Floats, ArraySpec("<f8", ("feature",))] = Field(description="in half widths of the family")
+    lengths: Annotated[Floats, ArraySpec("<f8", ("feature",))] = Field(
+        description="lengths of the kernel, in half widths of the family"
+    )
     linear_rel: Annotated[float, Field(ge=0.0)]
-    noise_rel: Annotated[float, Field(gt=0.0)] = Field(description="variance that is no function of the features")
+    noise_rel: Annotated[float, Field(gt=0.0)] = Field(description="variance that does not depend on the features")
     variance_rel: Annotated[float, Field(ge=0.0)]
 
 
@@ -82,7 +84,7 @@ class TaughtPress(Record):
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")]
     force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "N")]
     displacement_mm: Annotated[NDArray[np.float32], ArraySpec("<f4", ("increment", "node", "3"), "mm")]
-    sound: Annotated[int, Field(ge=0)] = Field(description="increments before parts pass through each other")
+    sound: Annotated[int, Field(ge=0)] = Field(description="number of increments before parts pass through each other")
     unreached: str = Field(description="why the push ended early; empty when it did not")
     processor_s: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "s"})]
 
@@ -104,51 +106,57 @@ class PressSurrogate(Record):
     name: str
     label: str
     preset: Preset
-    design: FingerDesign = Field(description="the finger; its indenter has no part in it")
+    design: FingerDesign = Field(description="the finger; its indenter is ignored")
     family: PressFamily
-    compliance_mm_per_n: OfForces = Field(description="displacement of the coat's nodes under forces on them, at rest")
+    compliance_mm_per_n: OfForces = Field(
+        description="displacements of the coat's nodes by forces on them, for the finger at rest"
+    )
     shapes: Annotated[NDArray[np.float32], ArraySpec("<f4", ("shape", "unknown"))] = Field(
-        description="displacements of all nodes, orthonormal"
+        description="orthonormal displacements of all nodes"
     )
     shape_compliance_mm_per_n: Annotated[NDArray[np.float32], ArraySpec("<f4", ("shape", "coat unknown"), "mm/N")]
-    shapes_rest_rel: Annotated[float, Field(ge=0.0)] = Field(description="what the shapes leave, off the coat")
-    presses: Annotated[int, Field(gt=0)] = Field(description="by finite elements that taught it")
+    shapes_rest_rel: Annotated[float, Field(ge=0.0)] = Field(
+        description="share of displacement away from the coat that the shapes do not describe"
+    )
+    presses: Annotated[int, Field(gt=0)] = Field(description="number of presses by finite elements that taught it")
     sample_press: Annotated[NDArray[np.int64], ArraySpec("<i8", ("sample",))]
     sample_features: Annotated[Floats, ArraySpec("<f8", ("sample", "feature"))]
     modes: Annotated[NDArray[np.float32], ArraySpec("<f4", ("mode", "unknown"))] = Field(
-        description="of what condensation leaves, orthonormal"
+        description="orthonormal modes of the displacement that the condensation does not describe"
     )
     amplitudes_rel: Annotated[Floats, ArraySpec("<f8", ("sample", "mode"))] = Field(
-        description="of the modes, over the push"
+        description="amplitudes of the modes, relative to the push"
     )
-    modes_rest_rel: Annotated[float, Field(ge=0.0)] = Field(description="what the modes leave of the samples")
+    modes_rest_rel: Annotated[float, Field(ge=0.0)] = Field(
+        description="share of the samples that the modes do not describe"
+    )
     force_rest_rel: Annotated[Floats, ArraySpec("<f8", ("sample", "3"))] = Field(
-        description="force that condensation leaves, over its force along the normal"
+        description="force that the condensation does not describe, relative to its force along the normal"
     )
     surface_kernel: TaughtKernel
     force_kernel: TaughtKernel
     level_share: Annotated[float, Field(gt=0.0, lt=1.0)]
     surface_bar_rel: Annotated[float, Field(gt=0.0)] = Field(
-        description="a bar over the process's standard deviation and the floor together, by presses left out, each "
-        "increment weighed by how many presses asked are nearest to it"
+        description="ratio of an error bar to the standard deviation of the process plus the floor, from presses that "
+        "were left out, where each increment has the weight of the part of the family that is nearest to it"
     )
     surface_floor_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="the one of some shares of the median standard deviation of presses left out whose bars are "
-        "narrowest for presses all over the family"
+        description="floor of the standard deviation: a share of its median over left-out presses, chosen so that the "
+        "bars are narrowest over the family"
     )
     force_bar_rel: Annotated[float, Field(gt=0.0)]
     force_floor_rel: Annotated[float, Field(ge=0.0)]
     left_out_surface_rel: Annotated[Floats, ArraySpec("<f8", ("sample",))] = Field(
-        description="error of the coat, taught without the sample's press, over its own displacement"
+        description="error of the coat when the sample's press does not teach, relative to its displacement"
     )
     left_out_force_rel: Annotated[Floats, ArraySpec("<f8", ("sample",))]
     crossed_features: Annotated[Floats, ArraySpec("<f8", ("crossed", "feature"))] | None = Field(
         default=None,
-        description="of increments whose parts pass through each other, or that found no balance: near them no answer; "
-        "None without any",
+        description="features of increments whose parts pass through each other or that found no equilibrium, "
+        "near which the surrogate does not answer; None if there are none",
     )
     processor_s: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "s"})] = Field(
-        description="processor time that teaching took"
+        description="processor time of the teaching"
     )
 
     @model_validator(mode="after")

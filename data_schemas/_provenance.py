@@ -37,7 +37,7 @@ class Provenance(BaseModel):
     package_version: str
     git_commit: str | None = Field(description="commit of the source tree, if it was run from one")
     git_dirty: bool | None = Field(
-        default=None, description="whether the sources differed from that commit; none where that is not known"
+        default=None, description="whether the source code differed from that commit; none where that is not known"
     )
     python_version: str
     input_sha256: dict[str, str] = Field(description="name of each input file -> SHA-256 of its bytes")

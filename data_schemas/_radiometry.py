@@ -70,8 +70,8 @@ class Bleaching(Model):
     sd_per_j: Annotated[float, Field(ge=0.0)]
     dose_span_j: EnergyJ = Field(description="dose between the first frames and their repeat")
     resolved: bool = Field(
-        description="the loss exceeds three standard deviations and was corrected (to the dose of the first laser "
-        "frame); otherwise nothing was corrected and the trend is part of the covariance"
+        description="whether the loss exceeds three standard deviations; if so, it was corrected (to the dose of the "
+        "first laser frame); otherwise nothing was corrected and the trend is part of the covariance"
     )
 
 
@@ -115,7 +115,9 @@ class BandSignals(Record):
     flags: tuple[tuple[Flag, Flag, Flag], ...]
     saturated_fraction: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))]
     region_pixels: Annotated[int, Field(ge=1)]
-    bleaching: Bleaching | None = Field(default=None, description="none when no filter was captured twice")
+    bleaching: Bleaching | None = Field(
+        default=None, description="fading of the sample; none when no filter was captured twice"
+    )
     tilt_ratios: tuple[TiltRatio, ...] = Field(default=(), description="test of a diffuse paint, if it was captured")
     notes: tuple[str, ...] = ()
 
@@ -124,10 +126,12 @@ class BandSignals(Record):
         n = len(self.optics.filters)
         for name in ("fluorescence", "reflectance", "saturated_fraction"):
             if getattr(self, name).shape != (n, 3):
-                raise ValueError(f"{name} has shape {getattr(self, name).shape}, wanted filters x channels = ({n}, 3)")
+                raise ValueError(
+                    f"{name} has shape {getattr(self, name).shape}, but must have filters x channels = ({n}, 3)"
+                )
         for name in ("fluorescence_covariance", "reflectance_covariance"):
             if getattr(self, name).shape != (3 * n, 3 * n):
-                raise ValueError(f"{name} has shape {getattr(self, name).shape}, wanted ({3 * n}, {3 * n})")
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, but must have ({3 * n}, {3 * n})")
         if len(self.flags) != n:
             raise ValueError(f"flags has {len(self.flags)} rows for {n} filters")
         return self
@@ -190,7 +194,7 @@ class PixelSignals(Record):
 
     paint_name: str
     optics: Optics
-    area: RegionOfInterest = Field(description="what the arrays cover, in pixels of the raw frame")
+    area: RegionOfInterest = Field(description="area of the arrays, in pixels of the raw frame")
     fluorescence: Annotated[Floats32, ArraySpec("<f4", ("filter", "row", "column"), allow_nan=True)]
     fluorescence_sd: Annotated[Floats32, ArraySpec("<f4", ("filter", "row", "column"), allow_nan=True)]
     channel: Annotated[NDArray[np.uint8], ArraySpec("|u1", ("row", "column"))] = Field(
@@ -229,7 +233,7 @@ class CameraPlan(Record):
     """Plan of a camera session (TOML): flat frames of the white tile from dark to beyond saturation, and darks."""
 
     kind: Literal["camera"] = "camera"
-    camera_name: str = Field(description="names the session's folder and the characterisation")
+    camera_name: str = Field(description="name of the camera, for the session's folder and the characterisation")
     filter_name: str | None = Field(
         default=None, description="filter in the beam; left out: none, the wheel must read that it is out of the beam"
     )
@@ -260,7 +264,7 @@ class CameraSession(Record):
     plan: CameraPlan
     rig: RigFile
     frames: tuple[Frame, ...]
-    devices: tuple[DeviceIdentity, ...] = Field(default=(), description="what the devices said they are")
+    devices: tuple[DeviceIdentity, ...] = Field(default=(), description="identity of the devices, as they report it")
     notes: tuple[str, ...] = ()
 
 
@@ -305,7 +309,7 @@ class ChannelCharacterisation(Model):
     read_noise_e: Resolvable
     read_noise_dn: Resolvable
     black_level_dn: Estimate = Field(description="mean dark count at exposure zero")
-    dark_current_e_per_s: Resolvable = Field(description="found from the mean of the dark frames")
+    dark_current_e_per_s: Resolvable = Field(description="dark current from the mean of the dark frames")
     saturation_dn: Estimate | None = Field(
         description="mean count where the variance is largest; its 95 % interval reaches to the exposures beside it; "
         "this and the next three are none when no exposure saturates"
@@ -320,18 +324,19 @@ class ChannelCharacterisation(Model):
     linearity_highest_rel: float = Field(description="most positive deviation")
     dsnu_dn: Resolvable = Field(description="dark signal non-uniformity")
     dsnu_rows_dn: Resolvable | None = Field(
-        default=None, description="its part of whole rows of the channel; none: an older version did not separate them"
+        default=None,
+        description="the part of DSNU that whole rows of the channel share; none: an older version did not separate it",
     )
-    dsnu_columns_dn: Resolvable | None = Field(default=None, description="its part of whole columns")
-    dsnu_pixels_dn: Resolvable | None = Field(default=None, description="its part of single pixels")
+    dsnu_columns_dn: Resolvable | None = Field(default=None, description="the part of DSNU that whole columns share")
+    dsnu_pixels_dn: Resolvable | None = Field(default=None, description="the part of DSNU of single pixels")
     prnu_rel: Resolvable = Field(
         description="photo response non-uniformity from pixel to pixel: second differences remove uneven light, and "
         "with it whole rows and columns"
     )
     prnu_rows_rel: Resolvable | None = Field(
-        default=None, description="the same of whole rows, from one to the next; none: not separated"
+        default=None, description="PRNU of whole rows, from one row to the next; none: not separated"
     )
-    prnu_columns_rel: Resolvable | None = Field(default=None, description="the same of whole columns")
+    prnu_columns_rel: Resolvable | None = Field(default=None, description="PRNU of whole columns")
     flat_nonuniformity_rel: Resolvable = Field(
         description="PRNU of EMVA 1288 without high-pass: sensor, lens, lamp and tile together"
     )
@@ -348,7 +353,7 @@ class CameraCharacterisation(Record):
     written_by: ClassVar[str] = "'finray radiometry'"
 
     camera_name: str
-    camera: CameraSettings = Field(description="as the rig file described it")
+    camera: CameraSettings = Field(description="settings of the camera in the rig file")
     filter_name: str | None
     channels: tuple[ChannelCharacterisation, ...] = Field(min_length=1)
     light_repeatability_rel: RelativeUncertainty = Field(

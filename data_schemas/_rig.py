@@ -111,9 +111,9 @@ BayerPattern = Literal["RGGB"]
 def _require_address(driver: str, address: str) -> None:
     """Refuse a driver without an address, and an address that nothing would use."""
     if driver in NO_ADDRESS and address:
-        raise ValueError(f"address: driver '{driver}' has none; leave it out")
+        raise ValueError(f"address: driver '{driver}' has no address; leave it out")
     if driver not in NO_ADDRESS and not address:
-        raise ValueError(f"address: driver '{driver}' needs one, such as 'finray rig detect' prints")
+        raise ValueError(f"address: driver '{driver}' needs an address; 'finray rig detect' prints it")
 
 
 class CameraSettings(Model):
@@ -483,23 +483,29 @@ class StageSettings(Model):
     pad_axis: StageAxis = Field(default="X", description="axis along the pad")
     into_pad: Literal[-1, 1] = Field(default=-1, description="sign in which the press axis moves into the pad")
     from_base: Literal[-1, 1] = Field(default=1, description="sign in which the pad axis moves away from the base")
-    base_mm: PositionMm = Field(description="where the pad axis stands with the indenter over the pad's base")
-    clear_mm: PositionMm = Field(description="where the press axis stands when nothing touches anywhere")
-    press_travel_mm: tuple[PositionMm, PositionMm] = Field(
-        description="lowest and highest place of the press axis; the one in the pad is the deepest that is asked for"
+    base_mm: PositionMm = Field(description="position of the pad axis with the indenter over the pad's base")
+    clear_mm: PositionMm = Field(
+        description="position of the press axis at which nothing touches, anywhere along the pad"
     )
-    pad_travel_mm: tuple[PositionMm, PositionMm] = Field(description="lowest and highest place of the pad axis")
+    press_travel_mm: tuple[PositionMm, PositionMm] = Field(
+        description="lowest and highest position of the press axis; the end in the pad is the deepest allowed"
+    )
+    pad_travel_mm: tuple[PositionMm, PositionMm] = Field(description="lowest and highest position of the pad axis")
     homing: Literal["switches", "by hand"] = Field(
-        description="switches: the stage finds its zero by itself; by hand: a person brings it to its zero and says so"
+        description="switches: the stage finds its zero by itself; by hand: a person brings it to its zero and "
+        "confirms it"
     )
     step_mm: StepMm = Field(
-        default=0.05, description="longest step towards the pad: what a stage that nobody can stop drives on at most"
+        default=0.05,
+        description="longest step towards the pad, and so the longest way that a stage moves on if it cannot "
+        "be stopped",
     )
-    touch_step_mm: StepMm = Field(default=0.02, description="step with which the pad is looked for")
-    press_speed_mm_per_s: SpeedMmPerS = Field(default=0.5, description="of steps towards the pad")
-    travel_speed_mm_per_s: SpeedMmPerS = Field(default=5.0, description="of moves away from it and along it")
+    touch_step_mm: StepMm = Field(default=0.02, description="step of the search for the touch")
+    press_speed_mm_per_s: SpeedMmPerS = Field(default=0.5, description="speed of steps towards the pad")
+    travel_speed_mm_per_s: SpeedMmPerS = Field(default=5.0, description="speed of moves away from the pad and along it")
     position_uncertainty_mm: Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "mm"})] = Field(
-        default=0.02, description="standard uncertainty of the way between two places: screw, backlash, lost steps"
+        default=0.02,
+        description="standard uncertainty of the distance between two positions: screw, backlash, lost steps",
     )
 
     @property
@@ -539,18 +545,18 @@ class LoadCellSettings(Model):
     driver: DriverName = "simulated"
     address: str = Field(default="", description="hx711: serial port (/dev/ttyACM0) or pyserial URL; simulated: none")
     model: str = ""
-    capacity_n: ForceN = Field(description="largest force that the cell stands")
-    force_limit_n: ForceN = Field(description="force at which the stage stops, whatever a plan says")
+    capacity_n: ForceN = Field(description="largest force that the cell can bear")
+    force_limit_n: ForceN = Field(description="force at which the stage always stops, independent of the plan")
     calibration: str = Field(
         default="load-cell.json",
         description="record that 'finray rig calibrate-cell' writes; relative to the rig file",
     )
     rate_hz: Literal[10, 80] = Field(default=80, description="readings a second, by the RATE pin of the HX711")
     silent_s: Annotated[float, Field(ge=0.05, le=2.0, json_schema_extra={"unit": "s"})] = Field(
-        default=0.5, description="the stage stops when the cell says nothing new for so long"
+        default=0.5, description="the stage stops when the cell sends no new reading for this time"
     )
     settle_s: Annotated[float, Field(ge=0.1, le=60.0, json_schema_extra={"unit": "s"})] = Field(
-        default=3.0, description="longest wait for a force to settle; what it still changes then is uncertainty"
+        default=3.0, description="longest wait for a force to settle; a change that remains then becomes uncertainty"
     )
 
     @model_validator(mode="after")
@@ -581,7 +587,7 @@ class SimulatedFinger(Model):
     """
 
     seed: Seed = 1
-    surface_mm: PositionMm = Field(default=-6.0, description="where the press axis touches the pad")
+    surface_mm: PositionMm = Field(default=-6.0, description="position at which the press axis touches the pad")
     stiffness_n_per_mm: Annotated[float, Field(gt=0.0, le=1e3)] = 1.5
     stiffening_n_per_mm2: Annotated[float, Field(ge=0.0, le=1e3)] = 0.8
     relaxing_share: Fraction = 0.05

@@ -43,7 +43,7 @@ class CameraCalibration(Model):
     distortion: tuple[Coefficient, ...] = Field(
         default=(), description="pinhole: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1..s4 [tx ty]]]]; fisheye: k1 k2 k3 k4"
     )
-    source: str = Field(description="file that the numbers come from")
+    source: str = Field(description="name of the file with the numbers")
 
     @model_validator(mode="after")
     def _coefficients_fit_the_model(self) -> "CameraCalibration":
@@ -153,7 +153,7 @@ class PixelScale(Record):
         check_dimensions(self)
         expected = 4 + len(self.calibration.distortion) + 6
         if self.covariance.shape[0] != expected:
-            raise ValueError(f"covariance: {self.covariance.shape[0]} rows, lens and place have {expected} numbers")
+            raise ValueError(f"covariance: {self.covariance.shape[0]} rows, but lens and place have {expected} numbers")
         return self
 
 
@@ -195,13 +195,13 @@ class NormalMapRecord(Record):
     )
     held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
         default=None,
-        description="for each press, by that map: sensed / true - 1 of the height from the rim to the middle",
+        description="relative error of the height from the rim to the middle, for each press, by the same maps",
     )
     held_out_level_mm: Annotated[Floats, ArraySpec("<f8", ("ring",), "mm")] | None = Field(
         default=None,
-        description="for each press with such a ring in view, by those maps: mean depth 2.5 to 3.5 radii from the "
-        "contact, where the gel is taken as flat, relative to the border of the picture; none: not "
-        "known",
+        description="mean depth, relative to the border of the picture, in a ring 2.5 to 3.5 radii from the contact, "
+        "where the gel should be flat; for each press with this ring in view, by maps that it did not teach; "
+        "none: not known",
     )
     taught_by_sha256: tuple[str, ...] = Field(
         default=(), description="SHA-256 of the contact images that taught it; none: not known"
@@ -248,7 +248,9 @@ class SensedPress(Record):
     clipped_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         description="share of the contact's pixels that are clipped"
     )
-    is_of_teaching: bool | None = Field(description="whether the press taught the map; none: the map does not state it")
+    is_of_teaching: bool | None = Field(
+        description="whether this press taught the map; none: the map does not state it"
+    )
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")
@@ -265,7 +267,7 @@ Determined = Literal[
 class FittedNumber(Model):
     """A number of a sensor before and after its pictures were seen; ``posterior`` is that of ``draws``."""
 
-    name: str = Field(description="field of the design, or of what stands beside it: picture, paint, camera, press")
+    name: str = Field(description="field of the design, or a number of the picture, the paint, the camera or a press")
     unit: str
     prior: Estimate = Field(description="value before the pictures were used, from the design")
     prior_origin: str = Field(description="where the prior's width comes from")
@@ -284,7 +286,9 @@ class LayerBrightness(Model):
 
     layer: str
     channel: Literal["red", "green", "blue"]
-    over_design_rel: Estimate = Field(description="product of gain, powers, yields and response, over the design's")
+    over_design_rel: Estimate = Field(
+        description="product of gain, powers, yields and response, relative to that of the design"
+    )
 
 
 class SensorFit(Record):
@@ -298,13 +302,13 @@ class SensorFit(Record):
     written_by: ClassVar[str] = "'finray simulate fit'"
 
     name: str
-    label: str = Field(description="how the pictures were predicted")
-    finger: FingerDesign | None = Field(default=None, description="the design that the priors are of")
-    sensor: PlainSensor | None = Field(default=None, description="the classic sensor that the priors are of")
+    label: str = Field(description="method by which the pictures were predicted")
+    finger: FingerDesign | None = Field(default=None, description="the finger's design, from which the priors come")
+    sensor: PlainSensor | None = Field(default=None, description="the classic sensor, from which the priors come")
     captures: tuple[str, ...] = Field(description="names of the captures")
     numbers: tuple[FittedNumber, ...]
     draws: Annotated[NDArray[np.float64], ArraySpec("<f8", ("draw", "number"))] = Field(
-        description="draws of the posterior, columns in the order of numbers, each in its unit"
+        description="draws of the posterior; columns in the order of numbers, each in its unit"
     )
     brightness: tuple[LayerBrightness, ...]
     not_told_apart: tuple[str, ...] = Field(
@@ -315,8 +319,10 @@ class SensorFit(Record):
         description="correlation length of the smooth error, relative to the longer side of the pad's picture; "
         "chosen, not fitted"
     )
-    independent_rel: Estimate = Field(description="error of each block by itself, beside the known noise")
-    residual_rel: Annotated[float, Field(ge=0.0)] = Field(description="rms of what is left, over the picture's mean")
+    independent_rel: Estimate = Field(description="independent error of each block, in addition to the known noise")
+    residual_rel: Annotated[float, Field(ge=0.0)] = Field(
+        description="rms of the residuals, relative to the picture's mean"
+    )
     emulator_rel: Annotated[float, Field(ge=0.0)] | None = Field(
         description="rms by which a render at the fitted numbers differs from the emulator that was fitted; it is "
         "taken out before the last fit; none: no number needs a render of its own"
@@ -329,7 +335,7 @@ class SensorFit(Record):
     def _one_draw_of_each(self) -> "SensorFit":
         check_dimensions(self)
         if self.draws.shape[1] != len(self.numbers):
-            raise ValueError(f"draws: {self.draws.shape[1]} columns, there are {len(self.numbers)} numbers")
+            raise ValueError(f"draws: {self.draws.shape[1]} columns, but there are {len(self.numbers)} numbers")
         if (self.finger is None) == (self.sensor is None):
-            raise ValueError("finger, sensor: the fit is of one of them; give one")
+            raise ValueError("finger, sensor: the fit belongs to one of them; give only one")
         return self

@@ -76,7 +76,7 @@ class PoseResponse(Model):
     """How the contact image changes with the indenter's pose: derivatives of its layers by central differences."""
 
     names: tuple[Literal["depth_mm", "position_mm"], ...]
-    steps_mm: tuple[float, ...] = Field(description="the difference was taken over twice this step")
+    steps_mm: tuple[float, ...] = Field(description="half of the interval over which the difference was taken")
     derivative: PoseLayers
     half_difference: PoseLayers = Field(description="half the difference of the derivatives of both halves")
 
@@ -168,7 +168,7 @@ class AngleObjective(Model):
     def _positive(self) -> "AngleObjective":
         least = min(float(v.min()) for v in (self.values, self.place_values) if v is not None)
         if not least > 0.0:
-            raise ValueError(f"{self.name}: values must be positive, the least is {least:g} {self.unit}")
+            raise ValueError(f"{self.name}: values must be positive, but the least is {least:g} {self.unit}")
         if (self.place_values is None) != (self.places_mm is None):
             raise ValueError(f"{self.name}: values at places and the places themselves belong together")
         check_dimensions(self)
@@ -195,7 +195,7 @@ class AngleConstraints(Model):
         description="exposure time, relative to the shortest of the sweep, that brings the coat to its level"
     )
     in_the_way: tuple[str, ...] = Field(
-        description="for each angle, the parts that the panel would pass through; empty where it fits"
+        description="for each angle, the parts that would be in the way of the panel; empty where it fits"
     )
 
     @property
@@ -265,7 +265,7 @@ class LightAngleSweep(Record):
         for objective in self.other_objectives:
             if len(objective.values) != len(self.angles_deg):
                 raise ValueError(
-                    f"{objective.name} has {len(objective.values)} angles, the sweep has {len(self.angles_deg)}"
+                    f"{objective.name} has {len(objective.values)} angles, but the sweep has {len(self.angles_deg)}"
                 )
         return self
 
@@ -279,8 +279,10 @@ PartOfEnergy = Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", 
 class VariedPress(Model):
     """The same press of a design with one number changed, or the first part of it."""
 
-    field: str = Field(description="dotted path of the number in the design; of a list, all its numbers")
-    change_rel: Annotated[float, Field(gt=-1.0, description="its change over its value in the design")]
+    field: str = Field(description="dotted path of the number in the design; for a list, all its numbers")
+    change_rel: Annotated[
+        float, Field(gt=-1.0, description="change of the number, relative to its value in the design")
+    ]
     depth_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")]
     force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
         description="force along the pad's normal"
@@ -296,7 +298,7 @@ class VariedPress(Model):
 class ForceSlope(Model):
     """Derivative of a press's force by one number of its design, at each increment."""
 
-    field: str = Field(description="dotted path of the number in the design; of a list, all its numbers together")
+    field: str = Field(description="dotted path of the number in the design; for a list, all its numbers together")
     ln_force_per_ln_number: Annotated[PerIncrement, ArraySpec("<f8", ("increment",))] = Field(
         description="d ln F / d ln x, of the force along the pad's normal"
     )
@@ -318,8 +320,8 @@ class PressSensitivities(Model):
         description="force along the pad's normal, of the unchanged design"
     )
     varied: tuple[VariedPress, ...] = Field(
-        description="whole presses with a number changed: of numbers that have no derivative, and in older versions of "
-        "all"
+        description="complete presses with a number changed: for numbers without a derivative, and in older "
+        "versions for all"
     )
     slopes: tuple[ForceSlope, ...] = ()
 
@@ -329,7 +331,7 @@ class PressSensitivities(Model):
         for slope in self.slopes:
             if len(slope.ln_force_per_ln_number) != len(self.depth_mm):
                 raise ValueError(
-                    f"{slope.field} has {len(slope.ln_force_per_ln_number)} derivatives, the press has "
+                    f"{slope.field} has {len(slope.ln_force_per_ln_number)} derivatives, but the press has "
                     f"{len(self.depth_mm)} increments"
                 )
         return self
@@ -366,7 +368,7 @@ class PressMotion(Model):
     )
     friction: Annotated[float, Field(ge=0.0, description="Coulomb's coefficient")]
     points_mm: Annotated[PerPoint, ArraySpec("<f8", ("point", "3"), "mm")] = Field(
-        description="where the points lie in the undeformed pad"
+        description="positions of the points in the undeformed pad"
     )
     point_areas_mm2: Annotated[PerPoint, ArraySpec("<f8", ("point",), "mm2")]
     pressure_mpa: Annotated[PerPoint, ArraySpec("<f8", ("increment", "point"), "MPa")] = Field(
@@ -389,17 +391,18 @@ class SurrogateBars(Model):
     """How far the answers of a taught surrogate may be from the finite elements that taught it."""
 
     level_share: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
-        description="share of answers that the bars are to hold"
+        description="share of answers whose error the bars should contain"
     )
     presses: Annotated[int, Field(gt=0)] = Field(description="that taught it")
     limit_rel: Annotated[float, Field(gt=0.0)] = Field(
-        description="a bar over the force or the surface's own displacement from which finite elements press instead"
+        description="largest error bar, relative to the force or to the surface's displacement; above it "
+        "finite elements compute the press"
     )
     force_bar_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
-        description="of the force along the pad's normal"
+        description="error bar of the force along the pad's normal"
     )
     surface_bar_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
-        description="of the root mean square over the coat's nodes of their distance from where they are"
+        description="error bar of the coat: root mean square of the distance of its nodes from their true positions"
     )
 
     @model_validator(mode="after")
@@ -461,13 +464,13 @@ class PressMechanics(Record):
     )
     design: FingerDesign
     sensitivities: PressSensitivities | None = Field(
-        default=None, description="of the force to numbers of the design; none unless asked for"
+        default=None, description="sensitivities of the force to numbers of the design; none unless they were requested"
     )
     motion: PressMotion | None = Field(
         default=None, description="motion of an indenter on a path, whose pushes need not rise; None for a plain press"
     )
     surrogate: SurrogateBars | None = Field(
-        default=None, description="of a press by a taught surrogate; None where finite elements pressed"
+        default=None, description="error bars of a press by a taught surrogate; None where finite elements computed it"
     )
     notes: tuple[str, ...] = ()
 
@@ -525,9 +528,9 @@ class FingerSurfaces(Record):
     written_by: ClassVar[str] = "'finray simulate press'"
 
     name: str
-    label: str = Field(description="where the shape comes from, for example 'at rest'")
+    label: str = Field(description="origin of the shape, for example 'at rest'")
     push_mm: float | None = Field(
-        default=None, description="how far the indenter was pushed from first touch; none where it is not known"
+        default=None, description="push of the indenter from first touch; none where it is not known"
     )
     parts: tuple[str, ...]
     vertex_counts: Counts
@@ -566,19 +569,19 @@ class ObjectGrasp(Record):
     name: str
     label: str
     preset: Preset
-    design: FingerDesign = Field(description="both fingers, and as its indenter the object")
+    design: FingerDesign = Field(description="design of both fingers; its indenter is the object")
     wanted_force_n: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "N"})] = Field(
-        description="mean of the forces that both fingers shall close with"
+        description="closing force, as the mean over both fingers"
     )
     mass_kg: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "kg"})] = Field(description="of the object")
     weight_n: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "N"})] = Field(
-        description="of the object, at standard gravity"
+        description="weight of the object, at standard gravity"
     )
     down: Literal["tip", "side", "near"] = Field(
         description="where the weight pulls: along the fingers to the tip, across them, or into the near finger"
     )
     closing_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
-        description="way of each finger since both touched the object"
+        description="distance that each finger has moved since both touched the object"
     )
     closing_force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
         description="mean of both fingers' forces along the closing"
@@ -587,19 +590,20 @@ class ObjectGrasp(Record):
         description="part of the weight that the fingers carry"
     )
     moves_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "mm")] = Field(
-        description="of the object's middle (a mesh: its origin) from where both fingers touch it"
+        description="move of the object's middle (a mesh: its origin) since both fingers touched it"
     )
     turns_deg: Annotated[PerIncrement, ArraySpec("<f8", ("increment", "3"), "deg")] = Field(
         description="rotation vector of the object about its middle"
     )
     unbalanced_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
-        description="size of the force that is left over on the object"
+        description="size of the unbalanced force on the object"
     )
     stiffness_n_per_mm: Annotated[float, Field(json_schema_extra={"unit": "N/mm"})] = Field(
         description="least resistance to a move or turn of the object at the last increment, turns at half the pad's "
-        "width; negative: squeezed out, or tips over, at a touch; 0: a way is free"
+        "width; negative: the slightest push squeezes it out or tips it over; 0: it can move freely in some "
+        "direction"
     )
-    lost: str = Field(description="why the fingers do not close or carry as wanted; empty when they do")
+    lost: str = Field(description="why the fingers did not reach the requested force or weight; empty when they did")
     notes: tuple[str, ...] = ()
 
     @model_validator(mode="after")

@@ -49,7 +49,7 @@ class LevelDifference(Model):
     band: str
     mean_ratio: float = Field(description="mean over the coat without contact, relative to the baked walls")
     block_error_rel: float
-    shape_error_rel: float = Field(description="the same with equal mean brightness (mean_ratio taken out)")
+    shape_error_rel: float = Field(description="the same error at equal mean brightness (without mean_ratio)")
     noise_rel: float = Field(description="render noise of one baked image; the differences share its random numbers")
 
 
@@ -143,7 +143,7 @@ class BrightestAngle(Model):
     angle_deg: float
     low95_deg: float
     high95_deg: float
-    loss_at_printed_rel: float = Field(description="what the printed angle costs, relative to the maximum")
+    loss_at_printed_rel: float = Field(description="loss at the paper's angle, relative to the maximum")
     loss_at_printed_low95_rel: float
     loss_at_printed_high95_rel: float
     past_90_rel: float = Field(description="value at the last angle, relative to that at 90 deg")
@@ -186,7 +186,7 @@ class StiffnessRow(Model):
 
     design: str
     changed: str = Field(description="field of the design that differs from it; empty for the design itself")
-    change_rel: float = Field(default=0.0, description="its change over its value in the design")
+    change_rel: float = Field(default=0.0, description="change of the dimension, relative to its value in the design")
     bending_n_per_mm: float | None = Field(default=None, description="force at the tip, away from the pad's side")
     sideways_n_per_mm: float | None = Field(default=None, description="force at the tip across the finger")
     pad_n_per_mm: float | None = Field(default=None, description="force under the middle of the pad, along its normal")
@@ -194,12 +194,12 @@ class StiffnessRow(Model):
     slip_torque_per_friction_n_mm: float | None = Field(
         default=None,
         description="torque about the pad's normal at which a gripped cylinder begins to turn, over Coulomb's "
-        "coefficient; of designs as they are",
+        "coefficient; only for unchanged designs",
     )
     tipping_torque_n_mm: float | None = Field(
         default=None,
-        description="torque about the finger's long axis that the gripping force alone resists; of unchanged "
-        "designs only",
+        description="torque about the finger's long axis that the gripping force alone resists; only for unchanged "
+        "designs",
     )
     grip_failure: str = Field(default="", description="why an unchanged design has no torques; otherwise empty")
     failure: str = Field(
@@ -238,7 +238,7 @@ class FingerStiffness(Record):
         default=None,
         description="force that grips a cylinder of 20 mm across the middle of the pad; None in older versions",
     )
-    share: float = Field(description="share of a dimension by which it is changed up and down")
+    share: float = Field(description="share by which each dimension is increased and decreased")
     rows: tuple[StiffnessRow, ...]
     orders: tuple[StiffnessOrder, ...]
     notes: tuple[str, ...] = ()
@@ -264,8 +264,10 @@ class BandFit(Model):
     """Posterior of a whole emission from eight filter bands in three channels, judged by the measured emission."""
 
     family: str
-    with_discrepancy: bool = Field(description="whether the paint may leave the family's curve")
-    parameters: dict[str, Estimate] = Field(description="mode_nm and fwhm_nm; of the paper's family also its own")
+    with_discrepancy: bool = Field(description="whether the paint may differ from the family's curve")
+    parameters: dict[str, Estimate] = Field(
+        description="mode_nm and fwhm_nm; for the paper's family also its own parameters"
+    )
     wavelength_nm: Annotated[Floats, ArraySpec("<f8", ("wavelength",), "nm")]
     mean_per_nm: OverEmission
     low95_per_nm: OverEmission
@@ -311,10 +313,10 @@ class PaintStandIn(Model):
     photon_yield: float = Field(description="emitted over incident photons")
     printed_patch: ColourPatch
     closest_patch: ColourPatch
-    paper_curve: CurveFit = Field(description="the paper's family, whole emission seen")
-    our_curve: CurveFit = Field(description="our default family, whole emission seen")
-    absorption_curve: CurveFit = Field(description="the paper's family, whole absorption seen")
-    paper_fit: BandFit = Field(description="emission from the filter bands, the paper's family alone")
+    paper_curve: CurveFit = Field(description="the paper's family, fitted to the whole emission")
+    our_curve: CurveFit = Field(description="our default family, fitted to the whole emission")
+    absorption_curve: CurveFit = Field(description="the paper's family, fitted to the whole absorption")
+    paper_fit: BandFit = Field(description="emission from the filter bands, by the paper's family alone")
     our_fit: BandFit = Field(description="emission from the filter bands, our default family with discrepancy")
     one_laser: Reradiation = Field(description="our absorption from the yield under the laser alone")
     several_lights: Reradiation = Field(description="our absorption from the yields under several lights")
@@ -325,7 +327,7 @@ class PaperStatement(Model):
 
     subject: str
     paper: str
-    measure: str = Field(description="what is given for each stand-in")
+    measure: str = Field(description="what the row gives for each stand-in")
     ours: dict[str, str] = Field(description="result for each material")
     verdict: StatementVerdict
     why: str
@@ -372,7 +374,7 @@ class StudyMeasure(Model):
         description="how the indenter is pressed in: by a formula, where the pad takes its shape at once, or by "
         "finite elements, which also give the force",
     )
-    increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="steps of the push")
+    increments: Annotated[int, Field(ge=1, le=100)] = Field(default=2, description="number of steps of the push")
     images: bool = Field(default=True, description="whether the press is rendered; without, only mechanics is computed")
     samples: Annotated[int, Field(ge=2, le=100_000, multiple_of=2)] = Field(
         default=64, description="paths per pixel of each repeat"
@@ -421,7 +423,7 @@ class DesignStudy(Record):
         if self.combine != "random" and ranged:
             raise ValueError(f'vary {ranged[0]}: low and high need combine = "random"; give values')
         if self.combine == "together" and len({len(variation.values) for variation in self.vary}) > 1:
-            raise ValueError('combine = "together": all lists of values must be of one length')
+            raise ValueError('combine = "together": all lists of values must have the same length')
         self._require_different_points()
         return self
 
@@ -469,7 +471,7 @@ class StudyPoint(Record):
     no_contact: Image | None = Field(default=None, description="camera RGB, mean of the repeats")
     contact: Image | None = None
     notes: tuple[str, ...] = ()
-    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time that the point took")
+    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time of the point")
 
 
 class StudyFailure(Model):
@@ -558,18 +560,22 @@ DatasetSplit = Literal["train", "validation", "test"]
 class DatasetSample(Model):
     """Labels of one sample of a data set: how it was pressed, lit and painted."""
 
-    sample: Annotated[int, Field(ge=0)] = Field(description="its key in the shard has six digits or more")
+    sample: Annotated[int, Field(ge=0)] = Field(
+        description="number of the sample; its key in the shard has six digits or more"
+    )
     press: Annotated[int, Field(ge=0)]
-    split: DatasetSplit = Field(description="the same for all samples of a press")
+    split: DatasetSplit = Field(description="number of the press; all its samples have the same")
     light: Annotated[int, Field(ge=0)] = Field(description="number of the light's draw for this press")
     paint: Annotated[int, Field(ge=0)] = Field(description="number of the paints' draw for this light")
-    indenter: Indenter = Field(description="as it was pressed; with finite elements its depth is the push reached")
+    indenter: Indenter = Field(
+        description="indenter as it was pressed; with finite elements its depth is the push that was reached"
+    )
     light_angles_deg: tuple[AngleDeg, ...] = Field(description="light angle of each panel")
     emission_draws: dict[str, int] = Field(
         description="colour -> number of the draw of the paint's posterior; or empty"
     )
     emission_factors: dict[str, float] = Field(
-        description="colour -> factor on the paint's emission, without posterior"
+        description="colour -> factor on the emission of a paint without a posterior"
     )
     render_seed: Annotated[int, Field(ge=0)]
     gains: tuple[float, float, float] = Field(description="linear camera RGB was multiplied by these before encoding")
@@ -606,7 +612,7 @@ class DatasetShard(Record):
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] = Field(description="SHA-256 of the TAR file")
     samples: tuple[DatasetSample, ...]
     failures: tuple[DatasetFailure, ...] = ()
-    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time that the shard took")
+    processor_s: Annotated[float, Field(ge=0.0)] = Field(description="processor time of the shard")
 
 
 class DatasetShardRow(Model):

@@ -126,8 +126,8 @@ def _design_of_surfaces(surfaces: Path) -> _Design:
     mechanics = surfaces.with_name(surfaces.name.removesuffix(SURFACES_SUFFIX) + MECHANICS_SUFFIX)
     if not mechanics.exists():
         raise SimulateError(
-            f"{surfaces}: the design of these surfaces is read from {mechanics.name} beside them, which is not there; "
-            "give the design, and these as its surfaces"
+            f"{surfaces}: their design is stored in {mechanics.name}, which is missing from the same folder; "
+            "give the design file instead, and this file as surfaces="
         )
     press, files = given(mechanics, PressMechanics)
     return _Design(press.design, surfaces.parent, files)
@@ -173,7 +173,7 @@ def press_finger(
     finger, folder, files = _design(design)
     settings = PressSettings(None, increments, machine_threads(), contact, budget_s)
     if force_n is not None and contact == "barrier":
-        raise SimulateError("force_n is reached by the penalty contact only; leave out contact, or force_n")
+        raise SimulateError("force_n needs the penalty contact; leave out contact, or leave out force_n")
     with naming(SimulateError, *files[:1]):
         if force_n is not None:
             pressed = press_to_force(finger, force_n, settings, folder=folder, progress=progress)
@@ -368,7 +368,7 @@ def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainS
     if isinstance(sensor, PlainSensor):
         return sensor, Path(), []
     if isinstance(sensor, FingerDesign):
-        raise SimulateError(f"{sensor.name} is a painted finger; a classic sensor is asked for")
+        raise SimulateError(f"{sensor.name} is a painted finger, and this function takes a classic sensor")
     path = Path(sensor)
     if not path.exists() and os.fspath(sensor) in SENSORS:
         return preset_sensor(os.fspath(sensor)), Path(), []
@@ -411,7 +411,7 @@ def sweep_light_angle(
     from sim.optics import ProbePaths
 
     if options.get("level", "b") != "b":
-        raise SimulateError("level: sweeps are made with level b; leave it out")
+        raise SimulateError("level: sweeps are always made with level b; leave level out")
     if not options.get("narrow_sweep", False) and look_like_radians(list(angles_deg)):
         raise SimulateError(f"angles_deg: {narrow_sweep_text(list(angles_deg))}")
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
@@ -496,7 +496,7 @@ def recolour_press(
             "give both red and green (repeat one that does not change), or neither to keep the paints of the press"
         )
     if red is None and camera is None and white_balance is None:
-        raise SimulateError("no change is asked for: give red and green, camera or white_balance")
+        raise SimulateError("no change is given: give red and green, camera or white_balance")
     rendered, files = given(press, SimulatedPress)
     paints = {c: given(p, PaintCalibration) for c, p in (("red", red), ("green", green)) if p is not None}
     response = None if camera is None else read_camera_response(Path(camera))

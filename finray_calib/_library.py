@@ -202,7 +202,9 @@ def capture_session(
     plan_file, rig_file, folder = Path(plan), Path(rig), Path(out)
     kind = read_toml_tables(plan_file).get("kind", "paint")
     if kind not in ("paint", "camera"):
-        raise CaptureError(f"{plan_file}: plans of kind {kind!r} are captured by 'finray capture', which asks a person")
+        raise CaptureError(
+            f"{plan_file}: plans of kind {kind!r} need a person at the rig; run this plan with 'finray capture'"
+        )
     settings = read_toml(rig_file, RigFile)
     if not settings.is_simulated:
         with naming(CaptureError, rig_file):
@@ -251,7 +253,9 @@ def reduce_session(
     if session_kind(folder) == "paint":
         return _reduced(folder, camera, accept_repeat, None)[0]
     if camera is not None or accept_repeat:
-        raise RadiometryError(f"{folder}: is a camera session; camera and accept_repeat are for paint sessions")
+        raise RadiometryError(
+            f"{folder}: is a camera session; camera and accept_repeat are for paint sessions only, leave them out"
+        )
     captured = read_camera_session(folder)
     with naming(RadiometryError, folder):
         measured = characterise_camera(captured, lambda frame: read_frame_of(folder, frame))

@@ -154,8 +154,8 @@ def find_driver(kind: Kind, name: str) -> Driver:
         packages = [f"{driver.package} {driver.version}".rstrip() for driver in table[name]]
         others = [driver.package for driver in table[name] if not driver.is_ours]
         raise RefusedError(
-            f"{kind}: driver '{name}' is offered by {' and by '.join(packages)}, and finray cannot know which one "
-            f"you mean; pip uninstall {others[-1]}, or ask its author for another name"
+            f"{kind}: driver '{name}' is offered by {' and by '.join(packages)}, and finray cannot know which "
+            f"one you mean; run 'pip uninstall {others[-1]}', or ask its author for another name"
         )
     return table[name][0]
 
@@ -217,7 +217,7 @@ def _opened(
     with ExitStack() as stack:
         device = plug_in.call(lambda: stack.enter_context(opening(module)), when=" when it opens")
         if lacking := missing_members(device, protocol):
-            raise plug_in.refusal(f"opens a device that lacks {', '.join(lacking)}")
+            raise plug_in.refusal(f"returns a device that lacks {', '.join(lacking)}")
         yield device
 
 

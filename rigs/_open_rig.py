@@ -149,7 +149,7 @@ def rig_locked(rig: RigFile) -> Iterator[None]:
             for holder in {holders[key] for key in keys & holders.keys()}:
                 if driver != "indi" or {holder, role} == {"laser", "lamp"}:
                     raise RefusedError(
-                        f"{holder} at {devices[holder][1]} and {role} at {address} are one and the same device; "
+                        f"{holder} at {devices[holder][1]} and {role} at {address} are the same device; "
                         "correct the address of one of them in the rig file"
                     )
             for key in sorted(keys - holders.keys()):
@@ -500,7 +500,7 @@ def _stage(rig: TactileRig, folder: Path) -> Lines:
         if opened.stage is not None and rig.stage is not None:
             says = opened.stage.identity()
             yield f"{says.model}{f', firmware {says.firmware}' if says.firmware else ''}"
-            yield "its place is unknown until a session homes it"
+            yield "its position is unknown until a session homes it"
             yield (
                 f"by the rig file: {rig.stage.press_axis} presses and is clear at {rig.stage.clear_mm:g} mm, travel "
                 f"{rig.stage.press_travel_mm[0]:g} to {rig.stage.press_travel_mm[1]:g} mm"
@@ -517,7 +517,7 @@ def _cell(rig: TactileRig, folder: Path) -> Lines:
             counts = [opened.load_cell.read(rig.load_cell.silent_s).counts for _ in range(10)]
             yield f"ten readings: mean {np.mean(counts):.0f}, standard deviation {np.std(counts, ddof=1):.0f} counts"
             if min(counts) == max(counts):
-                yield Warned("says the same count ten times: it is stuck; check amplifier and wiring")
+                yield Warned("all ten readings have the same count, so it is stuck; check amplifier and wiring")
 
 
 def device_title(role: str, settings: Settings) -> str:
@@ -542,7 +542,7 @@ def _report(title: str, look: Callable[[], Lines]) -> PartReport:
 
 def _says(identity: DeviceIdentity) -> str:
     """Return a device's identity in a line."""
-    name = " ".join(part for part in (identity.vendor, identity.model) if part) or "does not say what it is"
+    name = " ".join(part for part in (identity.vendor, identity.model) if part) or "does not identify itself"
     serial = f", serial {identity.serial}" if identity.serial else ""
     return f"{name}{serial}{f', firmware {identity.firmware}' if identity.firmware else ''}"
 
@@ -556,7 +556,7 @@ def _laser(rig: RigFile, folder: Path) -> Lines:
 
 def _lamp(rig: RigFile, folder: Path) -> Lines:
     if rig.lamp.driver == "manual":
-        yield "switched by hand; this command asks nobody, so its state is unknown"
+        yield "switched by hand, and this command does not ask, so its state is unknown"
         yield Warned("check that the lamp is off: finray cannot know whether the camera's frame below was dark")
         return
     with lone_lamp(rig, folder, TerminalOperator()) as light:
@@ -566,7 +566,7 @@ def _lamp(rig: RigFile, folder: Path) -> Lines:
 def _light(light: Light) -> Lines:
     yield _says(light.identity())
     if light.state():
-        yield Warned("reports ON although it was switched off; look at its controller")
+        yield Warned("reports ON although it was switched off; check its controller")
     else:
         yield "reports off"
     if isinstance(light, GuardedLight):
@@ -602,15 +602,17 @@ def _camera(opening: AbstractContextManager[Camera], settings: CameraSettings) -
 
         frame = camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S)
     counts = frame.counts
-    yield f"{counts.shape[1]} x {counts.shape[0]} px; {exposure_s:g} s asked for, {frame.exposure_s:g} s read back"
+    yield f"{counts.shape[1]} x {counts.shape[0]} px; {exposure_s:g} s requested, {frame.exposure_s:g} s read back"
     yield (
-        f"without lights {counts.min()} to {counts.max()} DN, median {np.median(counts):g} DN; by the rig file the "
-        f"black level is {settings.black_level_dn:g} DN"
+        f"without light: {counts.min()} to {counts.max()} DN, median {np.median(counts):g} DN; the rig file "
+        f"states a black level of {settings.black_level_dn:g} DN"
     )
     if frame.settings:
         yield "settings: " + ", ".join(f"{name} {value}" for name, value in sorted(frame.settings.items()))
     if counts.shape[:2] != (settings.height_px, settings.width_px):
-        yield Warned(f"the rig file says {settings.width_px} x {settings.height_px} px; correct width_px and height_px")
+        yield Warned(
+            f"the rig file states {settings.width_px} x {settings.height_px} px; correct width_px and height_px"
+        )
     if counts.max() >= 2**settings.bit_depth - 1:
         yield Warned("some pixels are saturated in the dark: light leaks in, or bit_depth of the rig file is wrong")
 

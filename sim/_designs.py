@@ -168,7 +168,7 @@ def given_design(path: Path) -> tuple[FingerDesign, list[Path], Path]:
         return preset_design(str(path)), [], Path()
     if not path.is_file() and str(path) in SENSORS:
         raise SimulateError(
-            f"{path}: is a ready-made classic sensor; a finger is needed: {', '.join(PRESETS)}, or a file"
+            f"{path}: is a ready-made classic sensor, but a finger is needed: {', '.join(PRESETS)}, or a design file"
         )
     return read_design(path), [path], path.parent
 
@@ -464,11 +464,11 @@ def _digit(name: str) -> PlainSensor:
         camera=CameraBelow(distance_mm=19.0, field_of_view_deg=46.8, width_px=240, height_px=320),
         indenter=Indenter(shape="ball", radius_mm=3.0, depth_mm=0.8, position_mm=15.0),
         source=(
-            "the model of DIGIT (Lambeta et al., RA-L 2020) in facebookresearch/tacto, config_digit.yml: gel of 20 x "
-            "30 mm rounded with a radius of 100 mm, its middle 22 mm before the camera, whose field is 60 deg over "
-            "the length; three LEDs 20 mm from the axis, 17 mm below the gel, a third of a turn apart. The side of "
-            "red is that of its picture of a real sensor. Thickness, coat, walls and the size of the LEDs (1.3 mm) "
-            "are assumed"
+            "the model of DIGIT (Lambeta et al., RA-L 2020) in facebookresearch/tacto, config_digit.yml: gel "
+            "of 20 x 30 mm rounded with a radius of 100 mm, its middle 22 mm before the camera, whose field "
+            "is 60 deg over the length; three LEDs 20 mm from the axis, 17 mm below the gel, a third of a "
+            "turn apart. The red light is on the side that TACTO's picture of a real sensor shows. "
+            "Thickness, coat, walls and the size of the LEDs (1.3 mm) are assumed"
         ),
         origin=dict.fromkeys(
             (

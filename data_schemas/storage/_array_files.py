@@ -156,7 +156,7 @@ def _declared(archive: zipfile.ZipFile, name: str, wanted: DeclaredArray) -> NDA
     except KeyError:
         raise ValueError(f"array {name!r} is missing in it") from None
     if entry.compress_type != zipfile.ZIP_STORED:
-        raise ValueError(f"array {name!r} is compressed, and arrays of records must not be")
+        raise ValueError(f"array {name!r} is compressed, but arrays of records must not be compressed")
     return _member(archive, entry, entry.compress_size, wanted)
 
 
@@ -370,7 +370,7 @@ def tiff_image(content: bytes, where: object, error: type[FinrayError]) -> NDArr
             page: Any = file.pages[0]
             require_decoded_size(page)
             if len(file.pages) > 1 and file.pages[1].shape == page.shape:
-                raise ValueError(f"holds a stack of {len(file.pages)} images, one is wanted")
+                raise ValueError(f"holds a stack of {len(file.pages)} images, but a single one is needed")
             if page.compression == _UNCOMPRESSED:
                 return np.asarray(page.asarray())
     except Exception as fault:  # of a broken file the TIFF reader raises nearly anything

@@ -47,14 +47,15 @@ _START: Final = (
     "from data_schemas.storage._child_process import serve; serve(int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))"
 )
 _IN_PLAIN_WORDS: Final = {
-    signal.SIGSEGV: "it touched memory that is not its own: a fault of a compiled library",
-    signal.SIGBUS: "it touched memory that is not there: a fault of a compiled library, or a full disk or /dev/shm",
+    signal.SIGSEGV: "it used memory that does not belong to it, which is a fault of a compiled library",
+    signal.SIGBUS: "it used memory that does not exist, because of a fault of a compiled library or a full "
+    "disk or /dev/shm",
     signal.SIGILL: "a compiled library uses instructions that this processor does not have",
     signal.SIGFPE: "a compiled library divided by zero",
     signal.SIGABRT: "a compiled library aborted",
-    signal.SIGTERM: "somebody or the system asked it to end",
+    signal.SIGTERM: "a person or the system asked it to end",
     signal.SIGINT: "somebody interrupted it",
-    signal.SIGXCPU: "it used more processor time than it is allowed",
+    signal.SIGXCPU: "it used more processor time than is allowed",
 }
 
 

@@ -53,7 +53,7 @@ def read_table(path: Path) -> tuple[list[str], Floats]:
 def _row(path: Path, number: int, cells: list[str], columns: int) -> list[float]:
     """Parse one row of finite numbers."""
     if len(cells) != columns:
-        raise CurveError(f"{path}, line {number}: has {len(cells)} columns, the header has {columns}")
+        raise CurveError(f"{path}, line {number}: has {len(cells)} columns, but the header has {columns}")
     try:
         return [finite_number(cell) for cell in cells]
     except ValueError as error:

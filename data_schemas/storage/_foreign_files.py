@@ -222,7 +222,7 @@ class _Member(NamedTuple):
             with open_regular(self.file, "a zip archive", error) as file:
                 return self.archive.read(self.name, file)
         except ValueError as fault:
-            raise error(f"{self.path}: {fault}; make the archive anew, or fetch it again") from None
+            raise error(f"{self.path}: {fault}; create the archive again, or download it again") from None
 
 
 class _Archives:
@@ -380,7 +380,7 @@ def parse_json(
         if b"\\u" in content:
             _refuse_half_characters(parsed)
     except (ValueError, RecursionError) as fault:
-        other = "" if content.lstrip()[:1] in (b"{", b"[") else ", or is it no JSON file at all"
+        other = "" if content.lstrip()[:1] in (b"{", b"[") else ", or is it not a JSON file"
         raise error(f"{where}: cannot be read as JSON ({fault}); was it edited or cut off{other}?") from None
     return parsed
 
@@ -422,7 +422,7 @@ def read_toml_tables(path: Path, what: str = "a TOML file", error: type[FinrayEr
 _TOML_MISTAKES = (
     (r"[\u201c\u201d\u2018\u2019\u201e]", "write straight quotes"),
     (r"=\s*[+-]?\d+,\d+\s*(#|$)", "the decimal mark is a point"),
-    (r"=\s*[A-Za-z_][\w ./-]*(#|$)", "text stands in straight quotes"),
+    (r"=\s*[A-Za-z_][\w ./-]*(#|$)", "put text in straight quotes"),
 )
 
 
@@ -493,12 +493,12 @@ def read_csv(
         ) from None
     header = [name.strip() for name in rows[0][1]] if rows else []
     if len(header) == 1 and re.search(r"[;\t]", header[0]):
-        raise error(f"{path}: semicolons or tabs stand between its columns; export it with commas, and decimal points")
+        raise error(f"{path}: semicolons or tabs separate its columns; export it with commas, and decimal points")
     long = next(((line, cells) for line, cells in rows[1:] if any(c.strip() for c in cells[len(header) :])), None)
     if long is not None:
         raise error(
-            f"{path}, line {long[0]}: has {len(long[1])} columns, the header has {len(header)}; commas stand between "
-            "columns, the decimal mark is a point"
+            f"{path}, line {long[0]}: has {len(long[1])} columns, but the header has {len(header)}; separate "
+            "columns by commas, and write decimals with a point"
         )
     twice = next((name for name in header if name and header.count(name) > 1), None)
     if twice is not None:

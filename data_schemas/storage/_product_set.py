@@ -404,8 +404,8 @@ class ProductSet:
             except FileExistsError:
                 raise RecordError(
                     f"{path}: another process is writing it now; wait until it ends. If there is none, delete "
-                    f"{set_file}, which a process left that has ended: without file locks, finray cannot distinguish "
-                    f"it from work in progress"
+                    f"{set_file}, which a process that has ended left behind: without file locks, finray "
+                    "cannot distinguish such a file from work in progress"
                 ) from None
             if is_ours(handle):
                 break

@@ -514,8 +514,8 @@ def migrate(path: Path, record_type: type[Record], version: int, body: Body) -> 
         if (kind, step) not in MIGRATIONS:
             why = f" ({NOT_MIGRATED[kind, step]})" if (kind, step) in NOT_MIGRATED else ""
             raise RecordError(
-                f"{path}: was written by version {version} of the {kind} record, which differs from today's version "
-                f"{today}{why}; run {record_type.written_by} again"
+                f"{path}: was written by version {version} of the {kind} record, which differs from the "
+                f"present version {today}{why}; run {record_type.written_by} again"
             )
         try:
             body = MIGRATIONS[kind, step](body)

@@ -128,7 +128,7 @@ class _ShortReads:
     def read(self, count: int | None = -1) -> bytes:
         wanted = count if count is not None and count >= 0 else self._left()
         if wanted > self._most_bytes:
-            raise ValueError(f"its list of files takes {wanted} bytes, at most {self._most_bytes} are read")
+            raise ValueError(f"its list of files takes {wanted} bytes, but at most {self._most_bytes} are read")
         return self._file.read(wanted)
 
     def _left(self) -> int:
@@ -140,26 +140,26 @@ class _ShortReads:
 def _accepted(entries: list[zipfile.ZipInfo]) -> Iterator[tuple[str, zipfile.ZipInfo]]:
     """Yield name and entry of the files; an archive with one that is not accepted is refused."""
     if len(entries) > MOST_MEMBERS:
-        raise ValueError(f"holds {len(entries)} files, at most {MOST_MEMBERS} are read; give a part of them")
+        raise ValueError(f"holds {len(entries)} files, but at most {MOST_MEMBERS} are read; give an archive with fewer")
     total = sum(entry.file_size for entry in entries)
     if total > LARGEST_UNPACKED_BYTES:
         raise ValueError(
-            f"holds {total / 2**30:.3g} GB when unpacked, at most {LARGEST_UNPACKED_BYTES / 2**30:g} GB are read; "
-            "unpack it and give the folder"
+            f"holds {total / 2**30:.3g} GB when unpacked, but at most {LARGEST_UNPACKED_BYTES / 2**30:g} GB "
+            "are read; unpack it and give the folder"
         )
     seen: set[str] = set()
     for entry in entries:
         name = entry.filename.rstrip("/")
         why = _refused(entry, name) or ("is in it twice" if name in seen else None)
         if why is not None:
-            raise ValueError(f"{entry.orig_filename[:80]!r} {why}; make the archive anew from plain files")
+            raise ValueError(f"{entry.orig_filename[:80]!r} {why}; create the archive again from plain files")
         seen.add(name)
         if not entry.is_dir() and PurePosixPath(name).parts[0] != NOT_OF_THE_USER:
             yield name, entry
     files = {entry.filename for entry in entries if not entry.is_dir()}
     inside = {str(above) for name in seen for above in PurePosixPath(name).parents}
     if both := sorted(files & inside):
-        raise ValueError(f"{both[0][:80]!r} is a file and a folder; make the archive anew from plain files")
+        raise ValueError(f"{both[0][:80]!r} is a file and a folder; create the archive again from plain files")
 
 
 def _refused(entry: zipfile.ZipInfo, name: str) -> str | None:
@@ -191,7 +191,9 @@ def _require_apart(entries: list[zipfile.ZipInfo]) -> None:
     end = 0
     for entry in sorted(entries, key=lambda e: e.header_offset):
         if entry.header_offset < end:
-            raise ValueError(f"{entry.filename[:80]!r} overlaps another file; make the archive anew from plain files")
+            raise ValueError(
+                f"{entry.filename[:80]!r} overlaps another file; create the archive again from plain files"
+            )
         end = entry.header_offset + _LOCAL_HEADER_BYTES + entry.compress_size
 
 

@@ -50,7 +50,8 @@ SECTIONS: Final[dict[Section, str]] = {
     "reconnect": "devices come back",
 }
 SIMULATED_NOTE: Final = (
-    "the rig is simulated: times, but for that until devices come back, are of its simulated clock; no device was tried"
+    "the rig is simulated, so no real device was tried; its simulated clock gives all times except the time "
+    "until devices answer again"
 )
 
 
@@ -153,11 +154,14 @@ def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     moves = len(facts.moves)
     if wrong:
         first = wrong[0]
-        evidence = f"the first: sent from slot {first.from_slot} to {first.to_slot}, reads {first.arrived_slot}"
+        evidence = (
+            f"the first one was sent from slot {first.from_slot} to slot {first.to_slot} and reported slot "
+            f"{first.arrived_slot}"
+        )
     else:
         evidence = (
-            f"{moves} of {moves} arrived, read afresh after each: with 95 % confidence at most "
-            f"{100 * largest_failure_share(moves):.1f} % of all moves go wrong"
+            f"all {moves} moves arrived, as the position read after each one shows; with 95 % confidence at "
+            f"most {100 * largest_failure_share(moves):.1f} % of moves fail"
         )
     durations_s = [move.duration_s for move in facts.moves]
     mean_s = sum(durations_s) / moves
@@ -195,12 +199,12 @@ def _light_off(layer: LightOff, plan: CheckPlan) -> CheckResult:
     if layer.still_on or not layer.latest_s:
         return unmeasured(
             "light off", name, what, "FAIL",
-            f"still on in {layer.still_on} of {layer.still_on + len(layer.latest_s)} mishaps, watched for "
-            f"{layer.watched_s:g} s",
+            f"the laser was still on after {layer.still_on} of {layer.still_on + len(layer.latest_s)} "
+            f"mishaps; each was watched for {layer.watched_s:g} s",
             f"at most {limit_s:g} s",
         )  # fmt: skip
     value_s, sd_s = slowest_off(layer)
-    evidence = f"slowest of {len(layer.latest_s)}; seen by {layer.witness}"
+    evidence = f"slowest of {len(layer.latest_s)} mishaps; measured by {layer.witness}"
     return measured("light off", name, what, value_s, sd_s, "s", evidence, limits=ToleranceInterval(None, limit_s))
 
 
@@ -229,8 +233,11 @@ def judge_filters(facts: CheckFacts) -> tuple[CheckResult, ...]:
     if facts.filter_proof is None:
         return ()
     verdict = _PROOF[facts.filter_proof.verdict]
-    what = "white frames under the lamp against the data of filters, lamp and camera, for every exchange of two filters"
-    limit = "no exchange of two filters explains the frames as well"
+    what = (
+        "comparison of white frames under the lamp with what filters, lamp and camera predict, also with any two "
+        "filters exchanged"
+    )
+    limit = "no exchange of two filters explains the frames equally well"
     return (unmeasured("filters", "filters in their slots", what, verdict, facts.filter_proof.text, limit),)
 
 
@@ -249,7 +256,10 @@ def judge_revisits(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...
         for values in ([r.moved_rel for r in facts.revisits], [r.still_rel for r in facts.revisits])
     )
     number = len(facts.revisits)
-    evidence = f"{number} times behind filter {facts.revisit_filter}; {100 * still:.2g} % without a move"
+    evidence = (
+        f"{number} repeats behind filter {facts.revisit_filter}; without a move the signal changes by "
+        f"{100 * still:.2g} %"
+    )
     sd = 100 * moved / math.sqrt(2 * number)
     return (
         measured(
@@ -353,7 +363,7 @@ def _read_noise(dark: DarkFrames, plan: CheckPlan, camera: CameraSettings) -> Ch
 
     with K the gain of the rig file (e/DN) and n differences of two counts.
     """
-    name, what = "read noise", "temporal noise of a pixel in the dark, without that of rounding"
+    name, what = "read noise", "temporal noise of a pixel in the dark, without rounding noise"
     low, high = (camera.read_noise_e * (1.0 + sign * plan.limits.read_noise_rel) for sign in (-1.0, 1.0))
     limit = f"{low:.4g} to {high:.4g} e"
     if dark.at_zero_fraction > MOST_AT_ZERO:
@@ -420,7 +430,7 @@ def judge_lamp(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     scatter = rounds - rounds.mean() - slope * number
     name, what = "lamp is steady", "change of the lamp from the first to the last round of white frames"
     if free < 3:
-        reason = f"{rounds.size} rounds do not show how sure it is; raise exposure_rounds to 5 or more"
+        reason = f"{rounds.size} rounds are too few to give an uncertainty; raise exposure_rounds to 5 or more"
         return (unmeasured("exposures", name, what, "UNDECIDED", reason),)
     sd = math.sqrt(float(scatter @ scatter) / free / spread * free / (free - 2)) * (rounds.size - 1)
     most = 100 * plan.limits.lamp_drift_rel
@@ -434,7 +444,9 @@ def judge_frames(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     """Return how long a frame takes beyond its exposure."""
     if not (times_s := facts.frame_overheads_s):
         return ()
-    what = "longest time of a frame beyond its exposure: questions to wheel and lights, trigger, readout, transfer"
+    what = (
+        "longest time that a frame takes beyond its exposure (queries to wheel and lights, trigger, readout, transfer)"
+    )
     evidence = f"mean {sum(times_s) / len(times_s):.3g} s of {len(times_s)} frames"
     limits = ToleranceInterval(None, plan.limits.frame_overhead_s)
     return (measured("exposures", "frames in time", what, max(times_s), CLOCK_SD_S, "s", evidence, limits=limits),)
@@ -459,7 +471,7 @@ def judge_reconnect(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ..
     limits = ToleranceInterval(None, plan.limits.reconnect_s)
     unknown = sorted(set(said) - {one.role for one in before})
     evidence = f"{len(before)} devices, the same as before"
-    evidence += f"; no name was given before by {', '.join(unknown)}" if unknown else ""
+    evidence += f"; before they were closed, {', '.join(unknown)} gave no name" if unknown else ""
     return (measured("reconnect", name, what, facts.reconnect_s, CLOCK_SD_S, "s", evidence, limits=limits),)
 
 

@@ -122,7 +122,10 @@ def _check(
                 "differently; errors of a rig cancel only where both tins were measured on the same rig"
             )
         if not np.array_equal(other.wavelength_nm, one.wavelength_nm):
-            raise FinrayError(f"'{other.paint_name}': has other wavelengths; fit all coats with one version")
+            raise FinrayError(
+                f"'{other.paint_name}': is tabulated at other wavelengths; fit all coats with the same version of "
+                "finray"
+            )
 
 
 @dataclass(frozen=True, slots=True)

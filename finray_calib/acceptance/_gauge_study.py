@@ -123,13 +123,15 @@ class GaugeStudy:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the reader should know of the study."""
-        told = [f"the variance of {s.source} came out negative and counts as 0" for s in self.strata if s.was_negative]
+        told = [
+            f"the variance of {s.source} was estimated below 0 and is set to 0" for s in self.strata if s.was_negative
+        ]
         if self.is_pooled:
             told.append(f"the interaction was pooled with the repeats: its p is above {POOLED_ABOVE:g} (AIAG)")
         if self.sessions < FEWEST_SESSIONS:
             told.append(
-                f"{self.sessions} sessions say little about how sessions differ, and the interval is wide: measure in "
-                f"{FEWEST_SESSIONS} or more"
+                f"{self.sessions} sessions show little of how sessions differ, so the interval is wide: "
+                f"measure in {FEWEST_SESSIONS} or more"
             )
         return tuple(told)
 

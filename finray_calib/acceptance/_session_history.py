@@ -226,7 +226,8 @@ def watch(values: Sequence[float], rules: ChartRules, cleared: int = 0) -> Chart
     mean, sd = float(series[:count].mean()), float(series[:count].std(ddof=1))
     if not sd > 0.0:
         raise FinrayError(
-            "the sessions of the reference do not differ at all, so there is no measure of how much sessions may differ"
+            "all sessions of the reference have exactly the same value, so they do not show how much "
+            "sessions may differ; give sessions that were captured independently"
         )
     weighted, alarms, z = np.full(series.size, mean), [], 0.0
     for place in range(max(count, cleared), series.size):
@@ -545,7 +546,7 @@ def _series(
             series.append((of, quantity, sessions))
         else:
             alike.setdefault(of, []).append(quantity)
-    waiting = (f"{of}: {n} of {reference} sessions of its reference" for of, n in counts.items())
+    waiting = (f"{of}: has {n} of the {reference} sessions that its reference needs" for of, n in counts.items())
     charted = {of for of, _, _ in series}
     copies = "; the sessions are copies of one, or of a rig without devices with one [simulated] seed"
     same = (

@@ -56,7 +56,7 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the row; with --command")
     tactile.add_argument(
         "--command", dest="simulator_command", metavar="WORDS",
-        help="what runs your simulator, one string; without it the row is that of the table",
+        help="command that runs your simulator, as one string; without it, only the table is scored",
     )  # fmt: skip
     tactile.add_argument(
         "--teach", type=int, default=MOST_TEACHING, metavar="N", help="presses that teach (default: 6)"
@@ -85,7 +85,8 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
         )
     if arguments.simulator in (TABLE, BLANK, GEL):
         raise CompareError(
-            f"--simulator {arguments.simulator!r} is a name of a row of ours; give your simulator another"
+            f"--simulator {arguments.simulator!r} is the name of one of finray's own rows; give your "
+            "simulator another name"
         )
     folder, captures = _captures(arguments.captures)
     name = arguments.captures.resolve().name.removesuffix(".zip")
@@ -168,7 +169,9 @@ def _split(captures: "Mapping[str, TactileCapture]", count: int) -> tuple[list[s
     names = list(captures)
     most = min(MOST_TEACHING, len(names) - 1)
     if not 1 <= count <= most:
-        raise CompareError(f"--teach {count}: must be 1 to {most}, for {len(names)} presses of which the others judge")
+        raise CompareError(
+            f"--teach {count}: must be 1 to {most}: there are {len(names)} presses, and those that do not teach judge"
+        )
     taught = [names[i] for i in spread_over(len(names), count)]
     seen = {contact_sha256(captures[name]) for name in taught}
     judged = [name for name in names if contact_sha256(captures[name]) not in seen]
@@ -261,12 +264,12 @@ def _run_simulator(arguments: argparse.Namespace, protocol: Path, renders: Path)
         done = subprocess.run(words, stdin=subprocess.DEVNULL, timeout=arguments.limit_s, check=False)
     except subprocess.TimeoutExpired:
         raise CompareError(
-            f"--command: ran longer than {arguments.limit_s:g} s; give --limit-s more, or fewer presses"
+            f"--command: ran longer than {arguments.limit_s:g} s; raise --limit-s, or give fewer presses"
         ) from None
     except (OSError, ValueError) as error:
         raise CompareError(f"--command: {words[0] if words else 'nothing'} cannot be run ({error})") from None
     if done.returncode:
-        raise CompareError(f"--command: ended with status {done.returncode}; what it printed stands above")
+        raise CompareError(f"--command: ended with status {done.returncode}; its own output, above, gives the reason")
     return time.monotonic() - start
 
 

@@ -154,10 +154,11 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
 
 def _stated_presses(times: "StatedTimes", *, by_hand: bool) -> str:
     """Return how long a tactile session takes at the most, as it is told before it begins."""
-    hands = " and the time of your hands" if by_hand else ""
+    hands = " plus the time for what you do by hand" if by_hand else ""
     return (
-        f"about {times.typical_s / 60:.1f} min{hands}; {times.longest_s / 60:.0f} min at the longest{hands}; faults "
-        f"may hold it up for {times.healing_s / 60:.0f} min besides: it ends by then, and can be resumed"
+        f"about {times.typical_s / 60:.1f} min{hands}; {times.longest_s / 60:.0f} min at the longest{hands}; "
+        f"recovery from faults may add up to {times.healing_s / 60:.0f} min, after which the session ends and "
+        "can be resumed"
     )
 
 
@@ -247,8 +248,8 @@ def capture_paint(arguments: argparse.Namespace) -> None:
 def _stated(typical_s: float, longest_s: float, healing_s: float) -> str:
     """Return how long a session takes at the most, as it is told before it begins."""
     return (
-        f"about {typical_s / 60:.0f} min; {longest_s / 60:.0f} min if every exposure is the longest; "
-        f"faults may hold it up for {healing_s / 60:.0f} min besides: it ends by then, and can be resumed"
+        f"about {typical_s / 60:.0f} min; {longest_s / 60:.0f} min if every exposure is the longest; recovery "
+        f"from faults may add up to {healing_s / 60:.0f} min, after which the session ends and can be resumed"
     )
 
 
@@ -272,7 +273,8 @@ def _ask_to_mend(what: str) -> bool:
         return False
     forget_typed_ahead()
     sys.stderr.write(
-        f"\n{what}\nThe lights are off. Mend it, close the box and press Enter; 'q' and Enter ends the session here. "
+        f"\n{what}\nThe lights are off. Repair it, close the box and press Enter; type q and press Enter to "
+        "end the session here. "
     )
     sys.stderr.flush()
     answer = sys.stdin.readline()
@@ -315,7 +317,7 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
 
     if lacks_manifest(folder):
         complete_session(folder)
-        done = "was finished but for its checksums, which are written now; nothing else is left to resume"
+        done = "was complete except for its checksums, which have now been written; nothing else is left to resume"
         wrote(folder, done)
         give(notes=[done])
         return

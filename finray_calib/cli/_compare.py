@@ -62,7 +62,7 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )  # fmt: skip
     parser.add_argument(
         "--metric", action="append", default=[], metavar="NAME",
-        help="also give a metric that an installed package brings, of a pair; may be repeated",
+        help="also compute a metric from an installed package, for a single pair (repeatable)",
     )  # fmt: skip
     add_force(parser)
     add_out(parser, "photometric-error.json, with --force force-comparison.json; with folders photometric-errors")
@@ -107,9 +107,7 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.simulated, arguments.capture = records[:-1], records[-1]
     if arguments.pairs is not None or folders[0]:
         if arguments.metric:
-            raise CompareError(
-                "--metric is of one press and one capture, and folders or --pairs are given; leave it out"
-            )
+            raise CompareError("--metric takes one press and one capture, not folders or --pairs; leave it out")
         compare_folders(arguments)
     else:
         _compare_one(arguments.simulated[0], arguments)
@@ -167,8 +165,8 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--other-mesh", type=Path, metavar="FILE",
-        help="with --force: the same press on another mesh; the difference of the two is the uncertainty of the mesh "
-             "where it is larger than the error known for the mesh of the 70 x 35 finger",
+        help="with --force: the same press on another mesh; their difference is taken as the uncertainty of the "
+            "mesh where it is larger than the known error of the 70 x 35 finger's mesh",
     )  # fmt: skip
 
 

@@ -179,7 +179,11 @@ def _of_folders(arguments: argparse.Namespace) -> tuple[list[_Job], list[str]]:
         paired, alone = pair_by_name(*([file.name for file in files_in(part)] for part in (folder, captured)))
         jobs += [_Job(name, press, folder / one, captured / two, Path()) for press, (one, two) in paired.items()]
         # a capture that the table was taught with has no press: that is no fault
-        notes += [f"{f}: has no partner and was left out" for f in alone if len(named) == 1 or has_file(folder / f)]
+        notes += [
+            f"{f}: has no counterpart in the other folder and was left out"
+            for f in alone
+            if len(named) == 1 or has_file(folder / f)
+        ]
     notes = list(dict.fromkeys(notes))
     for note in notes:
         warn(note)
@@ -276,8 +280,8 @@ class _Workers:
         count = min(_cores(), len(jobs) // _LEAST_PAIRS_EACH, _MOST_WORKERS)
         if count > 1 and (room := _processes_in_memory(jobs)) < count:
             warn(
-                f"memory is free for {room} of {count} processes that compare these pictures; it takes longer. End "
-                "other programs, or give a part of the pairs"
+                f"the free memory allows {room} of {count} processes for pictures of this size, so the "
+                "comparison takes longer. End other programs, or compare fewer pairs at once"
             )
             count = room
         self._children = [Child([__name__, "finray_calib.compare"]) for _ in range(count if count > 1 else 0)]
@@ -383,8 +387,8 @@ def _of_worker(error: BaseException, jobs: Sequence["_Job"]) -> BaseException:
     if not isinstance(error, DiedError):
         return error
     return DiedError(
-        f"a process at work on {', '.join(job.name for job in jobs)} {error}. The reports that are written are "
-        "complete; the same command compares the others"
+        f"the process that compared {', '.join(job.name for job in jobs)} {error}. Reports already written "
+        "are complete; run the same command again for the others"
     )
 
 

@@ -71,7 +71,8 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )  # fmt: skip
     parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",
-        help="record written by 'finray compare', once for each capture; best at several light angles",
+        help="record written by 'finray compare' (repeatable, one for each capture); captures at several light "
+            "angles help most",
     )  # fmt: skip
     parser.add_argument(
         "--narrow-sweep",
@@ -123,7 +124,7 @@ def run(arguments: argparse.Namespace) -> None:
     say(decision.headline)
     say(f"\n{verdict_words(decision).capitalize()}. {decision.sentence.removeprefix(decision.headline).strip()}\n")
     wrote(out, decision.verdict.upper())
-    wrote(page, "for whoever mounts the light")
+    wrote(page, "the decision with its reasons, for the person who mounts the light")
     give(
         verdict=decision.verdict, angle_deg=decision.angle_deg, tolerance_deg=decision.tolerance_deg,
         headline=decision.headline, sentence=decision.sentence, validated=decision.validated,
@@ -140,13 +141,14 @@ Light adds: each light is traced once, and the most even powers are the solution
 allowed powers are more even. The answer says how sure they are, how bright the coat is then, and, of a finger, what
 happens to the expected error of the sensed normal.
 
-Each power stays within --range times that of now, and all lights together emit at most --total times as much.
+Each power stays within --range times its present value, and all lights together emit at most --total times
+as much light as now.
 
 --map, given twice, evaluates a finger over two of its numbers, such as the angle of its light and the light's place:
 
   --map light.angle_deg=0:75:15 --map "light.position_mm[y]=-14:-6:2"
 
-Some ten seconds of processor time for each light of a finger, three for each finger of a map, a minute or two for a
+It takes some ten seconds of processor time for each light of a finger, three for each finger of a map, minutes for a
 classic sensor. Writes a record, its page, and the design with the new powers."""
 
 LIGHTS_EPILOG = """\
@@ -161,11 +163,11 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     lights.add_argument("design", type=Path, metavar="DESIGN", help="finger or sensor (TOML), or the name of a preset")
     lights.add_argument(
         "--range", dest="power_range", type=_power_range, default=(0.25, 4.0), metavar="LOW:HIGH",
-        help="limits of each power, times that of now (default: 0.25:4)",
+        help="limits of each power, as factors of its present value (default: 0.25:4)",
     )  # fmt: skip
     lights.add_argument(
         "--total", type=float, default=1.0, metavar="FACTOR",
-        help="largest light of all lights together, times that of now (default: 1)",
+        help="upper limit for the light of all lights together, as a factor of the present one (default: 1)",
     )  # fmt: skip
     lights.add_argument(
         "--map", dest="axes", action="append", default=[], metavar="FIELD=LOW:HIGH:STEP",
@@ -227,7 +229,7 @@ def run_lights(arguments: argparse.Namespace) -> None:
     design, files, folder = _finger_or_sensor(arguments.design)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.light-powers.json"), ".json")
     if len(arguments.axes) not in (0, 2) or (arguments.axes and isinstance(design, PlainSensor)):
-        raise SimulateError("--map: is given twice, for two numbers of a finger, or not at all")
+        raise SimulateError("--map: give it twice, once for each of two numbers of a finger, or leave it out")
     lights, share = powered_lights(design)
     low, high = (np.full(len(lights), limit) for limit in arguments.power_range)
     with naming(FinrayError, arguments.design), progress_bar(f"lights of {design.name}") as progress:

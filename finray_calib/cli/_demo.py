@@ -32,9 +32,11 @@ of which a stage failed, continues with the same command; finished stages are no
 def add_demo(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the verb."""
     parser = verbs.add_parser("demo", help=DEMO_HELP, description=DEMO_DESCRIPTION)
-    parser.add_argument("--red", type=Path, metavar="FILE", help="re-radiation matrix (CSV) that lies on the red wall")
     parser.add_argument(
-        "--green", type=Path, metavar="FILE", help="re-radiation matrix (CSV) that lies on the green wall"
+        "--red", type=Path, metavar="FILE", help="re-radiation matrix (CSV) of the material on the red wall"
+    )
+    parser.add_argument(
+        "--green", type=Path, metavar="FILE", help="re-radiation matrix (CSV) of the material on the green wall"
     )
     parser.add_argument("--sensor", type=Path, metavar="FILE", help="camera response (CSV) of both cameras")
     add_engine(parser)
@@ -118,7 +120,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
         say("\nThis machine can run the demo.")
         go_on_with("finray demo")
         return 0
-    say("\nThis machine cannot run the demo until what is marked 'bad' is mended.")
+    say("\nThis machine cannot run the demo until every line marked 'bad' is repaired.")
     return 1
 
 

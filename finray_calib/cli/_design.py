@@ -32,25 +32,25 @@ DESCRIPTION = (
 )
 INIT_DESCRIPTION = "Write the design of a ready-made finger or classic sensor, with comments, to be edited."
 SHOW_DESCRIPTION = """\
-Say what part of the pad the camera sees through the mirror, how many sensor pixels fall on a millimetre, and what else
-is in the picture. With --out FILE.png, draw the finger from the side and from the front, with the names of its parts
-and their sizes, and the camera's view below. With --out FILE.html, write one page with that drawing, a finger that can
-be turned in a browser, and all its numbers with where they come from.
+Report what part of the pad the camera sees through the mirror, how many sensor pixels fall on a millimetre, and what
+else is in the picture. With --out FILE.png, draw the finger from the side and from the front, with the names of its
+parts and their sizes, and the camera's view below. With --out FILE.html, write one page with that drawing, a finger
+that can be turned in a browser, and all its numbers with their origin.
 
-For a classic sensor the command says the same, where its lights are, and which numbers are published; the drawing is a
+For a classic sensor the command also reports where its lights are and which numbers are published; the drawing is a
 .png."""
 EXPORT_DESCRIPTION = """\
-Write what a finger is printed from, in mm and in the finger's axes (x across, y along the pad's outward normal, z along
-the finger), so that the parts fit together:
+Write the files from which a finger is printed, in mm and in the finger's axes (x across, y along the pad's outward
+normal, z along the finger), so that the parts fit together:
 
   skeleton     fins, ribs and tip, one closed body
-  base_plate   a print of its own, because it is stiffer; --one-piece joins it to the skeleton (skeleton_and_base)
+  base_plate   printed separately, because it is stiffer; --one-piece joins it to the skeleton (skeleton_and_base)
   backing      plate on the back fin, where the design has one
-  mould        tray in which the pad is cast, coat down, open where the inner face will be; its rim carries the
-               film's flange. Upright walls, no allowance for shrinkage
+  mould        tray in which the pad is cast with its coat down; the tray is open where the inner face will be, and
+               its rim carries the film's flange. The walls are upright, without an allowance for shrinkage
 
-STL is for slicers. STEP (AP214) is for CAD programs: planes, and the exact cylinder or ellipsoid on the bottom of the
-mould; curved fins are strips of 1 mm, 0.3 um from their curve."""
+STL is for slicers. STEP (AP214) is for CAD programs: it holds planes, and the exact cylinder or ellipsoid on the bottom
+of the mould; curved fins are approximated by strips of 1 mm, within 0.3 um of their curve."""
 
 PAINTS_HELP = "rank calibrated paints for a finger by the error of the sensed normal"
 PAINTS_DESCRIPTION = """\
@@ -167,7 +167,9 @@ def _add_filters(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     filters.add_argument("source", type=Path, metavar="RIG_OR_PAINT", help="rig file (.toml) or fitted paint (.json)")
     filters.add_argument("--catalogue", type=Path, metavar="CSV", help="filters that can be bought")
-    filters.add_argument("--number", type=int, metavar="N", help="filters altogether (default: as many as the rig has)")
+    filters.add_argument(
+        "--number", type=int, metavar="N", help="total number of filters (default: as many as the rig has)"
+    )
     filters.add_argument(
         "--keep", type=float, action="append", default=[], metavar="CENTRE",
         help="centre of a filter of the rig that stays, nm (repeatable)",
@@ -186,7 +188,7 @@ def run_filters(arguments: argparse.Namespace) -> None:
     from finray_calib.fit import filter_catalogue, stock_catalogue
 
     if arguments.paints < 0:
-        raise FitError(f"--paints: is {arguments.paints}, must be 0 or more")
+        raise FitError(f"--paints {arguments.paints}: must be 0 or more")
     catalogue = stock_catalogue()
     if arguments.catalogue is not None:
         header, rows = read_csv(arguments.catalogue, "a catalogue of filters (CSV)", FitError, comments=True)
@@ -210,7 +212,10 @@ def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter,
     paint = read_record(arguments.source, PaintCalibration)
     ranked = next_filters(paint, catalogue)
     give(paint_name=paint.paint_name, next_filters=ranked)
-    say(f"the next filter of '{paint.paint_name}', by the share of the spectrum's variance that it would remove:")
+    say(
+        f"filters that could be added for '{paint.paint_name}', and the share of the spectrum's variance that "
+        "each would remove:"
+    )
     for one in ranked[:_SHOWN_NEXT]:
         say(f"  {one.filter.centre_nm:5g} nm, {one.filter.width_nm:g} nm wide  {100 * one.reduction_rel:4.0f} %")
 

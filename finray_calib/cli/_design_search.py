@@ -164,8 +164,8 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     search.add_argument(
         "--within", action="append", default=[], metavar="FIELD[=LOW:HIGH]",
-        help="a number that may change, and its limits (repeatable; default: light angle and place, pad thickness, and "
-        "ribs and fin where stiffness is asked for)",
+        help="a number that may change, and its limits (repeatable; default: light angle and place, pad "
+            "thickness, and ribs and fin if stiffness is an objective)",
     )  # fmt: skip
     search.add_argument(
         "--evaluations", type=_evaluation_count, default=60, metavar="N", help="designs to compute (default: 60)"
@@ -320,7 +320,10 @@ def _tell_optimum(optimum: "DesignOptimum") -> None:
         if gain.confirmed_rel is not None and gain.confirmed_95_rel is not None:
             low, high = gain.confirmed_95_rel
             confirmed = f", confirmed {100 * gain.confirmed_rel:+.1f} % ({100 * low:+.1f} % to {100 * high:+.1f} %)"
-        say(f"  {gain.objective} against the {gain.against}: seen {100 * gain.seen_rel:+.1f} %{confirmed}")
+        say(
+            f"  {gain.objective} compared with the {gain.against}: in the search {100 * gain.seen_rel:+.1f} "
+            f"%{confirmed}"
+        )
     front = front_rows(optimum)
     if len(optimum.objectives) > 1:
         say(f"  on the front: {len(front)} of {len(optimum.designs)} designs")
@@ -347,14 +350,28 @@ def add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]
         help="middle of a contact along the pad, mm (repeatable; default: six from a tenth to nine tenths of the pad)",
     )  # fmt: skip
     tolerances.add_argument(
-        "--allowed", type=float, default=0.1, metavar="SHARE", help="growth of the error, default 0.1"
+        "--allowed",
+        type=float,
+        default=0.1,
+        metavar="SHARE",
+        help="allowed growth of the error, as a share (default: 0.1)",
     )
     tolerances.add_argument(
-        "--calibration", choices=["own", "shared"], default="own", help="of each finger, or of the finger as drawn"
+        "--calibration",
+        choices=["own", "shared"],
+        default="own",
+        help="calibrate each finger as it was built (own), or use the calibration of the finger as drawn for all "
+        "(shared)",
     )
-    tolerances.add_argument("--runs", type=int, default=128, metavar="N", help="fingers in which all varies: 128")
     tolerances.add_argument(
-        "--samples", type=int, default=1024, metavar="N", help="paths per point and repeat: 1024, some 1 s a finger"
+        "--runs", type=int, default=128, metavar="N", help="fingers in which all numbers vary together (default: 128)"
+    )
+    tolerances.add_argument(
+        "--samples",
+        type=int,
+        default=1024,
+        metavar="N",
+        help="paths per point and repeat (default: 1024, some 1 s a finger)",
     )
     add_engine(tolerances, is_scalar_enough=False)
     tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
@@ -397,7 +414,7 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     for line in _tolerance_table(record):
         say(line)
     wrote(out, "limits, shares and all runs")
-    wrote(page, "for whoever builds the finger")
+    wrote(page, "the tolerances, for the person who builds the finger")
     give(
         sentence=record.sentence, rows=record.rows, nominal_error_deg=record.nominal_error_deg,
         together_factor=record.together_factor, together_low95=record.together_low95,

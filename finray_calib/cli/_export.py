@@ -103,7 +103,10 @@ def add_taxim_options(parser: argparse.ArgumentParser) -> None:
     taxim = parser.add_argument_group("Taxim folders")
     taxim.add_argument("--presses", type=_count, metavar="N", help=f"ball presses to render (default {PRESSES})")
     taxim.add_argument(
-        "--ball-diameter-mm", type=_length, metavar="D", help=f"of the ball (default {BALL_DIAMETER_MM:g})"
+        "--ball-diameter-mm",
+        type=_length,
+        metavar="D",
+        help=f"diameter of the ball in mm (default {BALL_DIAMETER_MM:g})",
     )
     taxim.add_argument("--samples", type=_count, metavar="N", help=f"paths per pixel (default {SAMPLES})")
     add_paint(taxim, "paint calibration of a finger's wall; without paints the design is a classic sensor", PAINTS)
@@ -248,7 +251,10 @@ def run_captures(arguments: argparse.Namespace) -> None:
     container = capture_container(folder)
     write_zip(out, container.contents())
     simulated = f" and {container.presses} simulated presses" if container.presses else ""
-    wrote(out, f"{container.captures} captures{simulated}; 'finray compare' and others take it as they take the folder")
+    wrote(
+        out,
+        f"{container.captures} captures{simulated}; 'finray compare' and the other commands read it like the folder",
+    )
     left_out = [path.name for path in container.left_out]
     give(kind="captures", format="zip", captures=container.captures, presses=container.presses, left_out=left_out)
     for name in left_out[:MOST_LEFT_OUT]:
@@ -448,7 +454,9 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         help="record written by 'finray fit'; or 'deck', 'taxim', 'capture-request' or 'protocol' and a design; or "
         "'captures' and a folder; or 'ome-tiff', 'nexus' or 'bluesky' and a session",
     )
-    parser.add_argument("--format", choices=list(SUFFIXES), help="of a paint, see above")
+    parser.add_argument(
+        "--format", choices=list(SUFFIXES), help="format of a paint's file; the list above explains them"
+    )
     add_deck_options(parser)
     add_taxim_options(parser)
     parser.add_argument(

@@ -136,7 +136,10 @@ def run(arguments: argparse.Namespace) -> None:
         wrote(out, f"NO EMISSION found in '{paint.paint_name}', so there is no spectrum")
         give(paint_name=paint.paint_name, emission_found=False, energy_yield_limit=paint.detection.yield_limit)
         say(f"  {paint.detection.statement}")
-        say("  is this the fluorescent sample, and was the laser on? --report PAGE shows it beside a blank")
+        say(
+            "  check that this is the fluorescent sample and that the laser was on; --report PAGE shows it "
+            "beside a blank"
+        )
     else:
         _say_result(paint, out, budget)
         _say_scatter(scatter, arguments.bands)
@@ -222,13 +225,16 @@ def _refuse_ignored(arguments: argparse.Namespace) -> None:
     given = [name for name, is_given in of_the_region.items() if is_given]
     if arguments.map and given:
         raise FitError(
-            f"{given[0]}: is for the fit of the region, whose family and rig imperfections a map takes over from "
-            "--paint; leave it out, or leave out --map"
+            f"{given[0]}: applies to the fit of the region only, because a map takes family and rig "
+            "imperfections from --paint; leave it out, or leave out --map"
         )
     if arguments.paint is not None and not arguments.map:
-        raise FitError("--paint: is the fit of the region that --map starts from; give --map too, or leave it out")
+        raise FitError("--paint: names the fit of the region from which --map starts; give --map too, or leave it out")
     if arguments.map and len(arguments.bands) > 1:
-        raise FitError(f"{arguments.bands[1]}: a map is of one session; give the pixel signals of one, and its --paint")
+        raise FitError(
+            f"{arguments.bands[1]}: a map belongs to one session; give the pixel signals of one session, and its "
+            "--paint"
+        )
 
 
 _LABELS = {
@@ -261,12 +267,12 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
     if paint.colour_match is not None:
         say(f"  {paint.colour_match.statement}")
     stokes = paint.reradiation.stokes_shift_nm
-    belief = ", belief: not measured" if paint.reradiation.prior_driven else ""
+    belief = ", from the prior alone: not measured" if paint.reradiation.prior_driven else ""
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
     if paint.prior_shares:
         shares = ", ".join(f"{_LABELS[name]} {100 * value.share:.0f} %" for name, value in paint.prior_shares.items())
-        say(f"  left of the prior's variance: {shares}")
-    beside = "" if paint.spectrum_from in ("", paint.family_title) else " of the parameters beside the spectrum"
+        say(f"  share of the prior's variance that is left: {shares}")
+    beside = "" if paint.spectrum_from in ("", paint.family_title) else " of the parameters besides the spectrum"
     say(f"  family{beside}: {paint.family_choice}")
     trust = "trusted" if paint.diagnostics.trusted else "NOT trusted"
     if paint.detection is not None:
@@ -392,7 +398,7 @@ def add_sensor_fit(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 
 def _long_sensor_fit(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
-    nothing = "Nothing is stored before its end: the same command begins again"
+    nothing = "Nothing is stored before the end, so the same command starts from the beginning"
     return LongWork("the fit of the sensor", nothing, arguments.out)
 
 
@@ -434,17 +440,18 @@ def _say_sensor_fit(fit: "SensorFit") -> None:
         discrepancy_rel=fit.discrepancy_rel, independent_rel=fit.independent_rel, residual_rel=fit.residual_rel,
         emulator_rel=fit.emulator_rel, trusted=fit.trusted, notes=fit.notes,
     )  # fmt: skip
-    say("  number, 95 % after the pictures (before them), what is left of the prior's width:")
+    say("  number: 95 % interval after the fit (before it), and the share of the prior's width that is left:")
     for number in fit.numbers:
         say(f"    {_number_line(number)}")
-    say("  brightness of each layer over the design's, at one gain:")
+    say("  brightness of each layer relative to the design, with one gain for all:")
     for layer in fit.brightness:
         say(f"    {layer.layer} ({layer.channel}): {layer.over_design_rel}")
     for combination in fit.not_told_apart:
         say(f"  not distinguishable: {combination}")
     say(
-        f"  smooth error of the model {100 * fit.discrepancy_rel.estimate:.1f} %, of each block "
-        f"{100 * fit.independent_rel.estimate:.1f} %, residual {100 * fit.residual_rel:.1f} % of the picture's mean"
+        f"  error of the model: smooth part {100 * fit.discrepancy_rel.estimate:.1f} %, independent in each "
+        f"block {100 * fit.independent_rel.estimate:.1f} %, residual {100 * fit.residual_rel:.1f} % of the "
+        "picture's mean"
     )
     say(f"  {'trusted' if fit.trusted else 'NOT trusted, see the notes'}")
     for note in fit.notes:
@@ -461,10 +468,11 @@ def _number_line(number: "FittedNumber") -> str:
 
 MATERIAL_HELP = "fit the moduli of a gel to force curves of a bench"
 MATERIAL_DESCRIPTION = """\
-Fit the moduli of a gel to measured forces over displacement: of blocks of it between plates, or of a finger. The model
-is the finite elements of 'finray simulate press' with their derivatives. Found are C10 and K/mu of the gel, of a finger
-also the moduli of its other parts; first touch, zero and drift of the load cell and the noise are found beside them.
-Each modulus is said to be measured, constrained in part, or not measured: then the interval is what was assumed before.
+Fit the moduli of a gel to measured curves of force over displacement. The curves come from blocks of the gel between
+plates, or from a finger. The model is the finite elements of 'finray simulate press' with their derivatives. The fit
+gives C10 and K/mu of the gel, and for a finger also the moduli of its other parts, together with first touch, zero and
+drift of the load cell and the noise. Each modulus is reported as measured, constrained in part, or not measured; where
+it was not measured, its interval is the one assumed before.
 
   finray fit-material free.csv tight.csv --on 20x20x10:lubricated --on 20x20x10:confined
   finray fit-material finger.csv --on finger.toml"""
@@ -484,9 +492,9 @@ def add_fit_material(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]
     )  # fmt: skip
     parser.add_argument(
         "--on", action="append", required=True, metavar="SPECIMEN",
-        help="what the curve is of, once for each: a block LENGTHxWIDTHxHEIGHT:PLATES in mm, PLATES lubricated (sides "
-        "free), bonded (glued to both plates) or confined (walls around); or a finger's design (TOML), pressed by its "
-        "indenter",
+        help="what the curve was measured on, once for each curve: a block LENGTHxWIDTHxHEIGHT:PLATES in mm, "
+            "PLATES lubricated (sides free), bonded (glued to both plates) or confined (walls around); or a "
+            "finger's design (TOML), pressed by its indenter",
     )  # fmt: skip
     add_out(parser, f"NAME{_MATERIAL_ENDING}, with a picture beside it")
     add_seed(parser)
@@ -495,7 +503,7 @@ def add_fit_material(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]
 
 def _long_material_fit(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
-    nothing = "Nothing is stored before its end: the same command begins again"
+    nothing = "Nothing is stored before the end, so the same command starts from the beginning"
     return LongWork("the fit of the material", nothing, arguments.out)
 
 
@@ -577,7 +585,7 @@ def _say_material(fit: "MaterialFit") -> None:
         name=fit.name, moduli=fit.moduli, bulk_modulus_mpa=fit.bulk_modulus_mpa, trusted=fit.trusted,
         design_toml=fit.design_toml, notes=fit.notes,
     )  # fmt: skip
-    say("  modulus, 95 % after the curves (before them), what is left of the prior's width:")
+    say("  modulus: 95 % interval after the fit (before it), and the share of the prior's width that is left:")
     for modulus in fit.moduli:
         unit = "" if modulus.unit == "1" else f" {modulus.unit}"
         told = modulus.verdict if modulus.verdict == "measured" else modulus.verdict.upper()
@@ -592,10 +600,10 @@ def _say_material(fit: "MaterialFit") -> None:
     for note in fit.notes:
         say(f"  note: {note}")
     if fit.design_toml:
-        say("  for the file of a finger's design:")
+        say("  to copy into the design file of a finger:")
         say("\n".join(f"    {line}" for line in fit.design_toml.splitlines()), fold=False)
     else:
-        say("  nothing of the gel was measured: there is nothing to put into a design")
+        say("  no modulus of the gel was measured, so there is nothing to copy into a design")
 
 
 def _plain(value: "Estimate") -> str:

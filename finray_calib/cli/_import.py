@@ -59,7 +59,9 @@ def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     pi.add_argument("--bayer-order", choices=["RGGB", "BGGR", "GRBG", "GBRG"], help="of 16-bit TIFFs")
     pi.add_argument("--bit-depth", type=int, choices=[8, 10, 12, 14, 16], help="of 16-bit TIFFs")
     other = _add_format(formats, "other", "folder of one press, by a format of another package", OTHER)
-    other.add_argument("--format", dest="package_format", required=True, metavar="NAME", help="of the package's format")
+    other.add_argument(
+        "--format", dest="package_format", required=True, metavar="NAME", help="name of the package's format"
+    )
     add_ball_press_formats(formats)
     add_render_format(formats)
     add_bands_format(formats)
@@ -210,7 +212,7 @@ def add_ball_press_formats(formats: "argparse._SubParsersAction[argparse.Argumen
         taxim = name == "taxim"
         ball = "default: 4, as of Taxim's own folders" if taxim else "required unless the catalog gives it"
         scale = "default: pixmm of params.json" if taxim else "required; not px per mm"
-        parser.add_argument("--ball-diameter-mm", type=float, metavar="D", help=f"of the ball ({ball})")
+        parser.add_argument("--ball-diameter-mm", type=float, metavar="D", help=f"diameter of the ball ({ball})")
         parser.add_argument(
             "--mm-per-px", type=float, metavar="S", required=not taxim, help=f"side of a pixel on the gel ({scale})"
         )
@@ -286,12 +288,14 @@ def add_render_format(formats: "argparse._SubParsersAction[argparse.ArgumentPars
     parser = formats.add_parser(
         "render", help="images that any simulator rendered, as the simulated side of a comparison", description=RENDER
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of one press, or of a folder for each press")
+    parser.add_argument(
+        "folder", type=Path, metavar="FOLDER", help="folder with the images of one press, or a folder of such folders"
+    )
     parser.add_argument(
         "--capture", type=Path, metavar="FILE",
         help="capture of the press, or a folder of NAME.capture.json: its circle or outline shows the contact",
     )  # fmt: skip
-    add_out(parser, "FOLDER.press.json; of several presses FOLDER.presses, a folder with NAME.press.json")
+    add_out(parser, "FOLDER.press.json; for several presses FOLDER.presses, a folder with NAME.press.json")
     parser.set_defaults(run=run_render)
 
 
@@ -334,8 +338,8 @@ def _captures(place: Path | None, name: str) -> "tuple[dict[str, TactileCapture]
     found = {press: c for press, c in read.items() if c.contact_circle is not None or c.contact_outline is not None}
     if not found:
         raise ImportFormatError(
-            f"{place}: holds no capture with a contact circle or outline; leave --capture out and say in the render's "
-            "folder where the contact is"
+            f"{place}: holds no capture with a contact circle or outline; leave --capture out, and describe "
+            "the contact in the render's folder (contact_mask.png, depth.npy or render.json)"
         )
     return found, files
 
@@ -564,8 +568,8 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
             ""
             if first.contact_circle is None
             else (
-                f", correct {out / CIRCLES} (write label as told_by in the lines that you correct), and import "
-                f"with --circles"
+                f", correct {out / CIRCLES} (set told_by to label in the lines that you correct), and import "
+                "again with --circles"
             )
         )
-        warn(f"the contacts were searched for: look at {out / CONTACTS}{correct}")
+        warn(f"the contacts were found by a search: check them in {out / CONTACTS}{correct}")

@@ -42,10 +42,10 @@ def add_radiometry(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]")
     parser.add_argument(
         "--accept-repeat",
         action="store_true",
-        help="where a filter and its repeat disagree, take the difference for fading of the sample",
+        help="where a filter and its repeat disagree, treat the difference as fading of the sample",
     )
     parser.add_argument("--whole-frame", action="store_true", help="with --pixels: every pixel of the frame")
-    parser.add_argument("--report", type=Path, metavar="PAGE", help="of a camera session: also write its page (HTML)")
+    parser.add_argument("--report", type=Path, metavar="PAGE", help="for a camera session: also write its page (HTML)")
     parser.set_defaults(run=run)
 
 

@@ -159,7 +159,9 @@ def run_calibrate_cell(arguments: argparse.Namespace) -> None:
 
     rig = read_toml(arguments.rig, TactileRig)
     if rig.load_cell is None:
-        raise RecordError(f"{arguments.rig}: describes no [load_cell]")
+        raise RecordError(
+            f"{arguments.rig}: has no [load_cell] table; add it with the driver and address of the load cell"
+        )
     _require_masses(arguments, rig.load_cell.capacity_n)
     out = require_new(arguments.out or arguments.rig.parent / rig.load_cell.calibration, ".json")
     order = loading_order(arguments.masses_g)
@@ -191,15 +193,15 @@ def _require_masses(arguments: argparse.Namespace, capacity_n: float) -> None:
     heaviest_n = max(arguments.masses_g) * arguments.gravity
     if heaviest_n > capacity_n:
         raise CurveError(
-            f"--masses-g: {1e3 * max(arguments.masses_g):g} g weigh {heaviest_n:.3g} N, and the cell stands "
-            f"{capacity_n:g} N (capacity_n of the rig file); leave that mass out"
+            f"--masses-g: {1e3 * max(arguments.masses_g):g} g weigh {heaviest_n:.3g} N, but the cell can bear "
+            f"only {capacity_n:g} N (capacity_n of the rig file); leave that mass out"
         )
 
 
 def _counts_of(cell: "LoadCell | None", settings: "LoadCellSettings") -> list[int]:
     """Return readings of what lies on the cell, after it has settled."""
     if cell is None:
-        raise CaptureError("load cell: was not opened")
+        raise CaptureError("load cell: it could not be opened; check its address in the rig file and its cable")
     for _ in range(round(SETTLES_WITHIN_S * settings.rate_hz)):
         cell.read(settings.silent_s)
     return [cell.read(settings.silent_s).counts for _ in range(READINGS_OF_A_MASS)]
@@ -238,7 +240,7 @@ def run_init(arguments: argparse.Namespace) -> None:
     wrote(write_rig(paper_rig(chosen), out), "rig file")
     give(rig=str(out), to_fill_in=list(to_fill_in(chosen)))
     for text in to_fill_in(chosen):
-        say(f"  fill in or compare: {text}")
+        say(f"  fill in or check: {text}")
     go_on_with("finray rig show", out)
 
 
@@ -257,7 +259,7 @@ def _init_finger(out: Path, simulated: bool) -> None:
                 "load_cell: capacity_n and force_limit_n"]  # fmt: skip
         give(rig=str(out), to_fill_in=left)
         for text in left:
-            say(f"  fill in or compare: {text}")
+            say(f"  fill in or check: {text}")
         go_on_with("finray rig show", out)
         return
     write_bytes(plan, PRACTICE_PRESSES.encode())
@@ -318,7 +320,10 @@ def run_show(arguments: argparse.Namespace) -> None:
             failed.append(part.title)
     give(rig_name=name, parts=given)
     if failed:
-        raise CaptureError(f"{arguments.rig}: errors above at {'; '.join(failed)}; correct them and show the rig again")
+        raise CaptureError(
+            f"{arguments.rig}: {'; '.join(failed)} could not be shown; correct the errors printed above and run "
+            "'finray rig show' again"
+        )
 
 
 def _has_a_wheel(path: Path) -> bool:
@@ -528,7 +533,10 @@ def _in_view(
         file.unlink(missing_ok=True)
         file.touch(mode=0o600, exist_ok=False)
         file.write_text(f"{url}\n", encoding="utf-8")
-        say(f"{url}\n  open it in a browser; it also stands in {file}, for you only. Ctrl-C ends the session")
+        say(
+            f"{url}\n  open it in a browser; the address is also stored in {file}, which only you can read. "
+            "Ctrl-C ends the session"
+        )
         give(url=url)
 
     def progress(done: int, total: int, what: str) -> None:

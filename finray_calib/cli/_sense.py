@@ -54,12 +54,19 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "lens", type=Path, nargs="+", metavar="PICTURE",
         help="the board turned and tilted; or the folder of one tactile session, whose plan has the board on_pad",
     )  # fmt: skip
-    parser.add_argument("--pad", type=Path, metavar="PICTURE", help="the board where the pad's coat is")
-    parser.add_argument("--plan", type=Path, metavar="TOML", help="tactile plan whose [board] says what was printed")
+    parser.add_argument("--pad", type=Path, metavar="PICTURE", help="picture of the board where the pad's coat is")
+    parser.add_argument(
+        "--plan", type=Path, metavar="TOML", help="tactile plan whose [board] table describes the printed board"
+    )
     parser.add_argument("--squares", metavar="NxM", help="squares along and across, for example 7x5")
     parser.add_argument("--square-mm", type=float, metavar="MM", help="side of a printed square, measured")
     parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a marker")
-    parser.add_argument("--dictionary", default="DICT_4X4_50", metavar="NAME", help="of OpenCV (default: DICT_4X4_50)")
+    parser.add_argument(
+        "--dictionary",
+        default="DICT_4X4_50",
+        metavar="NAME",
+        help="the board's dictionary in OpenCV (default: DICT_4X4_50)",
+    )
     parser.add_argument(
         "--square-u-mm", type=float, metavar="MM", help="standard uncertainty of the side of a square; required"
     )
@@ -68,7 +75,11 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         help="how far the coat lies behind the printed face, seen from the camera; negative: before it (default: 0)",
     )  # fmt: skip
     parser.add_argument(
-        "--coat-behind-u-mm", type=float, default=0.0, metavar="MM", help="its standard uncertainty (default: 0)"
+        "--coat-behind-u-mm",
+        type=float,
+        default=0.0,
+        metavar="MM",
+        help="standard uncertainty of --coat-behind-mm (default: 0)",
     )
     parser.add_argument("--lens-model", choices=("fisheye", "pinhole"), help="default: the one that fits better")
     parser.add_argument("--monochrome", action="store_true", help="16-bit pictures are grey, not Bayer counts")
@@ -164,7 +175,7 @@ def _others(files: list[Path], pad: Path) -> list[Path]:
     seen: set[Path] = set()
     for file in others:
         if file.resolve() in seen:
-            raise CompareError(f"{file}: is given twice; a picture counts once, name each of them once")
+            raise CompareError(f"{file}: is given twice; name each picture once")
         seen.add(file.resolve())
     return others
 
@@ -179,8 +190,8 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
     board = session.plan.board
     if board is None or not board.on_pad:
         raise CompareError(
-            f"{folder}: its plan does not say that the first picture shows the board on the pad ([board], on_pad = "
-            "true); give the pictures by name, and with --pad that of the board on the pad"
+            f"{folder}: its plan does not state that the first picture shows the board on the pad ([board], "
+            "on_pad = true); give the pictures by name, and with --pad that of the board on the pad"
         )
     chosen: list[Path] = []
     for place in range(1, board.images + 1):
@@ -209,7 +220,7 @@ def _board(arguments: argparse.Namespace) -> "CharucoBoard":
     given = {name: getattr(arguments, name) for name in ("squares", "square_mm", "marker_mm")}
     if arguments.plan is not None:
         if any(value is not None for value in given.values()):
-            raise CompareError("--plan says what the board is; leave --squares, --square-mm and --marker-mm out")
+            raise CompareError("--plan already describes the board; leave --squares, --square-mm and --marker-mm out")
         plan = read_toml(arguments.plan, TactilePlan)
         if plan.board is None:
             raise CompareError(f"{arguments.plan}: has no [board] table; add it, or give --squares and --square-mm")
@@ -314,12 +325,21 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
     )  # fmt: skip
     go_on_with("finray sense run", out, "CAPTURE")
     say(f"  on presses it has not seen ({splits} random halves: median [least, most])")
-    say(f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; 0 is a map that knows nothing")
+    say(
+        f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; a map without any "
+        "information scores 0"
+    )
     say(f"  mean angle of its normals {_spread(record.held_out_angle_deg, 1)} deg")
     if record.held_out_depth_rms_mm is not None and record.held_out_height_error_rel is not None:
         off = float((record.held_out_height_error_rel**2).mean() ** 0.5)
-        say(f"  depth inside the contact {_spread(record.held_out_depth_rms_mm, 3)} mm rms; height from rim to middle")
-        say(f"  wrong by {100 * off:.1f} % rms, {100 * record.held_out_height_error_rel.mean():+.1f} % on average")
+        say(
+            f"  rms error of the depth inside the contact {_spread(record.held_out_depth_rms_mm, 3)} mm; the "
+            "height from rim to"
+        )
+        say(
+            f"  middle is wrong by {100 * off:.1f} % rms, {100 * record.held_out_height_error_rel.mean():+.1f} % "
+            "on average"
+        )
 
 
 def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path | None) -> "list[TactileCapture]":

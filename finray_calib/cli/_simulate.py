@@ -48,7 +48,7 @@ a sensor to captures of it."""
 SMALLEST_STEP_DEG = 0.5
 SMALLEST_STEP_MM = 0.5
 CHANGE_SHOWN = 4.0
-NOTHING_KEPT = "Nothing is stored before its end: the same command begins again"
+NOTHING_KEPT = "Nothing is stored before the end, so the same command starts from the beginning"
 
 RENDER_HELP = "render a painted finger or a classic sensor without and with contact, as its camera sees it"
 RENDER_DESCRIPTION = """\
@@ -94,7 +94,7 @@ each where least is known, teach the rest. They are kept: the same command conti
 def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register ``finray simulate teach``."""
     parser = jobs.add_parser("teach", help=TEACH_HELP, description=TEACH_DESCRIPTION)
-    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter does not count")
+    parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter is ignored")
     parser.add_argument(
         "--presses", type=_presses, metavar="N", help="by finite elements that teach, at least 20 (default: 40)"
     )
@@ -152,14 +152,17 @@ def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     import numpy as np
 
     wrote(out, taught.label)
-    wrote(kept, "the presses that taught it; a command with more --presses and this --out's name continues with them")
+    wrote(kept, "the presses that taught it; the same command with more --presses continues with them")
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():
-        share = f"{100 * taught.level_share:.0f} % by up to {100 * most:.2f} %"
-        say(f"  {name}: half of the presses that were left out are off by up to {100 * half:.2f} %, {share}")
+        share = f"{100 * taught.level_share:.0f} % of up to {100 * most:.2f} %"
+        say(f"  {name}: of the presses kept for testing, half have an error of up to {100 * half:.2f} %, {share}")
     if taught.crossed_features is not None:
-        say("  ribs pass through each other or buckle in some presses: near them finite elements press instead")
+        say(
+            "  ribs pass through each other or buckle in some presses; presses similar to those are computed by "
+            "finite elements"
+        )
     say(f"  {taught.processor_s / 60.0:.1f} min of processor time")
     give(
         label=taught.label, presses=taught.presses, processor_s=taught.processor_s, level_share=taught.level_share,
@@ -402,7 +405,9 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     }  # fmt: skip
     given = [name for name, is_given in of_fingers.items() if is_given]
     if given:
-        raise SimulateError(f"{arguments.design}: is a classic sensor; {', '.join(given)} belongs to a painted finger")
+        raise SimulateError(
+            f"{arguments.design}: is a classic sensor; {', '.join(given)} is for painted fingers only, leave it out"
+        )
     out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json"), ".json")
     folder = _image_paths(out)[0] if arguments.images else None
     press = render_sensor(
@@ -416,7 +421,7 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     wrote(out, f"{press.label}; {', '.join(press.notes)}")
     _give_press(press, out)
     if folder is not None:
-        wrote(folder, "images; README.txt there says what each one is")
+        wrote(folder, "images; README.txt in this folder explains each of them")
         look_at(folder)
 
 
@@ -446,8 +451,8 @@ def run_sweep(arguments: argparse.Namespace) -> None:
         return
     if arguments.surfaces is not None:
         raise SimulateError(
-            "--positions are places of a press by a formula, and --surfaces are of one place: sweep each with its own "
-            "--surfaces and --out, and give all of them to 'finray decide'"
+            "--positions are for presses by a formula, but --surfaces hold a press at one place: sweep each "
+            "with its own --surfaces and --out, and give all of them to 'finray decide'"
         )
     _sweep_places(arguments, require_ending(out, ".json"))
 
@@ -559,7 +564,7 @@ def _store_images(
         write_record(press, out, origin, stored)
     wrote(out, press.label)
     wrote(capture, f"raw counts of {press.design.camera.bit_depth if press.design else 0} bit, for 'finray compare'")
-    wrote(folder, "images; README.txt there says what each one is")
+    wrote(folder, "images; README.txt in this folder explains each of them")
     say(str(products.colours))
     _give_press(press, out)
     look_at(folder / "README.txt")
@@ -631,7 +636,7 @@ def run_recolour(arguments: argparse.Namespace) -> None:
 
     files = paint_files(arguments, without="the press's own paints")
     if not files and arguments.camera is None and arguments.white_balance is None:
-        raise SimulateError("no change is asked for: give --paint for both walls, --camera or --white-balance")
+        raise SimulateError("no change is given: give --paint for both walls, --camera or --white-balance")
     out = require_new(arguments.out or arguments.press.with_name(f"{arguments.press.stem}-recoloured.json"), ".json")
     press = read_record(arguments.press, SimulatedPress)
     paints = {colour: paint_optics(read_record(path, PaintCalibration)) for colour, path in files.items()}

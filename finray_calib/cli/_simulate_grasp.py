@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 GRASP_HELP = "close two facing fingers on an object, and let them carry its weight"
 GRASP_DESCRIPTION = """\
 Close two fingers of the design, face to face, on its indenter as a free rigid object: both begin where they touch it,
-close with equal ways, and the object moves and turns to where the forces on it balance. With --mass, the fingers then
-carry the object while its weight grows from nothing to all of it, and the command tells how much they hold; that takes
-friction (indenter.friction). indenter.depth_mm plays no part. The command stores the grasp (NAME.grasp.json), each
+close by equal distances, and the object moves and turns to where the forces on it balance. With --mass, the fingers
+then carry the object while its weight grows from nothing to all of it, and the command reports how much they hold; this
+needs friction (indenter.friction). indenter.depth_mm is ignored. The command stores the grasp (NAME.grasp.json), each
 finger's forces and deformed surfaces (NAME.near... and NAME.far..., for 'finray simulate render') and a picture.
 
-Exit status: 0 also where the object is lost, which the last lines tell; 2 after a mistake, or where the fingers do not
-get hold of the object at all."""
+Exit status: 0 also where the object is lost, which the last lines report; 2 after a mistake, or where the fingers do
+not get hold of the object at all."""
 
 LARGEST_FORCE_N, LARGEST_MASS_KG = 200.0, 20.0
 FEWEST_TOUCHING = 8
@@ -47,7 +47,7 @@ def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         type=_force,
         required=True,
         metavar="NEWTON",
-        help="mean of the forces that both fingers shall close with",
+        help="closing force, as the mean over both fingers",
     )
     parser.add_argument(
         "--mass", type=_mass, default=0.0, metavar="KG", help="mass of the object that is carried (default: 0, none)"
@@ -59,16 +59,19 @@ def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--increments", type=increment_count, default=4, metavar="N",
-        help="steps to the force, and again to the whole weight (default: 4); shorter ones are put between",
+        help="steps to the force, and again to the whole weight (default: 4); shorter steps are inserted where "
+            "needed",
     )  # fmt: skip
-    add_out(parser, "NAME.grasp.json, with the others beside it")
+    add_out(parser, "NAME.grasp.json, with the other files beside it")
     parser.set_defaults(run=run_grasp, long_work=_long_grasp)
 
 
 def _long_grasp(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
     return LongWork(
-        "the grasp by finite elements", "Nothing is stored before its end: the same command begins again", arguments.out
+        "the grasp by finite elements",
+        "Nothing is stored before the end, so the same command starts from the beginning",
+        arguments.out,
     )
 
 
@@ -148,13 +151,16 @@ def _store(found: "Grasp", record: "ObjectGrasp", files: dict[str, Path], origin
     _tell(record, files)
     for side, (_, pressed) in sides.items():
         if pressed.crossing:
-            warn(f"warning: {side} finger: {pressed.crossing}; its results from there on are not physical: close less")
+            warn(
+                f"warning: {side} finger: {pressed.crossing}; its results from there on are not physical: close "
+                "with less force"
+            )
         touching = int((pressed.pressure_mpa > 0.0).sum())
         if touching < FEWEST_TOUCHING:
             warn(
                 f"warning: {side} finger: {touching} points of its mesh touch the object, and below {FEWEST_TOUCHING} "
-                'the force hangs on where they lie: take a finer mesh (mesh.preset = "medium" in the design), or close '
-                "with more force"
+                'the force depends on where these lie: take a finer mesh (mesh.preset = "medium" in the design), or '
+                "close with more force"
             )
 
 
@@ -167,7 +173,10 @@ def _tell(record: "ObjectGrasp", files: dict[str, Path]) -> None:
         carried_n=record.carried_n, moves_mm=record.moves_mm, turns_deg=record.turns_deg, weight_n=weight_n,
         stiffness_n_per_mm=record.stiffness_n_per_mm, lost=record.lost,
     )  # fmt: skip
-    say("  closed by (mm), with (N), carried (N); the object's move (mm) and turn (deg): across x, along y, along z")
+    say(
+        "  closing distance (mm), closing force (N), carried weight (N); move (mm) and turn (deg) of the object: "
+        "x, y, z"
+    )
     rows = zip(
         record.closing_mm, record.closing_force_n, record.carried_n, record.moves_mm, record.turns_deg, strict=True
     )
@@ -178,16 +187,18 @@ def _tell(record: "ObjectGrasp", files: dict[str, Path]) -> None:
     if record.lost and record.mass_kg > 0.0 and held_n > 0.0:
         say(f"  the fingers hold {held_n:.3g} of {weight_n:.3g} N of weight, then the grasp ends: {record.lost}")
     elif record.lost:
-        say(f"  the fingers do not get further: {record.lost}")
+        say(f"  the fingers close no further: {record.lost}")
     elif record.mass_kg > 0.0:
         say(f"  the fingers hold the whole weight of {weight_n:.3g} N")
     squeezed = (
-        ": it is not stable there, and slips out or tips over at a touch" if record.stiffness_n_per_mm < 0.0 else ""
+        ": the grasp is not stable, and the object slips out or tips over at the slightest push"
+        if record.stiffness_n_per_mm < 0.0
+        else ""
     )
     say(f"  least resistance to a move of the object: {record.stiffness_n_per_mm:.3g} N/mm{squeezed}")
     for side in ("near", "far"):
         wrote(files[side], f"forces, torques and slip on the {side} finger")
-        wrote(files[f"{side} surfaces"], f"the {side} finger, to be rendered")
+        wrote(files[f"{side} surfaces"], f"surfaces of the {side} finger, for 'finray simulate render'")
     wrote(files["picture"], "the gripped object, the force and what the pads feel")
     go_on_with("finray simulate render", files["near surfaces"], "--paint red=FILE --paint green=FILE")
     look_at(files["picture"])

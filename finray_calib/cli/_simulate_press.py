@@ -248,7 +248,10 @@ def _answered(
         opened = SurrogateFinger(taught, limit_rel)
         pressed, bars, notes, doubt = opened.press_as_designed(design, arguments.increments or DEFAULT_INCREMENTS)
     if doubt:
-        warn(f"{arguments.surrogate}: the surrogate's answer is not taken: {doubt}; finite elements press now")
+        warn(
+            f"{arguments.surrogate}: the surrogate's answer is not used: {doubt}; the press is now computed by "
+            "finite elements"
+        )
         return False
     mechanics, surfaces = press_records(design, pressed, taught.preset, taught.label, notes)
     mechanics = mechanics.model_copy(update={"surrogate": bars})
@@ -417,7 +420,7 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
         )
     if mechanics.sensitivities is not None:
         _tell_sensitivities(mechanics.sensitivities)
-    wrote(files["surfaces"], "the pressed finger, to be rendered")
+    wrote(files["surfaces"], "surfaces of the pressed finger, for 'finray simulate render'")
     wrote(files["mesh"], "the pressed mesh, for ParaView")
     shown = "the finger before and after, and its force"
     if mechanics.motion is not None:
@@ -431,11 +434,11 @@ def _tell_sensitivities(found: "PressSensitivities") -> None:
     """Tell what the force at the whole push answers to, the strongest first."""
     slopes = {slope.field: float(slope.ln_force_per_ln_number[-1]) for slope in found.slopes}
     give(ln_force_per_ln_number=slopes, pressed_again=[varied.field for varied in found.varied])
-    say("  1 % more of a number changes the force at the whole push by, in %:")
+    say("  change of the force at the full push, in %, when a number grows by 1 %:")
     for field, slope in sorted(slopes.items(), key=lambda pair: -abs(pair[1])):
         say(f"    {field:38s} {slope:+.3f}")
     if found.varied:
-        say(f"  {len(found.varied)} presses with one number changed, of numbers without a derivative")
+        say(f"  {len(found.varied)} presses, each with one number changed, for numbers without a derivative")
     say("  'finray compare --force' carries their uncertainty")
 
 
@@ -446,8 +449,8 @@ def _tell_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     for depth, force, bar, surface in rows:
         say(f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat +- {1e3 * surface:.0f} um")
     say(
-        f"  a surrogate's answer: in {100 * bars.level_share:.0f} % of presses the bars hold its error beside finite "
-        "elements, whose own errors come on top"
+        f"  answer of a surrogate: in {100 * bars.level_share:.0f} % of presses its bars contain its "
+        "difference from finite elements, whose own error adds to it"
     )
 
 
@@ -517,15 +520,15 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--sensitivities", action="store_true",
-        help="also tell how the force depends on each uncertain modulus and thickness, by derivatives, so that 'finray "
-        "compare --force' can carry their uncertainty",
+        help="also report how the force depends on each uncertain modulus and thickness, by derivatives, so that "
+            "'finray compare --force' can carry their uncertainty",
     )  # fmt: skip
     parser.add_argument(
         "--engine", choices=["auto", "calculix"], default="auto",
         help="auto (default): finray's own elements; calculix: the program CalculiX",
     )  # fmt: skip
     _add_surrogate(parser)
-    add_out(parser, "NAME.mechanics.json, with the others beside it")
+    add_out(parser, "NAME.mechanics.json, with the other files beside it")
     parser.set_defaults(run=run_press, long_work=_long_press)
 
 
@@ -533,13 +536,13 @@ def _add_surrogate(parser: argparse.ArgumentParser) -> None:
     """Add what lets a surrogate answer."""
     parser.add_argument(
         "--surrogate", type=Path, metavar="FILE",
-        help="let a surrogate that 'finray simulate teach' made answer, with error bars; finite elements press where "
-        "it is not sure",
+        help="compute the press by a surrogate that 'finray simulate teach' made, with error bars; finite "
+            "elements are used where its bars are too large",
     )  # fmt: skip
     parser.add_argument(
         "--largest-error", type=_share, metavar="SHARE",
-        help="bar of a surrogate's force or surface, over the force or the surface's displacement, from which finite "
-        "elements press instead (default: 0.1)",
+        help="largest error bar of a surrogate, relative to the force or to the surface's displacement; above it, "
+            "finite elements are used (default: 0.1)",
     )  # fmt: skip
 
 
@@ -548,7 +551,7 @@ def _long_press(arguments: argparse.Namespace) -> LongWork:
     kept = "Finished increments are kept: the same command continues after the last one"
     moved = arguments.path is not None or _has_path(arguments.design)
     if arguments.force is not None or moved or arguments.engine == "calculix":
-        kept = "Nothing is stored before its end: the same command begins again"
+        kept = "Nothing is stored before the end, so the same command starts from the beginning"
     return LongWork("the press by finite elements", kept, arguments.out)
 
 
@@ -612,7 +615,9 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
             "--resume, --sensitivities, --contact barrier, --engine and indenter.path"
         )
     if arguments.largest_error is not None and arguments.surrogate is None:
-        raise SimulateError("--largest-error: is of a surrogate's answer; give --surrogate FILE, or leave it out")
+        raise SimulateError(
+            "--largest-error: applies to the answer of a surrogate; give --surrogate FILE, or leave it out"
+        )
     if calculix and arguments.contact != "auto":
         raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
     if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):

@@ -87,7 +87,7 @@ def _long_work(arguments: argparse.Namespace) -> "LongWork":
     """Return which study is about to be made."""
     from finray_calib.cli._run import LongWork
 
-    kept = "Nothing is stored before its end: the same command begins again"
+    kept = "Nothing is stored before the end, so the same command starts from the beginning"
     if arguments.study == "run":
         return LongWork("the design study", "Finished points are kept: the same command continues with the others")
     if arguments.study == "dataset":
@@ -147,9 +147,9 @@ ILLUMINATION_EPILOG = """\
 Without --design, the preset {preset}. Without --paint, the two default paints of the simulated rig stand in for
 the paper's, whose spectra nobody has published; the record says so."""
 FLUORESCENT = """\
-The paper's figure of its fluorescent light source and rendering: painted walls that shine by their distance from the
-blue light (as printed, and by the inverse square) beside walls that re-emit the light that reaches them. The figure
-shows press and rest through the camera and per band, the emission along the walls, and how much they differ.
+The paper's figure of its fluorescent light source and rendering: painted walls whose light depends on their distance
+from the blue light (as printed, and by the inverse square) beside walls that re-emit the light that reaches them. The
+figure shows press and rest through the camera and per band, the emission along the walls, and how much they differ.
 docs/explanation/fluorescent-rendering.md gives the reasons."""
 TWO = """\
 The paper's second blue light: one panel at the base against panels at base and tip (second_light of the design, else
@@ -274,19 +274,22 @@ def _draw(record: Any) -> bytes:
 
 def _tell_fluorescent(study: "FluorescentRendering") -> None:
     """Say how far the paper's emitter is from the baked walls."""
-    say(f"\nAgainst baked walls, blocks of {study.block_px} px of the coat with contact, at equal mean brightness:")
+    say(
+        f"\nCompared with walls that re-emit the light that reaches them, in blocks of {study.block_px} px of the "
+        "coat with contact, at equal mean brightness:"
+    )
     for d in study.differences:
         if d.state == "contact" and d.band != "led":
             name = "as printed (proportional to distance)" if d.level == "a" else "inverse square of the distance"
             say(
-                f"  {name:38s} {d.band:6s} {100 * d.shape_error_rel:5.1f} % off (render noise "
+                f"  {name:38s} {d.band:6s} {100 * d.shape_error_rel:5.1f} % error (render noise "
                 f"{100 * d.noise_rel:.1f} %)"
             )
     for k, wall in enumerate(study.walls):
         off = ", ".join(f"{100 * v:.0f} %" for v in study.wall_error_rel[:-1, k])
         say(
-            f"  {wall} wall along z: {off} off; {100 * study.second_order_wall_share[wall]:.1f} % excited by other "
-            f"paint"
+            f"  {wall} wall along z: error {off}; {100 * study.second_order_wall_share[wall]:.1f} % of its "
+            "light is excited by the other paint"
         )
     means = study.wall_by_angle_rel.mean(axis=2) / study.wall_radiance_rel[-1].mean(axis=1)
     told = ", ".join(f"{angle:g} deg {mean[0]:.2f}" for angle, mean in zip(study.angles_deg, means, strict=True))
@@ -304,8 +307,9 @@ def _tell_two_lights(study: "TwoLights") -> None:
         numbers = f"{u.variation_rel:9.2f}{u.middle_variation_rel:21.2f}{u.min_to_max_ratio:30.2f}{u.noise_rel:25.2f}"
         say(f"  {u.lights:28s}{u.channel:9s}{numbers}")
     say(
-        "  red, green, led: light of each paint and of the LEDs, before the camera; R, G, B: the camera's channels."
-        f"\n  Cells of {study.cell_mm:g} mm; their noise is taken out of sd / mean, not of darkest / brightest."
+        "  red, green, led: light of each paint and of the LEDs, before the camera; R, G, B: the camera's "
+        f"channels.\n  Cells of {study.cell_mm:g} mm; their noise is subtracted from sd / mean, but not from "
+        "darkest / brightest."
     )
 
 
@@ -317,7 +321,10 @@ def _tell_light_angle(study: "LightAngleIntensity") -> None:
         x, y, z = study.probe_points_mm[p]
         where = f"x = {x:g}, y = {y:.1f}, z = {z:.1f} mm"
         say(f"\n{probe} ({where}), panel's centre {study.led_depth_mm:g} mm below the inner face;")
-        say(f"  highest at (95 % limits), and what the paper's {study.printed_angle_deg:g} deg loses against it:")
+        say(
+            "  angle of the highest brightness (95 % limits), and how much less the paper's "
+            f"{study.printed_angle_deg:g} deg gives:"
+        )
         for top in study.maxima:
             if top.probe == probe:
                 angle = interval_text(top.angle_deg, top.low95_deg, top.high95_deg, most_decimals=1)
@@ -336,7 +343,8 @@ def _whole(angle_deg: float) -> str:
 
 STUDIES = (
     _Study(
-        "fluorescent-rendering", "the paper's emitter on the painted walls beside baked walls", FLUORESCENT,
+        "fluorescent-rendering",
+        "the paper's emitter on the painted walls beside walls that re-emit the light that reaches them", FLUORESCENT,
         "flat-70x35", 32, _make_fluorescent, _tell_fluorescent,
     ),
     _Study(
@@ -440,8 +448,8 @@ def _over_assumptions(study: "FingerStiffness", order: "StiffnessOrder") -> str:
         return "; no dimension was changed"
     holds = "holds" if order.smallest_ratio > 1.0 else f"does not hold ({order.at})"
     return (
-        f"; an assumed dimension changed in both: at least {order.smallest_ratio:.3f}, the order {holds}; changed "
-        f"independently: {order.independent_ratio:.3f}"
+        f"; with an assumed dimension changed in both, the ratio is at least {order.smallest_ratio:.3f} and "
+        f"the order {holds}; with independent changes the ratio is {order.independent_ratio:.3f}"
     )
 
 

@@ -46,12 +46,12 @@ if TYPE_CHECKING:
 
 RUN_HELP = "run a design study by its plan: change a finger, and press, render and measure each variant"
 RUN_DESCRIPTION = """\
-Change one finger as a plan (TOML) says, and compute every variant: press, images, colours, evenness, how the touch
-shows, force. Points are computed by worker processes, as many as cores and memory allow; what points share is computed
-once. Each point is stored as soon as it is finished: an interrupted study continues with the same command. A point that
-fails is stored with its reason and does not stop the others.
+Change one finger as a plan (TOML) says, and compute every variant: press, images, colours, evenness, change by
+the touch, force. Points are computed by worker processes, as many as cores and memory allow; what points share is
+computed once. Each point is stored as soon as it is finished: an interrupted study continues with the same command. A
+point that fails is stored with its reason and does not stop the others.
 
-Writes into the folder of the study: points/ (a record each), table.csv (one row a point), study.json, study.html,
+Writes into the folder of the study: points/ (a record for each), table.csv (one row per point), study.json, study.html,
 pictures.webp (all pictures in one).
 
 A plan names its finger, what is set, what varies and what is computed:
@@ -80,11 +80,12 @@ examples:
 The workers of a Dask scheduler must see the same folders.
 Plans that come with finray: """
 SHOW_HELP = "show the table of a design study"
-COMPARE_HELP = "compare two design studies point by point: what differs by more than both studies leave open"
+COMPARE_HELP = "compare two design studies point by point: which numbers differ by more than the uncertainties of both"
 COMPARE_DESCRIPTION = """\
-Compare the points that two design studies have in common: those that change the same fields to the same values. Each
-number has its difference with 95 % limits, as of two independent studies. "differs" holds for all
-numbers together; where both studies have the same seed they share part of their noise, and more may differ."""
+Compare the points that two design studies have in common: those that change the same fields to the same values. For
+each number the command gives the difference with 95 % limits, as if the studies were independent. The word "differs"
+has 95 % probability for all numbers together. Two studies with the same seed share part of their noise, so that more
+numbers may differ than the command reports."""
 DATASET_HELP = "make a data set for learning: random presses of a finger, rendered, with depth, normals and labels"
 DATASET_DESCRIPTION = """\
 Draw random presses of a finger, render each without and with contact under several draws of the light and of the
@@ -120,8 +121,8 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
     add_engine(run)
     run.add_argument("--workers", type=_count, metavar="N", help="worker processes (default: by cores and memory)")
     run.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
-    run.add_argument("--renew", action="store_true", help="compute anew what a finray of another version or commit "
-                     "computed (default: keep it, and say which points these are)")  # fmt: skip
+    run.add_argument("--renew", action="store_true", help="compute again the points that another version or commit of "
+                     "finray computed (default: keep them, and list them)")  # fmt: skip
     run.add_argument("--out", type=Path, metavar="DIR", help="folder of the study (default: its name)")
     run.set_defaults(run=run_design_study)
     _add_dataset(studies)
@@ -139,21 +140,27 @@ def _add_dataset(studies: "argparse._SubParsersAction[argparse.ArgumentParser]")
     made = studies.add_parser("dataset", help=DATASET_HELP, description=DATASET_DESCRIPTION, epilog=DATASET_EPILOG)
     made.add_argument("design", metavar="DESIGN", help="finger design (TOML), or a ready-made finger by its name")
     made.add_argument("--presses", type=_whole(1, 1_000_000), default=100, metavar="N", help="presses (default: 100)")
-    made.add_argument("--shape", action="append", choices=["ball", "cylinder"], help="indenter; may be given twice "
-                      "(default: ball)")  # fmt: skip
+    made.add_argument("--shape", action="append", choices=["ball", "cylinder"],
+                      help="shape of the indenter; may be given twice (default: ball)")  # fmt: skip
     for name, range_mm, what in (("radius", (3.0, 10.0), "indenter's radius"), ("depth", (0.3, 2.0), "push")):
         made.add_argument(f"--{name}-mm", type=float, nargs=2, metavar=("LOW", "HIGH"), default=range_mm,
                           help=f"range of the {what} (default: {range_mm[0]:g} {range_mm[1]:g})")  # fmt: skip
     made.add_argument("--press", choices=["analytic", "finite elements"], default="analytic",
                       help="finite elements give the force, but take longer (default: analytic)")  # fmt: skip
-    made.add_argument("--lights", type=_whole(1, 1000), default=2, metavar="N", help="lights a press (default: 2)")
+    made.add_argument(
+        "--lights", type=_whole(1, 1000), default=2, metavar="N", help="draws of the light for each press (default: 2)"
+    )
     made.add_argument("--light-angle-deg", type=float, default=5.0, metavar="REACH",
-                      help="panels turn by up to this from their angle (default: 5)")  # fmt: skip
-    made.add_argument("--paints", type=_whole(1, 1000), default=4, metavar="N", help="paints a light (default: 4)")
+                      help="largest turn of the panels from their angle in the design (default: 5)")  # fmt: skip
+    made.add_argument(
+        "--paints", type=_whole(1, 1000), default=4, metavar="N", help="draws of the paints for each light (default: 4)"
+    )
     made.add_argument("--emission-ratio", type=float, default=1.25, metavar="R",
-                      help="paints without posterior: emission times 1/R to R (default: 1.25)")  # fmt: skip
+                      help="paints without a posterior: their emission is multiplied by 1/R to R (default: "
+                          "1.25)")  # fmt: skip
     made.add_argument("--size", type=_size, metavar="COLUMNSxROWS",
-                      help="of the pictures, one pixel a Bayer cell (default: the design's camera)")  # fmt: skip
+                      help="size of the pictures, one pixel for each Bayer cell (default: "
+                           "the design's camera)")  # fmt: skip
     made.add_argument("--samples", type=_even, default=32, metavar="N", help="paths per pixel (default: 32)")
     made.add_argument("--presses-per-shard", type=_whole(1, 100_000), default=10, metavar="N",
                       help="presses in a shard (default: 10)")  # fmt: skip
@@ -237,7 +244,10 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     _tell(result)
     other = "; ".join(f"{n} by {code}" for code, n in points_by_code(result).items() if code != origin.code)
     if other:
-        warn(f"points computed by other code than this ({origin.code}) are kept: {other}. --renew computes them anew")
+        warn(
+            f"points computed by other code than this ({origin.code}) are kept: {other}. Give --renew to compute "
+            "them again"
+        )
     wrote(out, f"{RESULT_NAME}, {TABLE_NAME} and {PAGE_NAME}")
     look_at(out / PAGE_NAME)
 
@@ -352,9 +362,10 @@ def _drawn_paints(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws]
 
 
 _DATASET_NOTES = (
-    "no camera: no shot or read noise, no defocus, no lens beside that of the design; the render's own noise is in "
-    "render_noise_rel, and is the same without and with contact where nothing moves, so a difference of the two "
-    "pictures has less noise than a camera's: add the noise of yours while training",
+    "no camera: no shot or read noise, no defocus, no lens distortion except that of the design; the "
+    "render's own noise is in render_noise_rel, and is the same without and with contact where nothing "
+    "moves, so a difference of the two pictures has less noise than a camera's: add the noise of yours while "
+    "training",
     "no error of the model: materials, dimensions and the camera's response are those of the design in every sample, "
     "and a network trained here has not seen a real finger",
     "no wear, dirt, or other light; no more than one contact; no slip of the indenter along the pad",
@@ -438,7 +449,8 @@ def _tell_dataset(record: "LearningDataset", out: Path) -> None:
     parts = ", ".join(f"{count} {part}" for part, count in record.split_presses.items())
     say(f"{record.samples} samples; presses: {parts}")
     say(
-        f"{record.processor_s / record.samples:.2g} s of processor time and {record.sample_bytes / 1e6:.2g} MB a sample"
+        f"{record.processor_s / record.samples:.2g} s of processor time and {record.sample_bytes / 1e6:.2g} "
+        "MB for each sample"
     )
     for failure in record.failures:
         say(f"press {failure.press} failed: {failure.reason}")
@@ -544,8 +556,9 @@ def compare_studies(arguments: argparse.Namespace) -> None:
     differences = study_differences(first, second)
     if not differences:
         raise RecordError(
-            f"{arguments.first}, {arguments.second}: have no number of a point in common; they change "
-            f"{', '.join(first.varied)}, and {', '.join(second.varied)}. Give two studies whose plans share points"
+            f"{arguments.first}, {arguments.second}: the two studies share no number of any point; they "
+            f"change {', '.join(first.varied)}, and {', '.join(second.varied)}. Give two studies whose plans "
+            "share points"
         )
     alone = {
         name: [row.changes for row in study.points if row.changes not in [other.changes for other in beside.points]]
@@ -554,7 +567,7 @@ def compare_studies(arguments: argparse.Namespace) -> None:
     give(first=first.name, second=second.name, differences=differences, **alone)
     say(study_differences_text(differences))
     apart, judged = (sum(1 for d in differences if d.is_apart in wanted) for wanted in ((True,), (True, False)))
-    say(f"{apart} of {judged} numbers with limits differ, judged all together at 95 %")
+    say(f"{apart} of {judged} numbers with limits differ, at 95 % for all numbers together")
     for name, rows in alone.items():
         if rows:
             say(f"points in the {name.removeprefix('only_')} study only: {len(rows)}")

@@ -47,7 +47,7 @@ def run_trace(arguments: argparse.Namespace) -> int:
     frames = sum(part.frames for part in tree.all() if not part.is_repeated)
     dirty = sum(part.is_dirty for part in tree.all())
     if dirty:
-        say(f"note: {dirty} of the records were made by sources that differed from the commit that they name")
+        say(f"note: {dirty} of the records were made by source code that differed from the commit that they name")
     if not faults:
         say(f"unchanged: {len(tracer.digests)} files hashed, {frames} of them frames")
     if arguments.replay and not faults:

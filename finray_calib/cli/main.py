@@ -179,7 +179,7 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print the usage and what is wrong with it, and end with exit status 2."""
         self.print_usage(sys.stderr)
-        fail(f"{self.prog}: error: {_with_a_guess(message)} '{self.prog} --help' says more")
+        fail(f"{self.prog}: error: {_with_a_guess(message)} '{self.prog} --help' explains the options")
         raise SystemExit(USER_MISTAKE)
 
 
@@ -224,7 +224,7 @@ def _meant(unknown: list[str], parser: argparse.ArgumentParser, command: str) ->
         return f"did you mean '{near[0]}'? "
     if re.match(r"(red|green)=", unknown[0]):
         return "write --paint before each COLOUR=FILE; "
-    return "" if unknown[0].startswith("-") else "a path with blanks stands in quotes; "
+    return "" if unknown[0].startswith("-") else "put a path with spaces in quotes; "
 
 
 def build_parser() -> argparse.ArgumentParser:

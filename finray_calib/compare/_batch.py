@@ -192,7 +192,7 @@ def predicted_press(
         variance=None,
         light_angle_deg=None,
         design=None,
-        notes=(taught, "the contact is where the capture has it, and the no-contact image is the capture's"),
+        notes=(taught, "the place of the contact and the no-contact image are taken from the capture"),
     )
 
 
@@ -412,7 +412,7 @@ def _interval_of_left_over(units: _Units, left: float) -> tuple[float | None, fl
     """Return both ends of the skill's interval, and how they were formed."""
     n = len(units.errors)
     if n < LEAST_UNITS:
-        return None, None, f"no interval: it needs three units, and there are {n}"
+        return None, None, f"no interval: it needs three independent units, and there are {n}"
     t = float(stdtrit(n - 1, 0.5 + _COVERAGE / 2.0))
     without = _left_without_each(units.errors, units.signals)
     if (units.errors > 0.0).all():
@@ -559,8 +559,8 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
     told = []
     if len(names) < LEAST_UNITS:
         told.append(
-            f"{_more(LEAST_UNITS - len(names))}, at other places and depths: {LEAST_UNITS} give an interval, "
-            f"{len(names)} do not"
+            f"{_more(LEAST_UNITS - len(names))}, at other places and depths: an interval needs {LEAST_UNITS}, "
+            f"and there are {len(names)}"
         )
     best = skill_over_presses(scored)
     if best is not None and best.low95 is not None and best.high95 is not None:
@@ -593,24 +593,28 @@ def _lacking(scored: Sequence[ComparedPair]) -> tuple[tuple[bool, str, str], ...
     return (
         (
             without_floor > 0,
-            "a second image without contact beside each press",
-            f"{without_floor} of {len(scored)} have none, so what noise explains is not known",
+            "a second image without contact for each press",
+            f"{without_floor} of {len(scored)} pairs have none, so it is not known how much of their error is noise",
         ),
         (
             gained > len(scored) // 4,
             "an image without contact just before each press, with exposure and white balance locked",
-            f"in {gained} of {len(scored)} the camera's gain changed between the images",
+            f"in {gained} of {len(scored)} pairs the camera's gain changed between the images",
         ),
-        (clipped > 0, "the presses at a shorter exposure", f"in {clipped} of {len(scored)} the contact is clipped"),
+        (
+            clipped > 0,
+            "the same presses with a shorter exposure",
+            f"in {clipped} of {len(scored)} pairs the contact is clipped",
+        ),
         (
             len({pair.session for pair in scored}) < LEAST_UNITS,
             f"the same presses in {LEAST_UNITS} sessions, after taking the sensor off",
-            "drift and mounting are not in the interval",
+            "the interval does not include drift and mounting",
         ),
         (
             len({pair.sensor for pair in scored}) < LEAST_UNITS,
             f"{LEAST_UNITS} sensors",
-            "how sensors of one kind differ is not in the interval",
+            "the interval does not include differences between sensors of one kind",
         ),
     )
 

@@ -478,7 +478,7 @@ def packaged_metric(
     _check_words(plug_in, metric)
     found = {which: _metric_value(plug_in, metric, image, comparison) for which, image in candidates.items()}
     if _metric_value(plug_in, metric, candidates["simulation"], comparison) != found["simulation"]:
-        raise plug_in.refusal("gives two values for the same images, so that a comparison could not be made again")
+        raise plug_in.refusal("gives different values for the same images, so that a comparison cannot be repeated")
     renders = [] if conditioned is None else _drawn_renders(comparison, conditioned)
     spread = [_metric_value(plug_in, metric, image, comparison) for image, _ in renders]
     return PackagedMetric(
@@ -549,11 +549,11 @@ def check_metric(metric: Metric, rows: int = 48, columns: int = 64) -> None:
     perfect, nothing = value(touched), value(rest)
     beside = np.where(region[..., None], touched, 0.5 * touched)
     if value(touched) != perfect:
-        raise plug_in.refusal("gives two values for the same images")
+        raise plug_in.refusal("gives different values for the same images")
     if value(beside) != perfect:
         raise plug_in.refusal("depends on pixels outside the region")
     if (perfect > nothing) != (metric.BETTER == "higher"):
         raise plug_in.refusal(
-            f"is {perfect:.4g} for the captured image itself and {nothing:.4g} for doing nothing, and says that "
-            f"{metric.BETTER} is better"
+            f"is {perfect:.4g} for the captured image itself and {nothing:.4g} for doing nothing, but "
+            f"declares that {metric.BETTER} is better"
         )

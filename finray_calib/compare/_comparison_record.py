@@ -383,21 +383,22 @@ def _error_map(simulated: Floats, comparison: Comparison) -> NDArray[np.float32]
 
 
 COVERS_INPUTS = (
-    "the metric between the noise-free capture and the noise-free render with the true paints, camera and pose: what "
-    "the inputs of the budget leave open, with 95 % probability; noise is taken out of every error"
+    "the metric between the noise-free capture and the noise-free render with the true paints, camera and "
+    "pose: these 95 % intervals hold what the uncertain inputs of the budget leave open; noise is removed "
+    "from every error"
 )
 _PARTS: Final = (
-    "how much a number depends on which pixels of this press are evaluated (square tiles of the region, drawn with "
-    "replacement), and they are not 95 % intervals"
+    "these intervals show how much a number depends on which pixels of this press are evaluated (square "
+    "tiles of the region, drawn with replacement); they are not 95 % intervals"
 )
 _NOT_PRESSES: Final = (
-    "They say nothing about another press, which usually differs by several times as much; compare folders of three "
-    "presses or more for an interval over presses"
+    "They do not apply to another press, which usually differs by several times as much; compare folders of "
+    "three presses or more for an interval over presses"
 )
 COVERS_PARTS = f"{_PARTS}; no input of this image has a known uncertainty. {_NOT_PRESSES}"
 COVERS_CURVE = (
-    f"{_PARTS}; they include what {{unknown}} leaves open; no other input of this image has a known uncertainty. "
-    f"{_NOT_PRESSES}"
+    f"{_PARTS}; they include the uncertainty from {{unknown}}; no other input of this image has a known "
+    f"uncertainty. {_NOT_PRESSES}"
 )
 
 
@@ -426,12 +427,13 @@ def monte_carlo(draws: Propagated | None, press: SimulatedPress, inputs: Inputs 
     left_out = [*ALWAYS_UNKNOWN]
     known = press.known_inputs.names if press.known_inputs is not None else ()
     left_out += [
-        f"the {name}, of which the press holds no draws"
+        f"the {name}, for which the press holds no draws"
         for name in ("red paint", "green paint", "camera response")
         if name not in known
     ]
     left_out += [
-        f"the {POSE[name]}: the capture states no uncertainty of it, or the render no derivative (--pose-response)"
+        f"the {POSE[name]}: the capture states no uncertainty of it, or the render has no derivative for it "
+        "(--pose-response)"
         for name in POSE
         if name not in inputs.pose_names
     ]

@@ -186,7 +186,9 @@ def displayed_image(image: Floats, white_dn: float, linear: bool) -> Floats:
         The white level is not positive.
     """
     if not white_dn > 0:
-        raise CompareError(f"The white level must be positive, got {white_dn} DN; give full scale, as 255 for 8 bit")
+        raise CompareError(
+            f"The white level must be positive, got {white_dn} DN; give the full scale, such as 255 for 8 bit"
+        )
     share = np.clip(image / white_dn, 0.0, 1.0)
     if not linear:
         return np.asarray(share)

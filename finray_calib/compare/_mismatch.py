@@ -174,7 +174,8 @@ def _order_findings(scene: _Scene, name: str) -> list[Finding]:
                 Finding(
                     "refuse" if better.clear else "warn",
                     "channel order",
-                    f"the contact image of {name} fits its own no-contact image as {better}: store both in one order",
+                    f"the contact image of {name} matches its own no-contact image as {better}: store both "
+                    "images with their channels and rows in the same order",
                 )
             )
     better = better_order(scene.simulated_no_contact, scene.no_contact, _RENDER_DIFFERS_REL)
@@ -481,7 +482,9 @@ def _depth_findings(name: str, counts: Counts, full_scale_dn: int, bits: int) ->
         )
     piled = len(levels) > 2 and pixels[-1] >= max(_LEAST_PILE, _PILE_TIMES * pixels[-2])
     if highest < full_scale_dn and piled and highest > _PILE_ABOVE_MEDIAN * np.median(counts):
-        smaller = f", as in data of {(highest + 1).bit_length() - 1} bit" if (highest & (highest + 1)) == 0 else ""
+        smaller = (
+            f", which suggests data of {(highest + 1).bit_length() - 1} bit" if (highest & (highest + 1)) == 0 else ""
+        )
         findings.append(
             (
                 True,

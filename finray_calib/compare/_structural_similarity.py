@@ -115,7 +115,9 @@ def _images(
 def _require_range(data_range_dn: float) -> None:
     """Refuse a range that is none."""
     if not data_range_dn > 0:
-        raise CompareError(f"The data range must be positive, got {data_range_dn}; give full scale, as 255 for 8 bit.")
+        raise CompareError(
+            f"The data range must be positive, got {data_range_dn}; give the full scale, such as 255 for 8 bit."
+        )
 
 
 def similarity_bands(x: Floats, y: Floats, data_range_dn: float) -> Iterator[tuple[slice, Floats, Floats]]:

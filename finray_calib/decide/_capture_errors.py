@@ -120,14 +120,16 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
     """
     if _PAPER_EMITTER in report.label:
         raise DecideError(
-            f"the report on {report.captured} is of a render by level a ('{report.label}'), the sweep is of level b: "
-            "walls of level a emit the same at every angle of the light, so their error says nothing about the curve. "
-            "Simulate the press with --level b (the default) and compare again, or leave the report out"
+            f"the report on {report.captured} belongs to a render by level a ('{report.label}'), but the "
+            "sweep was rendered by level b: walls of level a emit the same at every angle of the light, so "
+            "their error cannot validate the curve. Simulate the press with --level b (the default) and "
+            "compare again, or leave the report out"
         )
     if report.forced_mismatch:
         raise DecideError(
-            f"the report on {report.captured} was made despite a mismatch, so its brightness error says nothing about "
-            f"the simulation ({'; '.join(report.findings)}): correct the capture and compare again, or leave it out"
+            f"the report on {report.captured} was made despite a mismatch, so its brightness error is not "
+            f"that of the simulation ({'; '.join(report.findings)}): correct the capture and compare again, "
+            "or leave it out"
         )
     if report.objective_error is None and (report.values == "linear light" or report.tone_curve is not None):
         raise DecideError(
@@ -141,8 +143,8 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
         )
     if report.light_angle_deg is None:
         raise DecideError(
-            f"the report on {report.captured} names no angle of the light, so it says nothing about the curve: write "
-            "light_angle_deg (-180 to 180 deg) into the capture and compare again"
+            f"the report on {report.captured} names no angle of the light, so it cannot be placed on the "
+            "curve: write light_angle_deg (-180 to 180 deg) into the capture and compare again"
         )
     return ValidatingCapture(
         report.captured,
@@ -375,13 +377,13 @@ def _sweep_of(sweeps: Sequence[LightAngleSweep], report: PhotometricErrorReport)
     first = owns[0]
     if report.finger is None:
         return 0, [
-            f"the report on {report.captured} does not say which finger was rendered (it is of an older "
-            f"version, or of a press without a design): whether it is '{first.name}' is not checked"
+            f"the report on {report.captured} does not say which finger was rendered (it was written by an "
+            f"older version, or the press has no design): whether it is '{first.name}' was not checked"
         ]
     if report.finger.version != first.version:
         return 0, [
-            f"the report on {report.captured} names its finger '{report.finger.name}' as another version of finray "
-            f"does: whether it is '{first.name}' is not checked; compare again to have it checked"
+            f"the report on {report.captured} names its finger '{report.finger.name}' in the way of another "
+            f"version of finray: whether it is '{first.name}' is not checked; compare again to have it checked"
         ]
     others = [report.finger.differs_in(own) for own in owns]
     pushed_mm = report.finger.depth_mm
@@ -390,13 +392,13 @@ def _sweep_of(sweeps: Sequence[LightAngleSweep], report: PhotometricErrorReport)
     if other:
         raise DecideError(
             f"the report on {report.captured} is on the finger '{report.finger.name}', the sweep "
-            f"'{sweeps[number].name}' on '{own.name}', and they differ in {', '.join(other)}: the error of one says "
-            f"nothing about the light of the other. Simulate and compare the capture with the sweep's design, or leave "
-            "the report out"
+            f"'{sweeps[number].name}' on '{own.name}', and they differ in {', '.join(other)}: the error of "
+            "one finger gives no information on the light of the other. Simulate and compare the capture "
+            "with the sweep's design, or leave the report out"
         )
     if abs(pushed_mm - own.depth_mm) <= _SAME_DEPTH_MM:
         return number, []
     return number, [
-        f"the render compared with {report.captured} was pressed {pushed_mm:g} mm deep, the sweep "
-        f"is of {own.depth_mm:g} mm: the error is that of another depth"
+        f"the render compared with {report.captured} was pressed {pushed_mm:g} mm deep, and the sweep "
+        f"{own.depth_mm:g} mm: its error belongs to another depth"
     ]

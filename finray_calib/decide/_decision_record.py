@@ -47,8 +47,8 @@ _ERROR_CURVE = (
 #: Shape of what is looked at where the error of the normal is decided on.
 FACET = "facet"
 _ASSUMED_SIZE = (
-    "3 %, 95 % between 0.4 % and 21 %; with a probability of 1/2 less in proportion where the curve varies less with "
-    "the angle than is usual"
+    "3 %, 95 % between 0.4 % and 21 %; with a probability of 1/2, it is proportionally smaller where the "
+    "curve varies less with the angle than usual"
 )
 
 
@@ -351,9 +351,9 @@ def _notes(
         *dict.fromkeys(note for swept in sweeps for note in swept.notes),
         f"the panel sits at x, y, z = {', '.join(f'{p:g}' for p in light.position_mm)} mm and the mirror reflects "
         f"{100 * sweep.design.mirror.reflectance:.0f} %: the best angle depends on both and on the probe points",
-        f"scatter of one value about the curve: {100 * max(c.noise_rel for c in decision.curves):.1f} %, of render "
-        f"noise, "
-        "which is averaged over the repeats; the scatter of the paint draws is kept: the real paint is one of them",
+        f"scatter of one value about the curve: {100 * max(c.noise_rel for c in decision.curves):.1f} % from "
+        "render noise, which is averaged over the repeats; the scatter of the paint draws is not averaged, "
+        "because the real paint is one of them",
     ]
     if on.aim == "normal":
         notes.append(
@@ -373,8 +373,8 @@ def _notes(
         )
     if len(on.contacts) > 1:
         notes.append(
-            "the errors at two places have a share of their variance in common that nobody has measured: 10 to 90 %, "
-            "all equally likely; edges and reflections are those of one camera and the same at all places"
+            "the errors at two places share a part of their variance that nobody has measured (10 to 90 %, "
+            "all equally likely); edges and reflections are those of one camera and the same at all places"
         )
     return tuple(notes)
 
@@ -388,9 +388,9 @@ def _note_on_error(captures: CaptureErrors) -> str:
             f"finger with only one kind of error they are mostly too low, and only captures can show it"
         )
     compared = (
-        "relative to the no-contact image of each capture, so an error that both images share is not seen; such "
-        "captures are assumed to see almost nothing of it with a probability of 1/2, else any share of it, and they "
-        "never settle the decision"
+        "relative to the no-contact image of each capture, so an error that both images share is not seen; "
+        "it is assumed that such captures reveal, with a probability of 1/2, almost nothing of it and "
+        "otherwise any share of it, so they never decide alone"
         if captures.scale_of is None
         else "by exposure and LED current, up to one unknown scale for each rig"
     )
@@ -565,9 +565,10 @@ def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
     number = "A capture" if captures_deg.size == 1 else f"{captures_deg.size} captures"
     enough = "" if decision.verdict in {"decided", "tie"} else ", which is not enough to decide"
     return (
-        f"{number} at {listed} deg {'is' if captures_deg.size == 1 else 'are'} in this{enough}: the simulation is off "
-        f"by some {percent(amplitude_rel)} at an angle. Without {'it' if captures_deg.size == 1 else 'them'} the "
-        f"choice would be {decision.best_simulation_only_deg:.0f} deg."
+        f"{number} at {listed} deg {'is' if captures_deg.size == 1 else 'are'} included{enough}: the "
+        f"simulation is off by some {percent(amplitude_rel)} at an angle. Without "
+        f"{'it' if captures_deg.size == 1 else 'them'} the choice would be "
+        f"{decision.best_simulation_only_deg:.0f} deg."
     )
 
 

@@ -365,7 +365,7 @@ def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: fl
     is_better = any(_limits(gain)[0] > 0.0 for gain in against_start)
     build = f"Build the finger with {changes}: {told}"
     if not is_better:
-        build = f"Keep the start: the best that was found ({changes}) is not shown to be better: {told}"
+        build = f"Keep the starting design: the best design found ({changes}) is not shown to be better: {told}"
     whole = "" if len(searched.objectives) == 1 else " in all objectives together (ratios multiplied)"
     return (
         f"{build}. With 95 % probability no design within the limits is better by more "

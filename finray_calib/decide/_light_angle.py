@@ -589,8 +589,8 @@ def _check(
         )
     if not (np.diff(angles_deg) > 0).all():
         raise DecideError(
-            f"The angles must increase and occur once each, got {angles_deg.tolist()} deg. Sort them and put the "
-            f"repeats of an angle into one row of values."
+            f"The angles must increase and occur once each, got {angles_deg.tolist()} deg. Sort them and put "
+            "all repeats of one angle into one row."
         )
     if values.ndim != 2 or len(values) != len(angles_deg) or values.shape[1] < _LEAST_REPEATS:
         raise DecideError(

@@ -454,7 +454,8 @@ _NOTES: Final = (
     "lights burn in turn, each with an exposure of its own",
     "intervals hold the noise of the paths and, of a finger, the draws of its paints; they do not know how far one LED "
     "of a batch is from another, nor how far the simulation is from the real sensor",
-    "power_rel is radiance: by it the light of an LED grows with its current, not in proportion; set it by a picture",
+    "power_rel is a factor of radiance, and the light of an LED is not proportional to its current; adjust "
+    "the current until a picture shows that factor",
 )
 
 
@@ -463,8 +464,9 @@ def powers_sentence(record: LightPowers) -> str:
     now, then, gain = record.variation_now_rel, record.variation_rel, record.gain_rel
     if len(record.rows) == 1:
         return (
-            f"There is one light, so its power changes no evenness: the brightness of the coat varies by "
-            f"{100 * now.estimate:.0f} % over the pad ({100 * now.low95:.0f} % to {100 * now.high95:.0f} %)."
+            "There is one light, so its power does not change the evenness: the brightness of the coat "
+            f"varies by {100 * now.estimate:.0f} % over the pad ({100 * now.low95:.0f} % to "
+            f"{100 * now.high95:.0f} %)."
         )
     told = ", ".join(f"{row.light} at {row.power_rel:.3g}" for row in record.rows[:_MOST_NAMED])
     more = f" and {len(record.rows) - _MOST_NAMED} more as listed" if len(record.rows) > _MOST_NAMED else ""
@@ -474,7 +476,11 @@ def powers_sentence(record: LightPowers) -> str:
             f"{100 * then.estimate:.0f} % over the pad."
         )
     else:
-        lead = "Set" if gain.low95 > 0.0 else "No gain is certain, so the powers may stay. Most even are"
+        lead = (
+            "Set"
+            if gain.low95 > 0.0
+            else "No gain is certain, so the powers may stay as they are. The most even powers are"
+        )
         sentence = (
             f"{lead} {told}{more}: the brightness of the coat then varies by {100 * then.estimate:.0f} % over the pad "
             f"in place of {100 * now.estimate:.0f} %, {100 * gain.estimate:.0f} % less ({100 * gain.low95:.0f} to "
@@ -484,7 +490,7 @@ def powers_sentence(record: LightPowers) -> str:
     if error is None:
         return f"{sentence} What this does to the error of the normal is not evaluated for a classic sensor."
     if error.low95_rel <= 0.0 <= error.high95_rel:
-        what = "does not change for certain"
+        what = "does not change with certainty"
     else:
         what = f"{'grows' if error.change_rel > 0.0 else 'falls'} by {100 * abs(error.change_rel):.1f} %"
     return (

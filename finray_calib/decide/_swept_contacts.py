@@ -89,14 +89,16 @@ def decided_on(
     normal = next((objective for objective in others if objective.place_values is not None), None)
     if aim == "normal" and (captured or weights is not None):
         raise DecideError(
-            f"the error of the normal was asked for together with {'reports on captures' if captured else 'weights'}: "
+            "the decision on the error of the normal was requested together with "
+            f"{'reports on captures' if captured else 'weights'}: "
             f"{'reports measure the brightness' if captured else 'weights belong to touches, the error to places'}. "
             "Leave them out, or decide on the brightness (--aim brightness)"
         )
     if aim == "normal" and normal is None:
         raise DecideError(
-            "the error of the normal was asked for, and the sweeps do not hold it at places along the pad: simulate "
-            "them with --objectives all, or decide on the brightness (--aim brightness)"
+            "the decision on the error of the normal was requested, but the sweeps do not hold this error at "
+            "places along the pad: simulate them with --objectives all, or decide on the brightness (--aim "
+            "brightness)"
         )
     if normal is None or aim == "brightness" or (aim is None and (captured or weights is not None)):
         return DecidedOn("brightness", sweeps[0].objective, tuple(touches), (), others)
@@ -171,8 +173,8 @@ def swept_contacts(
     if len(set(touches)) < len(touches):
         twice = next(sweep for number, sweep in enumerate(sweeps) if touches[number] in touches[:number])
         raise DecideError(
-            f"two sweeps are of one touch (position_mm = {twice.design.indenter.position_mm:g} mm): it would count "
-            "twice. Give each sweep once, and its weight by --weights"
+            f"two sweeps belong to the same touch (position_mm = {twice.design.indenter.position_mm:g} mm): "
+            "it would count twice. Give each sweep once, and its weight by --weights"
         )
     return [_contact(sweep, 1.0 if weights is None else weights[k]) for k, sweep in enumerate(sweeps)]
 
@@ -182,9 +184,9 @@ def _require_together(first: LightAngleSweep, sweep: LightAngleSweep) -> None:
     parts = set(finger_identity(first.design).differs_in(finger_identity(sweep.design))) - {"indenter"}
     if parts:
         raise DecideError(
-            f"the sweeps '{first.name}' and '{sweep.name}' are of two fingers, which differ in "
-            f"{', '.join(sorted(parts))}: one light angle cannot be decided for both. Only [indenter] may differ "
-            f"between the sweeps"
+            f"the sweeps '{first.name}' and '{sweep.name}' belong to different fingers, which differ in "
+            f"{', '.join(sorted(parts))}: one light angle cannot be decided for both. Only [indenter] may "
+            "differ between the sweeps"
         )
     if first.paints != sweep.paints:
         raise DecideError(
@@ -390,13 +392,14 @@ def _check(
     count, repeats = objective.values.shape
     if count != len(angles_deg) or count < 4 or repeats < 2:
         raise DecideError(
-            f"{objective.name} has {count} angles and {repeats} repeats for {len(angles_deg)} angles of the sweep; at "
-            "least 4 angles with 2 repeats are needed. Simulate the sweep again with more of them."
+            f"{objective.name} has {count} angles with {repeats} repeats, and the sweep has {len(angles_deg)} "
+            "angles; both must agree, and at least 4 angles with 2 repeats are needed. Simulate the sweep "
+            "again with more of them."
         )
     if not angles_deg[0] <= decided_deg <= angles_deg[-1]:
         raise DecideError(
-            f"The decided angle, {decided_deg:g} deg, lies outside the sweep ({angles_deg[0]:g} to {angles_deg[-1]:g} "
-            "deg), where nothing is known of the other objectives. Simulate a wider sweep."
+            f"The decided angle, {decided_deg:g} deg, lies outside the sweep ({angles_deg[0]:g} to "
+            f"{angles_deg[-1]:g} deg), where the other objectives are not known. Simulate a wider sweep."
         )
     if allowed is not None and not allowed.any():
         raise DecideError(

@@ -364,8 +364,8 @@ def _check_runs(inputs: Floats, values: Floats) -> None:
     """Refuse runs that no emulator can be fitted to."""
     if inputs.ndim != 2 or values.shape != inputs.shape[:1] or len(values) < 2 * inputs.shape[1] + 2:
         raise DecideError(
-            f"an emulator of {inputs.shape[-1]} inputs needs at least {2 * inputs.shape[-1] + 2} runs, got inputs "
-            f"{inputs.shape} and values {values.shape}; ask for more runs"
+            f"an emulator of {inputs.shape[-1]} inputs needs at least {2 * inputs.shape[-1] + 2} runs, got "
+            f"inputs {inputs.shape} and values {values.shape}; give more runs"
         )
     if not (np.abs(inputs) <= 1.0).all():
         raise DecideError(f"inputs must lie between -1 and 1, got {inputs.min():g} to {inputs.max():g}")

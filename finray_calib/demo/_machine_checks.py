@@ -79,7 +79,7 @@ CHECKS: Final = (
     Check("disk", f"{_HERE}:check_disk", "bad", "work in a folder on a disk that responds"),
     Check("caches", f"{_HERE}:check_caches", "bad", "export XDG_CACHE_HOME=/a/folder/that/you/may/write"),
     Check("serial ports", f"{_HERE}:check_serial_ports", "note", ""),
-    Check("drivers", f"{_HERE}:check_drivers", "note", "pip uninstall the package whose driver dies"),
+    Check("drivers", f"{_HERE}:check_drivers", "note", "pip uninstall the package whose driver crashes"),
 )
 
 
@@ -292,11 +292,11 @@ def check_caches() -> Found:
             continue
         if folder == renderers:
             return _note(
-                f"{folder} cannot be written to: {why}; {what} compiles again each time",
+                f"{folder} cannot be written to: {why}; {what} is compiled again each time",
                 f"chmod u+rwx {_quoted(folder)}",
             )
         mend = "export NUMBA_CACHE_DIR=/a/folder/that/you/may/write"
-        return _bad(f"{folder} cannot be written to: {why}; {what} keeps its compiled functions there", mend)
+        return _bad(f"{folder} cannot be written to: {why}; {what} stores its compiled functions there", mend)
     return _good(f"{_short(numbas)} (Numba), {_short(renderers)} (renderer)")
 
 
@@ -351,7 +351,7 @@ def check_drivers() -> Found:
         return _note(found, mend)
     drivers = [f"{driver.kind} {driver.label}" for driver in others]
     named = ", ".join([*drivers, *(f"{part.kind.noun} {part.name} ({part.source})" for part in parts)])
-    return _good(named or "those of finray-calib; no other package brings one")
+    return _good(named or "those of finray-calib; no other installed package adds one")
 
 
 def _way_in(port: Path) -> str:

@@ -342,7 +342,7 @@ def _pressed_finger(results: DemoResults) -> tuple[tuple[Picture, ...], ...]:
         return ()
     picture = figure_png(
         pressed_finger_png(mechanics, surfaces),
-        f"The finger from the side before and after the press: the pad gives way under the indenter and the finger "
+        "The finger from the side before and after the press: the indenter dents the pad and the finger "
         f"bends; the force rises to {mechanics.force_n[-1, 1]:.2f} N.",
         "The whole finger from the side, to scale, and its force. What to see: the dent in the pad, and how the fins "
         "bend around the indenter.",
@@ -370,7 +370,7 @@ def compare_section(results: DemoResults) -> Content:
         "unchanged (do nothing), and repeating the capture (floor)."
     )
     if results.mechanics is not None:
-        lead += " Both have the shape that finite elements gave: the score says nothing about the mechanics."
+        lead += " Both have the shape that finite elements gave, so the score does not test the mechanics."
     remarks = [display_remark(results.press), f"Values: {report.values}. SSIM settings: {report.ssim_settings}."]
     if results.report_level_a is not None:
         remarks.insert(0, level_a_sentence(report, results.report_level_a))

@@ -165,7 +165,11 @@ def _why_not(out: Path, mine: Mapping[str, Any]) -> str | None:
     if not isinstance(theirs, dict) or theirs.keys() != mine.keys():
         return f"{SETTINGS} was written by another version of finray"
     other = [text for name in mine for text in _differences(name, theirs[name], mine[name])]
-    return f"holds an unfinished demo with another {', another '.join(other)}, and the two would mix" if other else None
+    return (
+        (f"holds an unfinished demo with another {', another '.join(other)}, whose files would mix with the new ones")
+        if other
+        else None
+    )
 
 
 def _differences(name: str, theirs: Any, mine: Any) -> list[str]:

@@ -167,8 +167,8 @@ class Demo:
         paint = calibrate_paint(bands, self.settings.seed, FitOptions(check_by_emcee=True))
         if isinstance(paint, PaintWithoutEmission):
             raise FitError(
-                f"the {colour} sample of the demo ({paint.paint_name}) shows {paint.detection.statement}: it cannot "
-                f"light the finger; give the matrix of a fluorescent material"
+                f"the {colour} sample of the demo ({paint.paint_name}) shows {paint.detection.statement}, so "
+                "it emits no light for the finger; give the matrix of a fluorescent material"
             )
         return self._store(paint, f"{colour}/paint.json", [f"{colour}/bands.json"])
 

@@ -108,8 +108,8 @@ def _check(press: BallPress, no_contact_rgb: Bytes, mm_per_px: float, source: st
     rows, columns = no_contact_rgb.shape[:2]
     if press.rgb.shape != no_contact_rgb.shape:
         raise ImportFormatError(
-            f"{where}: an image of shape {press.rgb.shape} beside a no-contact image of {no_contact_rgb.shape}; both "
-            "must come from one camera at one size"
+            f"{where}: an image of shape {press.rgb.shape} with a no-contact image of shape "
+            f"{no_contact_rgb.shape}; both must come from one camera at one size"
         )
     if not (0.0 <= press.row_px < rows and 0.0 <= press.column_px < columns):
         raise ImportFormatError(
@@ -274,7 +274,7 @@ def _rows(path: Path, needed: tuple[str, ...]) -> list[tuple[int, dict[str, str]
     rows = [(line, dict(zip_longest(columns, row[: len(columns)], fillvalue=""))) for line, row in cells]
     if len(rows) > MOST_PRESSES:
         raise ImportFormatError(
-            f"{path}: lists {len(rows)} presses; at most {MOST_PRESSES} are read: give a part of it"
+            f"{path}: lists {len(rows)} presses; at most {MOST_PRESSES} can be read: split the file"
         )
     missing = [name for name in needed if name not in columns]
     if missing:
@@ -303,8 +303,8 @@ def _diameter(stated: str | None, given_mm: float | None, where: str) -> float:
     require_length(diameter, f"{where}: {_DIAMETER}", "--ball-diameter-mm")
     if given_mm is not None and abs(diameter - given_mm) > _SAME_DIAMETER_MM:
         raise ImportFormatError(
-            f"{where}: the catalog says a ball of {diameter:g} mm, --ball-diameter-mm {given_mm:g} mm; leave the "
-            "option out, or correct the catalog"
+            f"{where}: the catalog states a ball of {diameter:g} mm, but --ball-diameter-mm is {given_mm:g} "
+            "mm; leave the option out, or correct the catalog"
         )
     return diameter
 
@@ -410,8 +410,9 @@ def read_taxim(folder: Path, ball_diameter_mm: float | None = None, mm_per_px: f
     no_contact = _image(require_array(arrays, pickled, "f0", 3, path), "f0", path)
     if "imgs" not in arrays and "imgs" not in pickled:
         raise ImportFormatError(
-            f"{path}: holds the no-contact image only, no presses ('imgs'); that is enough for Taxim to render, but "
-            f"there is nothing to compare with: ask for the folder that the table was made from"
+            f"{path}: holds the no-contact image only, no presses ('imgs'); that is enough for Taxim to "
+            "render, but there is nothing to compare with: ask its owner for the folder from which the table "
+            "was made"
         )
     scale = require_length(
         _pixel_mm(folder) if mm_per_px is None else mm_per_px, "millimetres per pixel", "--mm-per-px", LARGEST_PIXEL_MM
@@ -433,8 +434,8 @@ def _presses(arrays: Arrays, pickled: tuple[str, ...], path: Path, ball_diameter
     radii = require_array(arrays, pickled, "touch_radius", 1, path).astype(np.float64)
     if centres.shape != (len(images), 2) or radii.shape != (len(images),):
         raise ImportFormatError(
-            f"{path}: {len(images)} images in 'imgs' need as many centres (x, y) and radii, got 'touch_center' of "
-            f"shape {centres.shape} and 'touch_radius' of {radii.shape}"
+            f"{path}: {len(images)} images in 'imgs' need the same number of centres (x, y) and radii, got "
+            f"'touch_center' of shape {centres.shape} and 'touch_radius' of {radii.shape}"
         )
     return [
         BallPress(f"press {k}", _image(image, "imgs", path), float(y), float(x), float(radius), ball_diameter_mm)
@@ -459,7 +460,7 @@ def _pixel_mm(folder: Path) -> float | None:
     try:
         found = read_json(path, "Taxim's parameters", ImportFormatError)["sensor"]["pixmm"]
         if isinstance(found, bool) or not isinstance(found, int | float):
-            raise TypeError(f"is {found!r}, no number")
+            raise TypeError(f"is {found!r}, which is not a number")
         return float(found)
     except (KeyError, TypeError) as error:
         raise ImportFormatError(

@@ -105,7 +105,9 @@ class ImportedFilter(Model):
         if self.curve is None and not all(nominal):
             raise ValueError(f"filter {self.name!r} needs center_nm and fwhm_nm, or curve (a CSV file)")
         if self.curve is not None and any(nominal):
-            raise ValueError(f"filter {self.name!r}: curve and center_nm or fwhm_nm contradict each other; give one")
+            raise ValueError(
+                f"filter {self.name!r}: curve and center_nm or fwhm_nm contradict each other; give only one of them"
+            )
         return self
 
 
@@ -122,7 +124,7 @@ class ImageFiles(Model):
         for field in ("white", "reflectance", "fluorescence"):
             if "{filter}" not in getattr(self, field):
                 raise ValueError(
-                    f"{field} = {getattr(self, field)!r} must hold {{filter}}, the place of the filter's name"
+                    f"{field} = {getattr(self, field)!r} must contain {{filter}}, which stands for the filter's name"
                 )
         return self
 
@@ -421,9 +423,9 @@ def _check_darks(images: list[BandImage]) -> None:
     for image in images:
         if dark_s and image.exposure_s not in dark_s:
             raise ImportFormatError(
-                f"{image.path}: was exposed for {image.exposure_s:g} s, but the dark frames are of "
-                f"{', '.join(f'{s:g}' for s in sorted(dark_s))} s; add a [[darks]] table of this time, or leave all "
-                "out and give camera.black_level_dn"
+                f"{image.path}: was exposed for {image.exposure_s:g} s, but the dark frames were exposed for "
+                f"{', '.join(f'{s:g}' for s in sorted(dark_s))} s; add a [[darks]] table of this time, or "
+                "leave all out and give camera.black_level_dn"
             )
 
 

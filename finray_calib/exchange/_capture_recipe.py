@@ -45,7 +45,7 @@ class RecipePicture(Model):
     channels: Literal["RGB", "BGR"] = Field(default="RGB", description="BGR: red and blue are exchanged in the files")
     encoding: Literal["linear", "unknown"] = "unknown"
     full_scale: Positive | None = Field(
-        default=None, description="value of an OpenEXR image that becomes the largest of 65535 steps"
+        default=None, description="value of an OpenEXR image that is mapped to 65535, the largest stored value"
     )
     corners_px: tuple[Corner, Corner, Corner, Corner] | None = Field(
         default=None, description="corners of the gel: top left, top right, bottom left, bottom right (column, row)"
@@ -67,7 +67,7 @@ class RecipeNoContact(Model):
     file: Pattern | None = Field(default=None, description="path within the folder; with {press} one for each press")
     repeat_file: Pattern | None = Field(default=None, description="a second image without contact")
     frames_before: Annotated[int, Field(ge=2, le=1000)] | None = Field(
-        default=None, description="so many frames at the beginning of each video are without contact"
+        default=None, description="number of frames without contact at the beginning of each video"
     )
     median_of_presses: bool = Field(
         default=False, description="a substitute: the median of all presses, pixel by pixel"
@@ -82,7 +82,7 @@ class RecipeNoContact(Model):
         if sum(given) != 1:
             raise ValueError("give exactly one of file, frames_before, median_of_presses and far_pixels")
         if self.repeat_file is not None and self.file is None:
-            raise ValueError("repeat_file goes with file")
+            raise ValueError("repeat_file needs file; give file too, or leave repeat_file out")
         return self
 
 
@@ -130,14 +130,16 @@ class RecipeScale(Model):
     mm_per_px: Positive | None = None
     px_per_mm: Positive | None = None
     check_length_mm: Positive | None = None
-    check_length_px: Quantity | None = Field(default=None, description="the same length in the labels or pictures")
+    check_length_px: Quantity | None = Field(
+        default=None, description="the same length, measured in pixels in the labels or pictures"
+    )
 
     @model_validator(mode="after")
     def _one_scale(self) -> "RecipeScale":
         if (self.mm_per_px is None) == (self.px_per_mm is None):
             raise ValueError("give mm_per_px or px_per_mm, one of the two")
         if (self.check_length_mm is None) != (self.check_length_px is None):
-            raise ValueError("check_length_mm and check_length_px go together")
+            raise ValueError("check_length_mm and check_length_px go together: give both or leave both out")
         return self
 
     @property
@@ -170,7 +172,7 @@ class Recipe(Model):
     """How a folder of presses is read."""
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
-    what: str = Field(description="which set this is, where from, and what it holds")
+    what: str = Field(description="what the data set is, where it comes from and what it holds")
     licence: str | None = None
     presses: RecipePresses
     picture: RecipePicture = RecipePicture()
@@ -179,7 +181,7 @@ class Recipe(Model):
     scale: RecipeScale | None = None
     indenter: RecipeIndenter
     force: RecipeForce | None = None
-    lacks: tuple[MissingPart, ...] = Field(default=(), description="what else is missing from the set")
+    lacks: tuple[MissingPart, ...] = Field(default=(), description="what else the data set lacks")
 
 
 def recipe_names() -> tuple[str, ...]:
@@ -239,10 +241,10 @@ class LeftOutError(Exception):
 def pickle_words(path: Path) -> str:
     """Return why a pickled file is not opened, and the lines that convert it outside of the program."""
     return (
-        "is pickled, and opening it could run a stranger's code, so it is never opened; if you trust its owner, "
-        "convert it in a Python of your own: import numpy, pathlib, pickle; "
-        f"values = pickle.loads(pathlib.Path('{path.name}').read_bytes()); "
-        f"numpy.save('{path.stem}.npy', numpy.array(values, dtype=float)), and name the .npy file in the recipe"
+        "is pickled, and opening it could run code of an unknown author, so it is never opened; if you trust "
+        "its owner, convert it in a Python of your own: import numpy, pathlib, pickle; values = "
+        f"pickle.loads(pathlib.Path('{path.name}').read_bytes()); numpy.save('{path.stem}.npy', "
+        "numpy.array(values, dtype=float)), and name the .npy file in the recipe"
     )
 
 

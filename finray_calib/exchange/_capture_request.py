@@ -263,12 +263,13 @@ press {REPEATS} times, and take the indenter away between. Take every image at a
 
 1. The camera's geometry and the scale: {BOARD_IMAGES} images of a ChArUco board of 7 x 5 squares, glued to a flat
    plate. Measure all seven squares with a calliper at once; a seventh of that length, and of its uncertainty, is that
-   of one square. The first image: the board flat where the pad's coat is, printed face to the camera, before the pad is
-   in or laid on it, all of it in view (through the mirror is right). The others: turned, and tilted by 20 to 45 deg in
-   all directions, some into the corners of the picture. Camera, mirror and focus are those of the presses. If the
+   of one square. For the first image the board lies flat where the pad's coat is, with its printed face to the camera;
+   take it before the pad is put in, or lay the board on the pad. All of the board must be in view (the view through
+   the mirror is right). For the other images, turn the board and tilt it by 20 to 45 deg in all directions, in some of
+   them so that it reaches the corners of the picture. Camera, mirror and focus are those of the presses. If the
    printed face cannot lie in the plane of the coat, measure how far behind it the coat is, to 0.1 mm: 1 mm at 50 mm
    changes the scale by 2 %. The ball plan asks for these images first. Its session then gives millimetres per raw pixel
-   along x and y, with uncertainty, and refuses in plain words what cannot be measured:
+   along x and y, with uncertainty, and names what cannot be measured:
 
        finray sense scale SESSION --square-u-mm 0.01 --out pixel-scale.json
 

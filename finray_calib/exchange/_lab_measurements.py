@@ -42,10 +42,12 @@ def read_force_csv(path: Path) -> MeasuredForce:
         raise ImportFormatError(str(error)) from None
     # a byte order mark that came under a comment
     header = [name.removeprefix("\ufeff").lower() for name in header]
-    allowed = f"needed are {', '.join(NEEDED)}, allowed also {', '.join(OPTIONAL)}"
+    allowed = f"required columns are {', '.join(NEEDED)}; {', '.join(OPTIONAL)} are also allowed"
     unknown = [name for name in header if name not in {*NEEDED, *OPTIONAL}]
     if unknown:
-        raise ImportFormatError(f"{path}: column '{unknown[0][:60]}' is unknown; {allowed}; mm and N, commas between")
+        raise ImportFormatError(
+            f"{path}: column '{unknown[0][:60]}' is unknown; {allowed}; give mm and N, separated by commas"
+        )
     missing = [name for name in NEEDED if name not in header]
     if missing:
         raise ImportFormatError(f"{path}: has no column '{missing[0]}'; {allowed}")

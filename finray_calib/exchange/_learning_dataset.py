@@ -119,7 +119,9 @@ def read_shard(path: Path) -> Iterator[dict[str, Any]]:
             with tarfile.open(fileobj=file, mode="r:") as archive:
                 yield from _grouped(archive, path)
         except tarfile.TarError as error:
-            raise RecordError(f"{path}: no shard of a data set, or cut off ({error}); compute it again") from None
+            raise RecordError(
+                f"{path}: is not a shard of a data set, or it is cut off ({error}); compute it again"
+            ) from None
 
 
 def _grouped(archive: tarfile.TarFile, path: Path) -> Iterator[dict[str, Any]]:
@@ -129,7 +131,9 @@ def _grouped(archive: tarfile.TarFile, path: Path) -> Iterator[dict[str, Any]]:
         key, _, ending = member.name.partition(".")
         stream = archive.extractfile(member) if member.isreg() and ending else None
         if stream is None or member.size > _LARGEST_MEMBER_BYTES:
-            raise RecordError(f"{path}: {member.name} is not a file of a sample, KEY.ENDING of at most 256 MB")
+            raise RecordError(
+                f"{path}: {member.name} is not a file of a sample; give only files KEY.ENDING of at most 256 MB"
+            )
         if sample and sample["__key__"] != key:
             yield sample
             sample = {}

@@ -103,8 +103,8 @@ class PaintSpectra:
             found = getattr(self, field).shape
             if found != wanted:
                 raise CurveError(
-                    f"paint '{self.name}': {field} has shape {found}, wanted {wanted} (draws of emission and "
-                    "absorption are paired); run 'finray fit' again"
+                    f"paint '{self.name}': {field} has shape {found}, and {wanted} is needed (draws of "
+                    "emission and absorption are paired); run 'finray fit' again"
                 )
 
     @property

@@ -129,7 +129,7 @@ def _read_dng(path: Path) -> RawImage:
     depths = [bits for bits in BIT_DEPTHS if 2**bits - 1 == image.white_dn]
     if not depths:
         raise ImportFormatError(
-            f"{path}: white level {image.white_dn} DN is not understood; known is 2^bits - 1 for {BIT_DEPTHS} bits"
+            f"{path}: white level {image.white_dn} DN is not supported; it must be 2^bits - 1 for {BIT_DEPTHS} bits"
         )
     return RawImage(image.counts, image.order, depths[0])
 
@@ -138,8 +138,8 @@ def _read_bayer_tiff(path: Path, order: BayerOrder | None, bit_depth: BitDepth |
     """Read Bayer counts of a TIFF, which says neither the order of its colours nor its bits."""
     if order is None or bit_depth is None:
         raise ImportFormatError(
-            f"{path}: a TIFF does not say its Bayer order and bit depth, so its encoding cannot be known; give both "
-            "(--bayer-order, --bit-depth), or use the DNG"
+            f"{path}: a TIFF does not state its Bayer order and bit depth, so its encoding cannot be known; "
+            "give both (--bayer-order, --bit-depth), or use the DNG"
         )
     try:
         counts = read_plain_counts(path)
@@ -268,13 +268,16 @@ def _from_raw(
     """Keep raw counts as they are where one black level tells all; else store the linear signal on 16 bits."""
     kinds = {(image.order, image.bit_depth, image.counts.shape) for image in raw.values()}
     if len(kinds) > 1:
-        raise ImportFormatError(f"{folder}: its images differ in Bayer order, bits or size: {sorted(map(str, kinds))}")
+        raise ImportFormatError(
+            f"{folder}: its images differ in Bayer order, bits or size: {sorted(map(str, kinds))}; capture all "
+            "images of a press with the same settings"
+        )
     black_level_rel = settings.black_level_rel
     if black_level_rel is None and options.tuning is not None:
         black_level_rel = options.tuning.black_level_rel
     if black_level_rel is None:
         raise ImportFormatError(
-            f"{folder}: neither metadata (SensorBlackLevels) nor a tuning file says the black level; give --tuning"
+            f"{folder}: neither metadata (SensorBlackLevels) nor a tuning file states the black level; give --tuning"
         )
     frames = {name: rggb_frame(image.counts, image.order) for name, image in raw.items()}
     bit_depth = raw["contact"].bit_depth
@@ -293,7 +296,9 @@ def _gains(settings: CaptureSettings, options: RaspberryPiOptions, shape: tuple[
     if options.tuning is None or options.tuning.shading is None:
         raise ImportFormatError("flattening the lens shading needs a tuning file with rpi.alsc tables; give --tuning")
     if settings.temperature_k is None:
-        raise ImportFormatError("metadata: has no ColourTemperature, which the lens-shading tables need")
+        raise ImportFormatError(
+            "metadata: has no ColourTemperature, which the lens-shading tables need; leave out --flatten-shading"
+        )
     return shading_gains(options.tuning.shading, settings.temperature_k, (shape[0], shape[1]))
 
 
@@ -308,7 +313,10 @@ def _from_processed(
         )
     sizes = {image.codes.shape for image in processed.values()}
     if len(sizes) > 1:
-        raise ImportFormatError(f"{folder}: its images differ in size: {sorted(sizes)} (rows, columns, channels)")
+        raise ImportFormatError(
+            f"{folder}: its images differ in size: {sorted(sizes)} (rows, columns, channels); capture all images "
+            "of a press with the same settings"
+        )
     estimates = {
         name: processed_signal(image.codes, options.tuning, settings, options.undo_colour, image.compressed)
         for name, image in processed.items()
@@ -346,8 +354,8 @@ def _metadata(image: Path) -> dict[str, Any]:
     path = image.with_suffix(".json")
     if not path.exists():
         raise ImportFormatError(
-            f"{image}: has no metadata beside it ({path.name}), so nothing says whether exposure and white balance "
-            "were locked; write it with rpicam-still --metadata"
+            f"{image}: has no metadata beside it ({path.name}), so it is not known whether exposure and white "
+            "balance were locked; write it with rpicam-still --metadata"
         )
     metadata = read_json(path, "what rpicam-still --metadata wrote", ImportFormatError)
     if not isinstance(metadata, dict):

@@ -60,9 +60,9 @@ HOLD_SHARE = 0.9
 FAR_HALF_WIDTHS = 1.6
 _SURFACE_DEGREE = 3
 _BITS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
-_MEDIAN_LOSES = "the median of the presses stands in for it; the presses remain in it by some DN: small errors are "
+_MEDIAN_LOSES = "the median of the presses is used instead and still holds some DN of them: small errors are "
 "not seen"
-_SURFACE_LOSES = "a smooth surface through far pixels stands in for it; texture of the gel counts as contact"
+_SURFACE_LOSES = "a smooth surface through far pixels is used instead; texture of the gel counts as contact"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ def read_by_recipe(
     reader = _Folder(inside, recipe, dict(circles or {}))
     read: list[str] = []
     excluded = [name for name in recipe.presses.leave_out if name in reader.files]
-    left_out = {"the recipe leaves it out": excluded} if excluded else {}
+    left_out = {"the recipe excludes it": excluded} if excluded else {}
     names = [name for name in reader.files if name not in recipe.presses.leave_out]
     for number, name in enumerate(names):
         if progress is not None:
@@ -207,8 +207,8 @@ class _Folder:
         if any(image.shape != images[0].shape for image in images):
             sizes = ", ".join(f"{image.shape[1]} x {image.shape[0]}" for image in images)
             raise ImportFormatError(
-                f"{self.files[name]}: its image and those without contact are of several sizes ({sizes} px); all must "
-                "come from one camera at one size"
+                f"{self.files[name]}: its image and those without contact have different sizes ({sizes} px); "
+                "all must come from one camera at one size"
             )
         capture = self._placed(name, self._unplaced(name, images, force_n))
         if self.recipe.no_contact.far_pixels:
@@ -286,8 +286,8 @@ class _Folder:
             full = self.recipe.picture.full_scale
             if full is None:
                 raise ImportFormatError(
-                    f"recipe '{self.recipe.name}': picture.full_scale is missing; say which value of {path.name} "
-                    "becomes the largest of 65535 steps"
+                    f"recipe '{self.recipe.name}': picture.full_scale is missing; state which value of "
+                    f"{path.name} becomes the largest of 65535 steps"
                 )
             steps = np.rint(exr_rgb(path) / full * 65535.0)
             return self._arranged(np.clip(steps, 0.0, 65535.0))
@@ -340,8 +340,8 @@ class _Folder:
         before = self.recipe.no_contact.frames_before
         if before is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': no_contact.frames_before is missing; say how many frames of a video are "
-                "without contact"
+                f"recipe '{self.recipe.name}': no_contact.frames_before is missing; state how many frames of "
+                "a video are without contact"
             )
         path = self.files[name]
         self._made_of.add(path)
@@ -457,7 +457,7 @@ class _Folder:
         contact = self.recipe.contact
         path = _named(self.folder, (contact.file if contact is not None else None) or "", name)
         if not has_file(path):
-            raise LeftOutError(f"there is no {contact.file if contact is not None else ''}, which holds its contact")
+            raise LeftOutError(f"the file {contact.file if contact is not None else ''} with its contact is missing")
         self._made_of.add(path)
         arrays, pickled = read_npz(path)
         corners = [
@@ -488,8 +488,8 @@ class _Folder:
             return label_entry(path, value)
         if press is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': 'press' is missing beside file = \"{file}\"; name the column that "
-                f"holds the press of each line"
+                f"recipe '{self.recipe.name}': 'press' is missing, which belongs to file = \"{file}\"; name "
+                "the column that holds the press of each line"
             )
         table = self._tables.get((path, press)) or read_label_table(path, press)
         self._tables[path, press] = table
@@ -511,11 +511,19 @@ class _Folder:
         source = self.recipe.no_contact
         common = source.file is not None and PRESS not in source.file
         lacks = (
-            (capture.repeat_no_contact is None, "a second image without contact", "no floor: what noise explains"),
+            (
+                capture.repeat_no_contact is None,
+                "a second image without contact",
+                "the floor: how much of an error is noise",
+            ),
             (common, "an image without contact of each press", "drift and wear of the gel cannot be separated"),
             (source.median_of_presses, "an image without contact", _MEDIAN_LOSES),
             (source.far_pixels, "an image without contact", _SURFACE_LOSES),
-            (capture.contact_told_by == "search", "a drawn contact", "searched for: its size is known to 20 %"),
+            (
+                capture.contact_told_by == "search",
+                "a drawn contact",
+                "it was found by a search: its size is accurate to 20 %",
+            ),
             (capture.contact_told_by is None, "where the contact is", "the simulated side must give the region"),
             (capture.indenter.radius_mm is None, "the indenter's size", "slopes and depth have no scale"),
             (capture.mm_per_px is None, "the scale, mm per px", "depth has no scale"),
@@ -550,7 +558,9 @@ def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
             found[match[1]] = path
     ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
     if len(ordered) > MOST_PRESSES:
-        raise ImportFormatError(f"{folder}: holds {len(ordered)} presses; at most {MOST_PRESSES} are read: give a part")
+        raise ImportFormatError(
+            f"{folder}: holds {len(ordered)} presses; at most {MOST_PRESSES} can be read: give a folder with fewer"
+        )
     for name in ordered:
         yield name, found[name]
 
@@ -614,7 +624,9 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
     distance = contact_distance(capture)
     if distance is None:
-        raise LeftOutError("the place of its contact is not known, so finray cannot tell which pixels are far from it")
+        raise LeftOutError(
+            "the place of its contact is not known, so finray cannot determine which pixels are far from it"
+        )
     rows, columns = distance.shape
     y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
     powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]
@@ -647,14 +659,12 @@ def motion_jpeg_frames(path: Path) -> list[bytes]:
     """
     content = read_bytes(path, "a Motion-JPEG video (AVI)", ImportFormatError, LARGEST_VIDEO_BYTES)
     if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
-        raise ImportFormatError(f"{path}: is no AVI video; {_CONVERT}")
+        raise ImportFormatError(f"{path}: is not an AVI video; {_CONVERT}")
     frames = [part for part in _video_parts(content, 0, len(content), 0) if part]
     if not frames or len(frames) > MOST_FRAMES:
-        raise ImportFormatError(
-            f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: give a part of it"
-        )
+        raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
     if not all(frame.startswith(b"\xff\xd8") for frame in frames):
-        raise ImportFormatError(f"{path}: its frames are no JPEG pictures (Motion JPEG); {_CONVERT}")
+        raise ImportFormatError(f"{path}: its frames are not JPEG pictures (Motion JPEG); {_CONVERT}")
     return frames
 
 

@@ -345,7 +345,7 @@ def capture_by_package(name: str, folder: Path) -> TactileCapture:
         )
     if not any(digest_as_read(file) is not None for file in folder.rglob("*")):
         raise plug_in.refusal(
-            "read no file of it by data_schemas.storage (read_bytes, read_npy, tiff_image), so that the record could "
-            "not name what it was made from", f"{folder}: ",
+            "did not read any file of it through data_schemas.storage (read_bytes, read_npy, tiff_image), so "
+            "that the record could not name what it was made from", f"{folder}: ",
         )  # fmt: skip
     return capture

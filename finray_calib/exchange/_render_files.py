@@ -196,7 +196,7 @@ LEAST_DEPTH_SHARE: Final = 0.01
 class RenderDescription(Model):
     """What a render's folder says of itself (render.json); what is left out is not known."""
 
-    simulator: str = Field(default="a simulator that is not named", description="program and version")
+    simulator: str = Field(default="a simulator without a name", description="program and version")
     encoding: Literal["linear", "encoded"] | None = Field(
         default=None, description="linear: proportional to light; encoded: as a camera's 8-bit images"
     )
@@ -262,13 +262,13 @@ def _press(folder: Path, capture: TactileCapture | None) -> SimulatedPress:
         )
     if contact_file.suffix != rest_file.suffix:
         raise ImportFormatError(
-            f"{folder}: {contact_file.name} and {rest_file.name} are files of two kinds; write both in the same format"
+            f"{folder}: {contact_file.name} and {rest_file.name} have different formats; write both in the same format"
         )
     encoding = said.encoding or {".exr": "linear", ".png": "encoded"}.get(contact_file.suffix)
     if encoding is None:
         raise ImportFormatError(
-            f'{folder}: npy files do not say what they hold; write "encoding": "linear" (proportional to light) or '
-            f'"encoded" (values of an 8-bit image) into {DESCRIPTION}'
+            f'{folder}: npy files do not state what they hold; write "encoding": "linear" (proportional to '
+            f'light) or "encoded" (values of an 8-bit image) into {DESCRIPTION}'
         )
     contact, no_contact = (_image(file, said.channels) for file in (contact_file, rest_file))
     if contact.shape != no_contact.shape:
@@ -326,7 +326,9 @@ def _image(path: Path, channels: str | None) -> Floats:
             f"{path}: expected finite numbers >= 0 of shape (rows, columns, 3), got shape {array.shape}; correct it"
         )
     if channels is None:
-        raise ImportFormatError(f'{path}: npy files do not say their order; write "channels": "RGB" or "BGR"')
+        raise ImportFormatError(
+            f'{path}: npy files do not state the order of their channels; write "channels": "RGB" or "BGR"'
+        )
     return np.asarray(array[..., ::-1] if channels == "BGR" else array)
 
 
@@ -369,8 +371,9 @@ def _distance(
             raise ImportFormatError(f"{folder / MASK}: must be as large as the images and white where the contact is")
         return outline_distance(touched), f"the mask {MASK}"
     raise ImportFormatError(
-        f"{folder}: nothing says where the contact is, and a score needs its region; write {DEPTH} (mm, positive into "
-        f"the gel), {MASK}, or contact_circle into {DESCRIPTION}, or give the capture with --capture"
+        f"{folder}: the place of the contact is not given, and a score needs its region; write {DEPTH} (mm, "
+        f"positive into the gel), {MASK}, or contact_circle into {DESCRIPTION}, or give the capture with "
+        "--capture"
     )
 
 

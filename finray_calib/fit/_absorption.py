@@ -246,7 +246,9 @@ _SEVERAL_LIGHTS = (
     "where no light lies near the edge of the absorption, the values come from the prior"
 )
 _BOUNDED = "; the reflectance only bounds the absorption from above"
-_FEW_SHAPES = "; the yields contradict the prior (only {shapes} absorption shapes fit): trust the curve near the lights"
+_FEW_SHAPES = (
+    "; the yields contradict the prior (only {shapes} absorption shapes fit): trust the curve only near the lights"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -400,7 +402,7 @@ def _relative_to_laser(yields: Sequence[ExcitationYield], laser_nm: float) -> Li
     """Return what the lights say relative to the laser; refuse yields that cannot be used."""
     if not yields or yields[0].excitation_nm != laser_nm:
         first = f"{yields[0].excitation_nm:g} nm" if yields else "missing"
-        raise FitError(f"absorption: the first yield must be the laser's at {laser_nm:g} nm, it is {first}")
+        raise FitError(f"absorption: the first yield must be the laser's at {laser_nm:g} nm, but it is {first}")
     for light in yields:
         if not (light.yield_rel > 0 and 0 < light.sd_rel <= LARGEST_YIELD_SD_REL):
             raise FitError(
@@ -440,8 +442,8 @@ def refuse_unfit_lights(bands: BandSignals, other_lights: Sequence[BandSignals])
     for light in other_lights:
         if light.paint_name != bands.paint_name:
             raise FitError(
-                f"other lights: a session is of paint {light.paint_name!r}, the first of {bands.paint_name!r}; give "
-                "sessions of one paint (the paint_name of their plans)"
+                f"other lights: one session is of paint {light.paint_name!r}, but the first is of paint "
+                f"{bands.paint_name!r}; give sessions of one paint (the paint_name of their plans)"
             )
     lights_nm = [light.optics.laser.wavelength_nm for light in (bands, *other_lights)]
     if len(set(lights_nm)) < len(lights_nm):

@@ -229,7 +229,7 @@ class BandData:
         bands = int(self.usable.any(axis=1).sum())
         if bands < LEAST_BANDS:
             raise FitError(
-                f"band data: only {bands} bands have a usable channel, at least {LEAST_BANDS} are needed; "
+                f"band data: only {bands} bands have a usable channel, but at least {LEAST_BANDS} are needed; "
                 "repeat the saturated or lost bands"
             )
         if not np.isfinite(self.y[self.usable]).all():

@@ -161,7 +161,9 @@ def filter_catalogue(
             f"{origin}: lacks column {', '.join(lacking)}; a catalogue has the columns {', '.join(_COLUMNS)}"
         )
     if not rows:
-        raise FitError(f"{origin}: holds no filter; give one a row: {', '.join(_COLUMNS)}")
+        raise FitError(
+            f"{origin}: holds no filter; give one filter in each row, with the columns {', '.join(_COLUMNS)}"
+        )
     places = [header.index(name) for name in _COLUMNS]
     return tuple(CatalogueFilter(*_numbers(f"{origin}, line {line}", cells, places)) for line, cells in rows)
 
@@ -176,7 +178,7 @@ def _numbers(where: str, cells: Sequence[str], places: Sequence[int]) -> list[fl
         except ValueError:
             value = np.nan
         if not low <= value <= high:
-            raise FitError(f"{where}: {name} is {text!r}, must be a number from {low:g} to {high:g}")
+            raise FitError(f"{where}: {name} is {text!r}, but must be a number from {low:g} to {high:g}")
         found.append(value)
     return found
 
@@ -219,9 +221,9 @@ def design_filters(
     offered = [f for f in catalogue if _usable(f, optics)]
     if not 1 <= wanted <= len(offered):
         raise FitError(
-            f"design: {wanted + len(kept)} filters are asked for; give {len(kept) + 1} to {len(kept) + len(offered)} "
-            f"(--number): {len(kept)} are kept, and the others come from the {len(offered)} of the catalogue that "
-            f"pass no laser light"
+            f"design: {wanted + len(kept)} filters were requested; give {len(kept) + 1} to "
+            f"{len(kept) + len(offered)} (--number): {len(kept)} are kept, and the others come from the "
+            f"{len(offered)} of the catalogue that pass no laser light"
         )
     rng = np.random.default_rng(seed)
     with threadpool_limits(limits=1, user_api="blas"):

@@ -286,8 +286,8 @@ def _require_one_session(pixels: PixelSignals, paint: PaintCalibration) -> None:
     """Refuse pixels and a fit that do not belong together."""
     if pixels.paint_name != paint.paint_name:
         raise FitError(
-            f"paint map: the pixels are of '{pixels.paint_name}', the fit is of '{paint.paint_name}'; give the fit of "
-            "the same session"
+            f"paint map: the pixels belong to paint '{pixels.paint_name}', but the fit to paint "
+            f"'{paint.paint_name}'; give the fit of the same session"
         )
     if pixels.optics.model_dump_json() != paint.optics.model_dump_json():
         raise FitError(

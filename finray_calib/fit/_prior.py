@@ -237,11 +237,11 @@ class AbsorptionPrior:
     def __post_init__(self) -> None:
         wrong = [f.name for f in fields(self) if not getattr(self, f.name) > 0]
         if wrong:
-            raise FitError(f"absorption prior: {wrong[0]} is {getattr(self, wrong[0]):g}, it must be above 0")
+            raise FitError(f"absorption prior: {wrong[0]} is {getattr(self, wrong[0]):g}, but must be above 0")
         if not self.blue_floor_low_rel <= self.blue_floor_high_rel <= 1:
             raise FitError(
                 f"absorption prior: the blue floor runs from {self.blue_floor_low_rel:g} to "
-                f"{self.blue_floor_high_rel:g}, it must increase and end at 1 or below"
+                f"{self.blue_floor_high_rel:g}, but must increase and end at 1 or below"
             )
 
     @cached_property

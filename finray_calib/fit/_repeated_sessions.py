@@ -98,8 +98,9 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
     for number, one in enumerate(sessions[1:], start=2):
         if one.paint_name != first.paint_name:
             raise FitError(
-                f"session {number} is of paint {one.paint_name!r}, the first of {first.paint_name!r}; give sessions of "
-                "one paint (the paint_name of their plans), and fit other paints by themselves"
+                f"session {number} is of paint {one.paint_name!r}, but the first is of paint "
+                f"{first.paint_name!r}; give sessions of one paint (the paint_name of their plans), and fit "
+                "other paints by themselves"
             )
         unlike = [
             name for name in type(first.optics).model_fields
@@ -108,7 +109,8 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
         if "laser" in unlike and one.optics.laser.wavelength_nm != first.optics.laser.wavelength_nm:
             raise FitError(
                 f"session {number} was excited at {one.optics.laser.wavelength_nm:g} nm, the first at "
-                f"{first.optics.laser.wavelength_nm:g} nm: another light of the same paint is given with --other-light"
+                f"{first.optics.laser.wavelength_nm:g} nm: give a session under another light with "
+                "--other-light"
             )
         if unlike:
             raise FitError(

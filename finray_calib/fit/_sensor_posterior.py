@@ -304,8 +304,8 @@ def _tangent(predict: Predict, blocks: PictureBlocks, point: Floats, steps: Floa
     at, half = predict(point)
     if not np.isfinite(at).all() or not (at > 0.0).any():
         raise FitError(
-            "the model of the sensor predicts no light in these pictures: check light and camera; where renders are "
-            "noisy the search may lead there: take more --samples"
+            "the model of the sensor predicts no light in these pictures: check light and camera of the "
+            "design; noisy renders can be another cause: give more --samples"
         )
     slopes = np.empty((2, len(at), len(point)))
     for k, step in enumerate(steps):

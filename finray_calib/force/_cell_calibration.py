@@ -106,7 +106,7 @@ def calibrate_cell(
     readings = counts.shape[1]
     means, sds = counts.mean(axis=1), counts.std(axis=1, ddof=1)
     if not sds.all():
-        raise CurveError("load cell: says the same count again and again; it is stuck: check amplifier and wiring")
+        raise CurveError("load cell: all readings have the same count, so it is stuck: check amplifier and wiring")
     noise_counts = float(np.sqrt(np.mean(sds**2)))
     # one scatter for all loads: that of a single one is known too badly to weigh with
     uncertainties = np.full(len(means), noise_counts / np.sqrt(readings))
@@ -149,8 +149,8 @@ def _require_loads(masses_kg: Floats) -> None:
     """Refuse too few loads for a line and its scatter."""
     if len(masses_kg) < LEAST_LOADS or len(set(masses_kg.tolist())) < 3:
         raise CurveError(
-            f"load cell: {len(masses_kg)} loads of {len(set(masses_kg.tolist()))} masses; give at least two masses "
-            "beside the empty cell"
+            f"load cell: {len(masses_kg)} loads of {len(set(masses_kg.tolist()))} masses; give at least two "
+            "masses besides the empty cell"
         )
 
 

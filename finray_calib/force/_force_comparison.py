@@ -99,7 +99,10 @@ def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
         ln_force_per_ln_input=np.array(effects).reshape(len(known), len(depth_mm)),
         missing=(
             *(f"{v.field}: its press failed ({v.failure})" for v in varied if len(v.depth_mm) < 2),
-            *(f"{field}: stated by the design, but the press tells no effect of it" for field in sorted(stated)),
+            *(
+                f"{field}: the design states its uncertainty, but the press does not store its effect"
+                for field in sorted(stated)
+            ),
             *(f"the parameters of {part}, whose uncertainty is not known" for part in press.design.packaged_parts()),
             *(() if known or varied else ("materials and dimensions: 'finray simulate press --sensitivities'",)),
         ),
@@ -116,7 +119,7 @@ def input_uncertainty(design: FingerDesign, field: str) -> tuple[float, str]:
         low, high = ASSUMED_BULK_OVER_SHEAR
         return ASSUMED_BULK_REL, f"assumed: K / mu from {low:g} to {high:g}, even in its logarithm"
     if field in _SHEETS:
-        return ASSUMED_SHEET_REL, f"assumed: {100 * ASSUMED_SHEET_REL:.0f} % of a sheet"
+        return ASSUMED_SHEET_REL, f"assumed: {100 * ASSUMED_SHEET_REL:.0f} % of the thickness of a sheet"
     value_mm = float(attrgetter(field)(design))
     return PRINT_LIMIT_MM / math.sqrt(3.0) / value_mm, f"assumed: printed to +-{PRINT_LIMIT_MM:g} mm"
 
@@ -156,10 +159,10 @@ def mesh_error(press: PressMechanics, other: PressMechanics | None) -> MeshError
     CompareError
         When the other press is of another design, or on the same preset.
     """
-    sources = [] if press.mesh_excess_rel is None else ["the mesh's excess on the 70 x 35 finger"]
+    sources = [] if press.mesh_excess_rel is None else ["excess force of the mesh, as found on the 70 x 35 finger"]
     curve = None if other is None else _curve_on_other_mesh(press, other)
     if curve is not None:
-        sources.append("the other mesh's difference")
+        sources.append("difference from the press on the other mesh")
     return MeshError(press.mesh_excess_rel or 0.0, curve, " or ".join(sources))
 
 
@@ -395,8 +398,12 @@ def _budget(
         for name, source, u, effect in zip(inputs.names, inputs.sources, inputs.u_rel, effects, strict=True)
     ]
     others = (
-        ("numerics", "; ".join(["two curves through the increments differ", *([mesh] if mesh else [])]), "numerical"),
-        ("measurement", "as its CSV states", "data"),
+        (
+            "numerics",
+            "; ".join(["difference of two curves through the increments", *([mesh] if mesh else [])]),
+            "numerical",
+        ),
+        ("measurement", "as the CSV file states", "data"),
     )
     for name, source, kind in others:
         u_rel = float(getattr(deviations, kind)[:, deepest].std()) / force_n

@@ -185,8 +185,8 @@ def _slope(press: PressSensitivities, field: str) -> Floats:
         if slope.field == field:
             return slope.ln_force_per_ln_number
     raise CompareError(
-        f"the force of this press has no derivative by {field}: it is about to snap, or pressed by the barrier. Give "
-        "curves of less push"
+        f"the derivative of the force by {field} is not available for this press, because the finger is about "
+        "to snap or the contact is a barrier; give curves of smaller displacement"
     )
 
 
@@ -496,14 +496,14 @@ def _toml(moduli: Sequence[FittedModulus]) -> str:
 def _notes(problem: _Problem, moduli: Sequence[FittedModulus], trusted: bool) -> tuple[str, ...]:
     """Return what the fit does not know, in words."""
     notes = [
-        "the law is neo-Hooke's: C10 is that of the strains that the curve reaches",
+        "the material law is neo-Hookean: C10 holds for the strains that the curve reaches",
         "rate, creep and temperature are those of the bench; friction of an indenter is not computed",
     ]
     bulk = moduli[1]
     if bulk.verdict != "measured":
         notes.append(
-            f"K/mu is {bulk.verdict}: from {bulk.posterior.low95:.3g} to {bulk.posterior.high95:.3g} the force is all "
-            "but the same; a confined block of the same gel measures it"
+            f"K/mu is {bulk.verdict}: from {bulk.posterior.low95:.3g} to {bulk.posterior.high95:.3g} the "
+            "force hardly changes; a confined block of the same gel would measure it"
         )
     for curve, model in zip(problem.curves, problem.models, strict=True):
         notes.append(

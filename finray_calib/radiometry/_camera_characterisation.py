@@ -132,8 +132,8 @@ def _require_levels(lit: dict[float, _Stack], dark: dict[float, _Stack]) -> None
     """Refuse too few exposures, and flat frames without dark ones of the same exposure."""
     if len(lit) < FEWEST_LEVELS:
         raise RadiometryError(
-            f"session.frames: flat frames at {len(lit)} exposures, at least {FEWEST_LEVELS} are needed: raise "
-            "plan.levels and capture again"
+            f"session.frames: flat frames at {len(lit)} exposures, but at least {FEWEST_LEVELS} are needed: "
+            "raise plan.levels and capture again"
         )
     lost = [asked_s for asked_s in lit if asked_s not in dark]
     if lost:
@@ -180,9 +180,9 @@ def _warnings(channels: list[ChannelCharacterisation], empty_fraction: float) ->
             )
     if empty_fraction > LARGEST_EMPTY_FRACTION:
         warnings.append(
-            f"{100 * empty_fraction:.1f} % of the dark counts are 0 (at most {100 * LARGEST_EMPTY_FRACTION:.1f} % is "
-            f"allowed): the "
-            "read noise comes out too small; raise the camera's black level"
+            f"{100 * empty_fraction:.1f} % of the dark counts are 0 (at most "
+            f"{100 * LARGEST_EMPTY_FRACTION:.1f} % is allowed): the read noise is underestimated; raise the "
+            "camera's black level"
         )
     gain = np.array([c.gain_e_per_dn.estimate for c in channels])
     weight = np.array([1.0 / c.gain_e_per_dn.sd**2 for c in channels])
@@ -327,12 +327,10 @@ def _used(name: ChannelName, levels: ChannelLevels, peak: int | None) -> tuple[B
         if used.sum() < FEWEST_IN_FIT:
             end = LINE_END if used is in_line else high
             raise RadiometryError(
-                f"{name} channel: {used.sum()} of {len(used)} exposures give unsaturated counts at {100 * start:.0f} "
-                f"% to "
-                f"{100 * end:.0f} % of saturation, at least {FEWEST_IN_FIT} are needed; {int((~clear).sum())} are "
-                f"saturated: "
-                "choose exposures between dark and saturation, a region that the light fills evenly, or another filter "
-                "or lamp for this channel"
+                f"{name} channel: {used.sum()} of {len(used)} exposures give unsaturated counts at "
+                f"{100 * start:.0f} % to {100 * end:.0f} % of saturation, but at least {FEWEST_IN_FIT} are "
+                f"needed; {int((~clear).sum())} are saturated: choose exposures between dark and saturation, "
+                "a region that the light fills evenly, or another filter or lamp for this channel"
             )
     return in_line, in_linearity
 

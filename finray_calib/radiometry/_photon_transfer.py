@@ -200,8 +200,8 @@ class FrameStack:
         """
         if self._count < FEWEST_FRAMES:
             raise RadiometryError(
-                f"{self._what}: {self._count} frame, at least {FEWEST_FRAMES} of the same exposure are needed to "
-                f"separate noise from pattern: raise plan.frames_per_level"
+                f"{self._what}: {self._count} frame, but at least {FEWEST_FRAMES} of the same exposure are "
+                "needed to separate noise from pattern: raise plan.frames_per_level"
             )
         return tuple(self._channel(sites) for sites in self._channels)
 

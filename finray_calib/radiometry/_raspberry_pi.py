@@ -260,7 +260,7 @@ def parse_tuning(document: Mapping[str, Any]) -> LibcameraTuning:
 def _algorithms(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return the enabled algorithms by name, from either layout."""
     if not isinstance(document, Mapping):
-        raise ImportFormatError(f"tuning: is a {type(document).__name__}, a tuning file is a JSON object")
+        raise ImportFormatError(f"tuning: is a {type(document).__name__}, and a tuning file must be a JSON object")
     version = document.get("version", 1.0)
     if not isinstance(version, (int, float)) or version >= 3.0:
         raise ImportFormatError(
@@ -444,7 +444,7 @@ def _numbers(metadata: Mapping[str, Any], control: str, count: int, image: str) 
     """Return `count` finite numbers of a control; all but matrix entries and black levels must be positive."""
     if control not in metadata:
         raise ImportFormatError(
-            f"{image}: its metadata has no {control}, so nothing says how it was exposed; write the metadata with "
+            f"{image}: its metadata has no {control}, so its exposure is not known; write the metadata with "
             "rpicam-still --metadata, or with picamera2's capture_metadata()"
         )
     try:

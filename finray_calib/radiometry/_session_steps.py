@@ -140,11 +140,10 @@ def _of_type(steps: dict[StepKey, StepSignal], kind: FrameType, names: tuple[str
             )
         if np.isnan(step.signal_dn_per_s).all():
             raise RadiometryError(
-                f"{step.exposures[0].frame.file}: filter {name} is saturated in all channels and exposures ('{kind}', "
-                f"{100 * step.saturated_fraction.min():.1f} % of the region at full scale, at most "
-                f"{100 * LARGEST_SATURATED_FRACTION:.2f} % is allowed): capture again with a lower "
-                f"plan.target_fraction or "
-                "a shorter exposure in plan.bracket"
+                f"{step.exposures[0].frame.file}: filter {name} is saturated in all channels and exposures "
+                f"('{kind}', {100 * step.saturated_fraction.min():.1f} % of the region at full scale, where "
+                f"at most {100 * LARGEST_SATURATED_FRACTION:.2f} % is allowed): capture again with a lower "
+                "plan.target_fraction or a shorter exposure in plan.bracket"
             )
         found.append(step)
     return tuple(found)
@@ -357,8 +356,8 @@ def refuse_other_repeat(trend: BleachingTrend, steps: SessionSteps) -> None:
     else:
         return
     raise RadiometryError(
-        f"filter {record.filter_name} and its own repeat disagree: {why}. Did sample, region or laser change during "
-        "the session? Capture again, or give --accept-repeat to take the difference for fading"
+        f"filter {record.filter_name} and its own repeat disagree: {why}. Did sample, region or laser change "
+        "during the session? Capture again, or give --accept-repeat to treat the difference as fading"
     )
 
 

@@ -137,8 +137,8 @@ def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: 
         ReportPage(
             verb="finray compare",
             title=f"{len(names)} presses, {_count(len(batch.simulators), 'simulator')}",
-            lead="How far simulated touches are from real ones. Skill 0 is doing nothing (the untouched image in place "
-            "of the simulation), 1 is perfect.",
+            lead="How far simulated touches are from real ones. Skill 0 means as good as the untouched image in "
+            "place of the simulation, 1 means perfect.",
             verdict=_verdict(batch),
             light=_light(batch),
             sentence=" ".join(list(_sentences(batch))[:1]),
@@ -206,7 +206,7 @@ def _over(skill: SkillOverPresses) -> str:
 
 def _method(skill: SkillOverPresses) -> str:
     """Say how the interval was formed and what it does not know."""
-    unknown = f"; not in it: {', '.join(skill.not_sampled)}" if skill.not_sampled else ""
+    unknown = f"; not included: {', '.join(skill.not_sampled)}" if skill.not_sampled else ""
     if skill.low95 is None:
         return f"{skill.method}{unknown}"
     return f"95 % over {_count(skill.units, skill.unit)}: {skill.method}{unknown}"
@@ -307,11 +307,11 @@ def _limits(batch: ComparisonBatch) -> Iterator[str]:
             )
     if batch.differences:
         yield (
-            "Differences are taken press by press, so that difficulties of a press that both simulators share "
-            "cancel. Their intervals "
-            f"hold together with 95 % (Bonferroni over {_count(len(batch.differences), 'difference')})."
+            "Differences are taken press by press, so that difficulties of a press that both simulators "
+            "share cancel. Their 95 % intervals are simultaneous (Bonferroni over "
+            f"{_count(len(batch.differences), 'difference')})."
         )
-    yield "The pages of single presses show intervals of one press; they say nothing about another press."
+    yield "The pages of single presses show intervals of one press; these do not apply to other presses."
 
 
 def _sections(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Iterator[Part]:
@@ -440,7 +440,8 @@ def _worst_picture(batch: ComparisonBatch, press: PressPictures) -> Picture:
         first = press.attribution.causes[0]
         cause = f"; most is lost by {first.cause}: {fixed(first.skill_lost, 3)}"
     text = f"{name}: skill {fixed(press.skill, 3)}{cause}"
-    return Picture(press.tiles, f"Captured, simulated and left over, {text}.", text, is_raster=True, is_small=True)
+    what = f"Captured change, simulated change and the difference that is left, {text}."
+    return Picture(press.tiles, what, text, is_raster=True, is_small=True)
 
 
 def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part:

@@ -151,7 +151,7 @@ def traceability_of(results: Sequence[CertifiedResult], *, is_simulated: bool = 
         alike.setdefault(result.traceability, []).append(_SHORT[result.name])
     told = "; ".join(f"{', '.join(names)}: {text}" for text, names in alike.items())
     told = NO_REFERENCE if list(alike) == [NO_REFERENCE] else told
-    return f"no paint was measured, the rig is simulated; {told}" if is_simulated else told
+    return f"no paint was measured, because the rig is simulated; {told}" if is_simulated else told
 
 
 def _head(details: CertificateDetails, session: CaptureSession | None, issued_on: date) -> tuple[tuple[str, str], ...]:
@@ -328,7 +328,7 @@ def _uncertainty(has_budget: bool) -> str:
         "The budget holds standard uncertainties (k = 1): sensitivity of the posterior mean times the standard "
         "uncertainty of each source (GUM 5.1.2), and the rest comes from the prior."
     )
-    return f"{told} {budget}" if has_budget else f"{told} A budget by source was not asked for."
+    return f"{told} {budget}" if has_budget else f"{told} A budget by source was not requested."
 
 
 def _rule(results: Sequence[CertifiedResult]) -> str:

@@ -271,7 +271,7 @@ def _limits(history: History, reference: int) -> tuple[str, ...]:
         f"mean and standard deviation of {reference} sessions. That holds for sessions that are independent and "
         "normally distributed.",
         "A fault that the reference already has is not seen, because the first sessions define what is normal.",
-        "A chart says that something changed, not what: lamp, filter and white tile change the same signals.",
+        "A chart shows that something changed, but not what: lamp, filter and white tile change the same signals.",
         "A change that a chart shows may be too small to matter: compare it with the uncertainty that you state.",
         *outliers,
     )

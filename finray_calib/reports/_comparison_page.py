@@ -155,7 +155,7 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
     error = report.objective_error.error_rel
     between = f"95 %: {signed_percent(error.low95)} to {signed_percent(error.high95)}"
     is_seen = not error.low95 <= 0 <= error.high95
-    reason = "its interval does not contain 0, so a difference is seen" if is_seen else "its interval holds 0"
+    reason = "its interval does not contain 0, so a difference is seen" if is_seen else "its interval contains 0"
     brightness = signed_percent(error.estimate)
     return (
         *numbers,
@@ -254,9 +254,10 @@ def _metrics(report: PhotometricErrorReport) -> Part:
     return Part(
         "All metrics",
         Content(
-            lead="Every number stands beside doing nothing (the untouched image in place of the simulation) and the "
-            "floor (a second capture without contact in place of the first). A metric that rates doing nothing nearly "
-            f"as good as the simulation cannot distinguish them. Square brackets: {_BRACKETS[interval_name(report)]}.",
+            lead="Every number is given also for doing nothing (the untouched image in place of the simulation) "
+            "and for the floor (a second capture without contact in place of the first). A metric that rates "
+            "doing nothing nearly as good as the simulation cannot distinguish them. Square brackets: "
+            f"{_BRACKETS[interval_name(report)]}.",
             tables=(*(metric_table(report, region) for region in report.regions), *others),
             remarks=(f"SSIM: {report.ssim_settings}.",),
             has_wide_tables=True,
@@ -436,7 +437,7 @@ def _bars(report: PhotometricErrorReport) -> tuple[Picture, ...]:
     pictures = [
         drawing(
             budget_figure(skill, lambda u: significant(u, 2), "standard uncertainty of the skill (1)"),
-            f"Bars: {_ranking(skill)} add most to the uncertainty of the skill.",
+            f"Bars: {_ranking(skill)} contribute most to the uncertainty of the skill.",
             f"What each input adds to the uncertainty of the skill when it alone varies. {see}",
         )
     ]
@@ -444,7 +445,8 @@ def _bars(report: PhotometricErrorReport) -> tuple[Picture, ...]:
         pictures.append(
             drawing(
                 budget_figure(brightness, percent, "standard uncertainty of the brightness, relative (1)"),
-                f"Bars: {_ranking(brightness)} add most to the uncertainty of the brightness beside the indenter.",
+                f"Bars: {_ranking(brightness)} contribute most to the uncertainty of the brightness beside "
+                "the indenter.",
                 f"The same for the brightness beside the indenter. {see}",
             )
         )
@@ -465,7 +467,7 @@ def validation_part(report: PhotometricErrorReport) -> Part:
         cells = tuple(cell for cell in report.validation if cell.channel == channel)
         found = f"{channel}: {sum(cell.within for cell in cells)} of {len(cells)} parts within"
         pictures.append(drawing(validation_figure(cells), f"Error of the level, {found}.", found, is_small=True))
-    lead = "Area: what lies between the distributions of simulation and capture, split by sign."
+    lead = "Area: the area between the distributions of simulation and capture, split by sign."
     numbers = Content(lead, tables=(validation_table(report),), has_wide_tables=True)
     detail = Part("Numbers of every part", numbers, is_detail=True)
     remark = (

@@ -628,8 +628,8 @@ def causes_table(found: ErrorAttribution) -> ReportTable:
     ]
     rest = (
         ("saturation", "pixels that are nearly clipped in the simulation", found.saturation_skill),
-        ("noise", "of the capture, estimated from neighbouring pixels", found.noise_skill),
-        ("remainder", "not explained by any of these", found.remainder_skill),
+        ("noise", "noise of the capture, estimated from neighbouring pixels", found.noise_skill),
+        ("remainder", "error that none of these explains", found.remainder_skill),
         ("sum", "1 - skill", found.skill_lost),
     )
     rows += [(name, what, fixed(value, 3), NO_VALUE, NO_VALUE) for name, what, value in rest]

@@ -45,8 +45,8 @@ from finray_calib.reports._plain_text import Json, percent, plain, probability, 
 Floats = NDArray[np.float64]
 #: Whether it is decided, and what follows.
 VERDICTS: Final = {
-    "decided": ("decided", "only nearby angles are as good"),
-    "tie": ("decided", "neighbouring angles are as good"),
+    "decided": ("decided", "only nearby angles are equally good"),
+    "tie": ("decided", "neighbouring angles are equally good"),
     "undecided": ("not decided", "more renders are needed"),
     "needs captures": ("not decided", "captures are needed"),
 }
@@ -314,8 +314,9 @@ def _others(decision: LightAngleDecision, sweep: LightAngleSweep) -> Part:
     picture = drawing(
         other_objectives_figure(decision, sweep),
         f"The other objectives over the light angle. {sentence}",
-        "Every objective relative to its best rendered angle, so that 1 is best for each. What to see: an objective "
-        "that is far below 1 at the chosen angle loses by the choice. Crossed out: angles that clip or do not fit.",
+        "Every objective relative to its best rendered angle, so that 1 is best for each. What to see: an "
+        "objective that is far below 1 at the chosen angle is made worse by this choice. Crossed out: angles "
+        "that clip or do not fit.",
     )
     told = {True: "yes", False: "no", None: "cannot be told"}
     rows = (
@@ -446,7 +447,7 @@ def decision_meaning(decision: LightAngleDecision) -> str:
     if decision.verdict == "decided":
         return (
             f"Mount the light at {angle}: the loss against the best angle stays within {tolerance} with 95 % "
-            f"probability, and only nearby angles are as good ({equivalent_text(decision.statement)})."
+            f"probability, and only nearby angles are equally good ({equivalent_text(decision.statement)})."
         )
     if decision.verdict == "tie":
         return (
@@ -600,7 +601,7 @@ def disagreement_sentence(decision: LightAngleDecision) -> str | None:
     against = [other for other in others if other.disagrees]
     if not against:
         unsure = sum(other.disagrees is None for other in others)
-        doubt = "" if unsure == 0 else f" (of {unsure} the sweep is too noisy to say)"
+        doubt = "" if unsure == 0 else f" (for {unsure} the sweep is too noisy to decide this)"
         return f"No other objective of the sweep is shown to need another angle{doubt}: {_names(others)}."
     told = "; ".join(
         f"{other.name} is best at {other.best_deg:.0f} deg and loses {percent(other.loss_rel)} here"
@@ -614,7 +615,7 @@ def _cost(decision: LightAngleDecision, other: OtherObjective) -> str:
     """Return what the best angle of another objective costs the one that was decided on."""
     if other.cost_rel is None:
         return ""
-    larger = "less brightness" if decision.aim == "brightness" else "more error of the normal"
+    larger = "less brightness" if decision.aim == "brightness" else "larger error of the normal"
     return f" (there: {lost(decision, other.cost_rel)} {larger})"
 
 

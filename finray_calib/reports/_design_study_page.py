@@ -62,7 +62,7 @@ _IN_CAPTIONS: Mapping[str, str] = {
 _TITLES: Mapping[str, str] = {
     **_IN_CAPTIONS,
     "brightness_rel": "brightness over the panel's radiance",
-    "seen_area_mm2": "seen area in mm\u00b2",
+    "seen_area_mm2": "visible area in mm\u00b2",
 }
 _MOST_NAMED_POINTS, _LONGEST_POINT_NAME = 12, 22
 
@@ -131,12 +131,13 @@ _IMAGE_LIMITS = (
     "include the noise of the renders, and leave out assumed materials, dimensions and camera response, which all "
     "points share.",
     "All points share their random numbers, so the difference of two points is more certain than each of them.",
-    "Vividness takes the camera's channels for those of sRGB, exposed and white-balanced on the coat itself; it "
-    "ranks fingers with one camera and is not an absolute measure of colour.",
+    "Vividness treats the camera's channels as sRGB, exposed and white-balanced on the coat itself; it ranks "
+    "fingers with one camera and is not an absolute measure of colour.",
 )
 _FORCE_LIMITS = (
-    "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
-    "Their limits show the uncertainty that comes from the mesh, which moves all points alike for the most part.",
+    "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been "
+    "measured. Their limits show the uncertainty that comes from the mesh, which mostly changes all points "
+    "in the same way.",
 )
 _NO_FORCE_LIMITS = (
     "No mechanics: the pad takes the shape of what is pressed in at once, with a bulge around it; there is no force, "
@@ -172,8 +173,8 @@ def _mixed_code(result: StudyResult) -> Iterator[str]:
     if len(of_code) > 1:
         told = "; ".join(f"{numbers} by {code}" for code, numbers in of_code.items())
         yield (
-            f"The points were computed by different code, so that their differences may be those of the code: {told}. "
-            "'finray study run' with --renew computes the older ones anew."
+            "The points were computed by different code, so that their differences may be those of the code: "
+            f"{told}. 'finray study run' with --renew computes the older ones again."
         )
 
 
@@ -356,7 +357,7 @@ def _sections(result: StudyResult, points: Sequence[StudyPoint]) -> Iterator[Par
             tables=(_effects(result, names),),
         ))  # fmt: skip
     yield Part("All numbers", Content(
-        "One row a point, as in table.csv; 95 % limits in brackets.",
+        "One row for each point, as in table.csv; 95 % limits in brackets.",
         tables=(_table(result, names), _meanings(result)), has_wide_tables=True,
     ))  # fmt: skip
 
@@ -493,13 +494,13 @@ def _pictures(points: Sequence[StudyPoint]) -> Content:
         for point, views in zip(points, _all_views(points), strict=True)
     )  # fmt: skip
     lead = (
-        "What the camera sees, cut to what is lit: without contact, with it, and what the touch changes in each "
-        f"channel, smoothed (grey: nothing; black and white: {100 * _CHANGE_SHOWN_REL:.0f} % and more; edges light up "
-        "where the picture moves because the finger bends). Each channel is balanced "
-        "for the screen, in the same way in all pictures. Base of the finger at the left, tip at the right; red paint "
-        "on one wall, green on the other, blue light from the base. Below each picture: the share of the coat where "
-        "each light leads, and how even, how vivid, and how much changed by the touch it is ('What the metrics are', "
-        "below, says how)."
+        "What the camera sees, cut to what is lit: without contact, with it, and what the touch changes in "
+        f"each channel, smoothed (grey: nothing; black and white: {100 * _CHANGE_SHOWN_REL:.0f} % and more; "
+        "edges light up where the picture moves because the finger bends). Each channel is balanced for the "
+        "screen, in the same way in all pictures. Base of the finger at the left, tip at the right; red "
+        "paint on one wall, green on the other, blue light from the base. Below each picture: the share of "
+        "the coat where each light leads, and the evenness, the vividness and the change by the touch (the "
+        "section 'What the metrics are' defines them)."
     )
     return Content(lead, (pictures,))  # one grid, whose pictures are all as wide
 
@@ -617,7 +618,7 @@ def _effects(result: StudyResult, names: Sequence[str]) -> ReportTable:
             means = [float(np.mean(values)) for values in by_value.values()]
             cells.append(f"{max(means) - min(means):.3g}" if len(means) > 1 else NO_VALUE)
         rows.append((name, *cells))
-    return one_group("By how much each field moves each metric", ("metric", *result.varied), rows)
+    return one_group("By how much each field changes each metric", ("metric", *result.varied), rows)
 
 
 def _table(result: StudyResult, names: Sequence[str]) -> ReportTable:

@@ -360,7 +360,9 @@ def stiffness_rows(study: FingerStiffness) -> tuple[tuple[str, str, str, str], .
         limits = most = ""
         if changed:
             found = [other for other, _ in changed]
-            limits = f"{min(found):.3g} to {max(found):.3g} with one assumed dimension {100 * study.share:.0f} % off"
+            limits = (
+                f"{min(found):.3g} to {max(found):.3g} with one assumed dimension changed by {100 * study.share:.0f} %"
+            )
             most = max(changed, key=lambda pair: abs(pair[0] - value))[1].changed
         rows.append((name, f"{value:.3g} {unit}", limits, most))
     return tuple(rows)
@@ -375,7 +377,7 @@ def _assessed_numbers(
     times = f"over {tolerances.box_factor:.2g}" if factor is None else f"{factor:.2g}"
     return (
         KeyNumber("Light angle", f"{decision.angle_deg:.0f} deg", around),
-        KeyNumber("All half-ranges times", times, "95 % of fingers stay within a tenth more error"),
+        KeyNumber("All half-ranges times", times, "95 % of fingers have at most a tenth more error"),
         KeyNumber("Stiffness under the pad", rows[2][1], rows[2][2]),
     )
 
@@ -436,11 +438,12 @@ def assessment_page(
 
 
 _ASSESSED_LIMIT: Final = (
-    "Tolerances and stiffness are simulated, of assumed dimensions of the skeleton; no finger of this drawing was "
-    "built or loaded. The range of a stiffness changes one dimension at a time and is no confidence interval."
+    "Tolerances and stiffness are simulated, of assumed dimensions of the skeleton; no finger of this "
+    "drawing was built or loaded. The range of a stiffness changes one dimension at a time and is not a "
+    "confidence interval."
 )
 
 
 def _assessed(title: str, sentence: str, file: str) -> Part:
     """Return a section that tells a result and names its own page."""
-    return Part(title, Content(sentence, remarks=(f"All of it: {file}, beside this page.",)))
+    return Part(title, Content(sentence, remarks=(f"All details: {file}, beside this page.",)))

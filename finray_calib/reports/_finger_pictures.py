@@ -392,16 +392,18 @@ def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:
     axes.plot(depth, force, "-o", color=BLUE, markersize=4)
     if mechanics.unreached:
         if mechanics.wanted_force_n is not None:
-            label = f"the force that was wanted, {mechanics.wanted_force_n:g} N"
+            label = f"requested force, {mechanics.wanted_force_n:g} N"
             axes.axhline(mechanics.wanted_force_n, color=VERMILLION, ls=":", label=label)
         else:
             wanted = mechanics.design.indenter.depth_mm
-            axes.axvline(wanted, color=VERMILLION, ls=":", label=f"the push that was wanted, {wanted:g} mm")
+            axes.axvline(wanted, color=VERMILLION, ls=":", label=f"requested push, {wanted:g} mm")
         axes.legend(loc="lower right")
     axes.set(xlabel="push of the indenter from first touch (mm)", ylabel="force along the pad's normal (N)")
     title = f"{force[-1]:.2f} N at {depth[-1]:.2f} mm"
     if not force[-1] > 0.0:
-        title += ":\nforce of the mesh, not of the finger: the indenter touches no node or has passed through"
+        title += (
+            ":\nthe force comes from the mesh, not from the finger: the indenter touches no node or has passed through"
+        )
     # a little room below a force that pulls, none below nought
     axes.set(xlim=(0.0, None), ylim=(min(0.0, 1.1 * force.min()), None), title=title)
 

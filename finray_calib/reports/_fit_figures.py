@@ -477,7 +477,7 @@ def caption(fitted: PaintMap) -> str:
         "explains the pixel; bright patches are dirt, glare or bare ground.",
     ]
     if fitted.worst_spots:
-        parts.append(f"Numbers: the blocks that depart most. {spots_note(fitted)}")
+        parts.append(f"Numbers: the blocks that differ most. {spots_note(fitted)}")
     return " ".join(parts)
 
 
@@ -499,8 +499,9 @@ def spread_sentence(fitted: PaintMap, quantity: MappedQuantity) -> str:
 def spots_note(fitted: PaintMap) -> str:
     """Say what a block shows that single pixels do not, and what else than paint it may be."""
     return (
-        f"Medians of {fitted.block_px} x {fitted.block_px} px show differences that the noise of single pixels "
-        f"hides. The white tile's own texture counts as the paint's: a session with the tile shifted separates them."
+        f"Medians of {fitted.block_px} x {fitted.block_px} px show differences that the noise of single "
+        "pixels hides. The white tile's own texture counts as the paint's: a further session with the tile "
+        "shifted separates the two."
     )
 
 

@@ -157,8 +157,8 @@ def _fit_findings(paint: FittedPaint, verdict: Verdict) -> tuple[str, ...]:
     """Return the sentences below the verdict: why it is so, the bands, the family, the absorption."""
     reasons = {
         "Fit can be used": "The draws are trusted, every band is explained, and there are no warnings.",
-        "Use with care": f"The draws are trusted; read the warnings first ({len(paint.fit.warnings)}, below), and what "
-        "is mostly prior.",
+        "Use with care": f"The draws are trusted; read the warnings first ({len(paint.fit.warnings)}, below), and "
+        "the list of what is mostly prior.",
         "Do not use": "The draws of the posterior cannot be trusted, so neither can any number of this page.",
     }
     conclusion = said.bands_conclusion(paint)
@@ -205,9 +205,9 @@ def _emission_assumption(paint: FittedPaint) -> str:
     fit = paint.fit
     if paint.rests_on_measured_spectra:
         return (
-            "Emission: prototypes of measured spectra (fluorophores, ink, textile, papers) with departures of three "
-            "sizes, all averaged. The prior does not cover a paint unlike any of them, such as one with narrow lines "
-            "between the filters."
+            "Emission: prototypes of measured spectra (fluorophores, ink, textile, papers) with smooth "
+            "deviations of three sizes, averaged over all. The prior does not cover a paint unlike any of "
+            "them, such as one with narrow lines between the filters."
         )
     return (
         f"Emission: {fit.family_title} with a discrepancy of {percent(fit.discrepancy.amplitude_rel)}, from "
@@ -295,10 +295,11 @@ def _emission_picture(paint: FittedPaint) -> Picture:
 def _families(paints: Paints) -> Content:
     """Show what each family makes of the same bands."""
     return Content(
-        lead="Each family is a different idea of what an emission curve looks like. Evidence and probability say how "
-        "well a family predicts the bands before seeing them, all equally likely beforehand. The score of the left-out "
-        "bands says how well each band is predicted from the others: higher is better, \u00b1 is the standard error of "
-        "the difference to the default family, and scores with \u2248 are only indicative (Pareto k above 0.7).",
+        lead="Each family is a different idea of what an emission curve looks like. Evidence and probability show "
+        "how well a family predicts the bands before seeing them, all equally likely beforehand. The score "
+        "of the left-out bands says how well each band is predicted from the others: higher is better, "
+        "\u00b1 is the standard error of the difference to the default family, and scores with \u2248 are "
+        "only indicative (Pareto k above 0.7).",
         picture_rows=_row(paints, _families_picture),
         remarks=tuple(said.family_statement(paint) for paint in paints),
         tables=tuple(families_table(paint) for paint in paints),
@@ -318,10 +319,10 @@ def _families_picture(paint: FittedPaint) -> Picture:
 def _bands(paints: Paints) -> Content:
     """Show how well each band is explained."""
     return Content(
-        lead="The prediction is the family's curve seen through each filter, with the spread that discrepancy and "
-        "filters allow. The predictive p is the probability of a larger misfit if the model is right; a band below "
-        "0.01 is not explained. The pull is the filter's calibration error in units of its assumed uncertainty: "
-        "0 \u00b1 1 means that these data say nothing about it.",
+        lead="The prediction is the curve of the family as each filter sees it, with the spread from discrepancy "
+        "and filters. The predictive p is the probability of a larger misfit if the model is right; a band "
+        "below 0.01 is not explained. The pull is the filter's calibration error in units of its assumed "
+        "uncertainty: 0 \u00b1 1 means that these data do not constrain it.",
         picture_rows=_row(paints, _bands_picture),
         tables=tuple(bands_table(paint) for paint in paints),
         has_wide_tables=True,
@@ -405,8 +406,8 @@ def _marginals_picture(paint: FittedPaint) -> Picture:
         f"Prior and posterior of {len(paint.fit.sampled)} parameters of {paint.subject}; the mode of the emission is "
         f"narrowed to {mode}.",
         paint.titled(
-            "what was believed before (hatched) and after (filled) the measurement. What to see: a filled peak much "
-            "narrower than the hatching was set by the measurement, not by the prior."
+            "prior before (hatched) and posterior after (filled) the measurement. What to see: a filled peak "
+            "much narrower than the hatching was set by the measurement, not by the prior."
         ),
     )
 
@@ -472,12 +473,12 @@ def _findings(paint: PaintWithoutEmission) -> tuple[str, ...]:
     """Return what to do, and what the decision rests on."""
     found = paint.detection
     return (
-        "There is no spectrum, no mode and no width in this record, because the signals contain none. The record "
-        "cannot be simulated with, mapped or exported.",
+        "There is no spectrum, no mode and no width in this record, because the signals contain none. The "
+        "record cannot be used for a simulation, a map or an export.",
         f"{percent(found.blanks_above)} of {found.blanks} simulated samples of the same rig and reflectance, which "
         "emit nothing, show at least as much.",
-        "If this should be a fluorescent paint: look at whether the laser was on, the right sample in view and the "
-        "region inside it, and measure again with longer exposures.",
+        "If this should be a fluorescent paint: check that the laser was on, the right sample in view and "
+        "the region inside it, and measure again with longer exposures.",
     )
 
 

@@ -164,7 +164,10 @@ def absorption_statement(paint: FittedPaint) -> str:
     absorption = paint.fit.reradiation
     shift = estimate_text(absorption.stokes_shift_nm, "nm")
     if absorption.prior_driven:
-        return paint.titled(f"Stokes shift {shift}: prior belief, not a measurement. {_sentence(absorption.statement)}")
+        return paint.titled(
+            f"Stokes shift {shift}: this comes from the prior, not from a measurement. "
+            f"{_sentence(absorption.statement)}"
+        )
     return paint.titled(f"Stokes shift {shift}. {_sentence(absorption.statement)}")
 
 
@@ -214,21 +217,22 @@ def sampling_statement(diagnostics: Diagnostics) -> str:
         return f"{taken}: {trust}; {_chain_text(diagnostics.chain)}; {found}." if diagnostics.chain else f"{taken}."
     own = (
         f"draws by resample-move, {trust}: importance sampling was uneven (Pareto k "
-        f"{pareto_text(diagnostics.pareto_k)}), so its draws were moved until they no longer depended on where they "
-        f"began "
-        f"(correlation {diagnostics.memory:.2f}, at most {LARGEST_MEMORY:g} wanted); {found}."
+        f"{pareto_text(diagnostics.pareto_k)}), so its draws were moved until they no longer depended on "
+        f"where they began (correlation {diagnostics.memory:.2f}, at most {LARGEST_MEMORY:g} is allowed); "
+        f"{found}."
         if diagnostics.memory is not None
         else f"draws by {diagnostics.method}, {trust}: Pareto k {pareto_text(diagnostics.pareto_k)} (at most "
-        f"{LARGEST_PARETO_K:g} wanted), {diagnostics.effective_samples:.0f} effective draws (at least "
-        f"{FEWEST_EFFECTIVE:.0f} wanted); {found}."
+        f"{LARGEST_PARETO_K:g} is allowed), {diagnostics.effective_samples:.0f} effective draws (at least "
+        f"{FEWEST_EFFECTIVE:.0f} are needed); {found}."
     )
     if diagnostics.chain is None:
         return own
     shift = largest_shift_sd(diagnostics.chain)
     verdict = "DISAGREES with them" if chain_disagrees(diagnostics.chain) else "agrees with them"
     return (
-        f"{own} emcee, run as an independent check, {verdict}: its means differ by at most {fixed(shift, 2)} standard "
-        f"deviations (at most {LARGEST_CHAIN_SHIFT_SD:g} wanted); {_chain_text(diagnostics.chain)}."
+        f"{own} emcee, run as an independent check, {verdict}: its means differ by at most {fixed(shift, 2)} "
+        f"standard deviations (at most {LARGEST_CHAIN_SHIFT_SD:g} is allowed); "
+        f"{_chain_text(diagnostics.chain)}."
     )
 
 
@@ -236,8 +240,9 @@ def _chain_text(chain: ChainCheck) -> str:
     """Return convergence, largest R-hat and smallest effective sample size of a chain."""
     r_hat, samples = max(chain.r_hat.values()), min(chain.effective_samples.values())
     return (
-        f"{'converged' if chain.converged else 'NOT converged'}, largest R-hat {r_hat:.3f} (at most {LARGEST_R_HAT} "
-        f"wanted), at least {samples:.0f} effective samples (above {SMALLEST_EFFECTIVE_SAMPLES:.0f} wanted)"
+        f"{'converged' if chain.converged else 'NOT converged'}, largest R-hat {r_hat:.3f} (at most "
+        f"{LARGEST_R_HAT} is allowed), at least {samples:.0f} effective samples (more than "
+        f"{SMALLEST_EFFECTIVE_SAMPLES:.0f} are needed)"
     )
 
 
@@ -413,7 +418,7 @@ def prior_table(paint: FittedPaint) -> ReportTable:
         TableGroup("Prior", tuple(words)),
         TableGroup("Shift when all priors are half / twice as wide", tuple(shifts)),
     )
-    return ReportTable(paint.titled("what was believed beforehand"), ("parameter", "value"), groups, is_words=True)
+    return ReportTable(paint.titled("prior, before the measurement"), ("parameter", "value"), groups, is_words=True)
 
 
 def sampling_table(paint: FittedPaint) -> ReportTable:

@@ -56,7 +56,10 @@ def grasp_png(grasp: ObjectGrasp, near: Finger, far: Finger, folder: Path | None
     motions = [finger[0].motion for finger in (near, far)]
     first, second = motions
     if first is None or second is None:
-        raise ValueError("these are no fingers of a grasp: their records have no motion")
+        raise ValueError(
+            "these records are not of the fingers of a grasp, because they hold no motion; give those that "
+            "'finray simulate grasp' wrote"
+        )
     figure = new_figure(13.0, 11.0)
     above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(1.25, 1.0)))
     side, curves = np.asarray(above.subfigures(1, 2, width_ratios=(1.5, 1.0)))
@@ -122,7 +125,7 @@ def _draw_way(figure: SubFigure, grasp: ObjectGrasp) -> None:
     if grasp.weight_n > 0.0:
         force.plot(steps, grasp.carried_n, "-o", color=VERMILLION, markersize=3, label="weight carried")
         force.axhline(grasp.weight_n, color=VERMILLION, ls=":", lw=1.0)
-    force.set(ylabel="force (N); dotted: wanted", ylim=(0.0, None))
+    force.set(ylabel="force (N); dotted: requested", ylim=(0.0, None))
     force.legend()
     for k, (name, colour) in enumerate((("across, x", VERMILLION), ("closing, y", BLUE), ("along, z", GREEN))):
         way.plot(steps, grasp.moves_mm[:, k], "-o", color=colour, markersize=3, label=name)

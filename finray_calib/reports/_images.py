@@ -149,7 +149,7 @@ def with_clipped(image: ByteImage, clipped: NDArray[np.bool_]) -> ByteImage:
 
 def clipped_remark(clipped: NDArray[np.bool_]) -> str:
     """Return what a caption says of clipped pixels; nothing where there are none."""
-    return " Grey chequers: clipped, the colour is not known." if clipped.any() else ""
+    return " Grey chequers: clipped, so the colour is not known." if clipped.any() else ""
 
 
 def png_bytes(rgb: ByteImage) -> bytes:
@@ -305,8 +305,8 @@ def require_one_grid(press: SimulatedPress, capture: TactileCapture) -> None:
     height, width = rgb_image(capture.no_contact, capture).shape[:2]
     if press.contact.shape[:2] != (height, width):
         raise RecordError(
-            f"comparison page: the render has {press.contact.shape[1]} x {press.contact.shape[0]} px, the capture "
-            f"{width} x {height} px; give the render on the grid of the capture (registered)"
+            f"comparison page: the render has {press.contact.shape[1]} x {press.contact.shape[0]} px, but the "
+            f"capture {width} x {height} px; give the render on the grid of the capture (registered)"
         )
 
 
@@ -451,8 +451,9 @@ def denoised(bands: NDArray[np.float32], samples_per_pixel: int) -> NDArray[np.f
     """
     if samples_per_pixel < FEWEST_SAMPLES:
         raise SimulateError(
-            f"a denoised picture needs at least {FEWEST_SAMPLES} paths per pixel, got {samples_per_pixel}: with fewer "
-            "the denoiser invents light; give --samples 64 or more, or leave out --denoise"
+            f"a denoised picture needs at least {FEWEST_SAMPLES} paths per pixel, got {samples_per_pixel}: "
+            "with fewer the denoiser makes the image too bright; give --samples 64 or more, or leave out "
+            "--denoise"
         )
     denoise = require_denoiser()
     clean = np.empty_like(bands)

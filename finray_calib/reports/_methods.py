@@ -183,8 +183,9 @@ def study_methods(result: StudyResult) -> tuple[str, ...]:
     told = "; ".join(f"{name} ({meanings[name].unit}): {meanings[name].meaning.rstrip('.')}" for name in names)
     failed = f"; {len(result.failures)} more could not be computed" if result.failures else ""
     return (
-        f"The design was varied in {', '.join(result.varied)}: {len(points)} designs were computed{failed}. Of each "
-        f"were taken: {told}. Where a value has an interval (95 %), it is that of independent renders of one design.",
+        f"The design was varied in {', '.join(result.varied)}: {len(points)} designs were computed{failed}. "
+        f"For each design these were computed: {told}. Intervals (95 %) come from independent renders of one "
+        "design.",
     )
 
 

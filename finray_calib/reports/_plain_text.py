@@ -146,7 +146,8 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
     lines += ["", _cut(f"headline: skill {headline} over {report.headline_region}", WIDTH_COLUMNS)]
     if interval_name(report) != "95 %":
         lines.append(
-            "in brackets: over pixels of this press, no 95 % interval; three presses give one (compare folders)"
+            "in brackets: spread over pixels of this press, not a 95 % interval; compare folders of three "
+            "presses or more for one"
         )
     for metric in report.packaged_metrics:
         shown = "; ".join(f"{row.candidate} {metric_value(row, metric)}" for row in metric.rows)

@@ -273,7 +273,7 @@ def _picture(axes: Axes) -> None:
 _LEVEL_TITLES = {
     "a": "paper, as printed:\nproportional to distance",
     "a_inverse_square": "paper's idea,\ninverse square of distance",
-    "b": "baked: walls emit what\narriving light excites",
+    "b": "default: walls emit what\narriving light excites",
 }
 _LEVEL_LINES = {"a": (MUTED, "--"), "a_inverse_square": (ORANGE, "-."), "b": (INK, "-")}
 _HEADROOM = 1.45
@@ -300,7 +300,9 @@ def _wall_panels(figure: SubFigure, study: FluorescentRendering) -> None:
             colour, dashes = _LEVEL_LINES[level]
             axes.plot(study.z_mm, study.wall_radiance_rel[k, w] / scale, dashes, color=colour,
                       label=_LEVEL_TITLES[level].split(":")[0].replace("\n", " "))  # fmt: skip
-        axes.plot(study.z_mm, study.second_order_rel[w] / scale, ":", color=BLUE, label="of it, excited by other paint")
+        axes.plot(
+            study.z_mm, study.second_order_rel[w] / scale, ":", color=BLUE, label="part of it that other paint excites"
+        )
         axes.set(title=f"{wall} wall emits", xlabel="z along, from the base (mm)")
         axes.set_ylim(0, _HEADROOM * float(study.wall_radiance_rel[:, w].max() / scale))
     panels[0].set_ylabel("relative to the baked mean")
@@ -478,11 +480,11 @@ _TITLES = (
     "What it absorbs (photons), relative to {laser:.0f} nm",
 )
 _WHY = (
-    "Why they differ: eight bands do not determine an emission between and beyond them. The paper's curve is taken "
-    "to be exact, and its 95 % band is far too\nnarrow; ours lets the paint leave its curve and says by how much. 2 "
-    "to 5 % "
-    "is one 10 nm band, not all emitted light. Absorption is a plateau: where its\nmaximum lies, and with it the "
-    "Stokes shift, is ill-defined, and one laser does not measure it (grey). Stand-ins, not the paper's own paints."
+    "Why they differ: eight bands do not determine an emission between and beyond them. The paper's curve is "
+    "taken to be exact, and its 95 % band is far too\nnarrow; our model lets the paint differ from its curve "
+    "by a stated amount. 2 to 5 % is one 10 nm band, not all emitted light. Absorption is a plateau: where "
+    "its\nmaximum lies, and with it the Stokes shift, is ill-defined, and one laser does not measure it "
+    "(grey). Stand-ins, not the paper's own paints."
 )
 
 

@@ -88,9 +88,9 @@ def find_board(grey: NDArray[np.uint8], board: CharucoBoard, name: str) -> Board
     all_corners = np.asarray(opencv.getChessboardCorners())[:, :2]
     if len(ids) < LEAST_CORNERS:
         raise CompareError(
-            f"{name}: {len(ids)} of the {len(all_corners)} corners of the board are found, {LEAST_CORNERS} are needed. "
-            f"Is it a ChArUco board of {board.squares[0]} x {board.squares[1]} squares of {board.dictionary}? Light it "
-            "evenly, avoid glare and blur, and bring it nearer"
+            f"{name}: {len(ids)} of the {len(all_corners)} corners of the board are found, but "
+            f"{LEAST_CORNERS} are needed. Is it a ChArUco board of {board.squares[0]} x {board.squares[1]} "
+            f"squares of {board.dictionary}? Light it evenly, avoid glare and blur, and bring it nearer"
         )
     view = BoardView(name, all_corners[ids].astype(np.float64), pixels, mirrored)
     _require_spread(view)
@@ -104,8 +104,9 @@ def _opencv_board(board: CharucoBoard) -> Any:
     markers = board.squares[0] * board.squares[1] // 2
     if markers > len(dictionary.bytesList):
         raise CompareError(
-            f"board.dictionary = {board.dictionary} has {len(dictionary.bytesList)} markers, a board of "
-            f"{board.squares[0]} x {board.squares[1]} squares needs {markers}: give the dictionary it was printed with"
+            f"board.dictionary = {board.dictionary} has {len(dictionary.bytesList)} markers, but a board of "
+            f"{board.squares[0]} x {board.squares[1]} squares needs {markers}: give the dictionary it was "
+            "printed with"
         )
     return cv2.aruco.CharucoBoard(board.squares, board.square_mm, board.marker_mm, dictionary)
 
@@ -137,8 +138,8 @@ def _require_large(view: BoardView, board: CharucoBoard) -> None:
     square_px = board.square_mm * float(np.sqrt(abs(np.linalg.det(affine))))
     if square_px < LEAST_SQUARE_PX:
         raise CompareError(
-            f"{view.name}: the board is too small in the picture, a square has {square_px:.1f} px of "
-            f"{LEAST_SQUARE_PX:g} px that are needed; bring it nearer, or print larger squares"
+            f"{view.name}: the board is too small in the picture: a square has {square_px:.1f} px, but "
+            f"{LEAST_SQUARE_PX:g} px are needed; bring it nearer, or print larger squares"
         )
 
 
@@ -223,17 +224,17 @@ def calibrate_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: 
     if not rms <= LARGEST_RMS_PX:
         worst = int(np.argmax(found.view_rms_px))
         raise CompareError(
-            f"the {model} model leaves {rms:.1f} px between the corners and where they should be ({views[worst].name}: "
-            f"{found.view_rms_px[worst]:.1f} px), {LARGEST_RMS_PX:g} px are allowed: is the board flat, are squares "
-            "and dictionary those that were printed, was the focus the same in all pictures?"
+            f"the {model} model leaves {rms:.1f} px between the corners and where they should be "
+            f"({views[worst].name}: {found.view_rms_px[worst]:.1f} px), but at most {LARGEST_RMS_PX:g} px are "
+            "allowed: is the board flat, are squares and dictionary those that were printed, was the focus "
+            "the same in all pictures?"
         )
     if not found.focal_u_rel <= LARGEST_FOCAL_U_REL:
         raise CompareError(
-            f"the focal length is known to {100 * found.focal_u_rel:.0f} % only, {100 * LARGEST_FOCAL_U_REL:.0f} % "
-            f"is allowed: the "
-            f"poses of the board are too similar. Take pictures with the board tilted by 20 to 45 deg in several "
-            f"directions, "
-            "some reaching into the corners"
+            f"the standard uncertainty of the focal length is {100 * found.focal_u_rel:.0f} %, but at most "
+            f"{100 * LARGEST_FOCAL_U_REL:.0f} % is allowed: the poses of the board are too similar. Take "
+            "pictures with the board tilted by 20 to 45 deg in several directions, some reaching into the "
+            "corners"
         )
     return found
 

@@ -461,8 +461,8 @@ def _check_together(captures: Sequence[TactileCapture]) -> None:
         digest = contact_sha256(capture)
         if digest in name_of:
             raise CompareError(
-                f"{name_of[digest]} and {capture.name} are one and the same image: a press that is given twice would "
-                f"be judged by a map that it has taught; give each once"
+                f"{name_of[digest]} and {capture.name} are the same image: a press that is given twice would "
+                "be judged by a map that it has taught; give each press once"
             )
         name_of[digest] = capture.name
     for capture in captures[1:]:
@@ -618,18 +618,22 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
     notes = []
     if taught:
         notes.append(
-            f"this press taught the map '{record.name}': its result says nothing about other presses, and the stated "
-            f"uncertainty is too large for it; teach with other presses"
+            f"this press taught the map '{record.name}': its result does not hold for other presses, and the "
+            "stated uncertainty is too large for it; teach with other presses"
         )
     if taught is None:
-        notes.append("whether this press taught the map is not known: the map is of an earlier version; teach it again")
+        notes.append(
+            "whether this press taught the map is not known, because an earlier version made the map; teach it again"
+        )
     if record.held_out_level_mm is None and record.held_out_depth_rms_mm is not None:
         notes.append(
             "the error of the depth's zero level around a contact is not known: its uncertainty holds only the "
             "scatter at the border of the picture; teach again, with contacts that leave 3.5 radii in view"
         )
     if record.held_out_depth_rms_mm is None:
-        notes.append("the uncertainty of the depth is not known: the map is of an earlier version; teach it again")
+        notes.append(
+            "the uncertainty of the depth is not known, because an earlier version made the map; teach it again"
+        )
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
             f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no teaching "

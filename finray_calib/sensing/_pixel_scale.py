@@ -377,8 +377,8 @@ def widened_factor(resampled_u_rel: float, at_middle: ScaleDraws) -> float:
     ratio = resampled_u_rel / of_covariance if of_covariance > 0.0 else 1.0
     if ratio > LARGEST_WIDENED_FACTOR:
         raise CompareError(
-            f"the scale scatters {ratio:.0f} times as much when pictures are drawn with replacement as independent "
-            f"corners allow; at most {LARGEST_WIDENED_FACTOR:g} times is accepted: one or two of the pictures alone "
-            f"determine the lens, or the board was not rigid. Take more pictures"
+            f"resampling the pictures gives {ratio:.0f} times the scatter of the scale that independent "
+            f"corners would give, and at most {LARGEST_WIDENED_FACTOR:g} times is allowed: one or two of the "
+            "pictures alone determine the lens, or the board was not rigid. Take more pictures"
         )
     return ratio if ratio > _SCATTER_FACTOR else 1.0

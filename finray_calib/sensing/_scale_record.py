@@ -97,8 +97,8 @@ def pixel_scale(
     require_plausible(board)
     if len(lens_views) < LEAST_VIEWS:
         raise CompareError(
-            f"{len(lens_views)} usable pictures of the board beside that on the pad: give {LEAST_VIEWS} or more (ten "
-            f"are good), each with the board turned and tilted in a different way"
+            f"{len(lens_views)} usable pictures of the board besides that on the pad: give {LEAST_VIEWS} or "
+            "more (ten are good), each with the board turned and tilted in a different way"
         )
     views = [pad, *lens_views]
     found = _best_lens(views, size_px, model)
@@ -200,10 +200,9 @@ def _require_known(found: ScaleDraws, pad: BoardView) -> None:
     if not u_rel <= LARGEST_U_REL:
         worst = max(found.parts_rel, key=lambda name: float(found.parts_rel[name][0].max()))
         raise CompareError(
-            f"{pad.name}: the scale is known to {100 * u_rel:.0f} % only, {100 * LARGEST_U_REL:.0f} % is allowed; "
-            f"most comes from "
-            f"'{worst}'. Show more of the board, larger in the picture, and take more pictures with it turned and "
-            "tilted"
+            f"{pad.name}: the standard uncertainty of the scale is {100 * u_rel:.0f} %, but at most "
+            f"{100 * LARGEST_U_REL:.0f} % is allowed; most of it comes from '{worst}'. Show more of the "
+            "board, larger in the picture, and take more pictures with it turned and tilted"
         )
 
 
@@ -214,10 +213,9 @@ def _notes(
     notes = []
     if widened > 1.0:
         notes.append(
-            f"the scale scatters by {100 * resampled_u:.2f} % when pictures are drawn with replacement, "
-            f"{widened:.1f} times "
-            "what independent corners allow: corners of a picture err together (is the board flat, are pictures "
-            "sharp?). Uncertainties are widened by this factor"
+            f"resampling the pictures gives a scatter of the scale of {100 * resampled_u:.2f} %, "
+            f"{widened:.1f} times that of independent corners, so the corners of one picture have common "
+            "errors (is the board flat, are the pictures sharp?). Uncertainties are widened by this factor"
         )
     others = float(np.sqrt(np.mean([r.rms_px**2 for r in residuals[1:]])))
     if residuals[0].rms_px > _WORSE_FACTOR * others:
@@ -277,10 +275,10 @@ def patch_scale(
     seen = scales_only(plane, np.concatenate([patch, pad]))
     if not at_middle.u_rel.max() <= LARGEST_U_REL:
         raise CompareError(
-            f"{capture.name}: at column {middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, the pixel "
-            f"scale is not known to {100 * LARGEST_U_REL:.0f} %: the camera does not see the plane of the pad there, "
-            f"or no "
-            f"picture shows the board near it. Is it of this camera? Then lay the board where the patch is"
+            f"{capture.name}: at column {middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, "
+            f"the pixel scale is not known to {100 * LARGEST_U_REL:.0f} %: the camera does not see the plane "
+            "of the pad there, or no picture shows the board near it. If it belongs to this camera, lay the "
+            "board where the patch is and measure again"
         )
     along = _along_picture(plane_places_mm(plane, middle_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
     side_mm, u_rel = cell * at_middle.mm_per_px[0, :2], at_middle.u_rel[0, :2]
@@ -334,8 +332,9 @@ def scale_finding(found: PatchScale, capture: TactileCapture) -> str | None:
     if apart <= allowed:
         return None
     return (
-        f"scale: {capture.name} states {capture.mm_per_px:.4g} mm per pixel, the pixel scale {measured:.4g} at the "
-        f"patch (u = {100 * u_rel:.1f} %): one of them is of another camera, place or picture size"
+        f"scale: {capture.name} states {capture.mm_per_px:.4g} mm per pixel, but the pixel scale is "
+        f"{measured:.4g} at the patch (u = {100 * u_rel:.1f} %): one of them belongs to another camera, place "
+        "or picture size"
     )
 
 
@@ -345,8 +344,9 @@ def _require_same_picture(record: PixelScale, capture: TactileCapture) -> None:
     lens = record.calibration
     if (lens.width_px, lens.height_px) != (columns, rows):
         raise CompareError(
-            f"the pixel scale is of pictures of {lens.width_px} x {lens.height_px} px, {capture.name} has {columns} x "
-            f"{rows} px: measure it with the camera of the capture, at its full frame"
+            f"the pixel scale was measured on pictures of {lens.width_px} x {lens.height_px} px, but "
+            f"{capture.name} has {columns} x {rows} px: measure it with the camera of the capture, at its "
+            "full frame"
         )
 
 

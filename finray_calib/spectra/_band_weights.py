@@ -79,7 +79,9 @@ class EmissionWeights:
         shapes |= {"wavelength_nm": (length,), "is_excitation": (rows,), "band_index": (rows,)}
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
-                raise FitError(f"emission weights: '{name}' has shape {getattr(self, name).shape}, must be {shape}")
+                raise FitError(
+                    f"emission weights: '{name}' has shape {getattr(self, name).shape}, but must have {shape}"
+                )
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
@@ -224,7 +226,7 @@ def _visible_laser(laser_white: FloatArray, white_signal: FloatArray, excitation
     """Return V, the laser on white as the excitation filter's band sees it."""
     if not 0 <= excitation_band < len(white_signal):
         raise FitError(
-            f"excitation_band: {excitation_band} does not exist, there are bands 0 to {len(white_signal) - 1}"
+            f"excitation_band: {excitation_band} does not exist; there are bands 0 to {len(white_signal) - 1}"
         )
     visible = float(share @ (laser_white[excitation_band] / white_signal[excitation_band]))
     if visible <= 0:
@@ -237,7 +239,7 @@ def _curve(name: str, values: ArrayLike, dimensions: int, length: int | None) ->
     array = np.array(values, dtype=np.float64)
     if array.ndim != dimensions or (length is not None and array.shape[-1] != length):
         wanted = f"{dimensions} dimension(s)" + ("" if length is None else f" and {length} wavelengths")
-        raise CurveError(f"{name}: shape {array.shape} is wrong, must have {wanted}")
+        raise CurveError(f"{name}: shape {array.shape} is wrong, it must have {wanted}")
     if not (np.isfinite(array) & (array >= 0)).all():
         raise CurveError(f"{name}: {int((~(array >= 0)).sum())} values are negative or not finite; must be 0 or more")
     return array
@@ -247,7 +249,7 @@ def _channel_shares(channel_weights: ArrayLike, channels: int) -> FloatArray:
     """Return the checked weights of the channels."""
     share = _curve("channel_weights", channel_weights, 1, channels)
     if abs(share.sum() - 1) > 1e-9:  # rounding of decimals written by hand is far below
-        raise FitError(f"channel_weights: sum is {share.sum():g}, must be 1")
+        raise FitError(f"channel_weights: their sum is {share.sum():g}, but must be 1")
     return share
 
 

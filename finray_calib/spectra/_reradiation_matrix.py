@@ -97,8 +97,9 @@ def reradiation_matrix(
     draws = absorption.absorption_rel_draws
     if emission_draws_per_nm.shape != (len(draws), emission_nm.size):
         raise CurveError(
-            f"re-radiation matrix of {name}: emission draws have shape {emission_draws_per_nm.shape}, must be "
-            f"({len(draws)} draws of the absorption, {emission_nm.size} wavelengths in nm): pair them one to one"
+            f"re-radiation matrix of {name}: emission draws have shape {emission_draws_per_nm.shape}, but "
+            f"must have ({len(draws)} draws of the absorption, {emission_nm.size} wavelengths in nm): pair "
+            "them one to one"
         )
     excitation_nm, laser_nm = absorption.excitation_nm, absorption.laser_nm
     excited = draws * (excitation_nm / laser_nm)

@@ -70,7 +70,8 @@ def right_aligned(counts: NDArray[np.uint16], pixels: RawPixels, bit_depth: int,
         if surplus and np.any(counts & np.uint16(2**surplus - 1)):
             raise RefusedError(
                 f"{camera}: {pixels.name} carries more than the {bit_depth} bits of the rig file (its lowest "
-                f"{surplus} bits are not all 0); correct bit_depth, or see what the camera does to raw counts"
+                f"{surplus} bits are not all 0); correct bit_depth, or check how the camera processes raw "
+                "counts"
             )
         return counts >> np.uint16(surplus)
     if counts.max(initial=0) >= 2**pixels.bits:
@@ -227,8 +228,8 @@ def set_exposure(features: Features, exposure_s: float, camera: str) -> float:
     actual_s = 1e-6 * features.number(name)
     if abs(actual_s - exposure_s) > LINE_S + CLOCK_REL * exposure_s:
         raise RefusedError(
-            f"{camera}: was asked to expose for {exposure_s:g} s and keeps {actual_s:g} s; is an automatic exposure or "
-            "a frame rate limit on?"
+            f"{camera}: an exposure of {exposure_s:g} s was requested, but it uses {actual_s:g} s; is an "
+            "automatic exposure or a frame rate limit on?"
         )
     return actual_s
 
@@ -289,7 +290,9 @@ def _set_gain(features: Features, gain_db: float, camera: str) -> None:
     if features.has("Gain"):
         _set_number(features, "Gain", gain_db, GAIN_STEP_DB, camera, "correct gain_db of the rig file")
     elif gain_db:
-        raise RefusedError(f"{camera}: has no feature Gain, the rig file asks for {gain_db:g} dB; leave gain_db out")
+        raise RefusedError(
+            f"{camera}: has no feature Gain, but the rig file states gain_db = {gain_db:g}; leave gain_db out"
+        )
 
 
 def _set_text(features: Features, name: str, value: str, camera: str) -> None:
@@ -512,7 +515,7 @@ class GenicamCamera:
         delivered = self._grab(actual_s, end_s)
         settings = {**self._require_kept(actual_s), TRANSPORT: delivered.fault or "success"}
         if kept:
-            settings[FIRST_FRAME] = "kept: there was no time to take a second frame"
+            settings[FIRST_FRAME] = "the first frame was kept, because there was no time to take a second one"
         timed = delivered.device_time_s > 0.0
         return RawFrame(
             counts=self._counts(delivered),
@@ -632,7 +635,7 @@ class GenicamCamera:
             pixels = configure(device, self._settings, self._where)
             if self._pixels not in (None, pixels):
                 # Entries that cannot be asked in time count as not offered, and a monochrome format would be chosen.
-                raise ConnectionBrokenError(f"it offers {pixels.name} where it sent {self._pixels.name} before")
+                raise ConnectionBrokenError(f"it now offers {pixels.name}, but sent {self._pixels.name} before")
             settings = read_settings(device)
             device.prepare()
             if time.monotonic() > end_s:

@@ -79,8 +79,8 @@ def read_dng(content: bytes, path: Path) -> DngImage:
     order = ORDER_OF_PATTERN.get("".join(map(str, sites)))
     if order is None or counts.ndim != 2:
         raise BadFrameError(
-            f"{path}: Bayer pattern {sites} of an image of shape {counts.shape} is not understood; known are "
-            f"{', '.join(FIRST_RED)} (red 0, green 1, blue 2)"
+            f"{path}: Bayer pattern {sites} of an image of shape {counts.shape} is not supported; supported "
+            f"are {', '.join(FIRST_RED)} (red 0, green 1, blue 2)"
         )
     return DngImage(counts, order, white_dn)
 
@@ -391,7 +391,7 @@ def decoded_jpeg(body: bytes, name: str) -> NDArray[np.uint8]:
         except cv2.error:
             bgr = None
     if bgr is None:
-        raise BadFrameError(f"{name}: sent a picture of {len(body)} bytes that is torn or no JPEG")
+        raise BadFrameError(f"{name}: sent a picture of {len(body)} bytes that is incomplete or not a JPEG")
     return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
 
 
@@ -420,4 +420,4 @@ def jpeg_size_px(body: bytes, name: str) -> tuple[int, int]:
         if length < 2 or marker in (0xD9, 0xDA):
             break
         at += 2 + length
-    raise BadFrameError(f"{name}: sent a picture of {len(body)} bytes that is torn or no JPEG")
+    raise BadFrameError(f"{name}: sent a picture of {len(body)} bytes that is incomplete or not a JPEG")

@@ -94,7 +94,9 @@ class ImageFolder:
     def _refuse(self, exposure_s: float) -> NoReturn:
         """Say why there is no image."""
         if not self._unused:
-            raise RefusedError(f"{self._where}: all {len(self._images)} images are used; add images or ask for fewer")
+            raise RefusedError(
+                f"{self._where}: all {len(self._images)} images are used up; add images or plan fewer exposures"
+            )
         left = sorted({self._images[number].exposure_s for number in self._unused})
         raise RefusedError(
             f"{self._where}: none of the {len(self._unused)} images that are left was exposed for {exposure_s:g} s; "
@@ -136,7 +138,7 @@ def _raw_images(path: Path, where: str) -> tuple[StoredImage, ...]:
     """Return the images of a folder in order of their names."""
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
     if not files:
-        raise RefusedError(f"{where}: {path} holds no images; known are {', '.join(SUFFIXES)}")
+        raise RefusedError(f"{where}: {path} holds no images; supported endings are {', '.join(SUFFIXES)}")
     listed = _listed_exposures(path / EXPOSURES_NAME, where)
     lost = sorted(set(listed) - {file.name for file in files})
     if lost:

@@ -112,8 +112,8 @@ class IndiCamera:
         blob = self._client.blobs.pop(_FRAME)
         if blob.attributes.get("format") not in (".fits", ".fits.z"):
             raise RefusedError(
-                f"{self._client.name}: sends frames as '{blob.attributes.get('format', '')[:16]}', .fits is needed; "
-                "set the driver's transfer format to FITS and its compression off"
+                f"{self._client.name}: sends frames as '{blob.attributes.get('format', '')[:16]}', but .fits "
+                "is needed; set the driver's transfer format to FITS and its compression off"
             )
         image = read_fits_image(blob_bytes(blob, self._client.name), self._client.name)
         return self._frames.checked(image, exposure_s, captured_utc)
@@ -158,8 +158,8 @@ class IndiCamera:
         wide, high = (int(client.number("CCD_INFO", axis)) for axis in ("CCD_MAX_X", "CCD_MAX_Y"))
         if camera.width_px > wide or camera.height_px > high:
             raise RefusedError(
-                f"{client.name}: its sensor has {wide} x {high} px, the rig file asks for {camera.width_px} x "
-                f"{camera.height_px} px; correct width_px and height_px"
+                f"{client.name}: its sensor has {wide} x {high} px, but the rig file states {camera.width_px} "
+                f"x {camera.height_px} px; correct width_px and height_px"
             )
         if self._wheel_device and self._snoops():
             client.change("Text", "ACTIVE_DEVICES", {"ACTIVE_FILTER": self._wheel_device}, end_s)
@@ -177,8 +177,8 @@ class IndiCamera:
         least_s, greatest_s = self._client.property(_EXPOSURE).ranges.get(_EXPOSURE_VALUE, (0.0, 0.0))
         if exposure_s <= 0.0 or (greatest_s > least_s and not least_s <= exposure_s <= greatest_s):
             raise RefusedError(
-                f"{self._client.name}: cannot expose for {exposure_s:g} s, {least_s:g} to {greatest_s:g} s are "
-                "allowed; correct shortest_exposure_s and longest_exposure_s of the rig file"
+                f"{self._client.name}: cannot expose for {exposure_s:g} s, only for {least_s:g} to "
+                f"{greatest_s:g} s; correct shortest_exposure_s and longest_exposure_s of the rig file"
             )
 
 
@@ -251,8 +251,8 @@ def read_fits_image(data: bytes, name: str) -> FitsImage:
     width, height = (_length(header.get(axis)) for axis in ("NAXIS1", "NAXIS2"))
     if width * height == 0 or len(data) < start + 2 * width * height:
         raise BadFrameError(
-            f"{name}: a frame of {width} x {height} px needs {2 * width * height} bytes after its header, "
-            f"{len(data) - start} came"
+            f"{name}: a frame of {width} x {height} px needs {2 * width * height} bytes after its header, but "
+            f"only {len(data) - start} came; expose again"
         )
     stored = np.frombuffer(data, dtype=">u2", count=width * height, offset=start).reshape(height, width)
     # Stored values are signed; adding 32768 to them turns over their highest bit.
@@ -278,7 +278,9 @@ def _header(data: bytes, name: str) -> tuple[dict[str, CardValue], int]:
             return header, -(-(at + CARD_BYTES) // BLOCK_BYTES) * BLOCK_BYTES
         if card[8:10] == "= " and (value := _value(card[10:])) is not None:
             header[key] = value
-    raise BadFrameError(f"{name}: sends {data[:10]!r}..., which is no FITS file with a complete header; expose again")
+    raise BadFrameError(
+        f"{name}: sends {data[:10]!r}..., which is not a FITS file with a complete header; expose again"
+    )
 
 
 def _value(field: str) -> CardValue | None:
@@ -345,20 +347,21 @@ class IndiFrames:
         header, name = image.header, self._client.name
         if image.counts.shape != (self._settings.height_px, self._settings.width_px):
             raise FrameSizeError(
-                f"{name}: sent {image.counts.shape[1]} x {image.counts.shape[0]} px, {self._settings.width_px} x "
-                f"{self._settings.height_px} px were asked for; check the frame and binning in the camera's driver"
+                f"{name}: sent {image.counts.shape[1]} x {image.counts.shape[0]} px, but "
+                f"{self._settings.width_px} x {self._settings.height_px} px were requested; check the frame "
+                "and binning in the camera's driver"
             )
         read_back_s = _number(header, "EXPTIME", name)
         if abs(read_back_s - exposure_s) > EXPOSURE_TOLERANCE_REL * exposure_s:
             raise RefusedError(
-                f"{name}: {exposure_s:g} s were asked for, the frame's header says {read_back_s:g} s; see that no "
-                "other program uses the camera"
+                f"{name}: {exposure_s:g} s were requested, but the frame's header states {read_back_s:g} s; "
+                "make sure that no other program uses the camera"
             )
         gain = self._settings.gain_db
         if "GAIN" in header and abs(_number(header, "GAIN", name) - gain) > _HEADER_DIGITS_REL * max(1.0, gain):
             raise RefusedError(
-                f"{name}: gain {gain:g} was asked for, the frame's header says {header['GAIN']}; see that no other "
-                "program uses the camera"
+                f"{name}: gain {gain:g} was requested, but the frame's header states {header['GAIN']}; make "
+                "sure that no other program uses the camera"
             )
         device_time_s = self._require_new(header)
         return RawFrame(
@@ -393,8 +396,9 @@ class IndiFrames:
         if pattern not in ("", self._settings.bayer_pattern) or offsets != [0.0, 0.0] or upside_down:
             raise RefusedError(
                 f"{self._client.name}: sends the colour pattern {pattern or 'none'} (offset {offsets[0]}, "
-                f"{offsets[1]}, rows {header.get('ROWORDER', 'TOP-DOWN')}), {self._settings.bayer_pattern} from the "
-                "top left is needed; choose a camera or a frame with this pattern"
+                f"{offsets[1]}, rows {header.get('ROWORDER', 'TOP-DOWN')}), but "
+                f"{self._settings.bayer_pattern} from the top left is needed; choose a camera or a frame with "
+                "this pattern"
             )
         return "BayerRG16" if pattern else "Mono16"
 
@@ -420,8 +424,8 @@ class IndiFrames:
             return counts >> np.uint16(16 - depth)
         if used >> depth:
             raise BadFrameError(
-                f"{self._client.name}: sent counts up to {int(counts.max())} DN, {depth} bits hold {2**depth - 1} DN; "
-                "correct bit_depth of the rig file"
+                f"{self._client.name}: sent counts up to {int(counts.max())} DN, but {depth} bits hold at "
+                f"most {2**depth - 1} DN; correct bit_depth of the rig file"
             )
         return counts
 

@@ -94,8 +94,8 @@ class MicroManagerCamera:
         actual_s = self._call(lambda: self._set_exposure(exposure_s), min(ANSWER_S, deadline_s))
         if abs(actual_s - exposure_s) > LINE_S + CLOCK_REL * abs(exposure_s):
             raise RefusedError(
-                f"{self._where}: was asked to expose for {exposure_s:g} s and keeps {actual_s:g} s; correct "
-                "shortest_exposure_s and longest_exposure_s of the rig file"
+                f"{self._where}: an exposure of {exposure_s:g} s was requested, but it uses {actual_s:g} s; "
+                "correct shortest_exposure_s and longest_exposure_s of the rig file"
             )
         started_utc = datetime.now(UTC).isoformat(timespec="milliseconds")
         limit_s = min(actual_s + READOUT_S, end_s - time.monotonic())
@@ -161,8 +161,8 @@ class MicroManagerCamera:
         wanted = (settings.bit_depth, settings.width_px, settings.height_px)
         if found != wanted:
             raise RefusedError(
-                f"{self._where}: has {found[0]} bits and {found[1]} x {found[2]} px; the rig file says {wanted[0]} "
-                f"bits and {wanted[1]} x {wanted[2]} px: correct bit_depth, width_px and height_px"
+                f"{self._where}: has {found[0]} bits and {found[1]} x {found[2]} px, but the rig file states "
+                f"{wanted[0]} bits and {wanted[1]} x {wanted[2]} px: correct bit_depth, width_px and height_px"
             )
 
     def _identity(self) -> DeviceIdentity:

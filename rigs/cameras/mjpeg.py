@@ -55,8 +55,8 @@ def open_camera(settings: CameraSettings, folder: Path) -> Iterator["MjpegCamera
     """
     if settings.bit_depth != 8:
         raise RefusedError(
-            f"camera at {settings.address}: camera.bit_depth = {settings.bit_depth}, and a stream of JPEGs has 8 bits: "
-            "write bit_depth = 8, or use a driver of raw counts (picamera2, aravis)"
+            f"camera at {settings.address}: camera.bit_depth = {settings.bit_depth}, but a stream of JPEGs "
+            "has 8 bits: write bit_depth = 8, or use a driver of raw counts (picamera2, aravis)"
         )
     camera = MjpegCamera(settings)
     try:
@@ -178,7 +178,7 @@ class MjpegCamera:
         asked = (self._settings.height_px, self._settings.width_px)
         if (height_px, width_px) != asked:
             raise FrameSizeError(
-                f"{self._name}: sends pictures of {height_px} x {width_px} px, the rig file says "
+                f"{self._name}: sends pictures of {height_px} x {width_px} px, but the rig file states "
                 f"{asked[0]} x {asked[1]} px (height x width); correct the rig file or the server's resolution"
             )
 
@@ -186,7 +186,7 @@ class MjpegCamera:
         """Refuse the picture that was delivered last time; two pictures of one value each may well be equal."""
         if body == self._last and counts.min() < counts.max():
             raise BadFrameError(
-                f"{self._name}: sent the same picture twice; its camera hangs, or a picture stands in for it"
+                f"{self._name}: sent the same picture twice; its camera hangs, or the server repeats a stored picture"
             )
         self._last = body
 

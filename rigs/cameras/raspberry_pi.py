@@ -118,8 +118,9 @@ class RawLayout:
         (width, height), asked = raw["size"], tuple(mode["size"])
         if found is None or (width, height) != asked or bits not in (settings.bit_depth, CONTAINER_BITS):
             raise RefusedError(
-                f"{name}: asked for raw {mode['unpacked']} of {asked[0]} x {asked[1]} px, it gives {raw['format']} of "
-                f"{width} x {height} px; update picamera2, or take another size or bit_depth"
+                f"{name}: raw {mode['unpacked']} of {asked[0]} x {asked[1]} px was requested, but it delivers "
+                f"{raw['format']} of {width} x {height} px; update picamera2, or take another size or "
+                "bit_depth"
             )
         frame_px = settings.width_px, settings.height_px
         return cls(
@@ -316,8 +317,8 @@ class RaspberryPiCamera:
             # libcamera gives 0 as the highest where it knows none.
             if value < lowest * (1 - TOLERANCE_REL) or (highest and value > highest * (1 + TOLERANCE_REL)):
                 raise RefusedError(
-                    f"{self._name}: {control} {value * scale:g}{unit} is out of its range, {lowest * scale:g} to "
-                    f"{highest * scale:g}{unit} are allowed"
+                    f"{self._name}: {control} {value * scale:g}{unit} is out of its range: {lowest * scale:g} "
+                    f"to {highest * scale:g}{unit} are allowed"
                 )
         frame_us = max(round(FRAME_FACTOR * exposure_us), limits["FrameDurationLimits"][0])
         asked = {
@@ -372,7 +373,7 @@ class RaspberryPiCamera:
         """Return in words which settings read back otherwise than asked for."""
         wanted = {name: self._asked[name] for name in ("ExposureTime", "AnalogueGain", "ColourGains")}
         return [
-            f"{name} {value} was asked for, it reads back {metadata.get(name)}"
+            f"{name} {value} was requested, but it reads back {metadata.get(name)}"
             for name, value in wanted.items()
             if not np.allclose(metadata.get(name, math.nan), np.asarray(value, float), rtol=TOLERANCE_REL, atol=0.0)
         ]

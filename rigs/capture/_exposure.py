@@ -135,8 +135,9 @@ def under_light(
             if not must_ask:
                 time.sleep(RELIGHT_PAUSE_S)
             elif not opened.operator.allows(
-                f"The {light} was lost, is off and stays off ({error}). Look into it first: was the box opened? Is it "
-                f"closed now, does everybody wear goggles, and may the {light} be lit again?"
+                f"The {light} went off without a command and stays off ({error}). Find the cause first: was "
+                f"the box opened? Is it closed now, does everybody wear goggles, and may the {light} be lit "
+                "again?"
             ):
                 raise LightLostError(
                     f"{light}: was lost, is off, and is not lit again unless a person at the terminal says that the "
@@ -223,16 +224,15 @@ class CheckedCamera:
             )
         if shape != asked:
             raise FrameSizeError(
-                f"camera: delivered a frame of {' x '.join(map(str, shape))} px, the rig file says {asked[0]} x "
-                f"{asked[1]} px (height x width); correct the rig file"
+                f"camera: delivered a frame of {' x '.join(map(str, shape))} px, but the rig file states "
+                f"{asked[0]} x {asked[1]} px (height x width); correct the rig file"
             )
         # a camera that does not read its exposure back says NaN, which is within nothing
         if not abs(raw.exposure_s / exposure_s - 1.0) <= EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
-                f"camera: {exposure_s:g} s were asked for {step.label}, it reads back {raw.exposure_s:g} s (within "
-                f"{100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct shortest_exposure_s and "
-                f"longest_exposure_s of the "
-                "rig"
+                f"camera: {exposure_s:g} s were requested for {step.label}, but it reads back "
+                f"{raw.exposure_s:g} s (within {100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct "
+                "shortest_exposure_s and longest_exposure_s of the rig"
             )
 
     def _require_own_header(self, raw: RawFrame, step: Step) -> None:
@@ -244,11 +244,11 @@ class CheckedCamera:
         name = self._header_of_slot.setdefault(step.slot, header)
         if slot == step.slot and name == header:
             return
-        before = f"as at slot {slot}" if slot != step.slot else f"where it said '{name}' before"
+        before = f"as at slot {slot}" if slot != step.slot else f"where it stated '{name}' before"
         raise RefusedError(
-            f"camera: the frame's FILTER header says '{header}' at slot {step.slot}, {before}; it follows the wheel "
-            f"'{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to the wheel in use "
-            "and give each slot a name of its own"
+            f"camera: the frame's FILTER header states '{header}' at slot {step.slot}, {before}; it follows "
+            f"the wheel '{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to "
+            "the wheel in use and give each slot a name of its own"
         )
 
 
@@ -283,13 +283,13 @@ def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
     position = opened.wheel.position()
     if position is None:
         raise LostError(
-            f"filter wheel: reads no slot {when} the exposure of {step.label}, slot {step.slot} is needed; it moves "
-            f"or was reconnected: see whether it turns, and check its cable"
+            f"filter wheel: reads no slot {when} the exposure of {step.label}, but slot {step.slot} is "
+            "needed; it moves or was reconnected: check whether it turns, and check its cable"
         )
     if position != step.slot:
         raise WrongPositionError(
-            f"filter wheel: reads slot {position} {when} the exposure of {step.label}, slot {step.slot} is needed; "
-            "the wheel slipped or is not where the operator left it: home it and start again"
+            f"filter wheel: reads slot {position} {when} the exposure of {step.label}, but slot {step.slot} "
+            "is needed; the wheel slipped or is not where the operator left it: home it and start again"
         )
     return position
 
@@ -410,9 +410,9 @@ class TactileCamera:
                 )
         elif abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
-                f"camera: {exposure_s:g} s were asked for, it reads back {raw.exposure_s:g} s (within "
-                f"{100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct the exposures of the plan or the limits "
-                f"of the rig"
+                f"camera: {exposure_s:g} s were requested, but it reads back {raw.exposure_s:g} s (within "
+                f"{100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct the exposures of the plan or the "
+                "limits of the rig"
             )
         self._require_images(raw)
         require_new(raw, self._last)
@@ -425,8 +425,8 @@ class TactileCamera:
         counts, pixels = raw.counts, str(raw.settings.get("pixel_format", ""))
         if counts.shape not in (asked, (*asked, 3)):
             raise FrameSizeError(
-                f"camera: delivered a frame of {' x '.join(map(str, counts.shape))}, the rig file says {asked[0]} x "
-                f"{asked[1]} px (height x width); correct the rig file"
+                f"camera: delivered a frame of {' x '.join(map(str, counts.shape))}, but the rig file states "
+                f"{asked[0]} x {asked[1]} px (height x width); correct the rig file"
             )
         if pixels.lower().startswith("mono"):
             raise RefusedError(
@@ -524,8 +524,8 @@ def meter_exposure(
         rung = min(max(guess, fits + 1), fails - 1)
         if ladder[rung] >= LONG_EXPOSURE_S:
             tell(
-                f"metering {what}: exposes for {ladder[rung]:.3g} s, because the signal is low; the rig file allows "
-                f"at most {ladder[-1]:.3g} s"
+                f"metering {what}: the exposure is now {ladder[rung]:.3g} s, because the signal is low; the "
+                f"rig file allows at most {ladder[-1]:.3g} s"
             )
         counts = take(ladder[rung])
         peak_dn = brightest_dn(counts)

@@ -113,7 +113,9 @@ def judge_filters(
             text="the white tile is dark through every filter: the lamp is off, or this camera sees nothing",
         )
     if len(names) < 2:
-        return FilterProof(verdict="cannot tell", text="there is only one filter, and nothing to compare it with")
+        return FilterProof(
+            verdict="cannot tell", text="there is only one filter, so it cannot be compared with another one"
+        )
     ln_measured, ln_predicted = _levels(measured), _levels(predicted)
     stuck = _only_filter(ln_measured, ln_predicted)
     if stuck is not None:
@@ -123,8 +125,8 @@ def judge_filters(
     if better:
         return FilterProof(
             verdict="contradicted",
-            text=f"the frames fit much better with filters {max(better)[1]} exchanged; look into the wheel and "
-            "correct the slots of the rig file, or put the filters into their slots",
+            text=f"the frames fit much better with filters {max(better)[1]} exchanged; open the wheel and look, "
+            "then correct the slots of the rig file, or put the filters into their slots",
         )
     unclear = [" and ".join(pair) for pair in unclear_pairs if frozenset(pair) not in apart]
     if unclear:
@@ -231,7 +233,7 @@ def compare_with_last(
     """
     if measured.max() < LEAST_RATE_DN_PER_S:
         return FilterProof(
-            verdict="cannot tell", text="the white tile is dark, so that it cannot repeat an earlier session"
+            verdict="cannot tell", text="the white tile is dark, so that it cannot be compared with an earlier session"
         )
     before = dict(zip(_white_filters(last), last.white_rates_dn_per_s, strict=False))
     seen = np.full(len(names), True) if floor is None else measured.max(axis=1) > floor

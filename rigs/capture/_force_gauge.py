@@ -42,14 +42,14 @@ def read_cell_calibration(settings: LoadCellSettings, folder: Path) -> LoadCellC
     path = folder / settings.calibration
     if not path.is_file():
         raise RecordError(
-            f"{path}: no such file, and without a calibration the load cell tells no newtons; write it with: finray "
-            f"rig calibrate-cell RIG --out {path}"
+            f"{path}: no such file, and without a calibration the counts of the load cell cannot be converted "
+            f"to newtons; write it with: finray rig calibrate-cell RIG --out {path}"
         )
     calibration = read_record(path, LoadCellCalibration)
     driver, _, _ = calibration.cell.rpartition(", ")[2].partition(" ")
     if driver != settings.driver:
         raise RecordError(
-            f"{path}: is the calibration of '{calibration.cell}', and load_cell.driver of the rig file is "
+            f"{path}: is the calibration of '{calibration.cell}', but load_cell.driver of the rig file is "
             f"{settings.driver}; calibrate this cell: finray rig calibrate-cell RIG --out {path}"
         )
     return calibration
@@ -125,8 +125,8 @@ class ForceGauge:
         self._newest.append(counts)
         if len(self._newest) == self._newest.maxlen and len(set(self._newest)) == 1:
             raise LostError(
-                f"load cell: has said {counts} for {self._newest.maxlen} readings, so it is stuck; check amplifier and "
-                "wiring"
+                f"load cell: has reported {counts} for {self._newest.maxlen} readings, so it is stuck; check "
+                "amplifier and wiring"
             )
         return counts
 
@@ -147,15 +147,15 @@ class ForceGauge:
         rate_hz = TARE_READINGS / max(now_s() - began_s, 1e-9)
         if not 0.5 < rate_hz / settings.rate_hz < 2.0:
             raise CaptureError(
-                f"load cell: says {rate_hz:.3g} readings a second, and rate_hz of the rig file is {settings.rate_hz}; "
-                "correct it, or set the RATE pin of the HX711 (low: 10, high: 80)"
+                f"load cell: sends {rate_hz:.3g} readings a second, but rate_hz of the rig file is "
+                f"{settings.rate_hz}; correct it, or set the RATE pin of the HX711 (low: 10, high: 80)"
             )
         allowed_n, off_n = UNLOADED_SHARE * settings.force_limit_n, (self._zero - self._unloaded) * self._slope
         if abs(off_n) > allowed_n:
             raise CaptureError(
-                f"load cell: reads {off_n:.3g} N by its calibration where nothing should touch ({allowed_n:.3g} N are "
-                "allowed): something lies on it or presses, a wire of its bridge is broken, or it is another cell; "
-                "free it, or calibrate it as it is mounted"
+                f"load cell: reads {off_n:.3g} N by its calibration where nothing should touch it "
+                f"({allowed_n:.3g} N are allowed): something lies or presses on it, a wire of its bridge is "
+                "broken, or it is another cell; free it, or calibrate it as it is mounted"
             )
         self._first_zero = self._zero
 
@@ -180,8 +180,9 @@ class ForceGauge:
         moved_n = (self._zero - self._first_zero) * self._slope
         if abs(moved_n) > allowed_n:
             raise CaptureError(
-                f"load cell: is {moved_n:+.3g} N from the tare of the session's beginning ({allowed_n:.3g} N are "
-                "allowed): its zero drifts, or the pad is still pressed; let it warm up, fasten it, then resume"
+                f"load cell: is {moved_n:+.3g} N away from its tare at the beginning of the session "
+                f"({allowed_n:.3g} N are allowed): its zero drifts, or the pad is still pressed; let it warm "
+                "up, fasten it, then resume"
             )
 
     def mean(self, readings: int = STEP_READINGS) -> Force:

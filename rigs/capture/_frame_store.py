@@ -207,8 +207,8 @@ def require_space(folder: Path, needed_bytes: int) -> None:
     free_bytes, needed_bytes = shutil.disk_usage(folder).free, round(SPACE_FACTOR * needed_bytes)
     if free_bytes < needed_bytes:
         raise CaptureError(
-            f"{folder}: the frames need {needed_bytes / 1e6:.0f} MB and {free_bytes / 1e6:.0f} MB are free; free space "
-            "or choose another --out"
+            f"{folder}: the frames need {needed_bytes / 1e6:.0f} MB, but only {free_bytes / 1e6:.0f} MB are "
+            "free; free space or choose another --out"
         )
 
 

@@ -100,7 +100,7 @@ class Journal:
         """
         with self._turn:
             if self._is_closed:  # a thread that the disk held back
-                raise CaptureError(f"{self._path}: is closed, the capture has ended")
+                raise CaptureError(f"{self._path}: is closed, because the capture has ended")
             time_s = round(self._clock.monotonic_s(), 3)
             line = {"event": event, "utc": self._clock.utc(), "monotonic_s": time_s, **what}
             text = json.dumps(line, ensure_ascii=False)[:-1]
@@ -202,9 +202,9 @@ class HealingTime:
         self.lost_s += spent_s
         if self.lost_s > self._most_s:
             raise HealingTimeError(
-                f"{self._folder}: faults that were healed have held the session up for {self.lost_s:.0f} s, and "
-                f"{self._most_s:.0f} s are allowed; {JOURNAL_NAME} lists each: mend the device that it names most "
-                f"often, then finray capture --resume {self._folder}"
+                f"{self._folder}: recovery from faults has delayed the session by {self.lost_s:.0f} s, and at "
+                f"most {self._most_s:.0f} s are allowed; {JOURNAL_NAME} lists each fault: repair the device "
+                f"that it names most often, then finray capture --resume {self._folder}"
             )
 
 
@@ -264,7 +264,7 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
     said += [f"{retaken} frames were taken again"] if retaken else []
     said += [f"a light was lost {lost} times"] if lost else []
     aside = sum(int(line["frames"]) for line in lines if line["event"] == "set aside")
-    repaired = f"{aside} frames from before a repair were set aside and taken again; {JOURNAL_NAME} says why"
+    repaired = f"{aside} frames from before a repair were set aside and taken again; {JOURNAL_NAME} gives the reason"
     notes = (repaired,) if aside else ()
     if not said:
         return notes
@@ -278,7 +278,7 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
 def disk_hangs(path: Path, session: Path) -> CaptureError:
     """Return the error of a file of a session that the disk does not take, and does not refuse either."""
     return CaptureError(
-        f"{path}: the disk hangs, nothing was written for {DISK_WITHIN_S:g} s or more; look at the disk, or at the "
+        f"{path}: the disk hangs, nothing was written for {DISK_WITHIN_S:g} s or more; check the disk, or the "
         f"server of the network folder, then finray capture --resume {session}"
     )
 

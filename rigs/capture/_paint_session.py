@@ -157,7 +157,7 @@ class PaintRecorder:
         unlike = self._unlike_before(steps)
         if unlike is None:
             self._remember(steps)
-            text = f"all steps and frames give what they give after the repair, within {100 * SAME_SHARE:.0f} %"
+            text = f"all steps and frames agree with those after the repair, within {100 * SAME_SHARE:.0f} %"
             self._journal.append(AS_BEFORE_EVENT, frames=len(self._store.frames), text=text)
         else:
             self._set_aside(unlike)
@@ -175,7 +175,7 @@ class PaintRecorder:
         for step in lit:
             exposures_s, before = self._before[step.label]
             if not self._are_same(self._rates[step], before, exposures_s[0]):
-                return f"{step.label} was metered differently before"
+                return f"{step.label} gave another signal before the repair"
         places = {(step.frame_type, step.filter_name, step.tilt_deg): step for step in lit}
         for frame in self._store.frames:
             kind = "fluorescence" if frame.frame_type == "fluorescence repeat" else frame.frame_type
@@ -184,7 +184,7 @@ class PaintRecorder:
                 continue
             stored = self._rate(read_frame_of(self._out, frame), frame.exposure_s)
             if not self._are_same(self._rates[place], stored, frame.exposure_s):
-                return f"{frame.file} does not show what {place.label} gives now"
+                return f"{frame.file} does not agree with {place.label} as it is now"
         return None
 
     def _are_same(self, now: Rates, before: Rates, exposure_s: float) -> bool:
@@ -224,7 +224,7 @@ class PaintRecorder:
                     raise
                 self._journal.append("repair", text=str(error))
                 if self._store.frames:
-                    self._set_aside("they were taken behind the filters that were put right")
+                    self._set_aside("they were taken before the filters were put right")
                 self._in_doubt = False
                 self._forget()
             else:
@@ -335,9 +335,10 @@ class PaintRecorder:
         for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
             if before > visible_dn_per_s and not 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE:
                 raise SignalChangedError(
-                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, at metering it gave {before:.3g} DN/s "
-                    f"(a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light changed or something "
-                    "moved; put it right, then continue or resume: all steps are metered again"
+                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at "
+                    f"metering (a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light "
+                    "changed or something moved; put it right, then continue or resume: all steps are "
+                    "metered again"
                 )
 
     def _rate(self, counts: NDArray[np.uint16], exposure_s: float) -> Rates:
@@ -656,5 +657,5 @@ def require_ready(opened: OpenRig, steps: Sequence[Step]) -> None:
     for name, light in (("lamp", opened.lamp), ("laser", opened.laser)):
         if light.state():
             raise CaptureError(
-                f"{name}: is on although nothing has switched it on; switch it off and look at its controller"
+                f"{name}: is on although nothing has switched it on; switch it off and check its controller"
             )

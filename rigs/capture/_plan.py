@@ -78,7 +78,7 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
 def require_named(field: str, name: str) -> None:
     """Refuse an empty name of what is captured: files and records are named after it."""
     if not name.strip():
-        raise CaptureError(f"{field}: is empty; write the name that files and records should have")
+        raise CaptureError(f"{field}: is empty; write the name for files and records")
 
 
 def with_repeat(steps: tuple[Step, ...], excitation_filter: str, exposures_s: Mapping[Step, float]) -> tuple[Step, ...]:
@@ -303,7 +303,7 @@ def instruction(shot: TactileShot, plan: TactilePlan, presses: tuple[PlannedPres
         )
     if shot.frame_type == "no contact":
         if shot.place == 0:
-            return f"Set the blue LEDs to {plan.led_current_ma:g} mA and see that nothing touches the pad."
+            return f"Set the blue LEDs to {plan.led_current_ma:g} mA and make sure that nothing touches the pad."
         return "Take the indenter away from the pad."
     press, indenter = presses[press_of(shot.place, plan.repeats)], plan.indenter
     tilted = f", tilted by {press.tilt_deg:g} deg" if press.tilt_deg else ""

@@ -141,7 +141,7 @@ def read_interrupted(folder: Path) -> Interrupted:
     start = next((line for line in lines if line["event"] == "start"), None)
     if start is None or not {"kind", "plan", "rig", "rig_folder", "inputs"} <= start.keys():
         raise CaptureError(
-            f"{folder / JOURNAL_NAME}: does not say how the session began; capture it again into another folder"
+            f"{folder / JOURNAL_NAME}: lacks the line with which a session begins; capture it again into another folder"
         )
     rig_camera = start["rig"].get("camera", {}) if isinstance(start["rig"], dict) else {}
     if rig_camera.get("driver") == "folder":
@@ -268,7 +268,7 @@ def take_over(folder: Path, interrupted: Interrupted) -> None:
     """
     if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
         raise CaptureError(
-            f"{folder}: another capture has continued this session in the meantime; look at what it stored"
+            f"{folder}: another capture has continued this session in the meantime; check what it stored"
         )
     clear_session(folder)
     set_aside(folder, {frame.file for frame in interrupted.frames.values()})
@@ -315,8 +315,9 @@ def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
     if interrupted is None:
         return ()
     return (
-        f"interrupted after {len(interrupted.frames)} frames and resumed: lamp, laser and temperature may have changed "
-        "between, and the laser dose leaves out the light between the last stored frame and the interruption",
+        f"interrupted after {len(interrupted.frames)} frames and resumed: lamp, laser and temperature may "
+        "have changed meanwhile, and the laser dose does not include the light between the last stored frame "
+        "and the interruption",
     )
 
 
@@ -369,8 +370,8 @@ def require_same_camera(interrupted: Interrupted, camera: DeviceIdentity) -> Non
     before = interrupted.start.get("camera")
     if before is not None and _named(before) != _named(camera.model_dump()):
         raise CaptureError(
-            f"camera: {_named(camera.model_dump())} answers now; the session began with {_named(before)}: connect that "
-            "one, or capture the session again"
+            f"camera: {_named(camera.model_dump())} answers now, but the session began with {_named(before)}: "
+            "connect that one, or capture the session again"
         )
 
 

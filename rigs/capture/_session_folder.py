@@ -346,7 +346,9 @@ def verify_session(folder: Path) -> SessionCheck:
             faults.append(FileFault(path, "changed", str(error).removeprefix(f"{path}: ")))
         session, is_sealed = None, True
     if not is_sealed:
-        notes.append(f"{SESSION_NAME} is of a version without seals; only {MANIFEST_NAME} checks its values")
+        notes.append(
+            f"{SESSION_NAME} was written by a version without seals, so that only {MANIFEST_NAME} protects its values"
+        )
     faults += _journal_faults(folder, session, is_sealed, digests.get(path), notes)
     of_manifest, unlisted = manifest_faults(folder, digests)
     told = {fault.path for fault in faults}
@@ -413,7 +415,8 @@ def _journal_faults(
         said.append("holds lines without a checksum of the line before: lines were added, changed or removed")
     elif not linked:
         notes.append(
-            f"{JOURNAL_NAME} is of a version whose lines carry no checksums; they are checked by {MANIFEST_NAME} only"
+            f"{JOURNAL_NAME} was written by a version without checksums in its lines, so that only "
+            f"{MANIFEST_NAME} protects it"
         )
     if is_sealed or linked:
         said += _ending_faults(lines, session_sha256)

@@ -71,7 +71,7 @@ FORCE_REACHED: Final = 0.98
 HOMING_WITHIN_S: Final = 60.0
 TOUCH_MOVED_MM: Final = 0.1
 """A pad that has crept is touched a few hundredths of a millimetre deeper; more means lost steps."""
-PRESS_LESS: Final = "press less deep, or raise force_limit_n if finger and cell stand it"
+PRESS_LESS: Final = "press less deep, or raise force_limit_n if finger and load cell can bear it"
 NOT_CLEAR: Final = "it touches before clear_mm of the rig file, or an axis is reversed: correct them"
 
 
@@ -97,7 +97,7 @@ class OpenTactileRig:
     def camera_there(self) -> Camera:
         """Return the camera, which was opened."""
         if self.camera is None:
-            raise RefusedError("camera: was not opened")
+            raise RefusedError("camera: it could not be opened; check its address in the rig file and its cable")
         return self.camera
 
     def press_devices(self) -> tuple[PressDevice, ...]:
@@ -272,11 +272,11 @@ class StagePress:
         try:
             self._stage.stop()
             if (places := self._stage.places_mm()) is None:
-                told = "its place is unknown: it stands where it stopped; free the pad by hand, then home it"
+                told = "its position is unknown after the stop; free the pad by hand, then home it"
             elif stage.into_pad * (places[stage.press_axis] - stage.clear_mm) < -LEAST_STEP_MM:
                 told = (
-                    f"stands at {stage.press_axis} = {places[stage.press_axis]:.3f} mm: from there clear_mm = "
-                    f"{stage.clear_mm:g} mm lies towards the pad; free the pad by hand"
+                    f"stands at {stage.press_axis} = {places[stage.press_axis]:.3f} mm, and clear_mm = "
+                    f"{stage.clear_mm:g} mm lies from there towards the pad; free the pad by hand"
                 )
             else:
                 self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, lambda: None)
@@ -309,17 +309,17 @@ class StagePress:
         places = self._stage.trust_places()
         where = ", ".join(f"{axis} {at_mm:.3f} mm" for axis, at_mm in sorted(places.items()))
         if not self._operator.allows(
-            f"The stage counts {where}. Have you brought it to the zero that the rig file counts its places from, and "
-            "is the way to clear_mm free?"
+            f"The stage reports its position as {where}. Have you brought it to the zero from which the rig "
+            "file counts positions, and is the way to clear_mm free?"
         ):
-            raise RefusedError("stage: nobody says that it stands at its zero; bring it there, then resume")
+            raise RefusedError("stage: nobody has confirmed that it stands at its zero; bring it there, then resume")
 
     def _away(self, watch: Callable[[], None]) -> None:
         """Move the press axis to where nothing touches: step by step where that is towards the pad, as after homing."""
         stage = self._settings
         places = self._stage.places_mm()
         if places is None:
-            raise RefusedError("stage: does not know where it stands; resume the session, which homes it")
+            raise RefusedError("stage: its position is unknown; resume the session, which homes it")
         at_mm, careful = places[stage.press_axis], self._guard(ZERO_MOVED_SHARE * self.limit_n, NOT_CLEAR)
         while stage.into_pad * (stage.clear_mm - at_mm) > stage.step_mm:
             at_mm += stage.into_pad * stage.step_mm
@@ -369,8 +369,8 @@ class StagePress:
             to_mm = from_mm + stage.into_pad * number * step_mm
             if stage.into_pad * (to_mm - stage.deepest_mm) > 0.0:
                 raise RefusedError(
-                    f"stage: {stage.press_axis} = {stage.deepest_mm:g} mm, the end of its travel in the pad, is "
-                    "reached; if that is not deep enough, raise press_travel_mm in the rig file"
+                    f"stage: {stage.press_axis} = {stage.deepest_mm:g} mm, the end of its travel into the "
+                    "pad, is reached; if that is not deep enough, raise press_travel_mm in the rig file"
                 )
             yield to_mm
             number += 1
@@ -393,8 +393,8 @@ class StagePress:
             if abs(force.mean_n) > TOUCH_SD * force.noise_n and self._is_touched():
                 if force.mean_n < 0.0:
                     raise CaptureError(
-                        f"load cell: says {force.mean_n:.3g} N where the pad is touched: the cell has the other sign; "
-                        "calibrate it as it is mounted (or its zero drifts)"
+                        f"load cell: reports {force.mean_n:.3g} N where the pad is touched, so its sign is "
+                        "reversed; calibrate it as it is mounted (or its zero drifts)"
                     )
                 return at_mm, force
             self._gauge.follow(force)
@@ -407,9 +407,9 @@ class StagePress:
             at_mm -= stage.into_pad * BACK_STEPS * stage.step_mm
             if stage.into_pad * (at_mm - stage.clear_mm) < 0.0:
                 raise CaptureError(
-                    f"load cell: feels a force near clear_mm = {stage.clear_mm:g} mm, where nothing should touch; its "
-                    f"zero drifts, or clear_mm of the rig file is less than {3 * BACK_STEPS * stage.step_mm:g} mm from "
-                    "the pad"
+                    f"load cell: reports a force near clear_mm = {stage.clear_mm:g} mm, where nothing should "
+                    "touch; its zero drifts, or clear_mm of the rig file is less than "
+                    f"{3 * BACK_STEPS * stage.step_mm:g} mm from the pad"
                 )
             self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
             now = self._gauge.mean()
@@ -446,8 +446,8 @@ class StagePress:
                 self._require_seen(touched)
         if press.until_force_n is not None and force.mean_n < FORCE_REACHED * press.until_force_n:
             raise RefusedError(
-                f"stage: {force.mean_n:.3g} N at the depth of {press.depth_mm:g} mm, and {press.until_force_n:g} N "
-                "were asked for; allow more depth_mm, or ask for less force"
+                f"stage: {force.mean_n:.3g} N at the depth of {press.depth_mm:g} mm, but until_force_n = "
+                f"{press.until_force_n:g} N; raise depth_mm, or lower until_force_n"
             )
         self._require_same_touch(touched, first_mm)
 
@@ -477,9 +477,10 @@ class StagePress:
         got_n = max(force.mean_n, 0.0) * stage.touch_step_mm / way_mm
         if needed_n > got_n:
             raise CaptureError(
-                f"load cell: too noisy for this pad: touch_step_mm = {stage.touch_step_mm:g} mm presses it by "
-                f"{1e3 * got_n:.2g} mN, and {1e3 * needed_n:.2g} mN can be told from noise and drift; take a longer "
-                "touch_step_mm, shield the cell's wires, or read it 10 times a second"
+                f"load cell: too noisy for this pad: touch_step_mm = {stage.touch_step_mm:g} mm changes the "
+                f"force by {1e3 * got_n:.2g} mN, and only {1e3 * needed_n:.2g} mN can be distinguished from "
+                "noise and drift; take a longer touch_step_mm, shield the cell's wires, or read it 10 times "
+                "a second"
             )
 
     def _require_same_touch(self, touched: _Touched, first_mm: float) -> None:
@@ -495,9 +496,9 @@ class StagePress:
             moved_mm = touched.touch_mm - before_mm
             if abs(moved_mm) > allowed_mm:
                 raise CaptureError(
-                    f"stage: touched the pad at {place_mm:g} mm along it {moved_mm:+.3f} mm from where it did before "
-                    f"({allowed_mm:.2f} mm are allowed): it lost steps, or the finger moved; drive slower, fasten "
-                    "both, then resume"
+                    f"stage: at {place_mm:g} mm along the pad, the touch came {moved_mm:+.3f} mm away from "
+                    f"the earlier one ({allowed_mm:.2f} mm are allowed): the stage lost steps, or the finger "
+                    "moved; drive slower, fasten both, then resume"
                 )
         self.touches.setdefault(place_mm, (touched.touch_mm, touched.touch_uncertainty_mm))
 

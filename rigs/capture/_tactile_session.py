@@ -270,7 +270,7 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
         device = DeviceIdentity.model_validate(start["device"]) if "device" in start else None
     except (StopIteration, KeyError, TypeError, ValidationError):
         raise CaptureError(
-            f"{folder / JOURNAL_NAME}: does not say how the session began; capture it again into another folder"
+            f"{folder / JOURNAL_NAME}: lacks the line with which a session begins; capture it again into another folder"
         ) from None
     if rig.camera.driver == "folder":
         raise CaptureError(
@@ -310,11 +310,11 @@ def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdent
     """
     if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
         raise CaptureError(
-            f"{folder}: another capture has continued this session in the meantime; look at what it stored"
+            f"{folder}: another capture has continued this session in the meantime; check what it stored"
         )
     if interrupted.device not in (None, device):
         raise CaptureError(
-            f"camera: {device.model} (serial '{device.serial}') answers now; the session began with "
+            f"camera: {device.model} (serial '{device.serial}') answers now, but the session began with "
             f"{interrupted.device}: connect that one, or capture the session again"
         )
     clear_session(folder)
@@ -481,12 +481,12 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
         if rig.stage is None or rig.load_cell is None:
             if press.until_force_n is not None or press.force_limit_n is not None:
                 raise CaptureError(
-                    f"{where}: names a force, and the rig has no stage with a load cell that could stop at it; "
-                    "describe them in the rig file, or leave the force out"
+                    f"{where}: names a force, but the rig has no stage with a load cell that could stop at "
+                    "it; describe them in the rig file, or leave the force out"
                 )
             continue
         if press.tilt_deg:
-            raise CaptureError(f"{where}: tilt_deg = {press.tilt_deg:g}, and the stage cannot tilt; leave it out")
+            raise CaptureError(f"{where}: tilt_deg = {press.tilt_deg:g}, but the stage cannot tilt; leave it out")
         if (press.until_force_n or 0.0) >= rig.load_cell.force_limit_n:
             raise CaptureError(
                 f"{where}: until_force_n must be below force_limit_n of the rig file, {rig.load_cell.force_limit_n:g} N"

@@ -223,8 +223,8 @@ def make_off(laser: LaserSettings) -> None:
         except CaptureError as error:
             if time.monotonic() > end_s:
                 raise UnsafeError(
-                    f"laser at {laser.address}: NOT CONFIRMED OFF after its safety layers were tried; pull its plug "
-                    f"before anyone opens the box. What went wrong: {error}"
+                    f"laser at {laser.address}: NOT CONFIRMED OFF after its safety layers were tried; pull "
+                    f"its plug before anyone opens the box. The cause: {error}"
                 ) from error
         time.sleep(ASK_EVERY_S)
 
@@ -407,7 +407,9 @@ def _holding(laser: LaserSettings) -> Iterator[Holder]:
         try:
             said = _first_line(process)
             if not said.startswith("ON "):
-                raise CaptureError(f"laser: the program that should keep it on says: {said or 'nothing, and ends'}")
+                raise CaptureError(
+                    f"laser: the program that should keep it on answered: {said or 'nothing, and ended'}"
+                )
             guard_pid, watch_pid = map(int, said.split()[1:])
             yield Holder(process, guard_pid, watch_pid)
         finally:
@@ -417,7 +419,7 @@ def _holding(laser: LaserSettings) -> Iterator[Holder]:
 def _first_line(process: "subprocess.Popen[str]") -> str:
     """Return the first line that the program says."""
     if process.stdout is None or not select.select([process.stdout], [], [], START_WITHIN_S)[0]:
-        raise TimedOutError(f"laser: the program that should keep it on said nothing for {START_WITHIN_S:g} s")
+        raise TimedOutError(f"laser: the program that should keep it on did not answer within {START_WITHIN_S:g} s")
     return process.stdout.readline().strip()
 
 

@@ -15,7 +15,7 @@ try:
     import pytest
 except ImportError as error:
     raise MissingExtraError(
-        f"the contracts of the devices are tests and need pytest ({error}); install it with pip install pytest"
+        f"the contract tests of the devices need pytest ({error}); install it with pip install pytest"
     ) from error
 
 if TYPE_CHECKING:

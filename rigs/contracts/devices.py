@@ -280,7 +280,7 @@ class StageContract:
         axis, to_mm = settings.press_axis, settings.clear_mm + settings.into_pad * steps * settings.step_mm
         places = stage.places_mm()
         if places is None:
-            raise RefusedError("stage: does not know where it stands; home it")
+            raise RefusedError("stage: its position is unknown; home it")
         at_mm = places[axis]
         while settings.into_pad * (to_mm - at_mm) > settings.step_mm:
             at_mm += settings.into_pad * settings.step_mm
@@ -302,7 +302,7 @@ class StageContract:
     ) -> None:
         """A stage that was only opened moves nowhere."""
         if stage.places_mm() is not None:
-            pytest.skip("the stage was homed by a test before")
+            pytest.skip("an earlier test has homed the stage")
         with pytest.raises(RefusedError):
             stage.move(stage_settings.press_axis, stage_settings.clear_mm, stage_settings.press_speed_mm_per_s, guard)
 

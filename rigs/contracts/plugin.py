@@ -72,7 +72,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--with-laser",
         action="store_true",
-        help="switch the laser of the rig on for moments: box closed, goggles on everyone in the room",
+        help="switch the laser of the rig on for moments; close the box first, with goggles on everyone in the room",
     )
 
 
@@ -194,7 +194,9 @@ def pressing(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[O
 
     rig = named_rig.finger
     if rig.stage is not None and rig.stage.homing == "by hand" and request.config.getoption("capture") != "no":
-        pytest.skip("NOT TESTED: bring the stage to its zero, then run with -s, which says that it stands there")
+        pytest.skip(
+            "NOT TESTED: bring the stage to its zero, then run with -s, by which you confirm that it stands there"
+        )
     with open_tactile_rig(rig, named_rig.folder, only="stage and load cell") as opened:
         yield opened
 

@@ -48,8 +48,8 @@ class Arrival:
             self._elsewhere, self._elsewhere_since_s = at, now_s
         if now_s - self._elsewhere_since_s > self._elsewhere_s:
             raise WrongPositionError(
-                f"{self._name}: was sent to slot {self._slot} and rests at slot {at}; look whether a filter or cable "
-                "drags, switch the wheel off and on, and capture again"
+                f"{self._name}: was sent to slot {self._slot} and rests at slot {at}; check whether a filter "
+                "or cable drags, switch the wheel off and on, and capture again"
             )
         return False
 
@@ -77,7 +77,7 @@ def require_slots(filters: Sequence[BandPassFilter], slots: Sequence[int], name:
     beyond = [f"{optic.name} in slot {optic.slot}" for optic in filters if optic.slot not in slots]
     if beyond:
         remedy = "name a wheel with more slots" if len(filters) > len(slots) else "correct the slot numbers"
-        raise RefusedError(f"{name}: {_reach(slots)}, and the rig file puts {', '.join(beyond)}; {remedy}")
+        raise RefusedError(f"{name}: {_reach(slots)}, but the rig file puts {', '.join(beyond)}; {remedy}")
 
 
 def _reach(slots: Sequence[int]) -> str:

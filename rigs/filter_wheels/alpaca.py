@@ -108,7 +108,7 @@ def open_wheel(settings: FilterWheelSettings, operator: Operator) -> Iterator[Fi
     where = alpaca_address(settings.address, "filter wheel", form)
     number = device_number(where.path[0])
     if number is None or len(where.path) != 1:
-        raise RefusedError(f"filter wheel: '{settings.address}' is no Alpaca address; write {form}")
+        raise RefusedError(f"filter wheel: '{settings.address}' is not an Alpaca address; write {form}")
     client = AlpacaClient(where, "filterwheel", number, f"filter wheel at {settings.address}")
     end_s = time.monotonic() + ALPACA_OPENS_WITHIN_S
     client.connect(end_s)

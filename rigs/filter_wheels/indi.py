@@ -92,7 +92,7 @@ class IndiFilterWheel:
         what = f"move to slot {slot}"
         # A move that missed its deadline, or is somebody else's: its late Ok must not answer for this one.
         while self._ask(end_s).state == "Busy":
-            _pause(end_s, f"{self._client.name}: cannot {what}, an earlier move has not ended")
+            _pause(end_s, f"{self._client.name}: cannot {what}, because an earlier move has not ended")
         before = self._client.request("Number", _SLOT, {_VALUE: str(slot)}, end_s)
         wheel = self._client.property(_SLOT)
         # Without an answer the polls tell: it moves, it is there, or it has not heard.
@@ -157,5 +157,5 @@ def _pause(end_s: float, overdue: str) -> None:
     """Wait for the next poll; raise when there is no time for one."""
     # What would be left after the pause is too short for an answer.
     if time.monotonic() + 2.0 * POLL_S > end_s:
-        raise TimedOutError(f"{overdue}; look whether something blocks the wheel, and check its power supply")
+        raise TimedOutError(f"{overdue}; check whether something blocks the wheel, and check its power supply")
     time.sleep(POLL_S)

@@ -214,8 +214,8 @@ class ThorlabsWheel:
         count = self._ask_number("pcount", end_s)
         if count not in (6, 12):
             raise RefusedError(
-                f"{self._name}: says that it has {count} slots, 6 (FW102C) or 12 (FW212C) are possible; set its "
-                "position count with the maker's program"
+                f"{self._name}: reports {count} slots, but only 6 (FW102C) or 12 (FW212C) are possible; set "
+                "its position count with the maker's program"
             )
         slots = tuple(range(1, count + 1))
         if (self._identity or identity, self._slots or slots) != (identity, slots):
@@ -254,8 +254,8 @@ class ThorlabsWheel:
                 return True, slot
             if seen not in (slot, start) and time.monotonic() - since_s > REST_S:
                 raise WrongPositionError(
-                    f"{self._name}: was sent from slot {start} to slot {slot} and rests at slot {seen}; look whether "
-                    "a filter or cable drags, switch the wheel off and on, and capture again"
+                    f"{self._name}: was sent from slot {start} to slot {slot} and rests at slot {seen}; check "
+                    "whether a filter or cable drags, switch the wheel off and on, and capture again"
                 )
             if end_s - time.monotonic() < 2.0 * POLL_S:
                 # What is left is too short for an answer.
@@ -265,8 +265,8 @@ class ThorlabsWheel:
 
     def _overdue(self, slot: int, deadline_s: float, why: str) -> TimedOutError:
         return TimedOutError(
-            f"{self._name}: is not at slot {slot} within {deadline_s:g} s ({why}); look whether something blocks the "
-            "wheel, and check its power supply"
+            f"{self._name}: is not at slot {slot} within {deadline_s:g} s ({why}); check whether something "
+            "blocks the wheel, and check its power supply"
         )
 
     def _keep(self, setting: str, value: int, end_s: float) -> None:
@@ -275,7 +275,8 @@ class ThorlabsWheel:
         kept = self._ask_number(setting, end_s)
         if kept != value:
             raise RefusedError(
-                f"{self._name}: was told '{setting}={value}' and says {setting} is {kept}; switch the wheel off and on"
+                f"{self._name}: the setting '{setting}={value}' was sent, but it reports {setting} = {kept}; "
+                "switch the wheel off and on"
             )
 
 
@@ -316,8 +317,8 @@ def _identity(dialogue: Dialogue, address: str, end_s: float) -> DeviceIdentity:
     match = _IDENTITY.fullmatch(said)
     if match is None:
         raise RefusedError(
-            f"{_name(address)}: says that it is '{said}', a Thorlabs FW102C or FW212C is expected; correct address or "
-            "driver of filter_wheel in the rig file"
+            f"{_name(address)}: identifies itself as '{said}', but a Thorlabs FW102C or FW212C is expected; "
+            "correct address or driver of filter_wheel in the rig file"
         )
     return DeviceIdentity(
         role="filter wheel",
@@ -336,7 +337,7 @@ def _require_slots(filters: Sequence[BandPassFilter], slots: Sequence[int], name
         remedy = "correct the slot numbers"
         if len(filters) > len(slots):
             remedy = f"{len(filters)} filters need an FW212C (12 slots), or two sessions"
-        raise RefusedError(f"{name}: has slots 1 to {slots[-1]}, the rig file puts {', '.join(beyond)}; {remedy}")
+        raise RefusedError(f"{name}: has slots 1 to {slots[-1]}, but the rig file puts {', '.join(beyond)}; {remedy}")
 
 
 def _name(address: str) -> str:

@@ -234,7 +234,7 @@ class GuardClient:
         except HungUpError as error:
             raise self._end() from error
         except TimeoutError as error:
-            raise TimedOutError(f"{self.name}: its guard process said nothing for {within_s:g} s") from error
+            raise TimedOutError(f"{self.name}: its guard process sent nothing for {within_s:g} s") from error
         if "gone" in message:
             raise self._end(message)
         return message
@@ -289,11 +289,15 @@ class GuardClient:
         if status == EXIT_OFF:
             # Whoever told the guard to end wants no light: then nobody lights it anew.
             return (CaptureError if farewell.get("was_told") else LightLostError)(
-                f"{self.name}: the guard process has ended ({reason}); it had the light confirmed off before. "
-                f"Continue the capture with --resume"
+                f"{self.name}: the guard process has ended ({reason}) after it had confirmed that the light "
+                "is off. Continue the capture with --resume"
             )
         if (why_not := self._rescue()) is not None:
-            return UnsafeError(self.unconfirmed(f"the guard process has ended ({reason}), and then: {why_not}"))
+            return UnsafeError(
+                self.unconfirmed(
+                    f"the guard process has ended ({reason}), and switching the light off without it failed: {why_not}"
+                )
+            )
         return LightLostError(
             f"{self.name}: the guard process has ended ({reason}); the light has been switched off without it and is "
             "confirmed off. Continue the capture with --resume"
@@ -324,7 +328,7 @@ class GuardClient:
             else ""
         )
         todo = "pull its plug before anyone opens the box"
-        return f"{self.name}: NOT CONFIRMED OFF; {todo}.{dead_man} What went wrong: {why}"
+        return f"{self.name}: NOT CONFIRMED OFF; {todo}.{dead_man} The cause: {why}"
 
 
 class GuardedLight:
@@ -576,21 +580,20 @@ def refusal(laser: LaserSettings, has_dead_man: bool, today: datetime.date | Non
         return None
     if layer is None:
         return (
-            f"a class {laser.laser_class} laser is not lit without a layer outside the computer that switches it "
-            f"off, because no program can when the computer hangs or all processes of finray are killed. Drive it by "
-            f"an "
-            "Arduino with our firmware, which has a dead-man, or build an interlock or a relay that opens unless it is "
-            "pulsed into its supply, test it, and declare it in the rig file as [laser.outside_layer] "
-            "(docs/how-to/connect-a-laser.md)"
+            f"a class {laser.laser_class} laser is switched on only if hardware outside the computer can "
+            "switch it off, because no program can do so when the computer hangs or all processes of finray "
+            "are killed. Drive it by an Arduino with our firmware, which has a dead-man, or build an "
+            "interlock or a relay that opens unless it is pulsed into its supply, test it, and declare it in "
+            "the rig file as [laser.outside_layer] (docs/how-to/connect-a-laser.md)"
         )
     age_days = ((today or datetime.date.today()) - datetime.date.fromisoformat(layer.tested_on)).days
     if 0 <= age_days <= TEST_HOLDS_DAYS:
         return None
     when = "in the future" if age_days < 0 else f"{age_days} days ago"
     return (
-        f"the test of its outside layer ({layer.kind}) on {layer.tested_on} is {when}, at most {TEST_HOLDS_DAYS} days "
-        f"are allowed for a class {laser.laser_class} laser; test the {layer.kind} again and correct tested_on of "
-        "[laser.outside_layer] in the rig file"
+        f"the test of its outside layer ({layer.kind}) on {layer.tested_on} is {when}, and at most "
+        f"{TEST_HOLDS_DAYS} days are allowed for a class {laser.laser_class} laser; test the {layer.kind} "
+        "again and correct tested_on of [laser.outside_layer] in the rig file"
     )
 
 
@@ -621,7 +624,7 @@ def _driver_of_light(name: str) -> ModuleType:
 
 def off_lines(has_dead_man: bool, layer: OutsideLayer | None = None) -> tuple[str, str]:
     """Return, in two sentences, what switches a light off when a process fails and when the whole computer does."""
-    first = "off when a process of finray is killed or stopped: yes, by the others, within 1 s"
+    first = "off when a process of finray is killed or stopped: yes, by the other processes, within 1 s"
     all_of_them = "off when the computer hangs, its cable is pulled or all processes are killed"
     if has_dead_man:
         return first, f"{all_of_them}: yes, by the dead-man in its controller, within 0.5 s"

@@ -80,8 +80,9 @@ class HeldLight:
         switch = self._connection.enter_context(self._opening())
         if lacking := missing_members(switch, GuardedSwitch):
             raise RefusedError(
-                f"{self._name}: its driver {type(switch).__module__} opens a switch that lacks {', '.join(lacking)}; "
-                "update the package that brings it, or tell its author (docs/how-to/write-a-driver.md)"
+                f"{self._name}: its driver {type(switch).__module__} returns a switch that lacks "
+                f"{', '.join(lacking)}; update the package that brings it, or tell its author "
+                "(docs/how-to/write-a-driver.md)"
             )
         self._switch = switch
 

@@ -157,8 +157,9 @@ class WatchLine:
             missing = self.process.missing()
             why = self._answer.removeprefix("no ") or missing or f"did not answer within {ARM_WITHIN_S:g} s"
             raise LostError(
-                f"{self._name}: is not lit, because its watch is not armed ({why}); it needs a connection of its own "
-                "to the light's server or port: make sure that it accepts a second one, and start again"
+                f"{self._name}: is not switched on, because the process that watches it could not be armed "
+                f"({why}); that process needs a connection of its own to the light's server or port: make "
+                "sure that it accepts a second one, and start again"
             )
 
     def listen(self) -> None:
@@ -385,7 +386,7 @@ class Guard:
             answer = {**error_words(error)}
             if isinstance(error, LostError | TimedOutError):
                 if self._lit:
-                    self._doubt = f"it is lit and cannot be asked ({error})"
+                    self._doubt = f"it is on, and its state cannot be read ({error})"
                 else:
                     self._light.close()  # the next question opens it anew
         self._tell(number=message["number"], faults=faults[-MOST_FAULTS:], **answer)

@@ -209,7 +209,7 @@ class Watch:
         if now_s >= self._until_s:
             return "its owner has not renewed the lease"
         if now_s - self._heard_s >= GUARD_SILENT_S:
-            return f"its guard process said nothing for {GUARD_SILENT_S:g} s"
+            return f"its guard process sent nothing for {GUARD_SILENT_S:g} s"
         return ""
 
     def _listen(self) -> str:

@@ -138,6 +138,6 @@ class ServerLight:
         self._asked_s = now_s
         if not self._panel.reading(now_s + STILL_ON_WITHIN_S):
             raise LostError(
-                f"{self._panel.name}: is off although it was switched on; see whether another program or a person "
-                "switched it, and check its power supply"
+                f"{self._panel.name}: is off although it was switched on; check whether another program or a "
+                "person switched it, and check its power supply"
             )

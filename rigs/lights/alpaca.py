@@ -36,8 +36,8 @@ class Relay:
         count = self._client.get_int("maxswitch", end_s)
         if self._number >= count:
             raise RefusedError(
-                f"{self._client.name}: has no switch {self._number}, its {count} switches count from 0; correct the "
-                "address"
+                f"{self._client.name}: has no switch {self._number}; its {count} switches are counted from 0: "
+                "correct the address"
             )
         if not self._client.get_bool("canwrite", end_s, Id=self._number):
             raise RefusedError(f"{self._client.name}: switch {self._number} can only be read; correct the address")
@@ -70,7 +70,7 @@ class Calibrator:
     def require_light(self, end_s: float) -> None:
         """Refuse a cover without a lamp."""
         if self._client.get_int("calibratorstate", end_s) == _NOT_PRESENT:
-            raise RefusedError(f"{self._client.name}: has a cover and no lamp; name another device")
+            raise RefusedError(f"{self._client.name}: has a cover but no lamp; name another device")
 
     def command(self, on: bool, end_s: float) -> None:
         """Ask the device to switch."""
@@ -85,9 +85,8 @@ class Calibrator:
         state = self._client.get_int("calibratorstate", end_s)
         if state not in _CALIBRATOR_STATES:
             raise RefusedError(
-                f"{self._client.name}: the device does not report whether the lamp is on (calibratorstate {state}); "
-                f"look "
-                "at the lamp, and restart its driver"
+                f"{self._client.name}: the device does not report whether the lamp is on (calibratorstate "
+                f"{state}); check the lamp, and restart its driver"
             )
         return _CALIBRATOR_STATES[state]
 
@@ -156,7 +155,7 @@ def open_switch(address: str, role: LightRole, operator: Operator | None) -> Ite
         case "covercalibrator", [int(device)]:
             controlled = Calibrator(client := AlpacaClient(where, kind, device, name))
         case _:
-            raise RefusedError(f"{role}: '{address}' is no Alpaca address; write {form}")
+            raise RefusedError(f"{role}: '{address}' is not an Alpaca address; write {form}")
     end_s = time.monotonic() + ALPACA_OPENS_WITHIN_S
     client.connect(end_s)
     controlled.require_light(end_s)

@@ -51,8 +51,9 @@ def parse(line: bytes, name: str) -> Said:
     match = LINE.fullmatch(line)
     if match is None:
         raise GarbledError(
-            f"{name}: says {line[:32]!r}, which the light's firmware never does; check the cable, the ground between "
-            f"board and computer, the speed ({BAUD} baud) and that no other program uses the port"
+            f"{name}: sends {line[:32]!r}, which the light's firmware never sends; check the cable, the "
+            f"ground between board and computer, the speed ({BAUD} baud) and that no other program uses the "
+            "port"
         )
     return Said(_WORDS[match[1] or match[2]], (match[3] or b"").decode())
 
@@ -215,8 +216,8 @@ class ArduinoSwitch:
                         return parse(line, self._name)
         if heard:
             raise RefusedError(
-                f"{self._name}: says {heard[-1][:32]!r} and not which firmware it runs; flash rigs/lights/firmware to "
-                "the board, or correct the address"
+                f"{self._name}: sends {heard[-1][:32]!r}, but does not state its firmware; flash "
+                "rigs/lights/firmware to the board, or correct the address"
             )
         raise TimedOutError(
             f"{self._name}: nothing came within {RESET_WITHIN_S + GREET_AGAIN_S:g} s; check the cable, the address "

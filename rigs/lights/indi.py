@@ -75,8 +75,8 @@ class IndiPanel:
         on, off = (control.values.get(member) == "On" for member in (_ON, _OFF))
         if on == off or control.state == "Alert":
             raise RefusedError(
-                f"{self.name}: the driver does not report whether the light is on ({_CONTROL} is {control.state})"
-                f"{self._client.said()}; look at the light, and restart the driver"
+                f"{self.name}: the driver does not report whether the light is on ({_CONTROL} is "
+                f"{control.state}){self._client.said()}; check the light, and restart the driver"
             )
         return on or control.state == "Busy"
 

@@ -77,8 +77,8 @@ def open_switch(address: str, role: Literal["laser", "lamp"], operator: Operator
     """
     if role == "laser":
         raise RefusedError(
-            "laser: cannot be switched by hand, nothing would switch it off when the capture stops; connect it to a "
-            "controller (drivers arduino, indi, alpaca)"
+            "laser: cannot be switched by hand, because nothing would switch it off when the capture stops; "
+            "connect it to a controller (drivers arduino, indi, alpaca)"
         )
     yield ManualSwitch(operator)
 

@@ -47,13 +47,13 @@ MOST_LINES_SAID: Final = 3
 MOST_TOLD_LINES: Final = 2
 KEYS: Final = " l LIGHT OFF   Enter done, go on   y n yes, no   q end   ? help"
 HELP: Final = (
-    "l Space Esc    all lights off, and none is lit before you say so; the frame",
+    "l Space Esc    all lights off until you confirm; the frame",
     "               under way is discarded and taken again",
     "Enter          you have done what was asked: continue",
-    "y n            yes and no, where a question is asked",
+    "y n            answer yes or no to a question",
     "g              goggles are on: light a laser of class 3R or above again",
     "e              end here, where that is offered",
-    "q              end the session, after a question",
+    "q              end the session, after you confirm",
     "Ctrl-C         end the session at once, with the lights off",
     "Ctrl-L         draw the screen anew",
     "",
@@ -301,8 +301,8 @@ def panel_lines(screen: Screen, numbers: SessionNumbers, height: int) -> list[st
         *(line(text, style) for text, style in filter_lines(numbers)),
         *(line(f"{'  ' if k else 'drift '}{100 * d.change_rel:+.2f}\u00b1{100 * d.uncertainty_rel:.2f} % {d.label}")
           for k, d in enumerate(numbers.drifts)),
-        *([] if numbers.drifts else [line("drift: no reference seen twice")]),
-        line(f"healed: {numbers.repeated} repeated, {numbers.retaken} retaken"),
+        *([] if numbers.drifts else [line("drift: no reference taken twice")]),
+        line(f"faults: {numbers.repeated} repeated, {numbers.retaken} retaken"),
         line(f"{numbers.lights_lost} lights lost, {numbers.repairs} repairs"),
     ]  # fmt: skip
     return [*lines, *[line()] * height][:height]

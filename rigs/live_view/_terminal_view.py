@@ -161,7 +161,8 @@ class _View(TerminalPage):
             has_ended = self._live.ended(ENDS_WITHIN_S)
         if not has_ended:
             raise CaptureError(
-                f"live --terminal: camera and lamp gave no answer for {ENDS_WITHIN_S:g} s; look whether the lamp is off"
+                f"live --terminal: camera and lamp gave no answer for {ENDS_WITHIN_S:g} s; check whether the "
+                "lamp is off"
             )
 
     def _while_asked_for(self) -> None:
@@ -396,9 +397,9 @@ def exposure_aid(numbers: LiveNumbers) -> tuple[str, str]:
     if numbers.brightest_fraction < DARK_SHARE and not numbers.lamp:
         return "the lamp is off: [o] lights it", YELLOW
     if numbers.brightest_fraction < GOOD_SHARE[0]:
-        return "expose more [+], 70 % is wanted", YELLOW
+        return "expose more [+], 70 % is best", YELLOW
     if numbers.brightest_fraction > GOOD_SHARE[1]:
-        return "expose less [-], 70 % is wanted", YELLOW
+        return "expose less [-], 70 % is best", YELLOW
     return "good", GREEN
 
 

@@ -95,13 +95,14 @@ class Hx711Cell:
                     f"{self._name}: its amplifier does not answer as an HX711 does; check its wires and supply"
                 )
             if status == 1 or counts in (HIGHEST, LOWEST):
-                raise OverloadError(f"{self._name}: reads its end of scale; take the load away and check the wiring")
+                raise OverloadError(
+                    f"{self._name}: reads the end of its scale; take the load away and check the wiring"
+                )
             if self._waited_s(int(match[3]), now_s) <= FRESH_S and not is_backlog:
                 return CellReading(counts, now_s)
             if now_s >= end_s:
                 raise TimedOutError(
-                    f"{self._name}: its readings come later than {FRESH_S:g} s after they were made; close other "
-                    "programs"
+                    f"{self._name}: its readings arrive more than {FRESH_S:g} s late; close other programs"
                 )
 
     def _waited_s(self, at_ms: int, now_s: float) -> float:

@@ -406,7 +406,8 @@ class SimulatedFilterWheel:
         needed_s = WHEEL_STEP_S * min(steps, len(self.slots) - steps)
         if needed_s > deadline_s:
             raise TimedOutError(
-                f"filter wheel: needs {needed_s:g} s to slot {slot}, the deadline is {deadline_s:g} s; allow more time"
+                f"filter wheel: needs {needed_s:g} s to slot {slot}, but the deadline is {deadline_s:g} s; "
+                "allow more time"
             )
         self._asked(lambda: self.state.advance(needed_s))
         self.state.slot = slot

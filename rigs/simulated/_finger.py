@@ -76,7 +76,10 @@ class FingerState:
     def stage(self) -> StageSettings:
         """The stage of the rig file."""
         if self.rig.stage is None:
-            raise RefusedError(f"rig '{self.rig.name}': describes no stage")
+            raise RefusedError(
+                f"rig '{self.rig.name}': has no [stage] table; add it, as 'finray rig init --preset "
+                "simulated-finger' writes it"
+            )
         return self.rig.stage
 
     @property
@@ -167,7 +170,7 @@ class SimulatedStage:
                 "file; nothing moved: correct the plan, or the travel"
             )
         if not self.is_known:
-            raise RefusedError("stage: does not know where it stands; it must be homed first")
+            raise RefusedError("stage: its position is unknown; home it first")
         start_mm, began_s = self.state.counted_mm[axis], self.state.clock.elapsed_s
         way_mm = to_mm - start_mm
         takes_s = abs(way_mm) / speed_mm_per_s
@@ -214,7 +217,7 @@ class SimulatedLoadCell:
         state, finger = self.state, self.state.rig.simulated
         if finger is None or state.has("silent cell"):
             state.advance(deadline_s)
-            raise TimedOutError(f"load cell: said nothing within {deadline_s:g} s; check its cable and supply")
+            raise TimedOutError(f"load cell: did not answer within {deadline_s:g} s; check its cable and supply")
         state.advance(1.0 / self.settings.rate_hz)
         force_n = state.force_n()
         fault = state.fault
@@ -224,7 +227,7 @@ class SimulatedLoadCell:
             OFFSET_COUNTS + force_n / finger.cell_n_per_count + finger.noise_counts * self.rng.standard_normal()
         )
         if abs(counts) >= END_OF_SCALE:
-            raise OverloadError("load cell: reads its end of scale; take the load away")
+            raise OverloadError("load cell: reads the end of its scale; take the load away")
         if not state.has("stuck cell"):
             self._last_counts = counts
         return CellReading(self._last_counts, state.clock.monotonic_s())

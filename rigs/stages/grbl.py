@@ -55,7 +55,7 @@ _ALARMS: Final = {
     2: "the end of a move lies beyond the controller's soft limits",
     3: "it was reset while it moved",
     4: "the probe was in the wrong state",
-    5: "the probe met nothing",
+    5: "the probe touched nothing",
     6: "homing was reset",
     7: "a door was opened while it homed",
     8: "homing could not clear a limit switch; raise its pull-off or check the wiring",
@@ -71,7 +71,7 @@ _ERRORS: Final = {
     11: "the line was too long",
     13: "its door is open",
     15: "the end of the move lies beyond its own travel ($130 to $132)",
-    16: "a jog holds what no jog may hold",
+    16: "a jog command holds a word that is not allowed in it",
     20: "it does not know this word",
     22: "a speed is missing",
     33: "the end of the move is not valid",
@@ -106,7 +106,7 @@ class GrblStage:
         self._link, self._settings = link, settings
         self._name = f"stage at {settings.address}"
         self._is_known, self._is_unanswered, self._offset_mm = False, False, {"X": 0.0, "Y": 0.0, "Z": 0.0}
-        self._drives = "was not told to move"
+        self._drives = "was not sent to any place"
         self._numbers: dict[int, float] = {}
         self._firmware = self._reset(GREET_WITHIN_S)
         self._numbers = self._read_settings()
@@ -140,7 +140,7 @@ class GrblStage:
         """Run the controller's homing cycle; it answers no question meanwhile."""
         self._is_known = False
         end_s = time.monotonic() + deadline_s
-        self._drives = "homes: all axes drive to their switches"
+        self._drives = "may continue to home: all axes drive to their switches"
         try:
             self._link.write(b"$H\n", end_s)
             while True:
@@ -149,7 +149,7 @@ class GrblStage:
                 if line == "ok":
                     break
                 if line is None and time.monotonic() > end_s:
-                    raise TimedOutError(f"{self._name}: did not home within {deadline_s:g} s; look at its switches")
+                    raise TimedOutError(f"{self._name}: did not home within {deadline_s:g} s; check its switches")
         except BaseException as error:
             # a feed hold does nothing while it homes
             if not self._halt():
@@ -162,7 +162,7 @@ class GrblStage:
         """Move one axis; see :class:`rigs.Stage`."""
         start_mm = self._start_of(axis, to_mm)
         deadline_s = abs(to_mm - start_mm) / speed_mm_per_s + MOVE_MARGIN_S
-        self._drives = f"drives on to {axis} = {to_mm:.3f} mm, the end of its move"
+        self._drives = f"may continue to {axis} = {to_mm:.3f} mm, the end of its move"
         try:
             line = f"$J=G21G90G53{axis}{to_mm:.3f}F{60.0 * speed_mm_per_s:.2f}\n"
             self._is_unanswered = True
@@ -201,8 +201,8 @@ class GrblStage:
     def _unsafe(self, error: BaseException) -> UnsafeError:
         """Return what to say of a stage that is not seen to stop: how far it may drive."""
         return UnsafeError(
-            f"{self._name}: NOT SEEN TO STOP: {error}. It {self._drives}: switch its motors off before anyone touches "
-            "it"
+            f"{self._name}: NOT SEEN TO STOP: {error}. It {self._drives}; switch its motors off before anyone "
+            "touches it"
         )
 
     def _tolerance_mm(self, axis: str) -> float:
@@ -232,7 +232,7 @@ class GrblStage:
             )
         places = self.places_mm()
         if places is None:
-            raise RefusedError(f"{self._name}: does not know where it stands; it must be homed first")
+            raise RefusedError(f"{self._name}: its position is unknown; home it first")
         return places[axis]
 
     def _follow(self, axis: str, to_mm: float, end_s: float, watch: Callable[[], None]) -> None:
@@ -257,10 +257,10 @@ class GrblStage:
                 arrivals = arrivals + 1 if is_there and is_taken else 0
                 if report.state not in ("Idle", "Jog", "Run"):
                     self._is_known = False
-                    raise LostError(f"{self._name}: is in state {report.state} in the midst of a move")
+                    raise LostError(f"{self._name}: is in state {report.state} in the middle of a move")
                 if report.state == "Idle" and is_taken and not is_there and now_s - taken_s > START_WITHIN_S:
                     raise WrongPositionError(
-                        f"{self._name}: {axis} stands at {at_mm:.3f} mm and was sent to {to_mm:.3f} mm"
+                        f"{self._name}: {axis} stands at {at_mm:.3f} mm, but was sent to {to_mm:.3f} mm"
                     )
                 is_asked = False
             if now_s - asked_s > (ASK_AGAIN_S if is_asked else ASK_EVERY_S):
@@ -294,7 +294,7 @@ class GrblStage:
                         self._link.drain(quiet_s, time.monotonic() + ANSWER_WITHIN_S)
                         return match[1]
         raise TimedOutError(
-            f"{self._name}: nothing that calls itself GRBL answers within {within_s:g} s; check the cable, the address "
+            f"{self._name}: no GRBL controller answers within {within_s:g} s; check the cable, the address "
             "('finray rig detect') and its power"
         )
 
@@ -322,7 +322,7 @@ class GrblStage:
                 if line is not None and (report := self._parsed(line)) is not None:
                     return report
             if time.monotonic() >= end_s:
-                raise TimedOutError(f"{self._name}: does not report where it stands; check its cable and power")
+                raise TimedOutError(f"{self._name}: does not report its position; check its cable and power")
 
     def _wait_for(self, states: tuple[str, ...], end_s: float) -> str:
         """Return the first of the states that is reported."""
@@ -351,7 +351,7 @@ class GrblStage:
             return None
         if _BANNER.match(line):
             self._is_known = False
-            raise LostError(f"{self._name}: the controller restarted, and its place is unknown; home it again")
+            raise LostError(f"{self._name}: the controller restarted, so its position is unknown; home it again")
         self._is_unanswered &= line != "ok" and not line.startswith("error:")
         if line.startswith(("ALARM:", "error:")):
             self._is_known &= not line.startswith("ALARM:")
@@ -384,7 +384,7 @@ def _in_words(line: str) -> str:
     known = _ALARMS if kind == "ALARM" else _ERRORS
     words = known.get(int(number), "see its documents") if number.isdecimal() else "see its documents"
     if kind == "ALARM":
-        return f"alarm {number}: {words}; its place is unknown now: free it by hand, then home it again"
+        return f"alarm {number}: {words}; its position is unknown now: free it by hand, then home it again"
     return f"refuses a command with error {number}: {words}"
 
 

@@ -65,7 +65,7 @@ def alpaca_address(address: str, role: str, form: str) -> AlpacaAddress:
         host, port = None, 0
     path = tuple(piece for piece in parts.path.split("/") if piece) if host else ()
     if not host or not port or parts.scheme != "http" or not path or parts.query or parts.fragment:
-        raise RefusedError(f"{role}: '{address}' is no Alpaca address; write {form}")
+        raise RefusedError(f"{role}: '{address}' is not an Alpaca address; write {form}")
     return AlpacaAddress(host, port, path)
 
 
@@ -121,8 +121,8 @@ class AlpacaClient:
         model = str(self._ask("GET", "name", {}, end_s))
         if self._model not in (None, model):
             raise RefusedError(
-                f"{self.name}: '{model}' answers now, '{self._model}' did before; correct the numbers in the address, "
-                "or restore the server's configuration"
+                f"{self.name}: '{model}' answers now, but '{self._model}' did before; correct the numbers in "
+                "the address, or restore the server's configuration"
             )
         self._model, self._is_doubtful = model, False
 
@@ -259,7 +259,9 @@ class AlpacaClient:
         told = f"{self.name}: '{member}' fails with error {error:#x} ({_ERRORS.get(error, 'of the driver')}): {said}"
         if error == _NOT_CONNECTED:
             raise LostError(f"{told}; check the device's cable and connect it in its server")
-        raise RefusedError(f"{told}; ask for something that the device can do, or repair it")
+        raise RefusedError(
+            f"{told}; correct the rig file or the plan if the device cannot do this, else repair the device"
+        )
 
     def _ask_server(self, method: str, path: str, fields: str, end_s: float) -> tuple[int, bytes]:
         """Return status and body of one HTTP request."""
@@ -289,7 +291,7 @@ class AlpacaClient:
 
     def _not_alpaca(self, member: str, said: object) -> LostError:
         return LostError(
-            f"{self.name}: answers '{member}' with {said!r:.100}, which is not an answer of such a device; check that "
+            f"{self.name}: answers '{member}' with {said!r:.100}, which is not an Alpaca answer; check that "
             "an Alpaca server listens at this address"
         )
 

@@ -55,7 +55,7 @@ def indi_address(address: str, role: str) -> IndiAddress:
         host and device.strip() and port.isascii() and port.isdecimal() and len(port) < 6 and 0 < int(port) < 2**16
     ):
         raise RefusedError(
-            f"{role}: '{address}' is no INDI address; write host:port/device name, such as "
+            f"{role}: '{address}' is not an INDI address; write host:port/device name, such as "
             f"localhost:{DEFAULT_PORT}/Filter Simulator"
         )
     return IndiAddress(host, int(port), device.strip())
@@ -191,7 +191,8 @@ class IndiDevice:
     def refusal(self, what: str) -> RefusedError:
         """Return the error for an Alert, with what the driver says about it."""
         return RefusedError(
-            f"{self.name}: refuses to {what}{self.said()}; ask for something that it can do, or repair the device"
+            f"{self.name}: refuses to {what}{self.said()}; correct the rig file or the plan if the device "
+            "cannot do this, else repair the device"
         )
 
     def said(self) -> str:
@@ -392,7 +393,7 @@ class IndiClient(IndiDevice):
         for member, value in values.items():
             if not self._agrees(kind, known.values.get(member, ""), value):
                 raise RefusedError(
-                    f"{self.name}: {name}.{member} = {value} was asked for, and it reads back "
+                    f"{self.name}: {name}.{member} = {value} was requested, but it reads back "
                     f"'{known.values.get(member, '')}'{self.said()}; choose a value that the device can take"
                 )
         return known
@@ -452,9 +453,7 @@ class IndiClient(IndiDevice):
 
     def _unknown_device(self, end_s: float) -> TimedOutError:
         known = ", ".join(f"'{device}'" for device in sorted(devices_at(self._where, end_s)))
-        what = (
-            f"the server has no such device, it has {known}" if known else "the server says nothing about this device"
-        )
+        what = f"the server has no such device, only {known}" if known else "the server does not report this device"
         return TimedOutError(
             f"{self.name}: the server {what}; correct the address, or start indiserver with the driver of the device"
         )

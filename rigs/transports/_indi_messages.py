@@ -203,5 +203,5 @@ def blob_bytes(blob: IndiElement, name: str) -> bytes:
         raise BadFrameError(f"{name}: the frame cannot be decoded ({error}); expose again") from error
     stated = blob.attributes.get("size", "")
     if stated and stated != str(len(data)):
-        raise BadFrameError(f"{name}: the frame has {len(data)} bytes where it states {stated[:20]}; expose again")
+        raise BadFrameError(f"{name}: the frame has {len(data)} bytes, but it states {stated[:20]}; expose again")
     return data

@@ -228,8 +228,8 @@ class SerialLink:
                 return drained
             if time.monotonic() >= end_s:
                 raise TimedOutError(
-                    f"{self._name}: does not stop sending (it says {drained[:32]!r}); check that this port belongs to "
-                    "the device, and its speed"
+                    f"{self._name}: does not stop sending (such as {drained[:32]!r}); check that this port "
+                    "belongs to the device, and its speed"
                 )
 
     def _receive(self) -> bool:
@@ -262,8 +262,8 @@ class SerialLink:
         number = getattr(error, "errno", None)
         if number in (errno.EACCES, errno.EPERM):
             return RefusedError(
-                f"{self._name}: you may not open this port; join its group (sudo usermod -aG dialout $USER) and log "
-                "in again"
+                f"{self._name}: your user has no permission to open this port; join its group (sudo usermod "
+                "-aG dialout $USER) and log in again"
             )
         if number in (errno.EAGAIN, errno.EBUSY):
             return RefusedError(f"{self._name}: another program has the port open; close that program")

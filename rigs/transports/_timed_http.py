@@ -200,8 +200,8 @@ class MultipartStream:
         if self._answer.status != http.client.OK:
             self.close()
             raise RefusedError(
-                f"{self._name}: answers HTTP {self._answer.status} {self._answer.reason}, 200 is needed; correct the "
-                "path of the address (such as /stream, /?action=stream, /video_feed)"
+                f"{self._name}: answers HTTP {self._answer.status} {self._answer.reason}, but 200 is needed; "
+                "correct the path of the address (such as /stream, /?action=stream, /video_feed)"
             )
         self.headers = {name.lower(): value for name, value in self._answer.getheaders()}
 
@@ -282,7 +282,9 @@ class MultipartStream:
                 return
             skipped += len(line) + 1
             if skipped > LONGEST_LINE_BYTES:
-                raise LostError(f"{self._name}: sends no multipart stream of pictures; correct the path of the address")
+                raise LostError(
+                    f"{self._name}: does not send a multipart stream of pictures; correct the path of the address"
+                )
 
     def _headers(self) -> dict[str, str]:
         """Read the headers of a part."""
@@ -300,7 +302,7 @@ class MultipartStream:
             length = headers["content-length"]
             if not (re.fullmatch("[0-9]{1,12}", length) and int(length) <= LONGEST_PART_BYTES):
                 raise BadFrameError(
-                    f"{self._name}: a part says Content-Length {length[:40]!r}; 0 to {LONGEST_PART_BYTES} bytes are "
+                    f"{self._name}: a part states Content-Length {length[:40]!r}; 0 to {LONGEST_PART_BYTES} bytes are "
                     "allowed"
                 )
             while len(self._unread) < int(length):
@@ -320,7 +322,9 @@ class MultipartStream:
         """Read a line without its end."""
         while (at := self._unread.find(b"\n")) < 0:
             if len(self._unread) > LONGEST_LINE_BYTES:
-                raise LostError(f"{self._name}: sends no multipart stream of pictures; correct the path of the address")
+                raise LostError(
+                    f"{self._name}: does not send a multipart stream of pictures; correct the path of the address"
+                )
             self._read_more()
         return self._take(at + 1).rstrip()
 

@@ -49,8 +49,8 @@ Evaluate = Callable[[FingerDesign], EvaluatedDesign]
 _LIGHT: Final = {
     "normal-error": DesignObjective(
         name="normal-error", unit="deg", larger_is_better=False,
-        meaning="expected error of the sensed normal at places that the map was not taught at; what the camera does "
-                "not see counts as not tilted",
+        meaning="expected error of the sensed normal at places that the map was not taught at; places that the "
+            "camera does not see count as not tilted",
     ),
     "evenness": DesignObjective(
         name="evenness", unit="1", larger_is_better=True,
@@ -64,7 +64,8 @@ _LIGHT: Final = {
 _LOADS: Final = {
     "softness": DesignObjective(
         name="softness", unit="N/mm", larger_is_better=False,
-        meaning=f"stiffness under {PAD_FORCE_N:g} N in the middle of the pad; a finger that gives way to what it grips",
+        meaning=f"stiffness under {PAD_FORCE_N:g} N in the middle of the pad; a low value means that the finger "
+            "adapts to the object that it grips",
     ),
     "bending-stiffness": DesignObjective(
         name="bending-stiffness", unit="N/mm", larger_is_better=True,
@@ -137,7 +138,7 @@ class _Field:
         if isinstance(value, bool) or not isinstance(value, int | float):
             hint = "; for a place, name its coordinate, as in light.position_mm[y]" if isinstance(value, tuple) else ""
             hint = "; write it into the design file first" if value is None else hint
-            raise SimulateError(f"'{self.path}' of this finger is {value!r}, no number{hint}")
+            raise SimulateError(f"'{self.path}' of this finger is {value!r}, which is not a number{hint}")
         return value
 
     def changed(self, design: FingerDesign, value: float) -> FingerDesign:

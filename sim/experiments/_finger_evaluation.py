@@ -301,7 +301,7 @@ class FingerEvaluator:
             )
         self.settings = settings or EvaluationSettings()
         if min(self.settings.rays, self.settings.repeats, self.settings.draws) < 1:
-            raise SimulateError(f"an evaluation needs at least one ray, repeat and draw, got {self.settings}")
+            raise SimulateError(f"an evaluation needs at least one ray, one repeat and one draw, got {self.settings}")
         self.response, self.renderer, self.calibration = response, renderer, calibration
         self.traced = 0
         self._kept: OrderedDict[str, object] = OrderedDict()

@@ -167,7 +167,8 @@ def render_looks(
     )
     if not render.chains_apart:
         raise SimulateError(
-            f"a data set needs a compiled renderer, which keeps the light of each paint apart; this is {render.variant}"
+            "a data set needs a compiled renderer, which stores the light of each paint separately; this is "
+            f"{render.variant}"
         )
     return list(_looks_of(finger, render, paints)), render
 

@@ -289,8 +289,8 @@ FRAMES: Final = 4
 WORST_TENTH: Final = 0.9
 
 _SEEN = (
-    "facets of the undeformed coat, seen through the mirror, one pixel of each colour; exposure set again at each "
-    f"angle, as long as it clips less than {100 * CLIPPED_LIMIT:g} % of the pressed coat"
+    "facets of the undeformed coat, seen through the mirror, one pixel of each colour; the exposure is set "
+    f"for each angle, as long as possible with less than {100 * CLIPPED_LIMIT:g} % of the pressed coat clipped"
 )
 
 
@@ -354,8 +354,8 @@ def require_compiled(finger: PaintedFinger) -> None:
     """
     if finger.renderer.variant() == SCALAR_VARIANT:
         raise SimulateError(
-            "the other objectives trace light once for all angles, which needs a compiled variant; leave out --engine "
-            "scalar (LLVM must be installed), or ask for --objectives intensity"
+            "the other objectives trace light once for all angles, which needs a compiled variant; leave out "
+            "--engine scalar (LLVM must be installed), or give --objectives intensity"
         )
 
 

@@ -103,8 +103,8 @@ def grasp_record(design: FingerDesign, task: GraspTask, grasp: Grasp, preset: Pr
         lost=grasp.lost,
         notes=(
             grasp.near.contact,
-            "the object is rigid and of even density; jaws do not give way, and nothing else touches the object; the "
-            "least resistance takes the limits of friction as they are at the last increment",
+            "the object is rigid and of even density; the jaws are rigid, and nothing else touches the "
+            "object; the least resistance uses the limits of friction of the last increment",
         ),
     )
 
@@ -173,8 +173,8 @@ def _check_same_design(record: PressIncrement, design: FingerDesign) -> None:
     ]
     if other or record.preset != design.mesh.preset:
         raise SimulateError(
-            f"the stored increment is of a press of another design: it differs in {', '.join(other) or 'mesh'}; only "
-            "indenter.depth_mm may change between an increment and the press that continues it"
+            f"the stored increment belongs to another design: it differs in {', '.join(other) or 'mesh'}; "
+            "only indenter.depth_mm may change between an increment and the press that continues it"
         )
 
 
@@ -199,7 +199,7 @@ def _same_mesh(record: PressIncrement, design: FingerDesign) -> FingerMesh:
     # a barrier's indenter is one node more
     if len(record.nodes_mm) not in {own, own + 1} or not np.array_equal(record.nodes_mm[:own], mesh.nodes_mm):
         raise SimulateError(
-            "the stored increment is of another mesh of this design, made by another version; press from the start"
+            "the stored increment has another mesh of this design, which another version made; press from the start"
         )
     return replace(mesh, nodes_mm=record.nodes_mm)
 
@@ -318,7 +318,9 @@ def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) ->
         return ()
     told = f"the force is some {100 * short:.0f} % below the barrier's"
     if not touched:
-        told = "it touches no node, or has passed between them, and the force comes from the mesh, not the finger"
+        told = (
+            "it touches no node, or has passed between them, so that the force comes from the mesh, not from the finger"
+        )
     return (f"between nodes the coat cuts into the indenter: {told}",)
 
 

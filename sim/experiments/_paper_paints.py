@@ -408,10 +408,9 @@ def _patches(reflectance: SpectralCurve, printed: str) -> tuple[ColourPatch, Col
 
 CAVEAT = (
     "Stand-ins, not the paper's paints: no measured spectrum of those is public. The paper prints no fitted "
-    "parameters; what is fitted here is its equation. How far our model lets a paint depart from its curve was "
-    "learned from an orange ink, a yellow textile and two papers: for these the coverage shown is not an independent "
-    "test; the study that "
-    "leaves each of them out is in benchmarks/."
+    "parameters; what is fitted here is its equation. How far a paint may differ from its curve in our model "
+    "was learned from an orange ink, a yellow textile and two papers: for these the coverage shown is not an "
+    "independent test; the study that leaves each of them out is in benchmarks/."
 )
 
 
@@ -624,9 +623,9 @@ def _emission_from_bands(paints: Sequence[PaintStandIn]) -> PaperStatement:
         measure=f"error of the curve, {GOOD} (share of the measured emission in its 95 % band)",
         ours=_each(paints, lambda p: f"the paper's curve {words(p.paper_fit)}, ours {words(p.our_fit)}"),
         verdict=_verdict([p.paper_fit.residual_rel <= GOOD_FIT_REL for p in paints]),
-        why="between and beyond the bands the equation decides, and real paint departs from it by more than the "
-        "bands' errors: a fit that assumes it to be exact is far too certain. Ours includes that departure as "
-        "uncertainty",
+        why="between and beyond the bands the equation decides, and real paint differs from it by more than the "
+        "errors of the bands: a fit that assumes it to be exact is far too certain. Our model includes that "
+        "difference as uncertainty",
     )
 
 

@@ -189,7 +189,9 @@ def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if np.max(distance) > _SAME_NODE_MM:
-        raise SimulateError("the finger's mesh differs on both sides of its middle: it cannot be taught by half")
+        raise SimulateError(
+            "the two sides of the finger's mesh are not mirror images, so that one side cannot be taught from the other"
+        )
     return np.asarray(image)
 
 
@@ -228,7 +230,9 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError("no press teaches anything: ribs pass through each other in all of them from the start")
+        raise SimulateError(
+            "no press can be used for teaching: ribs pass through each other in all of them from the start"
+        )
     return whole
 
 
@@ -357,7 +361,9 @@ def teach_surrogate(
     """
     settings, begun = settings or TeachSettings(), time.process_time()
     if settings.presses < FEWEST_PRESSES:
-        raise SimulateError(f"{settings.presses} presses are too few to teach by; at least {FEWEST_PRESSES} are needed")
+        raise SimulateError(
+            f"{settings.presses} presses are too few for teaching; at least {FEWEST_PRESSES} are needed"
+        )
     preset, family = settings.preset or design.mesh.preset, press_family(design)
     condensed = condense_finger(design, preset, settings.threads, progress)
     finger = CondensedFinger(design, preset, condensed)
@@ -396,7 +402,7 @@ def _check_same_press(press: TaughtPress, wanted: FingerDesign, preset: Preset, 
     """Check that a press, which may have been stored, is the one that is wanted."""
     same = press.preset == preset and press.design.indenter == wanted.indenter
     if not same or _differs(press.design, wanted):
-        what = f"press {number + 1} that is stored is of another design, mesh or version"
+        what = f"press {number + 1} in the folder belongs to another design, mesh or version"
         raise SimulateError(f"{what}; give another --out, or remove the folder of its presses")
 
 
@@ -575,12 +581,12 @@ class SurrogateFinger:
         """Return why an answer is not to be taken."""
         for what, share in zip(("force", "surface"), shares, strict=True):
             if not share <= self.limit_rel:
-                return f"its {what} may be off by {100 * share:.1f} %, and {100 * self.limit_rel:.1f} % is the limit"
+                return f"its {what} may be wrong by {100 * share:.1f} %, and the limit is {100 * self.limit_rel:.1f} %"
         if self.record.crossed_features is not None:
             sets = (self.record.crossed_features, self.record.sample_features)
             squares = [((places - place) / self.record.surface_kernel.lengths) ** 2 for places in sets]
             if squares[0].sum(axis=1).min() <= squares[1].sum(axis=1).min():
-                return "in the nearest press that taught it ribs pass through each other or buckle"
+                return "in the most similar of the presses that taught it, ribs pass through each other or buckle"
         return ""
 
     def surfaces(self, press: SurrogatePress) -> FingerSurfaces:
@@ -654,9 +660,11 @@ class SurrogateFinger:
             surface_bar_mm=np.array([answer.surface_bar_mm for answer in answers]),
         )
         notes = (
-            f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within {last.force_bar_n:.2g} N, "
-            f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the elements that taught it",
-            "energies are not told; pressures are those of the condensed contact, made to add up to the force",
+            f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within "
+            f"{last.force_bar_n:.2g} N, the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) "
+            "of the finite elements that taught it",
+            "it gives no energies; pressures are those of the condensed contact, scaled so that they add up "
+            "to the force",
         )
         return pressed, bars, notes, last.doubt
 

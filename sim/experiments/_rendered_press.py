@@ -326,8 +326,8 @@ def _paint_factors(
         tried += 1
         if tried - len(found) > max(20, _LARGEST_UNPHYSICAL_SHARE * tried):
             raise SimulateError(
-                f"more than half the posterior draws of {calibration.paint_name} return more light than the paint "
-                "gets; check the white reference of its session"
+                f"more than half the posterior draws of {calibration.paint_name} return more light than falls "
+                "on the paint; check the white reference of its session"
             )
         paint = replace(finger.paints[colour], emission_per_nm=np.maximum(emission[rng.integers(len(emission))], 0.0))
         try:

@@ -277,8 +277,9 @@ def _cells(sensor: PlainSensor, seen_mm: Floats) -> list[NDArray[np.bool_]]:
             found.append(cell)
     if 2 * len(found) < np.prod(shape):
         raise SimulateError(
-            f"the camera sees {len(found)} of {np.prod(shape)} cells of the pad by {_LEAST_PIXELS} pixels, at least "
-            "half are needed; check camera.distance_mm, camera.field_of_view_deg and the size of the picture"
+            f"the camera sees {len(found)} of {np.prod(shape)} cells of the pad by {_LEAST_PIXELS} pixels, "
+            "but at least half are needed; check camera.distance_mm, camera.field_of_view_deg and the size "
+            "of the picture"
         )
     return found
 
@@ -309,7 +310,7 @@ def _means_and_halves(render: PlainRender) -> Floats:
 def _sensor(design: Design) -> PlainSensor:
     """Return a design that is one of a classic sensor."""
     if not isinstance(design, PlainSensor):
-        raise SimulateError(f"{design.name} is a painted finger; layers of a classic sensor are asked for")
+        raise SimulateError(f"{design.name} is a painted finger, but layers of a classic sensor were requested")
     return design
 
 
@@ -354,7 +355,10 @@ class FingerLayers:
         for colour in COLOURS:
             fit = self.calibrations.get(colour)
             of_fit = 0.0 if fit is None else fit.energy_yield.sd / fit.energy_yield.estimate
-            origin = f"calibration {100 * of_fit:.0f} %, batch of paint {100 * _BATCH_U_REL:.0f} % (assumed)"
+            origin = (
+                f"calibration {100 * of_fit:.0f} %, from one batch of paint to another {100 * _BATCH_U_REL:.0f} % "
+                "(assumed)"
+            )
             numbers.append(_factor(f"paint.{colour}.yield_rel", float(np.hypot(of_fit, _BATCH_U_REL)), origin))
         return numbers
 
@@ -424,7 +428,7 @@ class FingerLayers:
 def _finger(design: Design) -> FingerDesign:
     """Return a design that is one of a finger."""
     if not isinstance(design, FingerDesign):
-        raise SimulateError(f"{design.name} is a classic sensor; layers of a painted finger are asked for")
+        raise SimulateError(f"{design.name} is a classic sensor, but layers of a painted finger were requested")
     return design
 
 
@@ -478,7 +482,7 @@ def _powers(design: Design, names: Sequence[str]) -> tuple[FreeNumber, ...]:
     for name in names:
         of_all = ".".join(part for part in name.split(".") if not part.isdecimal())
         stated = design.uncertainty_rel.get(of_all)
-        origin = "design: uncertainty_rel" if stated is not None else "assumed: one LED to another"
+        origin = "design: uncertainty_rel" if stated is not None else "assumed: scatter from one LED to another"
         value = float(value_at(design, name))
         found.append(FreeNumber(name, value, stated or _POWER_U_REL, True, origin, "layer"))
     return tuple(found)

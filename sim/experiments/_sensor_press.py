@@ -107,8 +107,8 @@ def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
     _require_under(tool, design)
     if (tool < rest.height_mm).all():
         raise SimulateError(
-            f"the {design.indenter.shape} covers the pad from end to end: of a layer without sides nothing is left "
-            "beside it; make the indenter smaller"
+            f"the {design.indenter.shape} covers the pad from end to end, so that no free gel is left beside "
+            "it; make the indenter smaller"
         )
     layer = press_layer(rest.height_mm - tool, rest.x_mm, rest.z_mm, sensor.pad.thickness_mm, sensor.gel_poisson_ratio)
     pressed = replace(rest, height_mm=rest.height_mm - layer.sunk_mm)
@@ -415,8 +415,8 @@ def planned_presses(pad_design: FingerDesign, ball_radius_mm: float, count: int)
     pad = pad_design.pad
     if pad.shape != "flat":
         raise SimulateError(
-            f"pad.shape = {pad.shape!r}: Taxim's table takes every slope for contact, also that of a curved pad at "
-            "rest; only flat pads can be exported"
+            f"pad.shape = {pad.shape!r}: Taxim's table treats every slope as contact, also that of a curved "
+            "pad at rest; only flat pads can be exported"
         )
     deepest = max(DEPTHS_REL) * pad.thickness_mm
     margin = float(np.sqrt(2.0 * ball_radius_mm * deepest - min(deepest, ball_radius_mm) ** 2))
@@ -642,8 +642,8 @@ class _PadPlane:
         seen = np.isfinite(place).all(axis=-1)
         if seen.sum() < _FEWEST_PIXELS:
             raise SimulateError(
-                f"camera: {int(seen.sum())} pixels see the pad, at least {_FEWEST_PIXELS} are needed; give the camera "
-                "more pixels or turn it to the pad"
+                f"camera: {int(seen.sum())} pixels see the pad, but at least {_FEWEST_PIXELS} are needed; give the "
+                "camera more pixels or turn it to the pad"
             )
         pad = design.pad
         self.mm_per_px = side = float(np.sqrt(pad.length_mm * pad.width_mm / seen.sum()))

@@ -266,7 +266,8 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     """
     if len(captures) < LEAST_TEACHING_PRESSES:
         raise SimulateError(
-            f"{len(captures)} presses teach; the model of an elastic gel needs at least {LEAST_TEACHING_PRESSES}"
+            f"there are {len(captures)} teaching presses, but the model of an elastic gel needs at least "
+            f"{LEAST_TEACHING_PRESSES}"
         )
     first = captures[0]
     radius_mm, scale = _ball_and_scale(first)
@@ -348,7 +349,9 @@ def _distance(capture: TactileCapture) -> Floats:
     """Return the distance from the contact of a capture that states it, half-widths."""
     distance = contact_distance(capture)
     if distance is None:
-        raise SimulateError(f"{capture.name}: does not state where its contact is")
+        raise SimulateError(
+            f"{capture.name}: does not state where its contact is; import it with a circle, an outline or a search"
+        )
     return distance
 
 

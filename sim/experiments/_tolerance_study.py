@@ -61,8 +61,8 @@ _USUAL: Final[dict[str, tuple[float, bool, str]]] = {
     "camera.position_mm.y": (0.5, False, _MOUNTED),
     "camera.position_mm.z": (0.5, False, _MOUNTED),
     "camera.aim_deg": (1.0, False, _MOUNTED),
-    "paint.red.yield_rel": (0.1, False, "assumed: batch of paint"),
-    "paint.green.yield_rel": (0.1, False, "assumed: batch of paint"),
+    "paint.red.yield_rel": (0.1, False, "assumed: from one batch of paint to another"),
+    "paint.green.yield_rel": (0.1, False, "assumed: from one batch of paint to another"),
     "paint.red.emission_sd": (float(np.sqrt(3.0)), False, "posterior of the calibration"),
     "paint.green.emission_sd": (float(np.sqrt(3.0)), False, "posterior of the calibration"),
 }
@@ -473,7 +473,7 @@ def _box_factor(sides: Sequence[_Side], allowed: float) -> float:
     if refused and min(refused) == 0.0:
         blocked = next(side for side in sides if side.ended_by and not side.steps)
         raise SimulateError(
-            f"not even the given half-range can be built: {blocked.ended_by}. Give a smaller one (--vary)"
+            f"a finger at the given half-range cannot be built: {blocked.ended_by}. Give a smaller one (--vary)"
         )
     return min([_BOX_OVER_NARROWEST * min(limits, default=np.inf), *refused, _TRIED[-1]])
 
@@ -536,14 +536,16 @@ def _sentence(
     sides = [(row, side.limit) for row in rows for side in (row.less, row.more) if side.limit is not None]
     grown = f"the expected error of the normal, {nominal_deg:.2f} deg, grows by {100 * allowed:.0f} %"
     if together is None:
-        told = f"All numbers together may vary by over {factor:.2g} times the given half-ranges before {grown}"
+        told = f"All numbers together may vary by more than {factor:.2g} times the given half-ranges before {grown}"
     elif together == 0.0:
-        told = f"{len(rows)} numbers need more runs (--runs): the emulator predicts too little to say when {grown}"
+        told = f"{len(rows)} numbers need more runs (--runs): the emulator predicts too little to find where {grown}"
     else:
-        told = f"At {together:.2g} times the given half-ranges of all numbers together, {grown} in 5 % of fingers"
+        told = (
+            f"When all numbers vary together by {together:.2g} times the given half-ranges, {grown} in 5 % of fingers"
+        )
     if sides:
         row, limit = min(sides, key=lambda pair: (pair[1] or 0.0) / pair[0].given)
-        told += f"; alone, the narrowest is {row.field}, {limit:.3g} {row.unit}"
+        told += f"; of the limits of single numbers, that of {row.field} is the narrowest, {limit:.3g} {row.unit}"
     most = max(rows, key=lambda row: row.total.estimate)
     if not most.is_distinguishable:
         return f"{told}; no number's share of the variance can be distinguished from 0."

@@ -456,7 +456,7 @@ def _material_of(block: Block, materials: Mapping[str, Material]) -> Material:
     """Return the material of a block."""
     if block.material not in materials:
         raise SimulateError(
-            f"block {block.name} is of material {block.material}, which is not among {', '.join(sorted(materials))}"
+            f"block {block.name} has material {block.material}, which is not among {', '.join(sorted(materials))}"
         )
     material = materials[block.material]
     if block.element == "mean_dilatation" and material.law == ST_VENANT_KIRCHHOFF:

@@ -186,8 +186,9 @@ class CondensedFinger:
         size = 3 * len(self.coat)
         if condensed.compliance_mm_per_n.shape != (size, size) or condensed.shapes.shape[1] != self.mesh.nodes_mm.size:
             raise SimulateError(
-                f"the condensation is of another mesh: its coat has {len(condensed.compliance_mm_per_n) // 3} nodes, "
-                f"that of the design {len(self.coat)}; condense this design again"
+                "the condensation belongs to another mesh: its coat has "
+                f"{len(condensed.compliance_mm_per_n) // 3} nodes, but that of the design has "
+                f"{len(self.coat)}; condense this design again"
             )
         self._quads = np.searchsorted(self.coat, self.mesh.surfaces["coat"])
         self._rest = self.mesh.nodes_mm[self.coat]
@@ -286,7 +287,7 @@ class _Balance:
             step = self._step(normal, touched.stiffness_n_per_mm, out_of_balance)
             touched = self._walk(step, out_of_balance, touched)
         raise SimulateError(
-            f"no balance of the contact in {_MOST_ROUNDS} rounds; press by finite elements, or less deep"
+            f"the contact found no equilibrium in {_MOST_ROUNDS} rounds; press by finite elements, or less deep"
         )
 
     def _widen(self, touched: TouchedPoints) -> None:

@@ -195,8 +195,8 @@ def _require_same_hexahedra(mesh: FingerMesh, other: FingerMesh) -> None:
         one.keys() == two.keys() and all(np.array_equal(one[name], two[name]) for name in one) for one, two in pairs
     ):
         raise SimulateError(
-            "a small change of this number changes the mesh's hexahedra, and the force by itself: it has no derivative "
-            "here; take the difference of two whole presses"
+            "a small change of this number changes the mesh, and thereby the force: there is no derivative "
+            "for it; take the difference of two whole presses"
         )
 
 
@@ -230,8 +230,8 @@ def press_derivatives(
     settings = settings or PressSettings()
     if pressed.kind != "penalty" or pressed.motion is not None or design.indenter.friction > 0.0:
         raise SimulateError(
-            "derivatives are of a press by the penalty along the pad's normal, without friction: friction and a path "
-            "remember what came before; take differences of whole presses"
+            "derivatives need a press by the penalty along the pad's normal, without friction, because with "
+            "friction or a path the force depends on earlier increments; take differences of whole presses"
         )
     base = _Base(design, pressed.mesh, settings, folder)
     sides: dict[str, tuple[_Side, _Side]] = {}
@@ -301,7 +301,9 @@ class _Base:
             state = with_own_modes(self._assembly, state)
         reached = find_equilibrium(self._assembly, state, supports, self._solver)
         if reached.failure:
-            raise NoEquilibriumError(f"increment {increment + 1} is no equilibrium of this design: {reached.failure}")
+            raise NoEquilibriumError(
+                f"increment {increment + 1} is not an equilibrium of this design: {reached.failure}"
+            )
         return reached.state, supports
 
 
@@ -314,5 +316,5 @@ def _exact(term: Term) -> PenaltyContact:
         When it is another contact.
     """
     if not isinstance(term, PenaltyContact):
-        raise SimulateError("derivatives are of a press by the penalty; press with --contact penalty")
+        raise SimulateError("derivatives need a press by the penalty; press with --contact penalty")
     return term.with_curvature()

@@ -371,8 +371,9 @@ class _Gripper:
             before = left
             place, step = place.moved(self.step(stiffness, left, closes))
         raise NoEquilibriumError(
-            f"the object finds no balance in {len(sizes)} steps: {min(sizes):.2g} N (torque over {self._arm_mm:g} mm) "
-            f"are left over, {allowed:.2g} N allowed; give more friction or closing force, or less mass"
+            f"the object finds no balance in {len(sizes)} steps: {min(sizes):.2g} N (torque over "
+            f"{self._arm_mm:g} mm) remain, and {allowed:.2g} N are allowed; give more friction or closing "
+            "force, or less mass"
         )
 
     def least_resistance_n_per_mm(self, balance: _Balance) -> float:
@@ -530,7 +531,7 @@ def grasp_object(
     """
     if design.indenter.path:
         raise SimulateError(
-            f"indenter.path: has {len(design.indenter.path)} poses, and a grasped object finds its own way; leave "
+            f"indenter.path: has {len(design.indenter.path)} poses, but a grasped object moves freely; leave "
             "[[indenter.path]] out of the design"
         )
     if task.mass_kg > 0.0 and task.down != "near" and design.indenter.friction == 0.0:

@@ -140,11 +140,11 @@ def read_path(path: Path) -> tuple[PathPose, ...]:
     if not set(header) & set(known[:-1]):
         raise SimulateError(f"{path}: has no column that moves or turns the indenter; {allowed}")
     if not rows:
-        raise SimulateError(f"{path}: has no pose; write one row for each pose of the indenter, below the header")
+        raise SimulateError(f"{path}: has no pose; write one row for each pose of the indenter below the header")
     poses = []
     for line, cells in rows:
         if len(cells) < len(header):
-            raise SimulateError(f"{path}, line {line}: has {len(cells)} columns, the header has {len(header)}")
+            raise SimulateError(f"{path}, line {line}: has {len(cells)} columns, but the header has {len(header)}")
         numbers = {name: _number(path, line, name, cell) for name, cell in zip(header, cells, strict=False)}
         try:
             poses.append(PathPose.model_validate(numbers))
@@ -256,7 +256,7 @@ def press_along(
     """
     settings = settings or PressSettings()
     if settings.contact == "barrier":
-        raise SimulateError("--contact barrier cannot follow a path: its indenter does not turn; leave it out")
+        raise SimulateError("--contact barrier cannot follow a path: it does not turn the indenter; leave it out")
     watch = Watch(progress, path.total, settings.budget_s)
     touch = MovedIndenter(design, settings, folder)
     ties = finger_ties(design, touch.mesh, STEPS[settings.preset or design.mesh.preset].skeleton_mm)

@@ -211,7 +211,7 @@ class PackagedBody:
     def _given(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         given: Any = self._plug_in.call(lambda: self._body.distances(points_mm), "indenter: ")
         if not isinstance(given, tuple) or len(given) != 2:
-            raise self._plug_in.refusal("returns no tuple of distance and gradient from distances", "indenter: ")
+            raise self._plug_in.refusal("does not return a tuple of distance and gradient from distances", "indenter: ")
         count = len(points_mm)
         distance = numbers_of(self._plug_in, "distances", given[0], (count,), "indenter: ")
         return distance, numbers_of(self._plug_in, "gradients", given[1], (count, 3), "indenter: ")
@@ -237,8 +237,9 @@ class PackagedBody:
         ends = self._given(np.concatenate([1e-3 * rays[:1], _SIZES_MM[1] * rays]))[0]
         if ends[0] >= 0.0 or ends[1:].min() <= 0.0:
             raise self._plug_in.refusal(
-                f"is no closed body about its origin within {_SIZES_MM[1]:g} mm: its distance must be below 0 at the "
-                f"origin and above 0 at {_SIZES_MM[1]:g} mm, and is {ends[0]:.3g} and {ends[1:].min():.3g} mm"
+                f"is not a closed body around its origin within {_SIZES_MM[1]:g} mm: its distance must be "
+                f"below 0 at the origin and above 0 at {_SIZES_MM[1]:g} mm, and is {ends[0]:.3g} and "
+                f"{ends[1:].min():.3g} mm"
             )
         radii = self._radii_mm(rays)
         size = float(radii.max())
@@ -250,8 +251,8 @@ class PackagedBody:
         outside = self._given((share[None, :, None] * rays[:, None, :]).reshape(-1, 3))[0].reshape(beyond.shape) > 0.0
         if twice := int(((outside != beyond) & away).any(axis=1).sum()):
             raise self._plug_in.refusal(
-                f"is not seen whole from its origin: {twice} of {len(rays)} rays leave the body more than once; move "
-                'its origin, or press its STL as indenter.shape = "mesh"'
+                f"is not fully visible from its origin: {twice} of {len(rays)} rays leave the body more than once; "
+                'move its origin, or press its STL as indenter.shape = "mesh"'
             )
         self._check_gradient(rays, radii, size)
 
@@ -266,9 +267,10 @@ class PackagedBody:
         length = np.linalg.norm(gradient, axis=1)
         lengths_off = np.concatenate([np.abs(length[: len(near)] - 1.0), np.maximum(length[len(near) :] - 1.0, 0.0)])
         for fault, wrong in (
-            ("gives a gradient that is not its distance's", missed),
+            ("gives a gradient that does not belong to its distance", missed),
             (
-                "gives no distance: its gradient is not of length 1 near the surface, or is longer off it",
+                "does not give a distance: its gradient does not have length 1 near the surface, or is "
+                "longer away from it",
                 lengths_off,
             ),
         ):

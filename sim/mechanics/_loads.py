@@ -326,7 +326,7 @@ def press_to_force(
             depth_mm, reached_n = touch.depth_mm(step.equilibrium.state), step.fraction * force_n
             history.add(depth_mm, step.equilibrium)
             reached = sum(step.fraction >= stop for stop in settings.stops)
-            watch.reached(reached, f"pressed with {reached_n:.2f} N to {depth_mm:.2f} mm")
+            watch.reached(reached, f"pressed with {reached_n:.2f} N to a push of {depth_mm:.2f} mm")
     except NoEquilibriumError as stuck:
         if history.depth_mm is None:
             raise

@@ -234,7 +234,9 @@ class PackagedMaterial:
         """Return W and its derivatives as the package gives them, checked for their shape."""
         given: Any = self._plug_in.call(lambda: self._energy(stretches, **self._given))
         if not isinstance(given, tuple) or len(given) != 3:
-            raise self._plug_in.refusal("returns no tuple of energy, gradient and second derivative from energy_mpa")
+            raise self._plug_in.refusal(
+                "does not return a tuple of energy, gradient and second derivative from energy_mpa"
+            )
         n = len(stretches)
         names = (("the energy", (n,)), ("its gradient", (n, 3)), ("its second derivative", (n, 3, 3)))
         energy, first, second = (
@@ -290,9 +292,9 @@ def _check_derivatives(at: Any, plug_in: PlugIn, shear_mpa: float) -> None:
     turned = [np.abs(at(stretch[:, list(order)])[0] - energy) for order in permutations(range(3))]
     faults = (
         ("an energy at rest that is not 0 MPa", np.full(_STATES, abs(rest))),
-        ("a gradient that is not the energy's", np.abs(by_energy - first).max(axis=1)),
+        ("a gradient that does not belong to the energy", np.abs(by_energy - first).max(axis=1)),
         ("a second derivative that is not symmetric", np.abs(second - second.transpose(0, 2, 1)).max(axis=(1, 2))),
-        ("a second derivative that is not the gradient's", np.abs(by_gradient - second).max(axis=(1, 2))),
+        ("a second derivative that does not belong to the gradient", np.abs(by_gradient - second).max(axis=(1, 2))),
         ("an energy that depends on the order of the stretches", np.max(turned, axis=0)),
     )
     for fault, off in faults:
@@ -358,7 +360,7 @@ def _rubber_of(solid: Rubber) -> "Ogden | PackagedMaterial":
         return neo_hooke(solid.c10_mpa, solid.bulk_over_shear)
     if isinstance(solid, OgdenSolid):
         return Ogden(solid.mu_mpa, solid.alpha, solid.bulk_over_shear)
-    raise SimulateError(f"a {type(solid).__name__} is no material of the engine")
+    raise SimulateError(f"a {type(solid).__name__} is not a material of the engine")
 
 
 def _log_hessians(material: "Ogden | PackagedMaterial", logs: FloatArray) -> FloatArray:

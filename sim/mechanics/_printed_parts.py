@@ -111,8 +111,8 @@ def mould_solid(design: FingerDesign, sizes: MouldSizes) -> Solid:
     """
     if design.pad.package is not None:
         raise SimulateError(
-            f'pad.shape = "{design.pad.shape}" is one of {design.pad.package}, which the exact faces of a STEP file do '
-            "not know; write the mould as STL"
+            f'pad.shape = "{design.pad.shape}" is one of {design.pad.package}, which finray cannot write '
+            "as STEP; write the mould as STL"
         )
     pad = _lined(design.pad, sizes.lining_mm)
     half, middle, wall = pad.width_mm / 2.0, pad.length_mm / 2.0, sizes.wall_mm

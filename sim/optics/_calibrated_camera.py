@@ -138,7 +138,7 @@ def _model(where: str, storage: Any) -> str:
     name = named.string().lower() if named.isString() else ""
     if name not in _MODEL_NAMES or not name:
         known = ", ".join(filter(None, _MODEL_NAMES))
-        raise ImportFormatError(f"{where}: distortion_model is '{name}', known are {known}")
+        raise ImportFormatError(f"{where}: distortion_model is '{name}'; it must be one of {known}")
     return _MODEL_NAMES[name]
 
 
@@ -201,9 +201,9 @@ def require_same_shape(calibration: CameraCalibration, width_px: int, height_px:
     expected = width_px * calibration.height_px / calibration.width_px
     if abs(expected - height_px) > 0.5:
         raise SimulateError(
-            f"{calibration.source} calibrates a picture of {calibration.width_px} x {calibration.height_px} px, the "
-            f"design's camera has another shape ({width_px} x {height_px} in its rendering): set camera.width_px and "
-            "camera.height_px to the calibrated size or a fraction of it"
+            f"{calibration.source} calibrates a picture of {calibration.width_px} x {calibration.height_px} "
+            f"px, but the design's camera has another shape ({width_px} x {height_px} in its rendering): set "
+            "camera.width_px and camera.height_px to the calibrated size or a fraction of it"
         )
 
 

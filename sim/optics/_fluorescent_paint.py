@@ -195,7 +195,8 @@ def fluorescent_paint(paint: PaintOptics, light: LightPanel) -> FluorescentPaint
     """
     if paint.absorption_rel is None:
         raise SimulateError(
-            f"paint {paint.name} has no absorption_rel: full spectra need to know what other wavelengths excite it"
+            f"paint {paint.name} has no absorption_rel: full spectra need it, to know how other wavelengths "
+            "excite the paint; give absorption_rel"
         )
     edge, own, led = led_upper_edge_nm(light), paint.wavelength_nm, led_band(light)
     wavelength = np.unique(np.concatenate([own, [np.clip(edge, own[0], own[-1])], led.wavelength_nm]))

@@ -109,9 +109,8 @@ def painted_bsdfs(scene: Any, names: Sequence[str]) -> list[Any]:
     missing = [name for name in names if name not in known]
     if missing:
         raise SimulateError(
-            f"no surface of the scene has the id, or a BSDF with the id, {', '.join(missing)}; the scene has "
-            f"{', '.join(sorted(known))} "
-            "(equal BSDFs become one: give the paints different reflectances)"
+            f"no surface or BSDF of the scene has the id {', '.join(missing)}; the scene has "
+            f"{', '.join(sorted(known))} (equal BSDFs become one: give the paints different reflectances)"
         )
     return [known[name] for name in names]
 

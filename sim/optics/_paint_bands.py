@@ -316,8 +316,8 @@ def conversion_gains(before: Mapping[str, Floats], after: Mapping[str, Floats]) 
                 continue
             if old[k] == 0.0 and after[wall][k] > 0.0:
                 raise SimulateError(
-                    f"the {wall} paint now converts light of the {band} band, and did not when the images were "
-                    f"rendered: render again"
+                    f"the {wall} paint now converts light of the {band} band, but did not when the images "
+                    "were rendered: render again"
                 )
             gains[band, wall] = float(after[wall][k] / old[k]) if old[k] else 0.0
     return gains
@@ -337,8 +337,8 @@ def require_same_reflectance(before: Mapping[str, Floats], after: Mapping[str, F
             k = int(np.argmax(change))
             raise SimulateError(
                 f"the {wall} paint's reflectance in the {BAND_NAMES[k]} band went from {old[k]:.3f} to "
-                f"{after[wall][k]:.3f}; changes up to {LARGEST_REFLECTANCE_CHANGE:g} can be made without a new render: "
-                "render again"
+                f"{after[wall][k]:.3f}; changes of more than {LARGEST_REFLECTANCE_CHANGE:g} need a new "
+                "render: render again"
             )
 
 
@@ -353,8 +353,8 @@ def require_near_bands(before: Sequence[SpectralBand], after: Sequence[SpectralB
     for name, old, new in zip(BAND_NAMES, before, after, strict=True):
         if abs(new.centroid_nm - old.centroid_nm) > LARGEST_CENTROID_SHIFT_NM:
             raise SimulateError(
-                f"the {name} band's centroid went from {old.centroid_nm:.1f} to {new.centroid_nm:.1f} nm; shifts up to "
-                f"{LARGEST_CENTROID_SHIFT_NM:g} nm can be made without a new render: render again"
+                f"the {name} band's centroid went from {old.centroid_nm:.1f} to {new.centroid_nm:.1f} nm; "
+                f"shifts of more than {LARGEST_CENTROID_SHIFT_NM:g} nm need a new render: render again"
             )
 
 
@@ -384,9 +384,9 @@ def require_small_reemission(chains: Sequence[str], gains: Mapping[tuple[str, st
         if product > LARGEST_REEMISSION_GAIN * first:
             growth = f"{product / first:.1f} times" if first > 0.0 else "beyond all bounds"
             raise SimulateError(
-                f"the light of chain {chain}, which was too weak to be rendered, would grow {growth} relative to "
-                f"that of its band; "
-                f"up to {LARGEST_REEMISSION_GAIN:g} times can be made without a new render: render again"
+                f"the light of chain {chain}, which was too weak to be rendered, would grow {growth} relative "
+                f"to that of its band; growth of more than {LARGEST_REEMISSION_GAIN:g} times needs a new "
+                "render: render again"
             )
 
 

@@ -247,8 +247,8 @@ def _require_lambertian_lights(sensor: PlainSensor) -> None:
     """Check that Mitsuba's own integrator, which knows no beams, can render the lights."""
     if any(light.beam_exponent != 1.0 for light in sensor.lights):
         raise SimulateError(
-            f"lights.beam_exponent: {SCALAR_VARIANT} renders Lambertian lights only; install LLVM 17 or newer, or set "
-            "it to 1"
+            f"lights.beam_exponent: {SCALAR_VARIANT} renders Lambertian lights only; install LLVM 17 or "
+            "newer, or set it to 1"
         )
 
 

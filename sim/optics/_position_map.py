@@ -286,8 +286,8 @@ def _turn(surface: Surface, name: str) -> float:
     turns = np.sign((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     if (turns != turns[0]).any() or turns[0] == 0.0:
         raise SimulateError(
-            f"the texture coordinates of the {name} fold: {int((turns <= 0.0).sum())} of {len(turns)} triangles turn "
-            "one way and the others not; every triangle must turn the same way in (u, v)"
+            f"the texture coordinates of the {name} fold: {int((turns <= 0.0).sum())} of {len(turns)} "
+            "triangles turn the other way; every triangle must turn the same way in (u, v)"
         )
     return float(turns[0])
 

@@ -27,7 +27,7 @@ LLVM_VARIANT = "llvm_ad_rgb"
 SCALAR_VARIANT = "scalar_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
 MINIMUM_LLVM_MAJOR = 17
-MISSING_NOTE = "rendering needs Mitsuba, of the extra 'sim': pip install 'finray-calib[sim]'"
+MISSING_NOTE = "rendering needs Mitsuba, which is in the extra 'sim': pip install 'finray-calib[sim]'"
 GPU_NOTE = "the GPU variants need an NVIDIA driver with CUDA and OptiX; use 'auto' to render on the processor"
 INSTALL_NOTE = "install LLVM 17 or newer to render faster and with less noise (Debian: apt-get install libllvm19)"
 
@@ -93,11 +93,11 @@ def choose_variant(
     )
     if prefer == "scalar":
         _require_scalar(scalar)
-        return RendererChoice(scalar, None, "scalar variant as asked")
+        return RendererChoice(scalar, None, "scalar variant, as requested")
     if prefer == "cuda":
         failure = prove_variant(cuda)
         if failure is not None:
-            raise MissingExtraError(f"the renderer was asked for on a GPU, but {failure}; {GPU_NOTE}")
+            raise MissingExtraError(f"a renderer on the GPU was requested, but {failure}; {GPU_NOTE}")
         return RendererChoice(cuda, None, "compiled for the GPU")
     failures = []
     for path in find_llvm_libraries() if libraries is None else libraries:
@@ -108,7 +108,7 @@ def choose_variant(
         failures.append(f"{path}: {failure}")
     tried = "; ".join(failures) if failures else f"no LLVM library of version >= {MINIMUM_LLVM_MAJOR} was found"
     if prefer == "llvm":
-        raise MissingExtraError(f"the renderer was asked for with LLVM, but {tried}; {INSTALL_NOTE}")
+        raise MissingExtraError(f"a renderer with LLVM was requested, but {tried}; {INSTALL_NOTE}")
     _require_scalar(scalar)
     return RendererChoice(scalar, None, f"{tried}; {INSTALL_NOTE}", fell_back=True)
 

@@ -51,7 +51,7 @@ def check_analytic_press(design: FingerDesign) -> None:
         )
     if indenter.shape not in _ANALYTIC_SHAPES:
         raise SimulateError(
-            f'indenter.shape = "{indenter.shape}": the analytic press knows {" and ".join(_ANALYTIC_SHAPES)} only. '
+            f'indenter.shape = "{indenter.shape}": the analytic press supports only {" and ".join(_ANALYTIC_SHAPES)}. '
             f"{_BY_ELEMENTS}"
         )
     turned = any(indenter.rotation_deg)
@@ -60,7 +60,8 @@ def check_analytic_press(design: FingerDesign) -> None:
             f"rotation_deg = {list(indenter.rotation_deg)} deg" if turned else f"across_mm = {indenter.across_mm:g} mm"
         )
         raise SimulateError(
-            f"indenter.{field}: the analytic press is for a cylinder on the middle line, not turned. {_BY_ELEMENTS}"
+            f"indenter.{field}: the analytic press supports only a cylinder on the middle line that is not "
+            f"turned. {_BY_ELEMENTS}"
         )
 
 
@@ -321,7 +322,8 @@ def check_closed(surfaces: Mapping[str, Surface], body: str = "gel") -> float:
     volume = float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
     if volume <= 0.0:
         raise SimulateError(
-            f"the normals of the {body} point inward (signed volume {volume:.3g} mm^3); turn every face round"
+            f"the normals of the {body} point inward (signed volume {volume:.3g} mm^3); reverse the "
+            "orientation of every face"
         )
     return volume
 

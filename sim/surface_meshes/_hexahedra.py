@@ -174,8 +174,8 @@ def _gel_quads(
     missing = [name for name in GEL_FACES if not on[name].any()]
     if missing:
         raise SimulateError(
-            f"the block gel of the mesh has no face {' and no face '.join(missing)}; the mesh is not that of this "
-            f"design, whose pad of {pad.length_mm:g} x {pad.width_mm:g} mm starts at y = 0 and z = 0"
+            f"the block gel of the mesh has no face {' and no face '.join(missing)}; the mesh does not belong "
+            f"to this design, whose pad of {pad.length_mm:g} x {pad.width_mm:g} mm starts at y = 0 and z = 0"
         )
     return {name: quads[on[name]] for name in GEL_FACES}
 

@@ -185,7 +185,7 @@ def _normals(nodes_mm: Coordinates, quads: Numbers) -> Coordinates:
     warped_mm = np.abs(np.einsum("qx,qx->q", b - a, normals)).max()
     if not warped_mm <= _MOST_WARPED_MM:
         raise SimulateError(
-            f"a quadrilateral of the surface is warped by {warped_mm:.2g} mm; flat faces need flat ones"
+            f"a quadrilateral of the surface is warped by {warped_mm:.2g} mm; a flat face needs flat quadrilaterals"
         )
     return np.asarray(normals)
 

@@ -121,5 +121,5 @@ def test_what_cannot_be_compared(monkeypatch):
     with pytest.raises(FinrayError, match="on the same rig"):
         tins_are_equivalent(one, [warm], {"mode_nm": 1.0})
     longer = example().model_copy(update={"wavelength_nm": example().wavelength_nm + 1.0})
-    with pytest.raises(FinrayError, match="has other wavelengths"):
+    with pytest.raises(FinrayError, match="is tabulated at other wavelengths"):
         tins_are_equivalent(one, [longer], {"mode_nm": 1.0})

@@ -120,7 +120,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7) -> dict[str, objec
          "6 rounds of 3 exposures within 20 s"),
         ({"levels": tuple(drifting(t, 100.0 * t, 0.01) for t in (1, 2, 4))}, "lamp is steady", "UNDECIDED", "6 rounds"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=3, duration_s=1.0),)}, "wheel arrives", "FAIL",
-         "sent from slot 1 to 2, reads 3"),
+         "sent from slot 1 to slot 2 and reported slot 3"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=9.0),)}, "wheel moves in time", "FAIL",
          "mean 9 s of 1 moves"),
         ({"darks": (dark(0.001, 19.0, 19.01), dark(1.0, 19.1, 19.11))}, "dark level", "FAIL", "says 16 DN"),
@@ -135,7 +135,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7) -> dict[str, objec
         ({"filter_proof": FilterProof(verdict="cannot tell", text="dark")}, "filters in their slots", "UNDECIDED",
          "dark"),
         ({"revisits": tuple(one.model_copy(update={"moved_rel": 0.05}) for one in GOOD.revisits)},
-         "wheel repeats optically", "FAIL", "behind filter 600; 0.1 % without a move"),
+         "wheel repeats optically", "FAIL", "behind filter 600; without a move the signal changes by 0.1 %"),
         ({"revisits": ()}, "wheel repeats optically", "UNDECIDED", "one filter only"),
         ({"revisits": shifted(1.2, 0.02)}, "picture stays in place", "FAIL", "0.01 px without a move"),
         ({"revisits": shifted(0.45, 0.1)}, "picture stays in place", "UNDECIDED", "4 times behind filter 600"),
@@ -160,9 +160,9 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7) -> dict[str, objec
          "nobody can watch"),
         ({"light_off": (LightOff(layer="guard", error="laser: mute"),)}, "laser off by the guard", "ERROR", "mute"),
         ({"light_off": (LightOff(layer="guard", latest_s=(0.1,), earliest_s=(0.0,), still_on=1, watched_s=5.0),)},
-         "laser off by the guard", "FAIL", "still on in 1 of 2 mishaps, watched for 5 s"),
+         "laser off by the guard", "FAIL", "the laser was still on after 1 of 2 mishaps; each was watched for 5 s"),
         ({"light_off": (LightOff(layer="dead-man", latest_s=(1.3,), earliest_s=(1.2,), witness="the camera"),)},
-         "laser off by the dead-man", "FAIL", "slowest of 1; seen by the camera"),
+         "laser off by the dead-man", "FAIL", "slowest of 1 mishaps; measured by the camera"),
         ({"light_off": (LightOff(layer="dead-man", latest_s=(1.1,), earliest_s=(0.8,), witness="the camera"),)},
          "laser off by the dead-man", "UNDECIDED", "slowest of 1"),
     ],
@@ -250,8 +250,8 @@ def test_results_in_words(rig):
     assert value_text(found["wheel arrives"]) == "0 moves"
     assert value_text(found["filters in their slots"]) == ""
     assert result_line(found["laser off by the guard"]) == (
-        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2; seen by a new "
-        "connection"
+        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps; measured by "
+        "a new connection"
     )
     line = result_line(found["filters in their slots"])
     assert line == "PASS      filters in their slots: the frames show every filter in its slot"

@@ -208,12 +208,12 @@ def test_light_that_is_too_bright_or_too_dim(rig: RigFile, tmp_path: Path) -> No
         return rig.model_copy(update={"camera": rig.camera.model_copy(update=fields)})
 
     with pytest.raises(
-        CaptureError, match=r"saturates in 0\.00\d+ s, the shortest exposure is 0\.003 s .* filter in the"
+        CaptureError, match=r"saturates in 0\.00\d+ s, but the shortest exposure is 0\.003 s .* filter in the"
     ):
         capture_camera_session(
             with_camera(shortest_exposure_s=0.003), PLAN, SessionRequest(tmp_path / "a", "finray capture")
         )
-    with pytest.raises(CaptureError, match=r"needs 0\.00\d+ s to saturate, at most 0\.004 s are allowed: brighten"):
+    with pytest.raises(CaptureError, match=r"needs 0\.00\d+ s to saturate, but at most 0\.004 s are allowed: brighten"):
         capture_camera_session(rig, changed(longest_exposure_s=0.004), SessionRequest(tmp_path / "b", "finray capture"))
     with pytest.raises(SaturatedError, match=r"white \(white, lamp\) through filter 532: the region is brighter"):
         capture_camera_session(

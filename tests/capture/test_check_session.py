@@ -407,17 +407,17 @@ def test_laser_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_hazardous_laser_without_a_layer_outside_the_computer_is_not_lit_to_test_the_others() -> None:
     laser = nobody("x").model_copy(update={"driver": "indi", "address": "127.0.0.1:1/Panel"})
-    with pytest.raises(RefusedError, match="a class 3R laser is not lit without a layer"):
+    with pytest.raises(RefusedError, match="a class 3R laser is switched on only if hardware outside"):
         after_kill(laser, "guard", ConnectionWatch(laser), 1)
 
 
 def test_holder_that_cannot_hold_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rigs.capture.light_off_time.make_off", lambda laser: None)
     laser = nobody("/dev/no-such-port")
-    with pytest.raises(CaptureError, match=r"that should keep it on says: laser at /dev/no-such-port"):
+    with pytest.raises(CaptureError, match=r"that should keep it on answered: laser at /dev/no-such-port"):
         after_kill(laser, "guard", ConnectionWatch(laser), 1)
     monkeypatch.setattr("rigs.capture.light_off_time.START_WITHIN_S", 0.0)
-    with pytest.raises(TimedOutError, match="said nothing for 0 s"):
+    with pytest.raises(TimedOutError, match="did not answer within 0 s"):
         after_kill(laser, "guard", ConnectionWatch(laser), 1)
 
 
@@ -502,7 +502,7 @@ def test_a_hazardous_laser_that_failed_in_a_layer_is_not_lit_by_the_next_one(
 
     def after_kill(laser: LaserSettings, layer: str, *_: object) -> NoReturn:
         begun.append(layer)
-        raise CaptureError("laser: the program that should keep it on says: the guard process has ended")
+        raise CaptureError("laser: the program that should keep it on answered: the guard process has ended")
 
     monkeypatch.setattr("rigs.capture._check_session.after_kill", after_kill)
     monkeypatch.setattr("rigs.capture._check_session.can_be_asked_anew", lambda laser: True)

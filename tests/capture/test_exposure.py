@@ -38,7 +38,7 @@ def test_a_long_exposure_is_told_before_it_is_made() -> None:
     meter_exposure(region.take, LADDER, FULL_SCALE_DN, BLACK_DN, 0.7, "white behind 405", tell=tell)
     assert region.exposures_s == pytest.approx([0.0512, 26.2144])
     longest = "the rig file allows at most 26.2 s"
-    assert told == [(1, f"metering white behind 405: exposes for 26.2 s, because the signal is low; {longest}")]
+    assert told == [(1, f"metering white behind 405: the exposure is now 26.2 s, because the signal is low; {longest}")]
 
 
 def test_ladder_doubles_between_the_cameras_limits() -> None:

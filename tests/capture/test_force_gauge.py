@@ -49,7 +49,7 @@ def test_cell_of_the_other_sign_is_refused_at_the_touch():
         update={"slope_n_per_count": -right.slope_n_per_count, "counts": tuple(-c for c in right.counts)}
     )
     why, strongest_n = refused_press(finger(), wrong)
-    assert "the cell has the other sign; calibrate it as it is mounted" in why
+    assert "so its sign is reversed; calibrate it as it is mounted" in why
     assert strongest_n < 0.5
 
 
@@ -94,5 +94,5 @@ def test_rate_of_the_cell_is_that_of_the_rig_file():
     slow = rig.load_cell.model_copy(update={"rate_hz": 10})
     with open_tactile_rig(rig, Path()) as opened:
         gauge = ForceGauge(opened.load_cell, slow, exact_calibration(rig))
-        with pytest.raises(CaptureError, match="says 80 readings a second, and rate_hz of the rig file is 10"):
+        with pytest.raises(CaptureError, match="sends 80 readings a second, but rate_hz of the rig file is 10"):
             gauge.begin(opened.clock.monotonic_s)

@@ -52,7 +52,7 @@ def test_the_refusal_names_the_way_out() -> None:
         (TEST_HOLDS_DAYS, None),
         (
             TEST_HOLDS_DAYS + 1,
-            "is 91 days ago, at most 90 days are allowed for a class 3R laser; test the interlock again",
+            "is 91 days ago, and at most 90 days are allowed for a class 3R laser; test the interlock again",
         ),
         (-1, "is in the future"),
     ],
@@ -65,7 +65,7 @@ def test_a_test_holds_for_some_time(age_days: int, said: str | None) -> None:
 
 def test_what_is_said_before_the_light_goes_on() -> None:
     layer = OutsideLayer(kind="interlock", tested_on="2026-11-20", test="lid opened: dark at once")
-    assert all(line[0].endswith("yes, by the others, within 1 s") for line in (off_lines(False), off_lines(True)))
+    assert all(line[0].endswith("by the other processes, within 1 s") for line in (off_lines(False), off_lines(True)))
     assert "NO, it stays on" in off_lines(False)[1]
     assert "yes, by the dead-man in its controller" in off_lines(True)[1]
     assert "only by the interlock (tested on 2026-11-20: lid opened: dark at once)" in off_lines(False, layer)[1]
@@ -92,7 +92,10 @@ def test_a_rig_file_declares_it(tmp_path: Path) -> None:
 
 
 def test_a_session_refuses_before_anything_is_opened() -> None:
-    with pytest.raises(RefusedError, match=r"laser at pi/Panel: a class 3R laser is not lit without a layer"):
+    with pytest.raises(
+        RefusedError,
+        match=r"laser at pi/Panel: a class 3R laser is switched on only if hardware outside",
+    ):
         require_outside_layer(laser("3R"))
     require_outside_layer(laser("2"))
     require_outside_layer(laser("3R", "arduino", address="/dev/ttyACM0"))
@@ -104,7 +107,13 @@ def test_an_open_laser_is_not_lit_but_says_why(tmp_path: Path, monkeypatch: pyte
     file_switch.install(monkeypatch)
     with open_laser(laser("3R", address=str(tmp_path))) as light:
         assert light.refusal is not None
-        with pytest.raises(RefusedError, match="a class 3R laser is not lit without a layer"), light.lit():
+        with (
+            pytest.raises(
+                RefusedError,
+                match="a class 3R laser is switched on only if hardware outside",
+            ),
+            light.lit(),
+        ):
             pytest.fail("lit")
         assert not (tmp_path / "on").exists()
         assert "NO, it stays on" in light.notes[0]

@@ -293,8 +293,8 @@ def test_lights_go_off_when_the_camera_fails_in_the_middle(
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ("exposure", r"s were asked for fluorescence .* it reads back .* \(within 5 % is allowed\)"),
-        ("shape", r"frame of 126 x 160 px, the rig file says 128 x 160 px"),
+        ("exposure", r"s were requested for fluorescence .* it reads back .* \(within 5 % is allowed\)"),
+        ("shape", r"frame of 126 x 160 px, but the rig file states 128 x 160 px"),
     ],
 )
 def test_frame_that_is_not_what_was_asked_is_refused(

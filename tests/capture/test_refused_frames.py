@@ -125,7 +125,7 @@ def test_frame_of_another_size_is_taken_again_and_refused_at_last(rig: RigFile) 
         taken = over(rig, opened, cut(3))
         assert taken.camera.expose(DARK, 0.01).attempts == 3
         assert all("delivered a frame of" in text for text in taken.refused)
-        message = rf"the rig file says .* px.*\({ATTEMPTS} attempts at dark"
+        message = rf"the rig file states .* px.*\({ATTEMPTS} attempts at dark"
         with pytest.raises(RefusedError, match=message):
             over(rig, opened, cut(99)).camera.expose(DARK, 0.01)
 
@@ -147,7 +147,7 @@ def test_header_that_names_one_filter_at_two_slots_is_refused(rig: RigFile) -> N
     with open_rig(rig, Path()) as opened:
         taken = over(rig, opened, snooping)
         taken.camera.expose(DARK, 0.01)
-        with pytest.raises(RefusedError, match=r"FILTER header says 'Red' at slot 3, as at slot 2; .*'CCD Simulator'"):
+        with pytest.raises(RefusedError, match=r"header states 'Red' at slot 3, as at slot 2; .*'CCD Simulator'"):
             taken.camera.expose(replace(DARK, filter_name="500", slot=3), 0.01)
 
 
@@ -160,7 +160,7 @@ def test_header_that_changes_at_one_slot_is_refused(rig: RigFile) -> None:
     with open_rig(rig, Path()) as opened:
         taken = over(rig, opened, late)
         taken.camera.expose(DARK, 0.01)
-        with pytest.raises(RefusedError, match=r"says 'Red' at slot 2, where it said 'Green' before"):
+        with pytest.raises(RefusedError, match=r"states 'Red' at slot 2, where it stated 'Green' before"):
             taken.camera.expose(DARK, 0.01)
 
 

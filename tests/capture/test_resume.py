@@ -162,7 +162,7 @@ def test_folder_without_a_beginning_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"journal\.jsonl: no such file; .*interrupted 'finray capture'"):
         read_interrupted(tmp_path)
     (tmp_path / "journal.jsonl").write_text('{"event": "start", "utc": "", "monotonic_s": 0}\n')
-    with pytest.raises(CaptureError, match=r"does not say how the session began"):
+    with pytest.raises(CaptureError, match=r"lacks the line with which a session begins"):
         read_interrupted(tmp_path)
 
 
@@ -217,7 +217,7 @@ def test_another_camera_is_refused(rig: RigFile, small: PaintPlan, stopped: Path
     text = (stopped / "journal.jsonl").read_text()
     (stopped / "journal.jsonl").write_text(text.replace('"model": "simulated bench"', '"model": "another"', 1))
     before = sorted(stopped.rglob("*"))
-    with pytest.raises(CaptureError, match=r"camera: simulated bench .* answers now; the session began with another "):
+    with pytest.raises(CaptureError, match=r"simulated bench .* answers now, but the session began with another "):
         resumed(rig, small, stopped)
     assert sorted(stopped.rglob("*")) == before
 
@@ -266,7 +266,7 @@ def test_full_disk_ends_the_session_and_it_can_be_resumed(rig: RigFile, small: P
         pytest.skip("this machine does not allow to mount a file system")
     try:
         with open_rig(rig, Path()) as opened, pytest.MonkeyPatch.context() as patch:
-            with pytest.raises(CaptureError, match=r"the frames need .* MB and .* MB are free"):
+            with pytest.raises(CaptureError, match=r"the frames need .* MB, but only .* MB are free"):
                 capture_with(
                     opened, rig, small, paint_steps(small, rig), SessionRequest(disk / "refused", "finray capture")
                 )

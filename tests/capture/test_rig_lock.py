@@ -190,7 +190,7 @@ def indi_rig(wheel: str, laser: str, lamp: str) -> RigFile:
 
 def test_laser_and_lamp_by_two_names_are_still_one_light() -> None:
     rig = indi_rig("localhost/Wheel", "localhost/Panel", "127.0.0.1:7624/Panel")
-    message = r"laser at localhost/Panel and lamp at 127.0.0.1:7624/Panel are one and the same device; correct"
+    message = r"laser at localhost/Panel and lamp at 127.0.0.1:7624/Panel are the same device; correct"
     with pytest.raises(RefusedError, match=message), rig_locked(rig):
         pass
 
@@ -211,7 +211,7 @@ def test_wheel_and_lamp_by_two_links_are_still_one_port(tmp_path: Path) -> None:
     port.touch()
     link.symlink_to(port)
     rig = real_rig(str(port), LampSettings(driver="arduino", address=str(link)))
-    message = r"filter wheel at .*ttyUSB0 and lamp at .*by-id are one and the same device"
+    message = r"filter wheel at .*ttyUSB0 and lamp at .*by-id are the same device"
     with pytest.raises(RefusedError, match=message), rig_locked(rig):
         pass
 

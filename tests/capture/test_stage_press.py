@@ -108,7 +108,7 @@ def test_force_limit_stops_the_stage_and_it_leaves(practice):
     ("fault", "words"),
     [
         ("stuck cell, 30 s", "so it is stuck"),
-        ("silent cell, 30 s", "said nothing within 0.5 s"),
+        ("silent cell, 30 s", "did not answer within 0.5 s"),
         ("drifting cell, 60 mN/s", "its zero drifts"),
     ],
 )
@@ -139,7 +139,7 @@ def test_lost_steps_are_seen_at_the_next_touch(practice):
     changed(practice, "rig-presses.toml", ("led_current_ma", "repeats = 3\nled_current_ma"))
     outcome = session(practice)
     assert outcome.status == 2
-    assert "it lost steps, or the finger moved" in outcome.err
+    assert "the stage lost steps, or the finger moved" in outcome.err
 
 
 def test_resumed_session_presses_what_is_missing_only(practice):
@@ -147,7 +147,7 @@ def test_resumed_session_presses_what_is_missing_only(practice):
     changed(practice, "rig.toml", ("surface_mm = -6.0", "surface_mm = -8.45"))
     outcome = session(practice)
     assert outcome.status == 2
-    assert "end of its travel in the pad" in outcome.err
+    assert "end of its travel into the pad" in outcome.err
     done = [int(line["contact"]) for line in events(practice, "press")]
     assert done == [1]
     # the rig of the journal counts: only a rig that is as it was goes on, and it fails again at the same press
@@ -185,7 +185,7 @@ def test_plans_with_forces_need_a_cell(practice, tmp_path):
     (tmp_path / "by-hand.toml").write_text(text, encoding="utf-8")
     outcome = finray(f"capture {practice}/rig-presses.toml --rig {tmp_path}/by-hand.toml --dry-run")
     assert outcome.status == 2
-    assert "plan.presses (entry 2): names a force, and the rig has no stage" in outcome.err
+    assert "plan.presses (entry 2): names a force, but the rig has no stage" in outcome.err
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ def test_rig_is_shown_with_its_calibration(practice):
 
 def test_calibration_of_a_cell_is_refused(practice):
     asked = f"rig calibrate-cell {practice}/rig.toml --out {practice}/other.json --gravity 9.81"
-    assert "weigh 19.6 N, and the cell stands 9.8 N" in finray(f"{asked} --masses-g 20,2000").err
+    assert "weigh 19.6 N, but the cell can bear only 9.8 N" in finray(f"{asked} --masses-g 20,2000").err
     assert "two masses or more in grams" in finray(f"{asked} --masses-g 20").err
     assert "9.78 m/s^2" in finray(f"{asked} --masses-g 20,50".replace("9.81", "1.62")).err
     assert "exists" in finray(f"rig calibrate-cell {practice}/rig.toml --masses-g 20,50 --gravity 9.81").err
@@ -501,7 +501,7 @@ def test_calibration_of_another_cell_is_refused_or_told(practice):
     write_record(record.model_copy(update={"cell": "bench, hx711 /dev/ttyACM0"}), path, provenance("pytest"))
     outcome = session(practice)
     assert outcome.status == 2
-    assert "is the calibration of 'bench, hx711 /dev/ttyACM0', and load_cell.driver of the rig file is" in outcome.err
+    assert "is the calibration of 'bench, hx711 /dev/ttyACM0', but load_cell.driver of the rig file is" in outcome.err
     assert "is the calibration of" in finray(f"rig show {practice}/rig.toml").out
     path.unlink()
     write_record(record.model_copy(update={"cell": "bench, simulated elsewhere"}), path, provenance("pytest"))
@@ -581,7 +581,7 @@ def test_stage_that_stops_beyond_clear_mm_does_not_flee_into_the_pad(bench, tmp_
     # a tenth of the limit, one step of 0.1 mm into 4 N/mm, and another where a busy computer reads late
     assert bench.strongest_n <= 0.4 + 2 * 0.4
     assert bench.controller.at_mm["Z"] > -2.0
-    assert "lies towards the pad; free the pad by hand" in journal_of(tmp_path, "stage after stop")
+    assert "lies from there towards the pad; free the pad by hand" in journal_of(tmp_path, "stage after stop")
     ways = [float(line.partition("G53Z")[2].partition("F")[0]) for line in bench.controller.lines if "G53Z" in line]
     assert max(sooner - later for sooner, later in pairwise([0.0, *ways])) <= 0.1 + 1e-9
 

@@ -70,7 +70,7 @@ def test_frame_of_another_size_is_taken_again_and_refused_at_last():
     with checked(other, other, frame()) as (camera, refused):
         assert camera.expose(0.01)[1] == 3
     assert len(refused) == 2
-    message = r"delivered a frame of 10 x 10, the rig file says 64 x 96.*\(4 attempts at 0\.01 s\)"
+    message = r"delivered a frame of 10 x 10, but the rig file states 64 x 96.*\(4 attempts at 0\.01 s\)"
     with checked(*[other] * 4) as (camera, _), pytest.raises(RefusedError, match=message):
         camera.expose(0.01)
 
@@ -78,7 +78,7 @@ def test_frame_of_another_size_is_taken_again_and_refused_at_last():
 @pytest.mark.parametrize(
     ("delivered", "message"),
     [
-        (frame(exposure_s=0.02), r"0\.01 s were asked for, it reads back 0\.02 s"),
+        (frame(exposure_s=0.02), r"0\.01 s were requested, but it reads back 0\.02 s"),
         (frame(settings={"pixel_format": "Mono16"}), "delivers Mono16, and a tactile capture needs colours"),
         (frame(1024), r"a count of 1024 DN.*bit_depth = 10 allows \(1023 DN\)"),
     ],

@@ -99,7 +99,7 @@ def test_session_does_not_go_on_with_another_camera(sensor, tmp_path, monkeypatc
     with pytest.raises(KeyboardInterrupt):
         capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(interrupt_at_press_2))
     monkeypatch.setattr(picamera2_stand_in.Picamera2, "camera_properties", {"Model": "imx708"})
-    with pytest.raises(CaptureError, match=r"imx708 .* answers now; the session began with .*imx219"):
+    with pytest.raises(CaptureError, match=r"imx708 .* answers now, but the session began with .*imx219"):
         resumed(tmp_path, Hands())
 
 
@@ -152,5 +152,5 @@ def test_resume_through_the_command_line(sensor, tmp_path, monkeypatch):
 @pytest.mark.parametrize("start", ["", '{"event": "start", "kind": "tactile"}', '{"event": "start", "kind": "paint"}'])
 def test_journal_without_a_start_is_refused(tmp_path, start):
     (tmp_path / "journal.jsonl").write_text(start + '\n{"event": "frame", "file": "no"}\n', encoding="utf-8")
-    with pytest.raises(CaptureError, match="does not say how the session began"):
+    with pytest.raises(CaptureError, match="lacks the line with which a session begins"):
         read_interrupted_presses(tmp_path)

@@ -89,12 +89,12 @@ def test_a_number_that_changes_the_mesh_is_pressed_again(pressed):
     # one rib more is another mesh; the press is whole again then
     finger, other = design(), changed_design(design(), "skeleton.rib_count", design().skeleton.rib_count + 1)
     found = press_derivatives(finger, pressed, {"skeleton.rib_count": DesignChange(finger, other, 1.0)}, SETTINGS)
-    assert "changes the mesh's hexahedra" in found.refused["skeleton.rib_count"]
+    assert "changes the mesh, and thereby the force" in found.refused["skeleton.rib_count"]
     assert not found.names
 
 
 def test_presses_by_the_barrier_have_none(pressed):
-    with pytest.raises(SimulateError, match="derivatives are of a press by the penalty"):
+    with pytest.raises(SimulateError, match="derivatives need a press by the penalty"):
         press_derivatives(design(), replace(pressed, kind="barrier"), {}, SETTINGS)
 
 

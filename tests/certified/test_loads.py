@@ -143,7 +143,7 @@ def test_the_order_of_two_fingers_and_its_table(monkeypatch):
     assert twist.ratio == pytest.approx((1.2 / 0.8) ** 2)
     assert twist.smallest_ratio == pytest.approx((1.2 / 0.8) ** 2)
     assert twist.independent_ratio == pytest.approx((1.2 * 0.8 / (0.8 * 1.2)) ** 2)
-    with pytest.raises(SimulateError, match="give each a name of its own"):
+    with pytest.raises(SimulateError, match="give each its own name"):
         study_finger_stiffness([stiff, stiff])
     with pytest.raises(SimulateError, match=r"give 0 to 0\.5"):
         study_finger_stiffness([stiff], 0.6)

@@ -200,7 +200,7 @@ CASES = (
     Case(
         "text without quotes",
         BAD_PLAN,
-        r"plan\.toml: .*; correct the line 'paint_name = red': text stands in straight quotes",
+        r"plan\.toml: .*; correct the line 'paint_name = red': put text in straight quotes",
         edited("plan.toml", 'paint_name = "red"', "paint_name = red"),
     ),
     Case(
@@ -229,10 +229,10 @@ CASES = (
     Case(
         "semicolons between columns",
         BAD_RIG,
-        r"camera\.csv: semicolons or tabs stand between its columns; export it with commas, and decimal points",
+        r"camera\.csv: semicolons or tabs separate its columns; export it with commas, and decimal points",
         curve("400;1,5;2;3\n700;1;2;3\n", header="wavelength_nm;red_percent;green_percent;blue_percent\n"),
     ),
-    Case("path with blanks", "capture a plan.toml", r"knows no plan\.toml; a path with blanks stands in quotes; "),
+    Case("path with spaces", "capture a plan.toml", r"knows no plan\.toml; put a path with spaces in quotes; "),
     # curves
     Case("no rig given", "capture {lab}/plan.toml", r"give a PLAN and its --rig, or --resume with the folder"),
     Case("no curve file", BAD_RIG, r"no\.csv: no such file", edited("rig.toml", '"assumed"\n', '"no.csv"\n')),
@@ -308,12 +308,12 @@ CASES = (
     Case(
         "map with a family",
         "fit {lab}/bands.json --map --paint {paints}/red/paint.json --family skew_t",
-        r"--family: is for the fit of the region",
+        r"--family: applies to the fit of the region",
     ),
     Case(
         "region's fit without map",
         "fit {lab}/bands.json --paint {paints}/red/paint.json",
-        r"--paint: is the fit of the region that --map starts from",
+        r"--paint: names the fit of the region from which --map starts",
     ),
     Case(
         "record is a folder",
@@ -340,7 +340,7 @@ CASES = (
     Case(
         "rig for a record",
         "fit {lab}/rig.toml",
-        r"rig\.toml: cannot be read as JSON .*, or is it no JSON file at all\?",
+        r"rig\.toml: cannot be read as JSON .*, or is it not a JSON file\?",
     ),
     Case(
         "misspelt option",
@@ -366,7 +366,7 @@ CASES = (
     Case(
         "paint without a name",
         BAD_PLAN,
-        r"plan\.toml: plan\.paint_name: is empty; write the name that files and records should have",
+        r"plan\.toml: plan\.paint_name: is empty; write the name for files and records",
         edited("plan.toml", 'paint_name = "red"', 'paint_name = " "'),
     ),
     Case(
@@ -521,7 +521,7 @@ CASES = (
     Case(
         "page for its record",
         "fit {lab}/report.html",
-        r"report\.html: cannot be read as JSON .*, or is it no JSON file",
+        r"report\.html: cannot be read as JSON .*, or is it not a JSON file",
     ),
     Case(
         "channel of a colour that a sensor lacks",
@@ -546,7 +546,7 @@ CASES = (
     Case(
         "number of filters",
         "design filters {lab}/rig.toml --number 0 --paints 0",
-        r"design: 0 filters are asked for; give 2 to 72 \(--number\): 1 are kept, and the others come from the 71",
+        r"design: 0 filters were requested; give 2 to 72 \(--number\): 1 are kept, and the others come from the 71",
     ),
     Case(
         "columns of pairs",
@@ -557,7 +557,7 @@ CASES = (
     Case(
         "semicolons in a study",
         "check gauge-rr {tmp}/study.csv",
-        r"error: \S*study\.csv: semicolons or tabs stand between its columns",
+        r"error: \S*study\.csv: semicolons or tabs separate its columns",
         file("study.csv", "sample;session;value\nA;1;2\n"),
     ),
     Case(
@@ -565,7 +565,9 @@ CASES = (
         "import bands {lab}",
         r"lab\S*: holds no bands\.toml, which says which image shows what; write it as",
     ),
-    Case("no JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); was it edited or cut off, or"),
+    Case(
+        "not a JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); was it edited or cut off, or"
+    ),
     Case(
         "newer record",
         "decide {tmp}/sweep.json",
@@ -661,13 +663,13 @@ CASES = (
     Case(
         "largest error of no surrogate",
         MECHANICS + " --largest-error 0.1",
-        r"--largest-error: is of a surrogate's answer; give --surrogate FILE, or leave it out",
+        r"--largest-error: applies to the answer of a surrogate; give --surrogate FILE, or leave it out",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(
-        "too few presses to teach by",
+        "too few presses for teaching",
         "simulate teach {tmp}/finger.toml --presses 3",
-        r"finger\.toml: 3 presses are too few to teach by; at least 20 are needed",
+        r"finger\.toml: 3 presses are too few for teaching; at least 20 are needed",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(
@@ -821,7 +823,7 @@ CASES = (
     Case(
         "places of one press",
         SWEEP + " --angles 0:90:30 --positions 8,20 --surfaces {lab}/finger.toml",
-        r"--positions are places of a press by a formula, and --surfaces are of one place: sweep each with its own",
+        r"--positions are for presses by a formula, but --surfaces hold a press at one place: sweep each with its own",
     ),
     # compare and decide
     Case(
@@ -857,7 +859,7 @@ CASES = (
     Case(
         "one touch twice",
         "decide {lab}/sweep.json {lab}/sweep.json",
-        r"two sweeps are of one touch \(position_mm = 35 mm\): it would count twice\. Give each sweep once",
+        r"two sweeps belong to the same touch \(position_mm = 35 mm\): it would count twice\. Give each sweep once",
     ),
     Case(
         "weights that do not fit",
@@ -936,7 +938,7 @@ USAGE = (
     Case(
         "misspelt verb",
         "fits {lab}/bands.json",
-        r"invalid choice: 'fits' .*; did you mean 'fit'\? 'finray --help' says",
+        r"invalid choice: 'fits' .*; did you mean 'fit'\? 'finray --help' explains",
     ),
     Case("capital letter", "Fit {lab}/bands.json", r"invalid choice: 'Fit' .*; did you mean 'fit'\?"),
     Case(

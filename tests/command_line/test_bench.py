@@ -95,7 +95,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("set --teach 7", "--teach 7: must be 1 to 4, for 5 presses of which"),
+        ("set --teach 7", "--teach 7: must be 1 to 4: there are 5 presses, and those"),
         ("set --teach 2 --simulator mine", "--simulator NAME and --command WORDS go together; give both"),
         ("nowhere", "nowhere: holds 0 captures that state where their contact is; at least 2 are needed"),
         (
@@ -109,7 +109,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
         (
             f"set --teach 2 --simulator mine --limit-s 0.2 --command '{sys.executable} -c \"import time; "
             "time.sleep(9)\"'",
-            "--command: ran longer than 0.2 s; give --limit-s more",
+            "--command: ran longer than 0.2 s; raise --limit-s",
         ),
         (
             f"set --teach 2 --simulator mine --command '{sys.executable} -c \"pass\"'",
@@ -185,8 +185,8 @@ def test_our_physics_beside_the_table(captures: Path) -> None:
     }  # fmt: skip
     refused = finray("bench tactile set --elastic-gel --teach 2 --out two")
     assert refused.status == 2
-    assert "2 presses teach; the model of an elastic gel needs at least 3" in refused.err
+    assert "there are 2 teaching presses, but the model of an elastic gel needs at least 3" in refused.err
     for name in ("elastic gel under three lights", "doing nothing"):
         mistaken = finray(f"bench tactile set --simulator '{name}' --command 'true' --out mistaken")
         assert mistaken.status == 2
-        assert "is a name of a row of ours" in mistaken.err
+        assert "is the name of one of finray's own rows" in mistaken.err

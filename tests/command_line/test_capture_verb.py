@@ -115,7 +115,7 @@ def test_session_that_lacks_its_checksums_only_gets_them(lab: Path, tmp_path: Pa
     shutil.copytree(lab / "session", out)
     whole = (out / "manifest-sha256.txt").read_text()
     (out / "manifest-sha256.txt").unlink()
-    assert "was finished but for its checksums" in succeed(f"capture --resume {out}")
+    assert "was complete except for its checksums" in succeed(f"capture --resume {out}")
     assert (out / "manifest-sha256.txt").read_text() == whole
     assert "is finished already" in mistake(f"capture --resume {out}")
 
@@ -160,7 +160,7 @@ def test_hazardous_laser_without_a_layer_outside_the_computer_is_refused(lab: Pa
     panel = rig.laser.model_copy(update={"driver": "indi", "address": f"127.0.0.1:{free_port()}/Panel"})
     write_rig(rig.model_copy(update={"laser": panel}), file)
     said = mistake(f"capture {lab}/plan.toml --out {tmp_path}/out --rig {file} {more}")
-    assert "a class 3R laser is not lit without a layer outside the computer" in said
+    assert "a class 3R laser is switched on only if hardware outside the computer" in said
     assert "[laser.outside_layer]" in said
     assert not (tmp_path / "out").exists()
     weak = panel.model_copy(update={"laser_class": "2"})

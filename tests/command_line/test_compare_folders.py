@@ -39,7 +39,7 @@ def folders(tmp_path: Path) -> Path:
 def test_folders_give_reports_and_a_summary_and_survive_a_bad_pair(folders: Path) -> None:
     outcome = finray(f"compare {folders}/simulated {folders}/captured --out {folders}/out")
     assert outcome.status == 0
-    assert "alone.press.json: has no partner and was left out" in outcome.err
+    assert "alone.press.json: has no counterpart in the other folder and was left out" in outcome.err
     assert "bgr: " in outcome.err
     assert "2 of 3 pairs compared" in outcome.out
     batch = read_record(folders / "out/summary.json", ComparisonBatch)
@@ -246,7 +246,7 @@ def test_processes_that_do_not_fit_are_a_warning_and_give_the_same_numbers(
     monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (300 << 20, 1 << 30))
     short = finray(f"compare {folders}/simulated {folders}/captured --out {folders}/short")
     assert short.status == 0
-    assert "memory is free for 1 of 2 processes that compare these pictures; it takes longer" in short.err
+    assert "the free memory allows 1 of 2 processes for pictures of this size" in short.err
     monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (8 << 30, 8 << 30))
     assert "memory" not in finray(f"compare {folders}/simulated {folders}/captured --out {folders}/ample").err
     assert _numbers(folders / "short") == _numbers(folders / "ample")
@@ -325,7 +325,7 @@ class _Struck(Child):
 @pytest.mark.parametrize(
     ("strike", "status", "told"),
     [
-        (Child.kill, 3, "a process at work on bgr, one, two was killed (SIGKILL): by"),
+        (Child.kill, 3, "the process that compared bgr, one, two was killed (SIGKILL): by"),
         (lambda _: True, 130, "interrupted; files already written are complete"),
     ],
 )

@@ -55,7 +55,7 @@ def test_stages_run_in_order_in_their_processes(tmp_path):
     [
         (
             {"number": signal.SIGSEGV},
-            r"^stage two was ended by SIGSEGV \(it touched memory that is not its own: a fault",
+            r"^stage two was ended by SIGSEGV \(it used memory that does not belong to it, which is a fault",
         ),
         ({"number": signal.SIGILL}, r"^stage two was ended by SIGILL \(a compiled library uses instructions that this"),
         (
@@ -187,7 +187,7 @@ def test_settings_are_not_mixed(tmp_path):
     begun(out)
     before = tree(out)
     with pytest.raises(
-        RecordError, match=r"holds an unfinished demo with another seed 1 \(now 2\), and the two would mix"
+        RecordError, match=r"holds an unfinished demo with another seed 1 \(now 2\), whose files would mix"
     ):
         small_demo.run(out, seed=2)
     assert not can_go_on(out, small_demo.settings(out, seed=2))
@@ -196,7 +196,7 @@ def test_settings_are_not_mixed(tmp_path):
         small_demo.run(out)
     stored = (out / "demo.json").read_text().replace('"version": "9.', '"version": "')
     (out / "demo.json").write_text(re.sub(r'"numpy": "[^"]+"', '"numpy": "0.9"', stored))
-    with pytest.raises(RecordError, match=r"with another numpy 0\.9 \(now \d[\d.]+\), and the two would mix"):
+    with pytest.raises(RecordError, match=r"with another numpy 0\.9 \(now \d[\d.]+\), whose files would mix"):
         small_demo.run(out)
     (out / "demo.json").write_text("{}")
     with pytest.raises(RecordError, match=r"demo\.json was written by another version of finray"):

@@ -33,7 +33,7 @@ def test_filters_of_a_rig(rig, tmp_path):
 def test_the_next_filter_of_a_paint():
     path = EXAMPLE / f"v{type(example()).schema_version}" / "example.json"
     told = succeed(f"design filters {path}")
-    assert told.startswith("the next filter of '")
+    assert told.startswith("filters that could be added for '")
     assert told.count("nm wide") == 8
 
 

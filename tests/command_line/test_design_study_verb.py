@@ -113,7 +113,7 @@ def test_points_of_other_code_are_told_when_a_study_goes_on(tmp_path, capsys, mo
     warned = " ".join(capsys.readouterr().err.split())
     old = f"finray-calib 0.0.9, commit {'ab' * 6}"
     assert f"points computed by other code than this ({task.origin.code}) are kept: 1 by {old}." in warned
-    assert "--renew computes them anew" in warned
+    assert "Give --renew to compute them again" in warned
     assert f"1 by {old}; 2 by {task.origin.code}" in " ".join(Path("out/study.html").read_text().split())
     rows = read_record(Path("out/study.json"), StudyResult).points
     assert [row.computed_by for row in rows] == [old, task.origin.code]
@@ -163,7 +163,7 @@ def test_two_studies_are_compared_by_the_points_that_they_share(tmp_path, capsys
     assert found["only_first"] == [{"light.angle_deg": 30.0}]
     assert main(["study", "compare", a, c]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "have no number of a point in common; they change light.angle_deg, and pad.thickness_mm" in said
+    assert "the two studies share no number of any point; they change light.angle_deg, and pad.thickness_mm" in said
 
 
 def test_a_folder_with_the_name_of_a_ready_made_design_does_not_hide_it(tmp_path, monkeypatch):

@@ -92,7 +92,7 @@ def test_caches_that_cannot_be_written_are_told(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", os.fspath(unwritable_folder(tmp_path)))
     found = finding("caches")
     assert found.state == "bad"
-    assert re.search(r"finray-calib cannot be written to: \w.*; Numba keeps its compiled functions there", found.found)
+    assert re.search(r"finray-calib cannot be written to: \w.*; Numba stores its compiled functions there", found.found)
     assert found.mend == "export NUMBA_CACHE_DIR=/a/folder/that/you/may/write"
 
 

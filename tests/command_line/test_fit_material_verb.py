@@ -33,7 +33,7 @@ def test_two_blocks_give_what_a_design_needs(bench, tmp_path):
     assert len(fit.provenance.input_sha256) == 2
     # the lines that are told are those of a design
     told_lines = "\n".join(
-        line.strip() for line in told.partition("for the file of a finger's design:")[2].splitlines()
+        line.strip() for line in told.partition("to copy into the design file of a finger:")[2].splitlines()
     )
     design = FingerDesign.model_validate(tomllib.loads(told_lines.partition("look at:")[0]))
     assert design.mechanics.gel.c10_mpa == pytest.approx(fit.moduli[0].posterior.estimate, rel=1e-3)

@@ -269,7 +269,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
         (
             'shape = "cuboid"\nsize_mm = [9, 9, 9]\nradius_mm = 5',
             "",
-            r"indenter\.radius_mm has no effect: it is of a cylinder or a ball, not of shape = \"cuboid\"; leave it",
+            r"indenter\.radius_mm has no effect: it belongs to a cylinder or a ball, not to shape = \"cuboid\"",
         ),
         ("[skeleton]\nrib_count = 1\nrib_spacing_mm = 9", "", r"rib_spacing_mm .* rib_count = 2 or"),
         ("[skeleton]\nrib_count = 40\nrib_thickness_mm = 2.5", "", r"overlap or nearly touch .*= 40,"),

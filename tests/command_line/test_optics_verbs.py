@@ -125,7 +125,7 @@ def test_surfaces_are_rendered_with_the_design_beside_them(paints, tmp_path):
     (tmp_path / "d.mechanics.json").unlink()
     refused = finray(f"simulate render {tmp_path}/d.surfaces.json {how} --out {tmp_path}/no.press.json")
     assert refused.status == 2
-    assert "the design of these surfaces is read from d.mechanics.json beside them, which is not there" in refused.err
+    assert "their design is stored in d.mechanics.json, which is missing from the same folder" in refused.err
 
 
 def test_optics_writes_record_capture_and_images(design, paints, tmp_path):

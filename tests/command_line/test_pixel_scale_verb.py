@@ -86,7 +86,7 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
     assert "fisheye lens from 6 pictures" in said
     both = finray(f"sense scale {rest} {BOARD} --out {tmp_path}/c.json")
     assert both.status == 2
-    assert "--plan says what the board is" in both.err
+    assert "--plan already describes the board" in both.err
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_a_session_whose_first_picture_lies_anywhere_is_refused(pictures: Path, 
     folder = session_of(tmp_path / "session", pictures, on_pad=False)
     outcome = finray(f"sense scale {folder} --square-u-mm 0.003 --out {tmp_path}/s.json")
     assert outcome.status == 2
-    assert "does not say that the first picture shows the board on the pad" in outcome.err
+    assert "does not state that the first picture shows the board on the pad" in outcome.err
     missing = finray(f"sense scale {lens(pictures)} {BOARD} --square-u-mm 0.003 --out {tmp_path}/s.json")
     assert missing.status == 2
     assert "--pad: missing; give the picture of the board" in missing.err
@@ -228,4 +228,4 @@ def test_the_picture_on_the_pad_may_be_among_the_others(pictures: Path, tmp_path
     assert len(read_record(out, PixelScale).lens_pictures) == 6
     twice = finray(f"sense scale {pictures}/board-1.png {every} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert twice.status == 2
-    assert "board-1.png: is given twice; a picture counts once" in twice.err
+    assert "board-1.png: is given twice; name each picture once" in twice.err

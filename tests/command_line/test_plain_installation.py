@@ -128,7 +128,7 @@ def test_a_verb_that_renders_names_the_extra_in_a_sentence(
     done = run_plain(absent, tmp_path, arguments.format(lab=lab, paint=paints / "red/paint.json"))
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].endswith(
-        "error: rendering needs Mitsuba, of the extra 'sim': pip install 'finray-calib[sim]'"
+        "error: rendering needs Mitsuba, which is in the extra 'sim': pip install 'finray-calib[sim]'"
     )
     assert list(tmp_path.iterdir()) == []
 

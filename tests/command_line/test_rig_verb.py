@@ -230,8 +230,8 @@ def test_show_prints_every_part_of_a_simulated_rig_and_moves_nothing(
     assert said.count("reports off") == 2
     assert "450 nm, 4.5 mW, class 3R" in said
     assert "at slot 1, filter 405" in said
-    assert "320 x 256 px; 0.01 s asked for, 0.01 s read back" in said
-    assert "the black level is 16 DN" in said
+    assert "320 x 256 px; 0.01 s requested, 0.01 s read back" in said
+    assert "states a black level of 16 DN" in said
     rows = [line.split() for line in said.splitlines() if line.endswith(" nominal")]
     assert [row[1] for row in rows] == ["405", "450", "500", "532", "560", "600", "630", "660"]
     assert rows[0] == ["1", "405", "405", "+-", "0.15", "10", "+-", "0.15", "5", "nominal"]
@@ -249,11 +249,11 @@ def test_show_puts_each_error_beside_its_device(tmp_path: Path) -> None:
     assert outcome.status == 2
     parts = dict(part.split("\n", 1) for part in outcome.out.split("\n\n")[1:])
     assert "ERROR: laser at" in parts[f"laser: arduino at {tmp_path}/no-laser"]
-    assert "switched by hand; this command asks nobody" in parts["lamp: manual"]
+    assert "switched by hand, and this command does not ask" in parts["lamp: manual"]
     assert "ERROR: filter wheel at" in parts[f"filter wheel: thorlabs at {tmp_path}/no-wheel"]
     assert "there is no producer" in parts["camera: gentl at nowhere.cti"]
     assert " 660 " in parts["filters and curves"]
-    assert "errors above at laser: arduino at" in outcome.err
+    assert "laser: arduino at" in outcome.err
 
 
 def test_show_says_what_does_not_fit_the_rig_file(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -289,12 +289,12 @@ def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
         assert not board.state()
         assert not board.times("host", b"L1")
         assert wheel.control.get("pos") == 1
-    assert "off when a process of finray is killed or stopped: yes, by the others, within 1 s" in said
+    assert "off when a process of finray is killed or stopped: yes, by the other processes, within 1 s" in said
     assert "its cable is pulled or all processes are killed: yes, by the dead-man in its controller" in said
     assert "cannot be lit" not in said
     assert "light with dead-man, firmware 1.2" in said
     assert "Aravis Fake, serial FINRAY01" in said
-    assert "512 x 512 px; 0.01 s asked for, 0.01 s read back" in said
+    assert "512 x 512 px; 0.01 s requested, 0.01 s read back" in said
     assert "pixel_format BayerRG8" in said
     assert "at slot 1, filter 405" in said
     assert "12 (none)" in said
@@ -310,9 +310,9 @@ def test_show_says_that_a_light_without_dead_man_stays_on_and_cannot_be_lit(tmp_
         outcome = finray(f"rig show {rig}")
     laser = next(part for part in outcome.out.split("\n\n") if part.startswith("laser: indi"))
     assert "reports off" in laser
-    assert "off when a process of finray is killed or stopped: yes, by the others, within 1 s" in laser
+    assert "off when a process of finray is killed or stopped: yes, by the other processes, within 1 s" in laser
     assert "warning: off when the computer hangs, its cable is pulled or all processes are killed: NO" in laser
-    assert "warning: cannot be lit: a class 3R laser is not lit without a layer outside the computer" in laser
+    assert "warning: cannot be lit: a class 3R laser is switched on only if hardware outside the computer" in laser
 
 
 def test_show_of_another_file_is_a_mistake(lab: Path) -> None:

@@ -83,7 +83,7 @@ def test_a_height_map_is_rendered_and_named_as_an_input(design, tmp_path, monkey
 def test_what_belongs_to_a_finger_is_refused(design, tmp_path, options):
     outcome = finray(f"simulate render {design} {options}")
     assert outcome.status == 2
-    assert f"is a classic sensor; {options.split()[0]} belongs to a painted finger" in outcome.err
+    assert f"is a classic sensor; {options.split()[0]} is for painted fingers only" in outcome.err
     assert list(tmp_path.iterdir()) == [design]
 
 
@@ -107,7 +107,7 @@ def test_fitted_to_a_capture(design, tmp_path, monkeypatch):
     write_record(capture.model_copy(update={"indenter": exact}), tmp_path / "a.json", provenance("a test", {}))
     told = succeed("simulate fit sensor.toml --captures a.json --engine scalar --samples 64")
     assert told.startswith("sensor.sensor.json: 'small sensor' fitted to 1 captures, 49 blocks of each picture\n")
-    assert "the presses are taken as exactly known" in told
+    assert "the poses of the presses count as exactly known" in told
     assert "only products of the gain with powers are determined" in told
     fit = read_record(tmp_path / "sensor.sensor.json", SensorFit)
     assert set(fit.provenance.input_sha256) == {"sensor.toml", "a.json"}

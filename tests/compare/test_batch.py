@@ -86,7 +86,7 @@ def test_the_interval_is_that_of_a_jackknife_by_hand():
 def test_two_presses_have_no_interval_and_what_noise_leaves_ends_at_one():
     two = skill_over_presses([pair("a", 0.391), pair("b", 0.9)])
     assert (two.low95, two.high95) == (None, None)
-    assert two.method == "no interval: it needs three units, and there are 2"
+    assert two.method == "no interval: it needs three independent units, and there are 2"
     assert skill_over_presses([pair("a", None)]) is None
     # noise that was taken out leaves one press no error
     above = skill_over_presses([pair("a", 0.95), pair("b", 1.02), pair("c", 0.97)])
@@ -162,8 +162,8 @@ def test_simulators_are_ranked_over_the_presses_that_all_have():
 
 def test_what_to_capture_next_follows_from_what_is_missing():
     told = to_capture([pair("a", 0.9), pair("b", 0.8)])
-    assert told[0].startswith("1 more press, at other places and depths: 3 give an interval")
-    assert any("second image without contact beside each press: 2 of 2 have none" in wish for wish in told)
+    assert told[0].startswith("1 more press, at other places and depths: an interval needs 3")
+    assert any("second image without contact for each press: 2 of 2 pairs have none" in wish for wish in told)
     many = to_capture([pair(k, s) for k, s in enumerate((0.93, 0.95, 0.96, 0.94, 0.95, 0.97))])
     assert re.match(r"\d+ more presses: the interval of 6 is 0\.0\d+ to either side", many[0])
     assert to_capture([pair("a", None)]) == ()

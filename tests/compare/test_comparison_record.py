@@ -121,7 +121,7 @@ def test_a_paint_without_calibration_is_said_to_be_left_out(pair):
     )  # fmt: skip
     report = compare_press(press.model_copy(update={"known_inputs": camera_only}), capture, seed=1)
     for colour in ("red", "green"):
-        assert f"the {colour} paint, of which the press holds no draws" in report.monte_carlo.not_included
+        assert f"the {colour} paint, for which the press holds no draws" in report.monte_carlo.not_included
 
 
 def test_without_known_inputs_intervals_come_from_parts():

@@ -193,7 +193,9 @@ def test_inputs_without_a_press_are_named(rng):
     again = press.sensitivities.model_copy(update={"varied": (failed, *others)})
     found = compare_force(changed(press, sensitivities=again), measure(rng, 0.0, 0.0, NOISE_N), rng)
     assert "mechanics.gel.c10_mpa: its press failed (parts overlap)" in found.not_included
-    assert any(missing.startswith("indenter.radius_mm: stated by the design") for missing in found.not_included)
+    assert any(
+        missing.startswith("indenter.radius_mm: the design states its uncertainty") for missing in found.not_included
+    )
 
 
 def test_another_mesh_adds_its_difference(rng):
@@ -221,7 +223,7 @@ def test_the_known_excess_of_a_mesh_is_its_uncertainty(rng):
         assert both.points[-1].u_numerical_n == pytest.approx(expected, rel=0.05)
     assert not any("the mesh" in missing for missing in alone.not_included)
     numerics = next(line for line in alone.budget if line.input == "numerics")
-    assert numerics.source.endswith("the mesh's excess on the 70 x 35 finger")
+    assert numerics.source.endswith("excess force of the mesh, as found on the 70 x 35 finger")
 
 
 def test_the_uncertainty_of_the_displacement_goes_through_the_slope(rng):

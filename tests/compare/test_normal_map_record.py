@@ -110,7 +110,7 @@ def test_captures_that_do_not_belong_together_are_refused(captures, change, mess
 
 def test_a_press_that_is_given_twice_is_refused(captures):
     twice = [*captures, captures[3].model_copy(update={"name": "again"})]
-    with pytest.raises(CompareError, match=r"press 4 and again are one and the same image: .* give each once"):
+    with pytest.raises(CompareError, match=r"press 4 and again are the same image: .* give each press once"):
         normal_map_record(twice, "m", seed=1)
 
 

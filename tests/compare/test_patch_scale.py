@@ -74,7 +74,7 @@ def test_another_scale_in_the_capture_is_told(scale):
         capture = capture_of(simulated, 50.0).model_copy(update={"mm_per_px": stated})
         report, _ = compare_checked(simulated, capture, 1, CheckOptions(pixel_scale=scale))
         assert (
-            any(re.search(r"states 0\.2 mm per pixel, the pixel scale 0\.(4|39|40)", f) for f in report.findings)
+            any(re.search(r"states 0\.2 mm per pixel, but the pixel scale is 0\.(4|39|40)", f) for f in report.findings)
             is told
         )
 
@@ -83,7 +83,9 @@ def test_a_scale_of_another_picture_is_refused(scale):
     simulated = press()
     capture = capture_of(simulated, 50.0)
     other = scale.model_copy(update={"calibration": scale.calibration.model_copy(update={"width_px": 640})})
-    with pytest.raises(CompareError, match="is of pictures of 640 x 60 px, capture of the strip has 80 x 60 px"):
+    with pytest.raises(
+        CompareError, match="was measured on pictures of 640 x 60 px, but capture of the strip has 80 x 60 px"
+    ):
         patch_scale(other, capture, simulated.distance, FACTORS)
 
 

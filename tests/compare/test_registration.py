@@ -96,14 +96,17 @@ def test_what_cannot_be_trusted_is_rejected_with_reasons():
         with pytest.raises(CompareError, match=r"registration (failed: the pictures have too few|is rejected: )"):
             register(shaded(rng), other)
     far = np.array([[1.0, 0.0, 26.0], [0.0, 1.0, 0.0]])
-    with pytest.raises(CompareError, match=r"it moves the render by up to [23]\d\.\d px, 12 px are allowed"):
+    with pytest.raises(
+        CompareError, match=r"it moves the render by up to [23]\d\.\d px, but at most 12 px are allowed"
+    ):
         register(shaded(np.random.default_rng(1)), seen_through(far, 1))
     large = cv2.getRotationMatrix2D((160, 120), 8.0, 1.08)
     with pytest.raises(
-        CompareError, match=r"changes the scale to 1\.\d\d\d .* 5 % is allowed; it turns .* 5 deg are allowed"
+        CompareError,
+        match=r"changes the scale to 1\.\d\d\d .* at most 5 % is allowed; it turns .* at most 5 deg are allowed",
     ):
         register(shaded(np.random.default_rng(1)), seen_through(large, 1))
-    with pytest.raises(CompareError, match=r"the gradients correlate by 0\.\d\d only, at least 0\.85 is needed"):
+    with pytest.raises(CompareError, match=r"the gradients correlate by 0\.\d\d only, but at least 0\.85 is needed"):
         register(shaded(np.random.default_rng(1)), seen_through(np.eye(2, 3), 1, noise=0.3))
     with pytest.raises(CompareError, match=r"only 0\.0 % of the picture is usable .* at least 5 % is needed"):
         register(shaded(rng), np.full((*SHAPE, 3), np.nan))

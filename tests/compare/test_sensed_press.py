@@ -169,7 +169,7 @@ def test_teach_and_run_lead_from_presses_to_depth(presses, tmp_path, monkeypatch
         write_record(capture_of(press, f"p{k}"), tmp_path / "set" / f"p{k:02d}.capture.json", provenance("pytest"))
     write_record(capture_of(presses[30], "other"), tmp_path / "other.capture.json", provenance("pytest"))
     said = succeed("sense teach set --out map.json")
-    assert "height from rim to middle" in said
+    assert "the height from rim to" in said
     assert len(read_record(tmp_path / "map.json", NormalMapRecord).taught_by_sha256) == 14
     said = succeed("sense run map.json other.capture.json")
     assert "deepest" in said

@@ -152,8 +152,8 @@ def test_an_error_of_the_papers_emitter_says_nothing_about_the_angle(emitter):
         update={"label": f"rendered, level a ({emitter}), llvm_ad_rgb"}
     )
     with pytest.raises(
-        DecideError, match=r"the report on a is of a render by level a \('rendered, .*\), the sweep is of level b: .* "
-        r"emit the same at every angle .* --level b",
+        DecideError, match=r"the report on a belongs to a render by level a \('rendered, .*\), but the sweep was "
+        r"rendered by level b: .* emit the same at every angle .* --level b",
     ):  # fmt: skip
         capture_errors(sweep_record(), [of_level_a])
 

@@ -82,7 +82,7 @@ def test_a_report_relative_to_the_no_contact_image_keeps_its_level():
     assert only.value == pytest.approx(curve, rel=0.02)
     # the table's error is what was compared, whatever the curve takes up of it
     assert only.error_rel == pytest.approx(np.expm1(0.1), rel=0.01)
-    assert "A capture at 30 deg is in this" in decision.sentence
+    assert "A capture at 30 deg is included" in decision.sentence
     assert any("relative to the no-contact image" in note for note in decision.notes)
     assert any("older version without its channels" in note for note in decision.notes)
 
@@ -185,7 +185,7 @@ def test_captures_and_weights_are_of_the_brightness():
     with pytest.raises(DecideError, match="weights belong to touches, the error to places"):
         decide(sweep, [], 1, weights=[2.0], aim="normal")
     with pytest.raises(
-        DecideError, match="do not hold it at places along the pad: simulate them with --objectives all"
+        DecideError, match="do not hold this error at places along the pad: simulate them with --objectives all"
     ):
         decide(sweep_record(), [], 1, aim="normal")
 
@@ -245,7 +245,7 @@ def test_a_report_corrects_the_place_it_is_of():
     assert decision.validated
     elsewhere = finger_identity(at_place(20.0, 35.0).design)
     with pytest.raises(
-        DecideError, match="differ in indenter: the error of one says nothing about the light of the other"
+        DecideError, match="differ in indenter: the error of one finger gives no information on the light of the other"
     ):
         decide(sweeps, [reports[0].model_copy(update={"finger": elsewhere})], 1)
 
@@ -262,7 +262,7 @@ def test_sweeps_that_do_not_belong_together_are_refused():
         (other.model_copy(update={"paints": {"red": "0" * 64}}), "different paint calibrations"),
         (other.model_copy(update={"objective": "evenness"}), "different objectives"),
         (other.model_copy(update={"angles_deg": other.angles_deg + 1}), "different angles"),
-        (first, r"two sweeps are of one touch \(position_mm = 10 mm\)"),
+        (first, r"two sweeps belong to the same touch \(position_mm = 10 mm\)"),
     ):
         with pytest.raises(DecideError, match=said):
             decide([first, second], [], 1)

@@ -119,12 +119,12 @@ def test_captures_are_named_with_what_they_changed():
     tie = AngleRisk(0.5, 0.000374, 0.0012, ((3.0, 18.0),), 0.99)
     found = decision_sentence(decision(5.0, "tie", tie, validated=True), np.array([70.0, 10, 40]), 0.025)
     assert found.startswith(
-        "3 captures at 10, 40 and 70 deg are in this: the simulation is off by some 10 % at an angle. Without them the "
-        "choice would be 9 deg."
+        "3 captures at 10, 40 and 70 deg are included: the simulation is off by some 10 % at an angle. Without them "
+        "the choice would be 9 deg."
     )
     assert found.endswith("Any angle from 3 to 18 deg is suitable.")
     found = decision_sentence(decision(20.0, validated=True), np.array([30.0]), 0.02, None, Proposal(70.0, 0.01, 0.02))
-    assert found.startswith("A capture at 30 deg is in this, which is not enough to decide: the simulation is off")
+    assert found.startswith("A capture at 30 deg is included, which is not enough to decide: the simulation is off")
     assert found.endswith("Capture next with the light at 70 deg.")
 
 

@@ -84,7 +84,7 @@ def test_another_version_of_the_identity_is_taken_on_trust():
     (note,) = require_one_finger([sweep()], [PhotometricErrorReport.model_construct(captured="press 1", finger=older)])[
         0
     ]
-    assert "as another version of finray does" in note
+    assert "in the way of another version of finray" in note
     assert "is not checked" in note
     # what was stored before there were versions
     assert FingerIdentity(name="finger", depth_mm=1.0, parts={}).version == 1
@@ -103,7 +103,7 @@ def test_a_report_that_names_no_finger_and_another_depth_are_told():
     assert "does not say which finger" in unknown
     (depth,) = require_one_finger([sweep()], [report_on(changed("indenter", depth_mm=0.5))])[0]
     # the depth is that of the design that was rendered; how deep the capture was pressed the report does not say
-    assert depth.startswith("the render compared with press 1 was pressed 0.5 mm deep, the sweep is of 1.5 mm")
+    assert depth.startswith("the render compared with press 1 was pressed 0.5 mm deep, and the sweep 1.5 mm")
 
 
 def test_from_a_comparison_to_the_refusal():

@@ -153,7 +153,9 @@ def test_a_change_of_the_error_is_that_of_paired_draws():
         error_change(now[:2], now[:2])
 
 
-@pytest.mark.parametrize(("low95", "begins"), [(-0.01, "No gain is certain, so the powers may stay."), (0.01, "Set ")])
+@pytest.mark.parametrize(
+    ("low95", "begins"), [(-0.01, "No gain is certain, so the powers may stay as they are."), (0.01, "Set ")]
+)
 def test_a_gain_that_is_not_certain_is_no_advice_to_change_powers(low95, begins):
     file = Path(__file__).resolve().parents[1] / "schemas/frozen/LightPowers/v1/example.json"
     record = read_record(file, LightPowers)

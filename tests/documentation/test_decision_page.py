@@ -68,7 +68,7 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
 @pytest.mark.parametrize(
     ("verdict", "title", "meaning"),
     [
-        ("decided", "Mount the light at 32 deg", "only nearby angles are as good"),
+        ("decided", "Mount the light at 32 deg", "only nearby angles are equally good"),
         ("tie", "Several angles are equally good; take 32 deg if nothing speaks against it", "easiest to build"),
         ("undecided", "Not decided yet; 32 deg is the best guess so far", "More angles or more repeats would help"),
         (
@@ -334,7 +334,7 @@ def test_a_decision_on_the_normal_shows_its_error_and_what_others_cost():
         "8 mm 33 % 63 deg 28 % 108 %",
         "Marks on the pad: the places that were looked at",
         "brightness 62 deg 25 % 21 % [17 %, 25 %] yes",
-        "brightness is best at 62 deg and loses 21 % here (there: 25 % more error of the normal)",
+        "brightness is best at 62 deg and loses 21 % here (there: 25 % larger error of the normal)",
     ):
         assert told in text
     assert "Next capture" not in text

@@ -98,10 +98,12 @@ def test_the_verdict_is_care_with_a_warning_or_an_unexplained_band() -> None:
     assert fit_verdict(CALM.model_copy(update={"bands": unexplained})) == "Use with care"
 
 
-def test_the_sampling_is_told_with_what_was_wanted() -> None:
+def test_the_sampling_is_told_with_what_is_allowed() -> None:
     diagnostics = RED.fit.diagnostics
     told = said.sampling_statement(diagnostics)
-    assert told.startswith("draws by importance sampling, trusted: Pareto k 0.31 (at most 0.7 wanted), 3120 effective")
+    assert told.startswith(
+        "draws by importance sampling, trusted: Pareto k 0.31 (at most 0.7 is allowed), 3120 effective"
+    )
     assert "2 maxima of the posterior. emcee, run as an independent check, agrees with them" in told
     assert "differ by at most 0.03 standard deviations" in told
     assert "DISAGREES" in said.sampling_statement(diagnostics.model_copy(update=shifted(diagnostics, -0.4)))
@@ -111,7 +113,7 @@ def test_the_sampling_is_told_with_what_was_wanted() -> None:
     moved = diagnostics.model_copy(update={"method": "resample-move", "pareto_k": 0.5, "memory": 0.083, "chain": None})
     assert said.sampling_statement(moved) == (
         "draws by resample-move, trusted: importance sampling was uneven (Pareto k 0.50), so its draws were moved "
-        "until they no longer depended on where they began (correlation 0.08, at most 0.15 wanted); "
+        "until they no longer depended on where they began (correlation 0.08, at most 0.15 is allowed); "
         "2 maxima of the posterior."
     )
     taken_over = diagnostics.model_copy(update={"method": "emcee", "pareto_k": 1.2})
@@ -124,7 +126,7 @@ def test_the_sampling_is_told_with_what_was_wanted() -> None:
 
 def test_a_shape_of_weights_that_is_unknown_is_a_dash() -> None:
     unknown = replace(RED, fit=with_diagnostics(RED.fit, pareto_k=None))
-    assert "trusted: Pareto k \u2013 (at most 0.7 wanted)" in said.sampling_statement(unknown.fit.diagnostics)
+    assert "trusted: Pareto k \u2013 (at most 0.7 is allowed)" in said.sampling_statement(unknown.fit.diagnostics)
     assert cells(sampling_table(unknown))["Pareto k of the weights"] == ("\u2013",)
     rough = with_fit(RED, families=tuple(f.model_copy(update={"left_out_pareto_k": None}) for f in RED.fit.families))
     assert cells(families_table(rough))["log-normal in wavenumber (reported)"][-1] == "\u2248 143.5"
@@ -141,7 +143,7 @@ def test_the_choice_of_family_is_told_in_words_and_with_its_price() -> None:
 
 
 def test_a_stokes_shift_from_the_prior_is_called_belief() -> None:
-    assert "prior belief, not a measurement" in said.absorption_statement(RED)
+    assert "this comes from the prior, not from a measurement" in said.absorption_statement(RED)
     measured = RED.fit.reradiation.model_copy(update={"prior_driven": False, "statement": "three lights fix it"})
     lights = with_fit(RED, reradiation=measured)
     assert said.absorption_statement(lights) == "Red paint: Stokes shift 38 [13, 63] nm. Three lights fix it."
@@ -227,7 +229,7 @@ def test_the_page_shows_what_a_student_needs_to_judge_the_fit(html: str) -> None
     prose = Page(html).prose.replace("\u00a0", " ")
     for words in (
         "Warning: 3.1 % of the fitted emission lies below the laser line",
-        "Stokes shift 38 [13, 63] nm: prior belief, not a measurement",
+        "Stokes shift 38 [13, 63] nm: this comes from the prior, not from a measurement",
         "camera response R covers 400 to 780 nm",
         f"centres within {RED.fit.optics.filters[0].center_uncertainty_nm:g} nm",
         "A diffuse paint",

@@ -166,7 +166,7 @@ def test_clipped_pixels_are_shown_as_clipped_and_not_in_a_false_colour() -> None
 
 def test_captions_tell_of_clipped_pixels_where_there_are_any() -> None:
     assert clipped_remark(np.zeros((3, 3), dtype=bool)) == ""
-    assert "clipped, the colour is not known" in clipped_remark(np.eye(3, dtype=bool))
+    assert "clipped, so the colour is not known" in clipped_remark(np.eye(3, dtype=bool))
 
 
 def test_png_holds_the_same_pixels() -> None:

@@ -145,7 +145,7 @@ def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() ->
 @pytest.mark.parametrize(
     ("verdict", "meaning"),
     [
-        ("decided", "stays within 2 % with 95 % probability, and only nearby angles are as good (25 to 39 deg)"),
+        ("decided", "stays within 2 % with 95 % probability, and only nearby angles are equally good (25 to 39 deg)"),
         ("tie", "Any of these angles is suitable: 25 to 39 deg"),
         ("undecided", "may lose 0.4 %. With captures the best guess is 32 deg. More angles or more repeats would help"),
         (

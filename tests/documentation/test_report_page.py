@@ -37,7 +37,7 @@ def test_the_verdict_stands_before_every_stage_image_and_table(page: Page, html:
     assert html.index(TRUST) < html.index('id="capture"')
     positions = [html.index(f'id="{stage}"') for stage in STAGES]
     assert positions == sorted(positions)
-    assert "The angle is decided 32 deg \u2713 good : neighbouring angles are as good" in page.prose
+    assert "The angle is decided 32 deg \u2713 good : neighbouring angles are equally good" in page.prose
     first = Page(html[: html.index(TRUST)]).prose
     for shown in ("Captured, no contact", "Captured, contact", "The finger from the side, to scale", "Emission of the"):
         assert shown in first

@@ -118,8 +118,8 @@ def test_a_results_file_becomes_surfaces(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
-        ({"leave_out": 1}, "hold no U of the nodes 1 to"),
-        ({"with_force": False}, "hold no RF of the nodes"),
+        ({"leave_out": 1}, "lack U of the nodes 1 to"),
+        ({"with_force": False}, "lack RF of the nodes"),
     ],
 )
 def test_results_of_another_deck_are_refused(tmp_path, changes, match):

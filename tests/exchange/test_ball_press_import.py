@@ -72,8 +72,8 @@ def test_pickled_parts_are_left_out_and_never_loaded(tmp_path):
         ({"f0": None}, "'f0' is missing; it holds img_size, imgs"),
         ({"f0": np.zeros((60, 80))}, "'f0' must be finite numbers of 3 dimensions"),
         ({"f0": np.zeros((60, 80, 3))}, "'f0' must hold 8-bit colour images"),
-        ({"f0": np.zeros((50, 80, 3), np.uint8)}, "press 1: an image of shape .* beside a no-contact image"),
-        ({"touch_radius": np.ones(3)}, "12 images in 'imgs' need as many centres"),
+        ({"f0": np.zeros((50, 80, 3), np.uint8)}, "press 1: an image of shape .* with a no-contact image"),
+        ({"touch_radius": np.ones(3)}, "12 images in 'imgs' need the same number of centres"),
         ({"touch_radius": np.full(12, 30.0)}, "press 1: a contact circle of 30 px radius .* below the ball's 20 px"),
         ({"touch_radius": np.full(12, np.nan)}, "'touch_radius' must be finite numbers"),
         ({"touch_center": np.full((12, 2), 70.0)}, "row 70, column 70, lies outside the picture of 80 x 60 px"),
@@ -234,7 +234,7 @@ def test_wrong_gs_sdk_folders_are_refused(tmp_path, file, content, message):
 
 def test_what_is_missing_or_disagrees_is_refused(tmp_path):
     folder = write_catalog(tmp_path / "g", 1)
-    with pytest.raises(ImportFormatError, match="the catalog says a ball of 4 mm, --ball-diameter-mm 5 mm"):
+    with pytest.raises(ImportFormatError, match="the catalog states a ball of 4 mm, but --ball-diameter-mm is 5 mm"):
         read_ball_presses(folder, MM_PER_PX, 5.0)
     np.savez(folder / "4.000mm/0/label.npz", center=[1.0, 2.0, 3.0], radius=1.0)
     with pytest.raises(ImportFormatError, match=r"'center' must be \(x, y\)"):
@@ -262,7 +262,7 @@ def test_what_is_missing_or_disagrees_is_refused(tmp_path):
         ("a.png,1,2,0", "line 2: radius_px = 0 must be above 0"),
         ("a.png,1,2,3\na.png,1,2,3", "line 3: a.png has a circle already"),
         ('a.png,1,2,3\n"b.png,1,2,3', "line 3: cannot be read as CSV"),
-        ("a.png,1,2,3\n" * 2001, "lists 2001 presses; at most 2000 are read"),
+        ("a.png,1,2,3\n" * 2001, "lists 2001 presses; at most 2000 can be read"),
         ("a" * 140_000 + ",1,2,3", r"line 2: cannot be read as CSV \(field larger than field limit"),
     ],
 )
@@ -355,7 +355,7 @@ def test_the_measured_scale_takes_the_place_of_the_stated_one(tmp_path):
     write_record(other, tmp_path / "other.json", provenance("pytest"))
     outcome = finray(f"sense teach {files} --scale {tmp_path}/other.json --out {tmp_path}/n.json")
     assert outcome.status == 2
-    assert "is of pictures of 640 x 60 px" in outcome.err
+    assert "was measured on pictures of 640 x 60 px" in outcome.err
 
 
 def test_an_image_that_is_none_is_refused(tmp_path):

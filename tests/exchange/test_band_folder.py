@@ -180,7 +180,7 @@ def test_dark_of_another_exposure(tmp_path):
     folder = write_folder(tmp_path / "f", "RGB")
     tifffile.imwrite(folder / "dark.tif", frame(np.zeros(3), "RGB"))
     edit(folder, "[files]", '[[darks]]\nexposure_s = 9.0\nfiles = "dark.tif"\n\n[files]')
-    with pytest.raises(ImportFormatError, match=r"was exposed for 0\.5 s, but the dark frames are of 9 s"):
+    with pytest.raises(ImportFormatError, match=r"was exposed for 0\.5 s, but the dark frames were exposed for 9 s"):
         import_band_folder(folder)
 
 

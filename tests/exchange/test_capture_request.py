@@ -90,7 +90,7 @@ def test_plans_hold_what_the_design_needs(tmp_path):
     for needed in (
         "ChArUco", "Raw frames", "standard", "press-001.json,412.5", "| 18 |",
         "finray sense scale SESSION --square-u-mm 0.01 --out pixel-scale.json",
-        "the board flat where the pad's coat is", "A capture without contact needs nothing more",
+        "the board lies flat where the pad's coat is", "A capture without contact needs nothing more",
     ):  # fmt: skip
         assert needed.lower() in request.page.lower()
 

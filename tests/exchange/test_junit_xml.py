@@ -56,7 +56,10 @@ def test_one_case_for_each_check_and_counts_that_agree():
 
 def test_messages_say_value_limit_and_reason():
     root = etree.fromstring(junit_xml(report(**SPOILT), ORIGIN))
-    assert root.find(".//failure").get("message") == "allowed: at most 1 s; still on in 3 of 3 mishaps, watched for 5 s"
+    assert (
+        root.find(".//failure").get("message")
+        == "allowed: at most 1 s; the laser was still on after 3 of 3 mishaps; each was watched for 5 s"
+    )
     assert root.find(".//skipped").get("message") == "it is switched by hand, so no device can be asked"
     slow = etree.fromstring(junit_xml(report(handshakes=(handshake(durations_s=(3.0,)),)), ORIGIN))
     assert re.match(r"3\.0000 \+- 0\.0050 s; allowed: at most 2 s; ", slow.find(".//failure").get("message"))

@@ -103,7 +103,7 @@ def test_light_outside_the_absorption_is_refused(spectra, camera):
 
 
 def test_unpaired_draws_are_refused(spectra):
-    with pytest.raises(CurveError, match=r"absorption_rel_draws has shape \(399, 481\), wanted \(400, 481\)"):
+    with pytest.raises(CurveError, match=r"absorption_rel_draws has shape \(399, 481\), and \(400, 481\) is needed"):
         replace(spectra, absorption_rel_draws=spectra.absorption_rel_draws[1:])
 
 

@@ -61,7 +61,7 @@ def test_missing_file_of_a_press_is_named(my_lab, press):
 
 
 def test_format_that_nobody_brings_is_refused_with_those_there_are(my_lab, press):
-    told = r"no installed package brings the format 'mylab'; there are: format 'my-lab' of package my-lab-files 0\.1\."
+    told = r"no installed package provides the format 'mylab'; there are: format 'my-lab' of package my-lab-files 0\.1"
     with pytest.raises(ImportFormatError, match=told):
         capture_by_package("mylab", press)
 
@@ -99,5 +99,5 @@ def test_format_that_reads_by_itself_is_refused(site, press):
     source = printed("python").replace("from data_schemas.storage import read_npy", "read_npy = np.load")
     assert source != printed("python")
     install(site, "own-files", {GROUP: {"own": "own_format"}}, own_format=source)
-    with pytest.raises(ImportFormatError, match=r"read no file of it by data_schemas\.storage .* could not name what"):
+    with pytest.raises(ImportFormatError, match=r"did not read any file of it .* could not name what"):
         capture_by_package("own", press)

@@ -211,9 +211,9 @@ def spoil(folder, kind):
         ("sizes differ", r"differ in Bayer order, bits or size"),
         ("no raw page", r"holds no colour filter array \(Bayer\) image"),
         ("not a DNG", r"cannot be read as DNG .*; is the file complete"),
-        ("odd pattern", r"Bayer pattern \[0, 0, 1, 2\] of an image .* is not understood"),
-        ("odd white level", r"white level 1000 DN is not understood; known is 2\^bits - 1"),
-        ("no black level", r"neither metadata \(SensorBlackLevels\) nor a tuning file says the black level"),
+        ("odd pattern", r"Bayer pattern \[0, 0, 1, 2\] of an image .* is not supported"),
+        ("odd white level", r"white level 1000 DN is not supported; it must be 2\^bits - 1"),
+        ("no black level", r"neither metadata \(SensorBlackLevels\) nor a tuning file states the black level"),
     ],
 )
 def test_what_cannot_be_trusted_is_refused(raw_folder, kind, message):

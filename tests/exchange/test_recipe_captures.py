@@ -99,7 +99,7 @@ def test_a_circle_larger_than_its_ball_leaves_the_press_out(tmp_path):
 
 def test_contacts_that_nobody_drew_are_searched_for(tmp_path):
     found = read_by_recipe(write_digit(tmp_path / "f"), shipped("fots-digit", ball=2 * BALL_PX / 21.09))
-    assert found.left_out == {"the recipe leaves it out": ["0001"]}
+    assert found.left_out == {"the recipe excludes it": ["0001"]}
     assert len(found.captures) == 8
     for name, capture in list(found.captures.items())[:3]:
         assert (capture.contact_told_by, capture.no_contact_from) == ("search", "median of presses")
@@ -261,7 +261,7 @@ def test_nothing_pickled_is_opened_and_the_lines_that_convert_it_are_told(tmp_pa
     pickled = plain.model_copy(
         update={"force": plain.force.model_copy(update={"file": "example_data/2023-12-16/{press}_forces.pkl"})}
     )
-    with pytest.raises(ImportFormatError, match="is pickled, and opening it could run a stranger's code"):
+    with pytest.raises(ImportFormatError, match="is pickled, and opening it could run code of an unknown author"):
         read_by_recipe(tmp_path / "v", pickled)
     assert not sprung.exists()
 
@@ -289,7 +289,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         ),
         (('"{press}.png"', '"../{press}.png"'), None, "must be a path within the folder"),
         (('"{press}.png"', '"a.png"'), None, r"must contain \{press\} exactly once"),
-        (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing beside file"),
+        (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing, which belongs to file"),
         (("[indenter]\n", CIRCLE), ('= "x"', '= "y"'), "t.csv: has no column 'y'; it has n, x, r: correct the recipe"),
         (("[indenter]\n", CIRCLE), ('"n"', '"m"'), "has no column 'm' that names the press"),
         (("[indenter]\n", CIRCLE), ('= "x"', '= "r"'), "r of a must be a number, got 'wide'"),
@@ -323,7 +323,7 @@ def test_what_a_recipe_and_a_folder_contradict_is_told(tmp_path, change, of_cont
         (PICTURES + "[contact]\noutline = ['a']\n", "file: missing"),
         (PICTURES + "[picture]\nsize_px = [100, 100]\n", "corners_px and size_px go together"),
         (PICTURES.replace("shape =", "form ="), "form"),
-        (PICTURES.replace("file = \"rest.png\"", "far_pixels = true\nrepeat_file = 'x'"), "repeat_file goes with file"),
+        (PICTURES.replace("file = \"rest.png\"", "far_pixels = true\nrepeat_file = 'x'"), "repeat_file needs file"),
     ],
 )  # fmt: skip
 def test_recipes_that_contradict_themselves_are_refused(tmp_path, text, message):
@@ -344,16 +344,16 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
     with pytest.raises(ImportFormatError, match=r"rest\.png: is neither PNG nor JPEG"):
         read_by_recipe(tmp_path, recipe(PICTURES))
     save(tmp_path / "rest.png", flat((60, 80)))
-    with pytest.raises(ImportFormatError, match=r"several sizes \(160 x 120, 80 x 60 px\)"):
+    with pytest.raises(ImportFormatError, match=r"different sizes \(160 x 120, 80 x 60 px\)"):
         read_by_recipe(tmp_path, recipe(PICTURES))
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"RIFF\0\0\0\0WAVE", "is no AVI video; convert the video: ffmpeg"),
+        (b"RIFF\0\0\0\0WAVE", "is not an AVI video; convert the video: ffmpeg"),
         (b"RIFF\x04\0\0\0AVI ", "holds 0 frames"),
-        (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "its frames are no JPEG pictures"),
+        (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "its frames are not JPEG pictures"),
     ],
 )
 def test_files_that_are_no_motion_jpeg_are_refused(tmp_path, content, message):
@@ -428,7 +428,7 @@ def test_the_median_does_not_use_what_is_left_out(tmp_path):
     chosen = plain.model_copy(update={"presses": plain.presses.model_copy(update={"leave_out": names})})
     found = read_by_recipe(folder, chosen)
     assert float(np.median(found.captures["0000"].no_contact)) == pytest.approx(float(np.median(flat())), abs=3.0)
-    assert found.left_out["the recipe leaves it out"] == list(names)
+    assert found.left_out["the recipe excludes it"] == list(names)
 
 
 def test_who_told_a_circle_is_kept(tmp_path, monkeypatch):

@@ -110,7 +110,7 @@ def _spoil(folder, what):
     contact = np.load(folder / "contact.npy")
     if what == "no untouched image":
         (folder / "no_contact.npy").unlink()
-    elif what == "two kinds":
+    elif what == "different formats":
         (folder / "no_contact.npy").unlink()
         cv2.imwrite(str(folder / "no_contact.png"), np.zeros((*SHAPE, 3), np.uint8))
     elif what == "no encoding":
@@ -139,12 +139,12 @@ def _spoil(folder, what):
     ("what", "message"),
     [
         ("no untouched image", r"there is no no_contact .* beside contact; render the gel untouched"),
-        ("two kinds", r"contact\.npy and no_contact\.png are files of two kinds"),
-        ("no encoding", r'npy files do not say what they hold; write "encoding": "linear"'),
-        ("no order", r"npy files do not say their order"),
+        ("different formats", r"contact\.npy and no_contact\.png have different formats"),
+        ("no encoding", r'npy files do not state what they hold; write "encoding": "linear"'),
+        ("no order", r"npy files do not state the order"),
         ("another size", r"is 160 x 120 px, no_contact\.npy 160 x 118 px; render both with one camera"),
         ("negative", r"expected finite numbers >= 0 of shape \(rows, columns, 3\)"),
-        ("nowhere", r"nothing says where the contact is, and a score needs its region"),
+        ("nowhere", r"the place of the contact is not given, and a score needs its region"),
         ("flat", r"expected finite depths in mm of 120 x 160"),
         ("pickled", r"pickled files are refused"),
         ("unknown word", r"render\.json: .*encoding"),

@@ -266,7 +266,7 @@ def benchmark_seconds():
 @pytest.mark.parametrize(
     ("yields", "message"),
     [
-        ([], "first yield must be the laser's at 450 nm, it is missing"),
+        ([], "first yield must be the laser's at 450 nm, but it is missing"),
         (lines((405.0,), (1.0,)), "it is 405 nm"),
         (lines((450.0, 405.0), (1.0, 0.0)), "yield 0 with relative uncertainty 0.03 at 405 nm"),
         (lines((450.0, 405.0), (1.0, 1.0), 0.6), "measure this light longer"),
@@ -293,7 +293,7 @@ def test_unusable_emission_is_refused(emission, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"ln_stokes_sd": 0.0}, "ln_stokes_sd is 0, it must be above 0"),
+        ({"ln_stokes_sd": 0.0}, "ln_stokes_sd is 0, but must be above 0"),
         ({"blue_floor_high_rel": 0.01}, "blue floor runs from 0.02 to 0.01"),
     ],
 )

@@ -93,7 +93,7 @@ def test_rows_are_band_major_and_the_laser_is_found(weights):
         ({"laser": np.zeros(401)}, CurveError, "laser: area is zero"),
         ({"lamp": np.zeros(401)}, FitError, "white signal of band 0, channel 0 is zero"),
         ({"filters": FilterSet(np.ones((8, 401)), 8)}, FitError, "there are bands 0 to 7"),
-        ({"channel_weights": (1.0, 1.0, 1.0)}, FitError, "sum is 3, must be 1"),
+        ({"channel_weights": (1.0, 1.0, 1.0)}, FitError, "sum is 3, but must be 1"),
         ({"channel_weights": (0.5, 0.5)}, CurveError, "channel_weights: shape"),
     ],
 )

@@ -90,8 +90,8 @@ def test_the_next_filter_is_where_the_posterior_is_widest():
     ("options", "match"),
     [
         ({"keep_nm": [406.0]}, "no filter of the rig is centred at 406 nm"),
-        ({"number": 1}, "filters are asked for; give 2 to"),
-        ({"number": 200}, "filters are asked for; give 2 to"),
+        ({"number": 1}, "filters were requested; give 2 to"),
+        ({"number": 200}, "filters were requested; give 2 to"),
     ],
 )
 def test_what_cannot_be_designed_is_refused(options, match):

@@ -272,7 +272,7 @@ def test_unusable_band_data_are_refused(weights):
     skew[0, 1] = 1e-7
     zero = 1e-6 * np.eye(24)
     zero[7, 7] = 0.0
-    with pytest.raises(FitError, match="only 3 bands have a usable channel, at least 4"):
+    with pytest.raises(FitError, match="only 3 bands have a usable channel, but at least 4"):
         changed(weights, usable=few)
     with pytest.raises(FitError, match="NaN or infinite"):
         changed(weights, y=nan)

@@ -240,7 +240,7 @@ def without_shape(ln_weight):
 
 
 def test_unusable_sessions_are_refused(bands):
-    with pytest.raises(FitError, match="only 3 bands have a usable channel, at least 4"):
+    with pytest.raises(FitError, match="only 3 bands have a usable channel, but at least 4"):
         band_data(flagged(bands, {"405", "500", "532", "560", "600"}))
     y = bands.fluorescence.copy()
     y[2, 1] = np.nan
@@ -262,7 +262,7 @@ def under_another_light(bands, **fields):
 
 
 def test_another_light_of_another_paint_is_refused(bands):
-    with pytest.raises(FitError, match="a session is of paint 'green', the first of 'red'"):
+    with pytest.raises(FitError, match="one session is of paint 'green', but the first is of paint 'red'"):
         calibrate_paint(bands, 1, FEW, other_lights=[under_another_light(bands, paint_name="green")])
 
 

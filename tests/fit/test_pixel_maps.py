@@ -282,7 +282,9 @@ def test_map_from_files(calibrated, optics, tmp_path, capsys):
 def test_what_does_not_belong_together_is_refused(calibrated, optics):
     rng = np.random.default_rng(4)
     pixels = scene("zheng2014", optics, np.tile(center_of("zheng2014"), (64, 1)), rng).pixels
-    with pytest.raises(FitError, match="the pixels are of 'green', the fit is of 'orange'; give the fit of the same"):
+    with pytest.raises(
+        FitError, match="the pixels belong to paint 'green', but the fit to paint 'orange'; give the fit of the same"
+    ):
         map_paint(changed(pixels, paint_name="green"), calibrated)
     fewer = changed(optics, filters=optics.filters[:7])
     cut = {name: getattr(pixels, name)[:7] for name in ("fluorescence", "fluorescence_sd", "common_sd_rel")}

@@ -117,11 +117,13 @@ def test_sessions_that_are_no_repeats_are_refused(session):
     one, two = session(rng), session(rng)
     with pytest.raises(FitError, match="one session alone has nothing to be combined with"):
         combine_sessions([one])
-    with pytest.raises(FitError, match=r"session 2 is of paint 'other', the first of .*; give sessions of one paint"):
+    with pytest.raises(
+        FitError, match=r"session 2 is of paint 'other', but the first is of paint .*; give sessions of one paint"
+    ):
         combine_sessions([one, two.model_copy(update={"paint_name": "other"})])
     laser = two.optics.laser.model_copy(update={"wavelength_nm": 405.0})
     with pytest.raises(
-        FitError, match=r"excited at 405 nm, the first at .*: another light .* is given with --other-light"
+        FitError, match=r"excited at 405 nm, the first at .*: give a session under another light with --other-light"
     ):
         combine_sessions([one, two.model_copy(update={"optics": two.optics.model_copy(update={"laser": laser})})])
     white = two.optics.white_reference.model_copy(update={"reflectance": 0.9})

@@ -90,7 +90,7 @@ def test_a_rig_is_opened(lab):
 
 def test_plans_that_ask_a_person_are_left_to_the_command_line(lab, tmp_path):
     (tmp_path / "plan.toml").write_text('kind = "tactile"\n')
-    with pytest.raises(CaptureError, match="plans of kind 'tactile' are captured by 'finray capture'"):
+    with pytest.raises(CaptureError, match="plans of kind 'tactile' need a person at the rig"):
         finray.capture_session(tmp_path / "plan.toml", lab / "rig.toml", tmp_path / "session")
 
 
@@ -111,7 +111,7 @@ def test_a_render_names_its_paints_and_is_recoloured(lab, paint, rendered, tmp_p
     assert f"{lab}/finger.toml" in rendered.provenance.input_sha256
     grey = finray.recolour_press(rendered, white_balance="pad")
     assert not np.array_equal(grey.contact, rendered.contact)
-    with pytest.raises(SimulateError, match="no change is asked for"):
+    with pytest.raises(SimulateError, match="no change is given"):
         finray.recolour_press(rendered)
     with pytest.raises(SimulateError, match="give both red and green"):
         finray.recolour_press(rendered, red=paint)
@@ -145,7 +145,7 @@ def test_a_sweep_leads_to_a_decision(lab, paint):
     assert not decision.validated
     with pytest.raises(SimulateError, match=r"angles_deg: .*rad"):
         finray.sweep_light_angle("flat-70x35", [0.0, 0.5, 1.0, 1.5], red=paint, green=paint)
-    with pytest.raises(SimulateError, match="sweeps are made with level b"):
+    with pytest.raises(SimulateError, match="sweeps are always made with level b"):
         finray.sweep_light_angle("flat-70x35", [0, 30, 60, 90], red=paint, green=paint, level="c")
 
 
@@ -182,7 +182,7 @@ def test_a_finger_is_pressed_rendered_and_its_force_compared(lab, paint, tmp_pat
     assert "finite elements" in " ".join(press.notes)
     forced = finray.press_finger(design, increments=2, force_n=0.5 * float(pressed.mechanics.force_n[-1, 1]))
     assert forced.mechanics.wanted_force_n is not None
-    with pytest.raises(SimulateError, match="force_n is reached by the penalty contact only"):
+    with pytest.raises(SimulateError, match="force_n needs the penalty contact"):
         finray.press_finger(design, force_n=1.0, contact="barrier")
 
 

@@ -231,7 +231,7 @@ def test_design_keeps_its_package_and_refuses_another_version(parts, tmp_path):
         lambda: elsewhere.indenter.plug_in(),
         lambda: material_of(elsewhere.mechanics.gel),
     ):
-        with pytest.raises(SimulateError, match=r"is that of my-finger-parts 0\.0 in this design, and my-finger-parts"):
+        with pytest.raises(SimulateError, match=r"comes from my-finger-parts 0\.0 in this design, but my-finger-parts"):
             use()
 
 
@@ -246,7 +246,7 @@ def test_page_of_a_finger_shows_them(tmp_path):
 
 def test_record_is_read_where_the_package_is_not_installed():
     design = FingerDesign(pad=GelPad(shape="barrel", parameters={"radius_mm": 60.0}, package="my-finger-parts 0.1"))
-    with pytest.raises(SimulateError, match=r"no installed package brings the pad shape 'barrel'; there are: flat, "):
+    with pytest.raises(SimulateError, match=r"no installed package provides the pad shape 'barrel'; there are: flat, "):
         design.pad.drop_mm(0.0, 0.0)
 
 
@@ -254,16 +254,22 @@ def test_record_is_read_where_the_package_is_not_installed():
 @pytest.mark.parametrize(
     ("table", "told"),
     [
-        ('shape = "barel"', r"finger\.toml: 'pad': no installed package brings the pad shape 'barel'; there are: flat"),
+        (
+            'shape = "barel"',
+            r"finger\.toml: 'pad': no installed package provides the pad shape 'barel'; there are",
+        ),
         (
             'shape = "barrel"\nparameters = { radius = 40.0 }',
             r"pad shape 'barrel' of package my-finger-parts 0\.1 takes the parameters radius_mm, along_radius_mm \(by "
-            r"default 0\.0\), and the design gives radius",
+            r"default 0\.0\), but the design gives radius",
         ),
         ('shape = "barrel"\nparameters = { radius_mm = 9.0 }', r"fails|leaves no gel|not finite"),
         ('shape = "barrel"\nparameters = { radius_mm = "9" }', r"parameters\.radius_mm.*must be a number"),
-        ('shape = "flat"\nparameters = { radius_mm = 40.0 }', r"pad\.parameters has no effect: it is of what another"),
-        ('shape = "flat"\npackage = "my-finger-parts 0.1"', r"pad\.package has no effect: it is of what another"),
+        (
+            'shape = "flat"\nparameters = { radius_mm = 40.0 }',
+            r"pad\.parameters has no effect: it belongs to",
+        ),
+        ('shape = "flat"\npackage = "my-finger-parts 0.1"', r"pad\.package has no effect: it belongs to what another"),
     ],
 )
 def test_mistakes_in_a_design_are_told(tmp_path, table, told):
@@ -281,7 +287,10 @@ def test_mistakes_in_a_design_are_told(tmp_path, table, told):
         ("import not_there_at_all\n", r"cannot be imported \(ModuleNotFoundError"),
         ("def energy(stretches): ...\n", r"lacks energy_mpa\(stretches, \.\.\.\) in its module bad_law"),
         ("def energy_mpa(stretches):\n    return 1 / 0\n", r"fails \(ZeroDivisionError: division by zero\)"),
-        ("def energy_mpa(stretches):\n    return stretches\n", r"returns no tuple of energy, gradient and second"),
+        (
+            "def energy_mpa(stretches):\n    return stretches\n",
+            r"does not return a tuple of energy, gradient",
+        ),
         ("def energy_mpa(s):\n    return s[:, 0], s, s\n", r"returns its second derivative of shape \(1, 3\), where"),
         ("def energy_mpa(s):\n    return s[:, 0] / 0.0, s, s[:, :, None] * s[:, None]\n", r"energy that is not finite"),
     ],
@@ -298,10 +307,10 @@ def test_mistakes_of_an_author_name_the_package(site, source, told):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("slope = c1_mpa +", "slope = 1.01 * c1_mpa +", "gives a gradient that is not the energy's"),
-        ("bend = 2.0", "bend = 3.0", "gives a second derivative that is not the gradient's"),
+        ("slope = c1_mpa +", "slope = 1.01 * c1_mpa +", "gives a gradient that does not belong to the energy"),
+        ("bend = 2.0", "bend = 3.0", "gives a second derivative that does not belong to the gradient"),
         ("energy = excess", "energy = 0.5 + excess", "gives an energy at rest that is not 0 MPa: off by 0.5 MPa"),
-        ("- 3.0\n", "- 3.0 + 0.1 * (stretches[:, 0] - 1.0) ** 4\n", "a gradient that is not the energy's"),
+        ("- 3.0\n", "- 3.0 + 0.1 * (stretches[:, 0] - 1.0) ** 4\n", "a gradient that does not belong to the energy"),
         ("* np.eye(3)", "* (np.eye(3) + np.eye(3, k=1) * 0.1)", "second derivative that is not symmetric"),
     ],
 )
@@ -320,13 +329,21 @@ def test_unstable_material_is_refused():
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("way / np.maximum(length", "1.01 * way / np.maximum(length", "gives a gradient that is not its distance's"),
+        (
+            "way / np.maximum(length",
+            "1.01 * way / np.maximum(length",
+            "a gradient that does not belong to its dist",
+        ),
         (
             "return length - self.radius_mm, way /",
             "return 2 * (length - self.radius_mm), 2 * way /",
-            "gives no distance",
+            "does not give a distance",
         ),
-        ("return length - self.radius_mm,", "return length + self.radius_mm,", "is no closed body about its origin"),
+        (
+            "return length - self.radius_mm,",
+            "return length + self.radius_mm,",
+            "is not a closed body around",
+        ),
         ("return length - self.radius_mm,", "return length[:-1],", r"returns distances of shape \(400,\), where"),
         ("return Capsule(radius_mm, half_length_mm)", "return 7", "returns a int as its body, which lacks distances"),
     ],
@@ -345,7 +362,9 @@ def test_body_that_a_ray_leaves_twice_is_refused():
         return np.minimum(near - 6.0, other - 9.0), way / np.linalg.norm(way, axis=1, keepdims=True)
 
     two_balls = SimpleNamespace(body=lambda: SimpleNamespace(distances=distances))
-    with pytest.raises(SimulateError, match=r"is not seen whole from its origin: \d+ of 400 rays leave the body more"):
+    with pytest.raises(
+        SimulateError, match=r"is not fully visible from its origin: \d+ of 400 rays leave the body more"
+    ):
         check_indenter_shape(two_balls)
 
 
@@ -376,7 +395,11 @@ def body():
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("return sagitta(radius_mm, x_mm) + along", "return sagitta(radius_mm, x_mm - 3.0) + along", "crown elsewhere"),
+        (
+            "return sagitta(radius_mm, x_mm) + along",
+            "return sagitta(radius_mm, x_mm - 3.0) + along",
+            "its crown at",
+        ),
         ("return sagitta(radius_mm, x_mm) + along", "return 9.0 * sagitta(radius_mm, x_mm) + along", "leaves no gel"),
         ("return max(r**2", "return 0.5 * max(r**2", "more than the 0.0[0-9]+ per mm that its most_curvature_per_mm"),
         ("return sagitta(radius_mm, x_mm) + along", "return 0.0", r"returns drop_mm of shape \(\), where \(41, 41\)"),
@@ -390,7 +413,11 @@ def test_pad_that_breaks_its_contract_is_refused(old, new, told):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ('BETTER = "lower"', 'BETTER = "higher"', "0 for the captured image itself and .* says that higher is better"),
+        (
+            'BETTER = "lower"',
+            'BETTER = "higher"',
+            "0 for the captured image itself and .* declares that higher is better",
+        ),
         ('BETTER = "lower"', 'BETTER = "less"', "has BETTER = 'less', where"),
         ('UNIT = "1"', "UNIT = 1", "has UNIT = 1, where a text is needed"),
         ("(candidate - captured)[region]", "(candidate - captured)", "depends on pixels outside the region"),
@@ -413,7 +440,7 @@ def test_metric_that_nobody_brings_is_refused(parts, tmp_path):
     )
     assert outcome.status == 2
     assert (
-        "no installed package brings the metric 'men-error'; there are: metric 'mean-error' of package" in outcome.err
+        "no installed package provides the metric 'men-error'; there are: metric 'mean-error' of package" in outcome.err
     )
 
 

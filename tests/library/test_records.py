@@ -82,7 +82,7 @@ def test_draws_go_through_a_function_of_the_user(example):
     rgb = example.propagate(lambda emission_per_nm: emission_per_nm[:3])
     assert rgb.estimate.shape == rgb.low95.shape == rgb.sd.shape == (3,)
     assert repr(rgb) == "PropagatedDraws: 40 draws of shape (3,); see estimate, low95, high95"
-    with pytest.raises(RecordError, match=r"of one number, .* shape \(3,\); take estimate"):
+    with pytest.raises(RecordError, match=r"holds one number, .* shape \(3,\); take estimate"):
         rgb.as_estimate()
 
 

@@ -264,12 +264,12 @@ def only_the_first_of_each(frame: Frame, counts: np.ndarray) -> np.ndarray | Non
     [
         (darkless, r"no dark frames of 0\.0014375 s, .* \(16 of 16 exposures lack them\); capture them at every"),
         (darkless_at_one_exposure, r"no dark frames of 0\.0071875 s \(1 of 16 exposures lack them\)"),
-        (few_levels, r"flat frames at 9 exposures, at least 10 are needed: raise plan\.levels"),
+        (few_levels, r"flat frames at 9 exposures, but at least 10 are needed: raise plan\.levels"),
         (saturated, r"red channel: 0 of 16 exposures give unsaturated counts at 0 % to 70 % .* 16 are saturated"),
         (nan, r"white frames of 0\.0014375 s: frame 1 holds NaN"),
         (frozen, r"red channel: the frames of \d+ of \d+ exposures are equal \(variance 0 DN\^2\)"),
         (short, r"white frames of 0\.0014375 s: frame 2 has 60 x 64 px, those before have 64 x 64 px"),
-        (only_the_first_of_each, r"white frames of 0\.0014375 s: 1 frame, at least 2 of the same exposure"),
+        (only_the_first_of_each, r"white frames of 0\.0014375 s: 1 frame, but at least 2 of the same exposure"),
     ],
 )
 def test_session_that_cannot_be_characterised(

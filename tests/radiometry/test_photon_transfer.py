@@ -367,7 +367,7 @@ def test_nan_is_refused() -> None:
 
 
 def test_single_frame_is_refused() -> None:
-    with pytest.raises(RadiometryError, match=r"test frames: 1 frame, at least 2 of the same exposure"):
+    with pytest.raises(RadiometryError, match=r"test frames: 1 frame, but at least 2 of the same exposure"):
         stack_of(np.ones((8, 8)))
 
 

@@ -172,7 +172,7 @@ def test_settings_are_read_in_seconds_and_fractions():
         ({"ExposureTimeMode": 0}, r"auto exposure was on \(ExposureTimeMode = 0\)"),
         ({"AnalogueGainMode": 0}, r"auto gain was on"),
         ({"AeState": 2}, r"auto exposure \(AeState 1 searching, 2 converged\) was on \(AeState = 2\)"),
-        ({"ExposureTime": None}, r"its metadata has no ExposureTime, so nothing says how it was exposed"),
+        ({"ExposureTime": None}, r"its metadata has no ExposureTime, so its exposure is not known"),
         ({"ColourGains": None}, r"its metadata has no ColourGains"),
         ({"ColourGains": [1.0]}, r"ColourGains is \[1.0\]; it must be 2 finite number\(s\) above 0"),
         ({"AnalogueGain": "high"}, r"AnalogueGain is 'high'; it must be 1 finite number"),

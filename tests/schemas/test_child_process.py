@@ -56,8 +56,8 @@ def test_results_and_messages_come_back_from_one_process(child):
 @pytest.mark.parametrize(
     ("function", "arguments", "message"),
     [
-        ("raise_signal", {"number": signal.SIGSEGV}, r"^was ended by SIGSEGV \(it touched memory that is not its own"),
-        ("read_address_zero", {}, r"^was ended by SIGSEGV \(it touched memory"),
+        ("raise_signal", {"number": signal.SIGSEGV}, r"^was ended by SIGSEGV \(it used memory that does not belong"),
+        ("read_address_zero", {}, r"^was ended by SIGSEGV \(it used memory"),
         ("raise_signal", {"number": signal.SIGILL}, r"^was ended by SIGILL \(a compiled library uses instructions"),
         pytest.param(
             "run_illegal_instruction", {}, r"^was ended by SIGILL \(a compiled library uses instructions that this",
@@ -65,7 +65,7 @@ def test_results_and_messages_come_back_from_one_process(child):
         ),
         ("raise_signal", {"number": signal.SIGABRT}, r"^was ended by SIGABRT \(a compiled library aborted\)"),
         ("raise_signal", {"number": signal.SIGKILL}, r"^was killed \(SIGKILL\): by a person, or by the"),
-        ("raise_signal", {"number": signal.SIGTERM}, r"^was ended by SIGTERM \(somebody or the system asked it"),
+        ("raise_signal", {"number": signal.SIGTERM}, r"^was ended by SIGTERM \(a person or the system asked it"),
         ("leave", {}, r"^ended by itself with status 7 before it was done"),
         ("stumble", {}, r"^failed by a fault of finray itself \(TypeError: a fault of ours\)$"),
     ],

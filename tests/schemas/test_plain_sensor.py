@@ -85,11 +85,11 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_reflectance = 0.5\ndiffuse_reflectance_rgb = [0.1, 0.2, 0.3]\n',
-            RecordError, r"diffuse_reflectance has no effect: coating\.diffuse_reflectance_rgb states",
+            RecordError, r"diffuse_reflectance has no effect: coating\.diffuse_reflectance_rgb already states",
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_reflectance_rgb = [0.1, 0.2, 0.3]\n[coating.translucent]\n',
-            RecordError, r"diffuse_reflectance_rgb has no effect: coating\.translucent has its own",
+            RecordError, r"diffuse_reflectance_rgb has no effect: coating\.translucent already has its own",
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_share = 1.0\nroughness_alpha = 0.2\n',
@@ -97,11 +97,11 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[camera]\ncalibration = "lens.yaml"\nfield_of_view_deg = 40.0\n',
-            RecordError, r"field_of_view_deg has no effect: camera\.calibration states",
+            RecordError, r"field_of_view_deg has no effect: camera\.calibration already states",
         ),
         (
             'kind = "sensor"\n[surface]\nfile = "a.stl"\nstep_mm = 0.1\n', RecordError,
-            r"surface\.step_mm has no effect: it is of a height map",
+            r"surface\.step_mm has no effect: it belongs to a height map",
         ),
         (
             'kind = "sensor"\n[origin]\n"lights.wdith_mm" = "measured"\n', RecordError,

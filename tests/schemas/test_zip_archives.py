@@ -196,7 +196,7 @@ POISONED: dict[str, tuple[Callable[[Path], Path], str]] = {
     "other packing": (lambda p: one(p, entry("a", method=zipfile.ZIP_BZIP2)), "neither stored nor deflated"),
     "bomb": (lambda p: packed(p, {"a": bytes(32 << 20)}), "grows from .* to 33554432 bytes, over 200 times"),
     "over another": (_overlapping, "overlaps another file"),
-    "forged list": (_forged_list, "its list of files takes 1073741824 bytes, at most 16777216 are read"),
+    "forged list": (_forged_list, "its list of files takes 1073741824 bytes, but at most 16777216 are read"),
     "cut off": (lambda p: (p.write_bytes(packed(p, CONTENT).read_bytes()[:-30]), p)[1], "cannot be read as a zip"),
     "no archive": (lambda p: (p.write_bytes(b"PK\x03\x04" + bytes(99)), p)[1], "cannot be read as a zip archive"),
     "empty": (lambda p: (p.write_bytes(b""), p)[1], "cannot be read as a zip archive"),
@@ -228,11 +228,11 @@ def test_an_encrypted_file_is_refused(tmp_path: Path) -> None:
 def test_too_many_files_and_too_many_bytes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = packed(tmp_path / "set.zip", CONTENT)
     monkeypatch.setattr(limits, "MOST_MEMBERS", 2)
-    with pytest.raises(RecordError, match="holds 3 files, at most 2 are read"):
+    with pytest.raises(RecordError, match="holds 3 files, but at most 2 are read"):
         folder_at(path)
     monkeypatch.setattr(limits, "MOST_MEMBERS", 3)
     monkeypatch.setattr(limits, "LARGEST_UNPACKED_BYTES", 1000)
-    with pytest.raises(RecordError, match=r"GB when unpacked, at most .* GB are read; unpack it and give the folder"):
+    with pytest.raises(RecordError, match=r"GB when unpacked, but at most .* GB are read; unpack it"):
         folder_at(path)
 
 
@@ -242,7 +242,9 @@ def test_a_file_whose_bytes_changed_is_refused_as_it_is_read(tmp_path: Path, met
     content = bytearray(path.read_bytes())
     content[30 + len("one.txt") + 3] ^= 0x10
     path.write_bytes(bytes(content))
-    with pytest.raises(RecordError, match=r"set.zip/one.txt: is damaged in its archive \(.*\); make the archive anew"):
+    with pytest.raises(
+        RecordError, match=r"set.zip/one.txt: is damaged in its archive \(.*\); create the archive again"
+    ):
         read_bytes(path / "one.txt")
     assert read_bytes(path / "two.txt") == b"2"
 

@@ -50,7 +50,7 @@ def evaluated(design: FingerDesign) -> EvaluatedDesign:
         ("light.angle_deg=0:300", "light.angle_deg = 300 is not possible"),
         ("light.position_mm=-14:-7", "for a place, name its coordinate, as in light.position_mm[y]"),
         ("camera.position_mm[y]=-14:-7", "write it into the design file first"),
-        ("pad.shape=0:1", "is 'flat', no number"),
+        ("pad.shape=0:1", "is 'flat', which is not a number"),
         ("coating.diffuse_share", "has no usual limits; give them as coating.diffuse_share=LOW:HIGH"),
     ],
 )

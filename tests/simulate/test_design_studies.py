@@ -143,7 +143,10 @@ def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text
         ("count = 4\n" + vary("seed", [1]), r'count goes with combine = "random", and only with it'),
         ('combine = "random"\ncount = 4\n' + vary("seed", [1]), r'combine = "random" needs low and high, not values'),
         ('[[vary]]\nfield = "seed"\nlow = 1.0\nhigh = 2.0\n', r'low and high need combine = "random"; give values'),
-        ('combine = "together"\n' + vary("seed", [1]) + vary("light.angle_deg", [1.0, 2.0]), r"must be of one length"),
+        (
+            'combine = "together"\n' + vary("seed", [1]) + vary("light.angle_deg", [1.0, 2.0]),
+            r"must have the same",
+        ),
         ("[measure]\nimages = false\n" + vary("seed", [1]), r'press = "analytic" without images computes nothing'),
     ],
 )

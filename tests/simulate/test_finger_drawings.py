@@ -158,7 +158,7 @@ def test_the_report_of_the_demo_shows_the_pressed_finger_and_what_nobody_measure
     simulated, compared = simulate_section(results), compare_section(results)
     assert "6.00 N at a push of 3 mm, a force that no measurement has confirmed" in simulated.lead
     assert simulated.picture_rows[0][0].source.startswith("data:image/png;base64,")
-    assert "the score says nothing about the mechanics" in compared.lead
+    assert "so the score does not test the mechanics" in compared.lead
     assert len(simulate_section(bare).picture_rows) == len(simulated.picture_rows) - 1
     assert "mechanics" not in compare_section(bare).lead
 
@@ -186,7 +186,7 @@ def curve(mechanics):
 def test_the_curve_of_a_press_to_a_force_marks_the_force_that_was_wanted():
     mechanics, _ = press_records(3.0, "no equilibrium")
     of_force = curve(mechanics.model_copy(update={"wanted_force_n": 9.0}))
-    for axes, said in ((curve(mechanics), "the push that was wanted, 3 mm"), (of_force, "force that was wanted, 9 N")):
+    for axes, said in ((curve(mechanics), "requested push, 3 mm"), (of_force, "requested force, 9 N")):
         (label,) = (text.get_text() for text in axes.get_legend().get_texts())
         assert said in label
     assert list(of_force.lines[-1].get_ydata()) == [9.0, 9.0]

@@ -83,7 +83,7 @@ def test_a_gpu_is_proven_before_it_is_opened(monkeypatch):
     assert variants.choose_variant("cuda", spectral=True).variant == "cuda_ad_spectral"
     assert asked == [("cuda_ad_rgb", None), ("cuda_ad_spectral", None)]
     monkeypatch.setattr(variants, "prove_variant", lambda variant: "the proof picture ended with status -6")
-    with pytest.raises(MissingExtraError, match=r"on a GPU, but the proof .* status -6; .*NVIDIA driver"):
+    with pytest.raises(MissingExtraError, match=r"on the GPU was requested, but the proof .* status -6; .*NVIDIA"):
         variants.choose_variant("cuda")
 
 

@@ -44,7 +44,9 @@ def test_the_proof_refuses_a_bogus_library(tmp_path):
     choice = variants.choose_variant("auto", libraries=[str(bogus)])
     assert choice.variant == "scalar_rgb"
     assert "libLLVM-19.so: the proof picture failed (ImportError: " in choice.note
-    with pytest.raises(MissingExtraError, match=r"asked for with LLVM, but .*libLLVM-19\.so: the proof picture failed"):
+    with pytest.raises(
+        MissingExtraError, match=r"with LLVM was requested, but .*libLLVM-19\.so: the proof picture failed"
+    ):
         variants.choose_variant("llvm", libraries=[str(bogus)])
 
 

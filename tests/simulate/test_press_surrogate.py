@@ -237,7 +237,7 @@ def test_teaching_goes_on_after_the_last_press(
     np.testing.assert_allclose(again.amplitudes_rel, taught.amplitudes_rel)
     stiffer = design.model_copy(update={"pad": design.pad.model_copy(update={"length_mm": 50.0})})
     kept[0] = kept[0].model_copy(update={"design": stiffer})
-    with pytest.raises(SimulateError, match="press 1 that is stored is of another design"):
+    with pytest.raises(SimulateError, match="press 1 in the folder belongs to another design"):
         teach_surrogate(design, TeachSettings(PRESSES), stored=kept.get)
 
 
@@ -294,7 +294,7 @@ def test_an_answer_is_doubted_beyond_the_limit_and_where_ribs_cross(
     design: FingerDesign, taught: PressSurrogate
 ) -> None:
     assert not SurrogateFinger(taught, 1.0).press(design.indenter).doubt
-    assert "is the limit" in SurrogateFinger(taught, 1e-9).press(design.indenter).doubt
+    assert "the limit is" in SurrogateFinger(taught, 1e-9).press(design.indenter).doubt
     place = taught.family.features(design.indenter)[None]
     crossed = taught.model_copy(update={"crossed_features": place})
     assert "ribs pass through each other" in SurrogateFinger(crossed, 1.0).press(design.indenter).doubt
@@ -309,7 +309,7 @@ def test_what_comes_after_ribs_cross_teaches_nothing(finger: CondensedFinger, pr
 
 def test_a_condensation_of_another_mesh_is_refused(design: FingerDesign, condensed: Condensation) -> None:
     other = replace(condensed, compliance_mm_per_n=condensed.compliance_mm_per_n[:-3, :-3])
-    with pytest.raises(SimulateError, match="is of another mesh: its coat has"):
+    with pytest.raises(SimulateError, match="belongs to another mesh: its coat has"):
         CondensedFinger(design, "coarse", other)
 
 
@@ -331,7 +331,7 @@ def command(
     monkeypatch.setattr(surrogate, "press_to_teach", by_the_law(finger))
     (tmp_path / "finger.toml").write_text(BABY + "radius_mm = 10.0\ndepth_mm = 0.6\n")
     said = succeed(f"simulate teach {tmp_path}/finger.toml --presses 20 --out {tmp_path}/f.surrogate.json")
-    assert "surface: half of the presses that were left out are off by up to" in said
+    assert "surface: of the presses kept for testing, half have an error of up to" in said
     assert "look at" in said
     assert len(list((tmp_path / "f.presses").glob("*.json"))) == 20
     return f"simulate press {tmp_path}/finger.toml --surrogate {tmp_path}/f.surrogate.json --out {tmp_path}"
@@ -340,7 +340,7 @@ def command(
 def test_the_command_answers_by_a_surrogate(command: str, tmp_path: Path) -> None:
     said = succeed(f"{command}/quick.press.json --largest-error 1")
     assert "+-" in said
-    assert "a surrogate's answer" in said
+    assert "answer of a surrogate" in said
     stored = read_record(tmp_path / "quick.mechanics.json", PressMechanics)
     assert stored.surrogate is not None
     assert np.isnan(stored.energy_n_mm).all()

@@ -97,7 +97,7 @@ def test_what_taught_is_not_predicted(gel):
 
 def test_refusals():
     presses = [capture(number) for number in range(3)]
-    with pytest.raises(SimulateError, match="2 presses teach; the model of an elastic gel needs at least 3"):
+    with pytest.raises(SimulateError, match="2 teaching presses, but the model of an elastic gel needs at least 3"):
         teach_gel(presses[:2])
     for change in (
         {"contact_circle": None}, {"mm_per_px": None},

@@ -44,7 +44,7 @@ def test_presses_lie_evenly_on_the_pad():
 @pytest.mark.parametrize(
     ("pad", "ball_mm", "message"),
     [
-        (DOME, 2.0, "Taxim's table takes every slope for contact"),
+        (DOME, 2.0, "Taxim's table treats every slope as contact"),
         (
             SENSOR.pad,
             1.0,
@@ -148,7 +148,7 @@ def test_a_pad_that_is_hardly_seen_is_refused(monkeypatch):
     monkeypatch.setattr(taxim_finger, "render_press", lambda *_, **__: small)
     monkeypatch.setattr(taxim_finger.PaintedFinger, "camera_matrix", lambda *_: np.eye(3))
     finger = taxim_finger.PaintedFinger(FingerDesign(), {"red": None, "green": None}, (), None)
-    with pytest.raises(SimulateError, match="25 pixels see the pad, at least 100 are needed"):
+    with pytest.raises(SimulateError, match="25 pixels see the pad, but at least 100 are needed"):
         taxim_finger.render_finger_presses(finger, 4.0, 2)
     with pytest.raises(SimulateError, match="count = 0: at least one press"):
         taxim_finger.render_finger_presses(finger, 4.0, 0)

@@ -111,11 +111,12 @@ def _verdict(camera: CameraCharacterisation) -> tuple[str, Light, str]:
     bent = [c.channel for c in camera.channels if c.chi_square_p < SMALLEST_CHI_SQUARE_P]
     if bent:
         return "The camera model does not hold", "bad", (
-            f"The noise of {_listed(bent)} does not grow with the signal as that of photons does; see what was found."
+            f"The noise of {_listed(bent)} does not grow with the signal as that of photons does; read the "
+            "findings below."
         )  # fmt: skip
     grows = "The noise of every channel grows with the signal as that of photons does"
     if _findings(camera) or camera.warnings:
-        return "The camera model holds, with remarks", "care", f"{grows}; read what was found."
+        return "The camera model holds, with remarks", "care", f"{grows}; read the findings below."
     return "The camera model holds", "good", f"{grows}, and the signal with the exposure."
 
 
@@ -297,15 +298,15 @@ def _limits(camera: CameraCharacterisation) -> tuple[str, ...]:
     return (
         "Quantum efficiency, responsivity, and threshold and saturation in photons are not known: they need a light "
         "source of known irradiance.",
-        "The light is the rig's own lamp on the white tile. It is not as even as the standard asks for, so the "
-        "non-uniformity without high-pass includes lamp, lens and tile. The high-pass removes these: what changes "
-        "slowly from row to row or column to column is in no PRNU.",
+        "The light is the rig's own lamp on the white tile. It is not as even as the standard asks for, so "
+        "the non-uniformity without high-pass includes lamp, lens and tile. The high-pass removes these: no "
+        "PRNU includes what changes slowly from row to row or column to column.",
         _of_lines(camera),
         "There are no spectrograms and no counts of defect pixels.",
         f"One exposure of the lamp repeats within {percent(camera.light_repeatability_rel)} (one standard deviation, "
         "with drift). A linearity error below that cannot be seen.",
-        "The exposure times are those that the camera reports: an offset of its shutter shows in the linearity line, "
-        "a proportional error is not seen.",
+        "The exposure times are those that the camera reports: an offset of its shutter shows in the "
+        "linearity line, but a proportional error cannot be seen.",
         "The temperature of the sensor was not recorded. Dark current doubles every 6 to 10 degrees, and the numbers "
         "hold for these settings of the camera.",
         "Saturation lies between two exposures: its interval reaches from one to the other.",

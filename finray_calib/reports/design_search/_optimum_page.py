@@ -195,8 +195,8 @@ def _found(optimum: DesignOptimum) -> Iterator[str]:
         share = (chosen[one.field] - one.low) / (one.high - one.low)
         if min(share, 1.0 - share) < _AT_LIMIT:
             yield (
-                f"{one.field} ends at its limit ({chosen[one.field]:.4g}): beyond it the finger may be better still; "
-                "widen the limit if it can be built."
+                f"{one.field} ends at its limit ({chosen[one.field]:.4g}): the finger may be still better "
+                "beyond it; widen the limit if it can be built."
             )
     failed = [row for row in optimum.designs if row.failure]
     if failed:
@@ -428,7 +428,7 @@ def _widest(optimum: DesignOptimum, objective: DesignObjective) -> str:
     effects = [e for e in optimum.effects if e.objective == objective.name]
     spans = {e.parameter: (max(e.mean) - min(e.mean)) / max(min(e.mean), 1e-12) for e in effects}
     name = max(spans, key=lambda one: spans[one])
-    return f"{name} moves it most on its own, by {percent(spans[name])} from least to greatest."
+    return f"{name} changes it most on its own, by {percent(spans[name])} from least to greatest."
 
 
 def _limits(optimum: DesignOptimum) -> tuple[str, ...]:
@@ -486,8 +486,9 @@ def light_powers_page(record: LightPowers, command: str, digests: Mapping[str, s
         ReportPage(
             verb="finray design lights",
             title=record.name,
-            lead="Light adds: each light is traced once, and the powers that light the coat most evenly are found.",
-            verdict=f"{percent(max(gain.estimate, 0.0))} less uneven" if light == "good" else "No gain for certain"
+            lead="Light adds: each light is traced once, and then the powers that light the coat most evenly are "
+                "computed.",
+            verdict=f"{percent(max(gain.estimate, 0.0))} less uneven" if light == "good" else "No gain is certain"
             if not is_worse else "More even, but the sensed normal is worse",
             light=light,
             sentence=record.sentence,
@@ -572,6 +573,7 @@ def _map_content(found: LightPlaceMap) -> Content:
     return Content(
         light_map_sentence(found),
         picture_rows=((drawing(light_map_figure(found), "error of the normal, evenness and brightness over two numbers",
-                               "Star: least error of the sensed normal. Dots: not distinguishable (two standard "
-                               "uncertainties). White: cannot be built. All else is as designed, powers as now."),),),
+                               "Star: least error of the sensed normal. Dots: not distinguishable (two "
+                               "standard uncertainties). White: cannot be built. Everything else is as in "
+                               "the design, with the present powers."),),),
     )  # fmt: skip

@@ -113,10 +113,10 @@ _THEN: Final = (
 )
 _LIMITS: Final = (
     "The times on this sheet are estimates; no lab has been timed.",
-    "A press by hand is known to about 0.1 mm in depth and 0.5 mm in place. Let the comparison fit the place, and "
-    "state these uncertainties.",
-    "One session says nothing about how much the sensor changes from day to day: repeat the protocol on another day.",
-    "Pictures that went through a camera's own tone curve are compared after such a curve is fitted.",
+    "A press by hand is accurate to about 0.1 mm in depth and 0.5 mm in place. Let the comparison fit the "
+    "place, and state these uncertainties.",
+    "One session does not show how much the sensor changes from day to day: repeat the protocol on another day.",
+    "Pictures that went through a camera's own tone curve are compared after that curve is fitted.",
 )
 
 

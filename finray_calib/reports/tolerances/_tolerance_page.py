@@ -112,7 +112,7 @@ def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
         KeyNumber(
             "Evaluated again at these limits",
             f"{found.checked_within} of {found.checked_fingers}",
-            "fingers within, with other paths, paint draws and noise",
+            "fingers within the allowed growth, with other paths, paint draws and noise",
         ),
         KeyNumber("The emulator predicts", percent(found.q2), "of the variance of runs left out (Q2)", good,
                   f"{'at least' if good == 'good' else 'less than'} {percent(_ENOUGH_Q2)}"),
@@ -143,8 +143,9 @@ def _sections(found: FingerTolerances) -> tuple[Part, ...]:
     )
     shares = Content(
         lead=f"Shares of the variance of the error when all numbers vary within {found.box_factor:.2g} times their "
-        f"given half-ranges. A share below {percent(max(1.0 - found.q2, 0.0))}, what the emulator does not explain, is "
-        "not distinguishable from 0: a tighter tolerance of that number gains nothing that this study could show.",
+            f"given half-ranges. A share below {percent(max(1.0 - found.q2, 0.0))}, the share that the emulator "
+            "does not explain, is not distinguishable from 0: this study cannot show a gain from a tighter "
+            "tolerance of that number.",
         picture_rows=((drawing(variance_figure(found), "shares of the variance of each number",
                                "Sobol' indices with 95 % intervals: alone, and with its interactions."),),),
         tables=(_share_table(found.rows),),
@@ -212,8 +213,9 @@ def _limits(found: FingerTolerances) -> tuple[str, ...]:
         own,
         "Half-ranges marked as assumed have not been measured; give your own with --vary. Shares and the common "
         "factor hold for half-ranges in these proportions.",
-        "Numbers vary independently of each other and uniformly within their half-ranges; what is not listed does not "
-        "vary, such as the shape of the coat, the camera's response and the noise of its pixels.",
+        "Numbers vary independently of each other and uniformly within their half-ranges; numbers that are "
+        "not listed do not vary, such as the shape of the coat, the camera's response and the noise of its "
+        "pixels.",
         f"The random numbers alone make the growth of the error scatter by {100.0 * found.noise_rel:.2g} %. "
         f"Intervals include this and the error of the emulator, but not how far the simulation is from a real finger.",
     )

@@ -82,8 +82,8 @@ def _of_nodes(
         if (field.nodes[found] == wanted).all():
             return field.values[found]
     raise ImportFormatError(
-        f"the results hold no {name} of the nodes {wanted[0]} to {wanted[-1]} at step time {time:g}; they must be of "
-        f"a deck of this design on the {preset} mesh, with its output requests: finray export deck "
+        f"the results lack {name} of the nodes {wanted[0]} to {wanted[-1]} at step time {time:g}; they must "
+        f"be of a deck of this design on the {preset} mesh, with its output requests: finray export deck "
         "DESIGN --dialect abaqus"
     )
 
@@ -124,8 +124,8 @@ def read_fil(path: Path) -> list[NodalField]:
     content = read_bytes(path, "an Abaqus results file in ASCII (.fil)", ImportFormatError)
     if not content.startswith(b"*I"):
         raise ImportFormatError(
-            f"{path}: not an Abaqus results file in ASCII, which begins with *I; ask for one by *FILE FORMAT, ASCII in "
-            "the step, as in the decks of finray export deck, or convert it with abaqus ascfil"
+            f"{path}: not an Abaqus results file in ASCII, which begins with *I; request one by *FILE FORMAT, "
+            "ASCII in the step, as in the decks of finray export deck, or convert it with abaqus ascfil"
         )
     lines = content.decode("ascii", "replace").splitlines()
     # blanks at the end of a line may have been trimmed, and may be part of a number

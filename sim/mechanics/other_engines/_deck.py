@@ -176,9 +176,10 @@ def deck_materials(materials: Mapping[str, Material], dialect: Dialect) -> DeckM
             law = _stand_in(name, material)
             lines += ["*HYPERELASTIC, POLYNOMIAL, N=2", f"{_numbers(*law.c_mpa, d1)}, {_NO_TERM}"]
             notes.append(
-                f"{name}: polynomial of the invariants in place of Ogden's law, with which CalculiX stalls at small "
-                f"strains; its stress deviates by at most {100.0 * law.deviation_rel:.1f} % for stretches of "
-                f"{law.stretches[0]:g} to {law.stretches[1]:g}, and by more beyond"
+                f"{name}: polynomial of the invariants in place of Ogden's law, because CalculiX does not "
+                "converge with that law at small strains; its stress deviates by at most "
+                f"{100.0 * law.deviation_rel:.1f} % for stretches of {law.stretches[0]:g} to "
+                f"{law.stretches[1]:g}, and by more beyond"
             )
         else:
             lines += _ogden(name, material, d1)
@@ -202,7 +203,7 @@ def _ogden(name: str, material: Ogden, d1: float) -> list[str]:
     terms = len(material.mu_mpa)
     if terms > _ABAQUS_TERMS:
         raise SimulateError(
-            f"mechanics.{name}: an Abaqus deck holds at most {_ABAQUS_TERMS} Ogden terms, the design has {terms}"
+            f"mechanics.{name}: an Abaqus deck holds at most {_ABAQUS_TERMS} Ogden terms, but the design has {terms}"
         )
     values = [v for pair in zip(material.mu_mpa, material.alpha, strict=True) for v in pair]
     values += [d1, *[0.0] * (terms - 1)]
@@ -638,7 +639,7 @@ def _heading(design: FingerDesign, dialect: Dialect, preset: Preset, push: Push,
     )
     yield "assumed: dimensions that the design's table origin does not list, most of them of the skeleton"
     if dialect == "abaqus":
-        yield "not run: no Abaqus was at hand; elements as in the paper (C3D8R, CSS8, R3D4)"
+        yield "not tested with Abaqus, which was not available; elements as in the paper (C3D8R, CSS8, R3D4)"
         yield "one C3D8R through a rib or fin is too soft in bending: take the medium or fine mesh"
     else:
         yield "solver: the default of the program, SPOOLES if it has no other"

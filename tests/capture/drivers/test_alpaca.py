@@ -93,11 +93,11 @@ def test_a_wheel_that_rests_elsewhere_is_at_the_wrong_position(monkeypatch: pyte
         ((0x407, 200), LostError, r"error 0x407 \(not connected\): scripted; check the device's cable"),
         ((0x500, 200), RefusedError, r"error 0x500 \(of the driver\)"),
         ((0, 404), RefusedError, "refused with HTTP status 404"),
-        (b"<html>", LostError, "answers 'position' with '<html>', which is not an answer of such a device"),
-        (b"[1]", LostError, "which is not an answer"),
-        (b'{"Value": 1}', LostError, "which is not an answer"),
+        (b"<html>", LostError, "answers 'position' with '<html>', which is not an Alpaca answer"),
+        (b"[1]", LostError, "which is not an Alpaca answer"),
+        (b'{"Value": 1}', LostError, "which is not an Alpaca answer"),
         (b'{"Value": 1, "ErrorNumber": 0, "ClientTransactionID": 999}', LostError, "an answer to request 999"),
-        (b"[" * 60_000, LostError, "which is not an answer"),
+        (b"[" * 60_000, LostError, "which is not an Alpaca answer"),
         (b" " * 70_000, LostError, "more than 65536 bytes"),
         ("text", LostError, "answers 'position' with 'text'"),
         (True, LostError, "answers 'position' with True"),
@@ -180,7 +180,7 @@ def test_nothing_at_the_address_is_lost_and_no_time_is_late() -> None:
 def test_addresses_of_wheels_that_are_none(address: str) -> None:
     settings_of = wheel_settings("http://h:1/0", driver="alpaca").model_copy(update={"address": address})
     with (
-        pytest.raises(RefusedError, match="is no Alpaca address; write http://host:port/number of the wheel"),
+        pytest.raises(RefusedError, match="is not an Alpaca address; write http://host:port/number of the wheel"),
         open_wheel(settings_of, OPERATOR),
     ):
         pass
@@ -200,7 +200,7 @@ def test_any_address_is_one_or_refused(address: str) -> None:
 @pytest.mark.parametrize("path", ["switch/0", "switch/0/x", "covercalibrator", "covercalibrator/0/1", "dome/0"])
 def test_addresses_of_lights_that_are_none(path: str) -> None:
     with (
-        pytest.raises(RefusedError, match=r"is no Alpaca address; write http://host:port/switch/0/1"),
+        pytest.raises(RefusedError, match=r"is not an Alpaca address; write http://host:port/switch/0/1"),
         open_switch(f"http://h:1/{path}", "laser", OPERATOR),
     ):
         pass
@@ -300,11 +300,11 @@ def test_errors_of_the_simulator_are_ours(server: AlpacaServer) -> None:
         with pytest.raises(RefusedError, match=r"'position' fails with error 0x401 \(invalid value\)"):
             client.put("position", {"Position": bad}, soon())
     with (
-        pytest.raises(RefusedError, match="and the rig file puts F9 in slot 9"),
+        pytest.raises(RefusedError, match="but the rig file puts F9 in slot 9"),
         open_wheel(wheel_settings(f"{server.url}/0", "alpaca", 9), OPERATOR),
     ):
         pass
-    with pytest.raises(CaptureError, match=r"check the numbers|ask for something that the device can do"):
+    with pytest.raises(CaptureError, match=r"check the numbers|correct the rig file or the plan"):
         AlpacaClient(alpaca_address(f"{server.url}/7", "wheel", FORM), "filterwheel", 7, "wheel").connect(soon())
 
 
@@ -323,9 +323,9 @@ def test_lights_are_switched_and_asked_afresh(server: AlpacaServer, path: str) -
 @pytest.mark.rigs
 def test_lights_that_are_none_are_refused(server: AlpacaServer) -> None:
     for path, why in (
-        ("switch/0/2", "has no switch 2, its 2 switches count from 0"),
+        ("switch/0/2", "has no switch 2; its 2 switches are counted from 0"),
         ("switch/0/1", "switch 1 can only be read"),
-        ("covercalibrator/1", "has a cover and no lamp"),
+        ("covercalibrator/1", "has a cover but no lamp"),
     ):
         with pytest.raises(RefusedError, match=why), open_switch(f"{server.url}/{path}", "laser", OPERATOR):
             pass

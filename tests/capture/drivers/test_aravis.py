@@ -104,7 +104,7 @@ def test_found_by_name_and_serial_number(camera_process: FakeCamera) -> None:
     [
         ({"bit_depth": 10}, "no raw pixel format with 10 bits.*offers .*BayerRG8.*correct bit_depth"),
         ({"width_px": 4096}, "cannot read out Width = 4096 px; its largest is 2048 px: correct width_px"),
-        ({"gain_db": 6.0}, "has no feature Gain, the rig file asks for 6 dB"),
+        ({"gain_db": 6.0}, "has no feature Gain, but the rig file states gain_db = 6"),
     ],
 )
 def test_what_the_camera_cannot_be_is_refused(
@@ -124,7 +124,10 @@ def test_exposure_out_of_range_is_refused_and_the_next_is_taken(camera: GenicamC
 @pytest.mark.rigs
 def test_too_short_a_deadline_keeps_the_first_frame_and_says_so(camera: GenicamCamera) -> None:
     frame = camera.expose(EXPOSURE_S, 1.5)  # two frames and the answers may take up to 3 s
-    assert frame.settings["FirstFrameAfterChange"] == "kept: there was no time to take a second frame"
+    assert (
+        frame.settings["FirstFrameAfterChange"]
+        == "the first frame was kept, because there was no time to take a second one"
+    )
     assert "FirstFrameAfterChange" not in camera.expose(EXPOSURE_S, DEADLINE_S).settings
 
 

@@ -233,7 +233,7 @@ def test_a_whole_session_with_devices_of_other_packages(grbl: Path, board: GrblB
 def test_a_slot_that_the_motor_lost_is_seen_in_the_frames(grbl: Path, tmp_path: Path) -> None:
     with (
         grbl_board(slipped=1) as board,
-        pytest.raises(CaptureError, match=r"frames fit much better with filters .* exchanged; look into the wheel"),
+        pytest.raises(CaptureError, match=r"frames fit much better with filters .* exchanged; open the wheel and look"),
     ):
         captured(grbl, tmp_path, board)
 
@@ -312,7 +312,7 @@ WORKS = "from contextlib import contextmanager\n@contextmanager\ndef open_wheel(
         ("raise OSError('board')", r"cannot be imported \(OSError: board\)"),
         ("1 +", r"cannot be imported \(SyntaxError"),
         ("", "lacks open_wheel in its module broken_wheel"),
-        (WORKS.format("object()"), "opens a device that lacks identity, slots, position, go_to"),
+        (WORKS.format("object()"), "returns a device that lacks identity, slots, position, go_to"),
         (WORKS.format("settings.no_such_field"), r"fails when it opens \(AttributeError"),
         ("def open_wheel(settings):\n    return None", r"fails when it opens \(TypeError"),
     ],

@@ -143,7 +143,7 @@ def test_setting_that_is_fixed_at_the_right_value_is_fine() -> None:
 
 def test_exposure_that_is_kept_silently_is_refused() -> None:
     assert set_exposure(nodes(), 0.02, "camera") == pytest.approx(0.02)
-    with pytest.raises(RefusedError, match=r"was asked to expose for 0\.02 s and keeps 0\.005 s"):
+    with pytest.raises(RefusedError, match=r"an exposure of 0\.02 s was requested, but it uses 0\.005 s"):
         set_exposure(nodes("ExposureTime"), 0.02, "camera")
 
 

@@ -120,7 +120,7 @@ def test_changed_frame_of_a_session_is_refused(
         ("file,exposure_s\na.tiff,nan\n", r"frames\.csv cannot be read \('nan' is not a finite number\)"),
         ("file,exposure_s\na.tiff,long\n", r"frames\.csv cannot be read .*needs the header file,exposure_s"),
         ("file,exposure_s\na.tiff,1\na.tiff,2\n", r"a\.tiff is listed twice, the second time in line 3"),
-        ("file,exposure_s\na.tiff,1,5\n", r"line 2: has 3 columns, the header has 2"),
+        ("file,exposure_s\na.tiff,1,5\n", r"line 2: has 3 columns, but the header has 2"),
         ("name,time\na.tiff,1\n", r"frames\.csv cannot be read .*needs the header file,exposure_s"),
         ("file,exposure_s\nz.tiff,1\n", r"frames\.csv names z\.tiff, which is not in"),
         ("file,exposure_s\n", r"the exposure of a\.tiff is unknown; add frames\.csv"),
@@ -137,7 +137,7 @@ def test_folder_that_is_missing_or_empty_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match="there is no folder"), open_camera(settings(tmp_path / "no"), Path()):
         pass
     with (
-        pytest.raises(RefusedError, match=r"holds no images; known are \.dng"),
+        pytest.raises(RefusedError, match=r"holds no images; supported endings are \.dng"),
         open_camera(settings(tmp_path), Path()),
     ):
         pass
@@ -309,7 +309,7 @@ def test_pictures_are_no_raw_counts(tmp_path: Path) -> None:
 
 def test_dng_without_a_known_pattern_is_refused(tmp_path: Path) -> None:
     write_dng(tmp_path / "a.dng", COUNTS, (0, 0, 0, 0))
-    with pytest.raises(BadFrameError, match=r"Bayer pattern \[0, 0, 0, 0\] of an image .* is not understood"):
+    with pytest.raises(BadFrameError, match=r"Bayer pattern \[0, 0, 0, 0\] of an image .* is not supported"):
         read_raw(tmp_path / "a.dng")
 
 

@@ -45,7 +45,7 @@ def altered(old: bytes, new: bytes) -> list[tuple[str, bytes]]:
     [
         (b'state="Ok"', b'state="Alert" message="lamp broken"', "refuses to set FLAT_LIGHT_CONTROL.*lamp broken"),
         (b'state="Ok"', b'state="Busy"', "did not set FLAT_LIGHT_CONTROL to On within"),
-        (b"<setSwitchVector", b"<!DOCTYPE", "the server says nothing about this device"),
+        (b"<setSwitchVector", b"<!DOCTYPE", "the server does not report this device"),
     ],
 )
 def test_an_off_that_is_not_confirmed_is_unsafe(old: bytes, new: bytes, why: str) -> None:
@@ -101,7 +101,7 @@ def test_a_lit_light_that_another_program_switches_off_is_noticed(server: IndiSe
     switch.keep_alive()
     server.put(PANEL, "FLAT_LIGHT_CONTROL.FLAT_LIGHT_OFF=On")
     time.sleep(ASK_EVERY_S)
-    with pytest.raises(LostError, match="is off although it was switched on; see whether another program"):
+    with pytest.raises(LostError, match="is off although it was switched on; check whether another program"):
         switch.keep_alive()
 
 
@@ -113,7 +113,7 @@ def test_a_remembered_off_is_no_confirmation(server: IndiServer, switch: LightSw
         with pytest.raises(UnsafeError, match="off is not confirmed; cut the power of the light"):
             switch.switch(False, 0.2)
         with pytest.raises(
-            TimedOutError, match=r"did not set FLAT_LIGHT_CONTROL to On within|says nothing about this device"
+            TimedOutError, match=r"did not set FLAT_LIGHT_CONTROL to On within|does not report this device"
         ):
             switch.switch(True, 0.2)
     # What was asked for while nobody answered is answered now, and must not stand for what is asked next.
@@ -151,7 +151,7 @@ def test_a_device_that_does_not_connect_or_is_not_there(server: IndiServer) -> N
         open_switch(server.address("Flip Flat"), "lamp", None),
     ):
         pass
-    known = f"has no such device, it has 'Flip Flat', '{PANEL}'"
+    known = f"has no such device, only 'Flip Flat', '{PANEL}'"
     with IndiClient(server.address("Nobody"), "lamp", "X") as client, pytest.raises(TimedOutError, match=known):
         client.ready(time.monotonic() + 2.0)
 

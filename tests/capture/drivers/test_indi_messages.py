@@ -146,7 +146,7 @@ def test_a_damaged_frame_is_bytes_or_bad(text: str, kind: str, size: str) -> Non
 def test_frames_are_unpacked_and_measured() -> None:
     packed = base64.b64encode(zlib.compress(b"counts")).decode()
     assert blob_bytes(IndiElement({"format": ".fits.z", "size": "6"}, packed), "camera") == b"counts"
-    with pytest.raises(BadFrameError, match="has 6 bytes where it states 7"):
+    with pytest.raises(BadFrameError, match="has 6 bytes, but it states 7"):
         blob_bytes(IndiElement({"format": ".fits.z", "size": "7"}, packed), "camera")
     with pytest.raises(BadFrameError, match="cut off or larger"):
         blob_bytes(
@@ -170,7 +170,7 @@ def test_addresses(address: str, where: tuple[str, int, str]) -> None:
 
 @pytest.mark.parametrize("address", ["pi:00000199999/A", "pi:0/A", "pi:65536/A", "pi:٣/A"])
 def test_ports_that_are_none(address: str) -> None:
-    with pytest.raises(RefusedError, match="is no INDI address"):
+    with pytest.raises(RefusedError, match="is not an INDI address"):
         indi_address(address, "camera")
 
 
@@ -212,7 +212,7 @@ def test_fits_that_is_something_else_is_refused() -> None:
 def test_fits_that_is_cut_off_is_a_bad_frame() -> None:
     whole = fits(np.ones((4, 4)))
     for cut in (0, 79, BLOCK_BYTES - 2400, BLOCK_BYTES, len(whole) - 1):
-        with pytest.raises(BadFrameError, match=r"is no FITS file with a complete header|bytes after its header"):
+        with pytest.raises(BadFrameError, match=r"is not a FITS file with a complete header|bytes after its header"):
             read_fits_image(whole[:cut], "camera")
     with pytest.raises(BadFrameError, match="0 x 4 px"):
         read_fits_image(fits(np.ones((4, 4)), NAXIS1="1E9"), "camera")
@@ -295,7 +295,7 @@ def test_a_server_that_talks_without_end_is_late() -> None:
             began_s = time.monotonic()
             with (
                 IndiClient(f"127.0.0.1:{server.getsockname()[1]}/A", "camera", "B") as client,
-                pytest.raises(TimedOutError, match="the server says nothing about this device"),
+                pytest.raises(TimedOutError, match="the server does not report this device"),
             ):
                 client.ready(began_s + 0.5)
             # One second more than allowed, for a machine that is busy.
@@ -332,7 +332,7 @@ def test_a_name_that_no_host_has_is_lost(host: str) -> None:
 
 def test_the_address_is_checked_before_anything_is_opened() -> None:
     with (
-        pytest.raises(RefusedError, match="laser: 'nonsense' is no INDI address"),
+        pytest.raises(RefusedError, match="laser: 'nonsense' is not an INDI address"),
         open_switch("nonsense", "laser", None),
     ):
         pass

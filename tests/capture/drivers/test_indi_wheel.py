@@ -163,7 +163,7 @@ def test_a_stuck_wheel_is_late_and_its_position_unknown(server: IndiServer) -> N
             wheel.go_to(3, 0.5)
         assert time.monotonic() - began_s < 1.5
         assert wheel.position() is None
-        with pytest.raises(TimedOutError, match="cannot move to slot 1, an earlier move has not ended"):
+        with pytest.raises(TimedOutError, match="cannot move to slot 1, because an earlier move has not ended"):
             wheel.go_to(1, 0.5)
 
 

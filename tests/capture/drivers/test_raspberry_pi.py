@@ -95,9 +95,9 @@ def test_frames_from_before_the_call_are_dropped(sensor):
 @pytest.mark.parametrize(
     ("kept", "value", "message"),
     [
-        ("ExposureTime", 5000, r"ExposureTime 10000 was asked for, it reads back 5000"),
-        ("AnalogueGain", 8.0, r"AnalogueGain 1\.0 was asked for, it reads back 8\.0"),
-        ("ColourGains", (2.1, 1.4), r"ColourGains \(1\.0, 1\.0\) was asked for"),
+        ("ExposureTime", 5000, r"ExposureTime 10000 was requested, but it reads back 5000"),
+        ("AnalogueGain", 8.0, r"AnalogueGain 1\.0 was requested, but it reads back 8\.0"),
+        ("ColourGains", (2.1, 1.4), r"ColourGains \(1\.0, 1\.0\) was requested"),
         ("age_ns", 10**12, r"all frames are older than the call"),
     ],
 )
@@ -197,7 +197,10 @@ def test_size_that_the_sensor_lacks_is_refused(sensor):
 
 def test_packed_format_is_refused(sensor):
     sensor.answers_format = "BGGR_PISP_COMP1"
-    with pytest.raises(RefusedError, match="asked for raw SBGGR10 of 98 x 66 px, it gives BGGR_PISP_COMP1"), opened():
+    with (
+        pytest.raises(RefusedError, match="raw SBGGR10 of 98 x 66 px was requested, but it delivers BGGR"),
+        opened(),
+    ):
         pass
 
 

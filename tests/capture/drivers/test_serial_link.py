@@ -127,7 +127,7 @@ def test_drain_forgets_what_was_said_before() -> None:
 def test_drain_ends_at_the_deadline_where_the_device_never_falls_silent() -> None:
     with terminal() as (device, path), SerialLink(path, 9600, "wheel") as link:
         os.write(device, b"chatter")
-        with pytest.raises(TimedOutError, match=r"does not stop sending \(it says b'chatter'\)"):
+        with pytest.raises(TimedOutError, match=r"does not stop sending \(such as b'chatter'\)"):
             link.drain(10.0, soon(0.1))
 
 
@@ -188,7 +188,7 @@ def test_a_port_of_another_group(monkeypatch: pytest.MonkeyPatch) -> None:
         raise serial.SerialException(errno.EACCES, "could not open port")
 
     monkeypatch.setattr(serial, "serial_for_url", forbid)
-    with pytest.raises(RefusedError, match="you may not open this port; join its group"):
+    with pytest.raises(RefusedError, match="your user has no permission to open this port; join its group"):
         SerialLink("/dev/ttyUSB0", 9600, "wheel")
 
 

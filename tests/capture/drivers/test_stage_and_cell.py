@@ -69,7 +69,7 @@ def homed(stage: GrblStage) -> GrblStage:
 def test_place_is_unknown_until_homed(stage, bench):
     assert stage.identity().firmware == "1.1h"
     assert stage.places_mm() is None
-    with pytest.raises(RefusedError, match="must be homed first"):
+    with pytest.raises(RefusedError, match="home it first"):
         stage.move("Z", -1.0, FAST_MM_PER_S, nothing)
     assert not [line for line in bench.controller.lines if line.startswith("$J")]
     stage.home(10.0, nothing)
@@ -141,7 +141,7 @@ def test_reset_in_the_midst_of_a_move_loses_the_place(homed, bench):
         homed.move("Z", -19.0, 2.0, nothing)
     assert bench.rests
     assert homed.places_mm() is None
-    with pytest.raises(RefusedError, match="must be homed first"):
+    with pytest.raises(RefusedError, match="home it first"):
         homed.move("Z", 0.0, FAST_MM_PER_S, nothing)
     homed.home(10.0, nothing)
     homed.move("Z", -1.0, FAST_MM_PER_S, nothing)
@@ -182,7 +182,7 @@ def test_mute_controller_is_stopped_by_a_reset(homed, bench):
         bench.controller.is_mute = True
 
     threading.Timer(0.3, mute).start()
-    with pytest.raises(UnsafeError, match=r"NOT SEEN TO STOP.*drives on to Z = -19.000 mm, the end of its move"):
+    with pytest.raises(UnsafeError, match=r"NOT SEEN TO STOP.*may continue to Z = -19.000 mm, the end of its move"):
         homed.move("Z", -19.0, 1.0, nothing)
     # it hears although it does not speak
     assert bench.rests
@@ -202,7 +202,7 @@ def test_pulled_cable_ends_in_a_stop_when_it_is_back(homed, bench):
 def test_cable_that_stays_away_says_how_far_it_drives(homed, bench):
     threading.Timer(0.2, bench.controller.port.pull).start()
     # the whole way, not a step of the rig file
-    with pytest.raises(UnsafeError, match=r"drives on to Z = -1.000 mm, the end of its move: switch its motors off"):
+    with pytest.raises(UnsafeError, match=r"may continue to Z = -1.000 mm, the end of its move; switch its motors off"):
         homed.move("Z", -1.0, 1.0, nothing)
 
 
@@ -211,7 +211,7 @@ def test_stage_that_rests_elsewhere_is_told(homed, bench, monkeypatch):
         bench.controller.port.say(b"ok\r\n")
 
     monkeypatch.setattr(bench.controller, "_jog", jog)
-    with pytest.raises(WrongPositionError, match=r"stands at 0.000 mm and was sent to -1.000 mm"):
+    with pytest.raises(WrongPositionError, match=r"stands at 0.000 mm, but was sent to -1.000 mm"):
         homed.move("Z", -1.0, FAST_MM_PER_S, nothing)
 
 
@@ -228,7 +228,7 @@ def test_homing_is_ended_by_a_reset(stage, bench):
 
 
 def test_something_else_at_the_port(bench):
-    with pytest.raises(TimedOutError, match="nothing that calls itself GRBL"):
+    with pytest.raises(TimedOutError, match="no GRBL controller"):
         open_stage(stage_settings(str(bench.amplifier.port.path))).__enter__()
 
 

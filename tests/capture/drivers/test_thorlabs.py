@@ -119,7 +119,7 @@ def test_a_stuck_wheel_is_late(device: EmulatedWheel, prompt_after_move: bool) -
         device.control.put(stuck=True)
         began_s = time.monotonic()
         why = "it does not confirm the move" if prompt_after_move else "its last report is slot 1"
-        with pytest.raises(TimedOutError, match=rf"is not at slot 3 within 0.5 s \({why}\); look whether something"):
+        with pytest.raises(TimedOutError, match=rf"is not at slot 3 within 0.5 s \({why}\); check whether something"):
             wheel.go_to(3, 0.5)
         assert time.monotonic() - began_s < 0.5 + LATE_S
         device.control.put(stuck=False)
@@ -210,7 +210,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(device: EmulatedWheel) -> N
 @pytest.mark.rigs
 def test_six_slots_do_not_hold_eight_filters(device: EmulatedWheel) -> None:
     device.control.put(pcount=6)
-    what = r"has slots 1 to 6, the rig file puts filter 7 in slot 7, filter 8 in slot 8; 8 filters need an FW212C"
+    what = r"has slots 1 to 6, but the rig file puts filter 7 in slot 7, filter 8 in slot 8; 8 filters need an FW212C"
     with pytest.raises(RefusedError, match=what), opened(device.address):
         pass
     with opened(device.address, range(1, 7)) as wheel:
@@ -223,7 +223,7 @@ def test_six_slots_do_not_hold_eight_filters(device: EmulatedWheel) -> None:
 @pytest.mark.rigs
 def test_a_count_that_no_wheel_has(device: EmulatedWheel) -> None:
     device.control.put(pcount=8)
-    with pytest.raises(RefusedError, match=r"says that it has 8 slots, 6 \(FW102C\) or 12"), opened(device.address):
+    with pytest.raises(RefusedError, match=r"reports 8 slots, but only 6 \(FW102C\) or 12"), opened(device.address):
         pass
 
 
@@ -232,7 +232,7 @@ def test_a_count_that_no_wheel_has(device: EmulatedWheel) -> None:
 def test_a_setting_that_is_not_kept(device: EmulatedWheel, setting: str) -> None:
     told, kept = (0, 1) if setting == "sensors" else (1, 0)
     device.control.put(forgets=setting)
-    what = f"was told '{setting}={told}' and says {setting} is {kept}"
+    what = f"the setting '{setting}={told}' was sent, but it reports {setting} = {kept}"
     with pytest.raises(RefusedError, match=what), opened(device.address):
         pass
 
@@ -240,7 +240,7 @@ def test_a_setting_that_is_not_kept(device: EmulatedWheel, setting: str) -> None
 @pytest.mark.rigs
 def test_another_device_is_refused(device: EmulatedWheel) -> None:
     device.control.put(idn="THORLABS SC10 VERSION 1.07")
-    what = r"says that it is 'THORLABS SC10 VERSION 1\.07', a Thorlabs FW102C or FW212C"
+    what = r"identifies itself as 'THORLABS SC10 VERSION 1\.07', but a Thorlabs FW102C or FW212C"
     with pytest.raises(RefusedError, match=what), opened(device.address):
         pass
 
