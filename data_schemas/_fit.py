@@ -205,9 +205,8 @@ class Reradiation(Model):
 
 
 NO_SPECTRUM = (
-    "'finray fit' found no emission in this sample, so there is no spectrum to simulate, map, compare or "
-    "export. Give the fit of a fluorescent paint; if this should be one, check its limit and the laser, and "
-    "measure it again"
+    "'finray fit' found no emission in this sample, so there is no spectrum to simulate, map, compare or export. Give "
+    "the fit of a fluorescent paint; if this should be one, check its limit and the laser, and measure it again"
 )
 _WHOLE_FROM_SD = 10.0
 EmissionVerdict = Literal["emission measured", "no emission"]
@@ -261,9 +260,7 @@ class PaintWithoutEmission(Record):
 
     paint_name: str
     detection: EmissionDetection
-    reflectance_at_laser: float = Field(
-        ge=0.0, description="reflected share of the laser, from the filter at its line; 1 where it is lost"
-    )
+    reflectance_at_laser: float = Field(ge=0.0, description="reflected share of the laser; 1 where it is lost")
     reflectance: tuple[Estimate, ...] = Field(description="reflectance at each filter under the lamp")
     optics: Optics
     usable: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("filter", "3"))]
@@ -649,9 +646,7 @@ class PaintMap(Record):
         description="region's signal over its family curve; NaN where a filter and channel is not used"
     )
     fitted_pixels: Annotated[int, Field(ge=1)]
-    unusable_pixels: Annotated[int, Field(ge=0)] = Field(
-        description="number of pixels that are masked or have fewer than four usable bands"
-    )
+    unusable_pixels: Annotated[int, Field(ge=0)] = Field(description="masked, or fewer than four usable bands each")
     unconverged_pixels: Annotated[int, Field(ge=0)]
     uniformity: dict[MappedQuantity, PaintSpread]
     block_px: Annotated[int, Field(ge=2)] = Field(description="side of a block")

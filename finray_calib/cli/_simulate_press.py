@@ -248,10 +248,7 @@ def _answered(
         opened = SurrogateFinger(taught, limit_rel)
         pressed, bars, notes, doubt = opened.press_as_designed(design, arguments.increments or DEFAULT_INCREMENTS)
     if doubt:
-        warn(
-            f"{arguments.surrogate}: the surrogate's answer is not used: {doubt}; the press is now computed by "
-            "finite elements"
-        )
+        warn(f"{arguments.surrogate}: the surrogate is not used: {doubt}; finite elements compute the press now")
         return False
     mechanics, surfaces = press_records(design, pressed, taught.preset, taught.label, notes)
     mechanics = mechanics.model_copy(update={"surrogate": bars})
@@ -615,9 +612,7 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
             "--resume, --sensitivities, --contact barrier, --engine and indenter.path"
         )
     if arguments.largest_error is not None and arguments.surrogate is None:
-        raise SimulateError(
-            "--largest-error: applies to the answer of a surrogate; give --surrogate FILE, or leave it out"
-        )
+        raise SimulateError("--largest-error: applies to a surrogate only; give --surrogate FILE, or leave it out")
     if calculix and arguments.contact != "auto":
         raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
     if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):
@@ -664,8 +659,7 @@ def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> Non
         raise SimulateError(
             f"at a push of {push_mm:.4g} mm the indenter touches no node of the coat, whose elements are {step_mm:g} "
             f"mm wide: the force of {force_n:.3g} N comes from the mesh, not from the finger; {remedy}. What was "
-            f"computed is "
-            "stored"
+            "computed is stored"
         )
     short = chord_shortfall_rel(mechanics.design, mechanics.preset, push_mm)
     if short > LARGEST_UNTOLD_REL:

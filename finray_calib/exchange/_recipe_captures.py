@@ -60,8 +60,7 @@ HOLD_SHARE = 0.9
 FAR_HALF_WIDTHS = 1.6
 _SURFACE_DEGREE = 3
 _BITS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
-_MEDIAN_LOSES = "the median of the presses is used instead and still holds some DN of them: small errors are "
-"not seen"
+_MEDIAN_LOSES = "the median of the presses is used instead and still holds some DN of them: small errors are not seen"
 _SURFACE_LOSES = "a smooth surface through far pixels is used instead; texture of the gel counts as contact"
 
 
@@ -511,19 +510,11 @@ class _Folder:
         source = self.recipe.no_contact
         common = source.file is not None and PRESS not in source.file
         lacks = (
-            (
-                capture.repeat_no_contact is None,
-                "a second image without contact",
-                "the floor: how much of an error is noise",
-            ),
+            (capture.repeat_no_contact is None, "a second image without contact", "how much of an error is noise"),
             (common, "an image without contact of each press", "drift and wear of the gel cannot be separated"),
             (source.median_of_presses, "an image without contact", _MEDIAN_LOSES),
             (source.far_pixels, "an image without contact", _SURFACE_LOSES),
-            (
-                capture.contact_told_by == "search",
-                "a drawn contact",
-                "it was found by a search: its size is accurate to 20 %",
-            ),
+            (capture.contact_told_by == "search", "a drawn contact", "found by a search: its size is known to 20 %"),
             (capture.contact_told_by is None, "where the contact is", "the simulated side must give the region"),
             (capture.indenter.radius_mm is None, "the indenter's size", "slopes and depth have no scale"),
             (capture.mm_per_px is None, "the scale, mm per px", "depth has no scale"),
@@ -558,9 +549,7 @@ def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
             found[match[1]] = path
     ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
     if len(ordered) > MOST_PRESSES:
-        raise ImportFormatError(
-            f"{folder}: holds {len(ordered)} presses; at most {MOST_PRESSES} can be read: give a folder with fewer"
-        )
+        raise ImportFormatError(f"{folder}: holds {len(ordered)} presses; give a folder of at most {MOST_PRESSES}")
     for name in ordered:
         yield name, found[name]
 
@@ -624,9 +613,7 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
     distance = contact_distance(capture)
     if distance is None:
-        raise LeftOutError(
-            "the place of its contact is not known, so finray cannot determine which pixels are far from it"
-        )
+        raise LeftOutError("the place of its contact is not known, and so not which pixels are far from it")
     rows, columns = distance.shape
     y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
     powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]

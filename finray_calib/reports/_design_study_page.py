@@ -135,9 +135,8 @@ _IMAGE_LIMITS = (
     "fingers with one camera and is not an absolute measure of colour.",
 )
 _FORCE_LIMITS = (
-    "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been "
-    "measured. Their limits show the uncertainty that comes from the mesh, which mostly changes all points "
-    "in the same way.",
+    "Forces are those of a finite-element model of assumed dimensions; no finger of this project has been measured. "
+    "Their limits show the uncertainty that comes from the mesh, which mostly changes all points in the same way.",
 )
 _NO_FORCE_LIMITS = (
     "No mechanics: the pad takes the shape of what is pressed in at once, with a bulge around it; there is no force, "
@@ -494,13 +493,12 @@ def _pictures(points: Sequence[StudyPoint]) -> Content:
         for point, views in zip(points, _all_views(points), strict=True)
     )  # fmt: skip
     lead = (
-        "What the camera sees, cut to what is lit: without contact, with it, and what the touch changes in "
-        f"each channel, smoothed (grey: nothing; black and white: {100 * _CHANGE_SHOWN_REL:.0f} % and more; "
-        "edges light up where the picture moves because the finger bends). Each channel is balanced for the "
-        "screen, in the same way in all pictures. Base of the finger at the left, tip at the right; red "
-        "paint on one wall, green on the other, blue light from the base. Below each picture: the share of "
-        "the coat where each light leads, and the evenness, the vividness and the change by the touch (the "
-        "section 'What the metrics are' defines them)."
+        "What the camera sees, cut to what is lit: without contact, with it, and what the touch changes in each "
+        f"channel, smoothed (grey: nothing; black and white: {100 * _CHANGE_SHOWN_REL:.0f} % and more; edges light up "
+        "where the picture moves because the finger bends). Each channel is balanced for the screen, in the same way "
+        "in all pictures. Base of the finger at the left, tip at the right; red paint on one wall, green on the "
+        "other, blue light from the base. Below each picture: the share of the coat where each light leads, and the "
+        "evenness, the vividness and the change by the touch (the section 'What the metrics are' defines them)."
     )
     return Content(lead, (pictures,))  # one grid, whose pictures are all as wide
 

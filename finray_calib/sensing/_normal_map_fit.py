@@ -622,23 +622,18 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
             "stated uncertainty is too large for it; teach with other presses"
         )
     if taught is None:
-        notes.append(
-            "whether this press taught the map is not known, because an earlier version made the map; teach it again"
-        )
+        notes.append("an older version made the map: whether this press taught it is not known; teach it again")
     if record.held_out_level_mm is None and record.held_out_depth_rms_mm is not None:
         notes.append(
             "the error of the depth's zero level around a contact is not known: its uncertainty holds only the "
             "scatter at the border of the picture; teach again, with contacts that leave 3.5 radii in view"
         )
     if record.held_out_depth_rms_mm is None:
-        notes.append(
-            "the uncertainty of the depth is not known, because an earlier version made the map; teach it again"
-        )
+        notes.append("an older version made the map: the uncertainty of the depth is not known; teach it again")
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
             f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no teaching "
-            f"press did; "
-            f"there the map keeps its last value: teach with deeper presses, or at more places"
+            "press did; there the map keeps its last value: teach with deeper presses, or at more places"
         )
     if shares.clipped_share > _CLIPPED_TOLD:
         notes.append(

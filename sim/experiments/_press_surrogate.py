@@ -189,9 +189,7 @@ def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if np.max(distance) > _SAME_NODE_MM:
-        raise SimulateError(
-            "the two sides of the finger's mesh are not mirror images, so that one side cannot be taught from the other"
-        )
+        raise SimulateError("the halves of the finger's mesh are not mirror images: one cannot be taught by the other")
     return np.asarray(image)
 
 
@@ -230,9 +228,7 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError(
-            "no press can be used for teaching: ribs pass through each other in all of them from the start"
-        )
+        raise SimulateError("no press can teach: ribs pass through each other in all of them from the start")
     return whole
 
 
@@ -361,9 +357,7 @@ def teach_surrogate(
     """
     settings, begun = settings or TeachSettings(), time.process_time()
     if settings.presses < FEWEST_PRESSES:
-        raise SimulateError(
-            f"{settings.presses} presses are too few for teaching; at least {FEWEST_PRESSES} are needed"
-        )
+        raise SimulateError(f"{settings.presses} presses are too few to teach by; at least {FEWEST_PRESSES} are needed")
     preset, family = settings.preset or design.mesh.preset, press_family(design)
     condensed = condense_finger(design, preset, settings.threads, progress)
     finger = CondensedFinger(design, preset, condensed)
@@ -660,11 +654,9 @@ class SurrogateFinger:
             surface_bar_mm=np.array([answer.surface_bar_mm for answer in answers]),
         )
         notes = (
-            f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within "
-            f"{last.force_bar_n:.2g} N, the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) "
-            "of the finite elements that taught it",
-            "it gives no energies; pressures are those of the condensed contact, scaled so that they add up "
-            "to the force",
+            f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within {last.force_bar_n:.2g} N, "
+            f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the elements that taught it",
+            "it gives no energies; pressures are those of the condensed contact, scaled to add up to the force",
         )
         return pressed, bars, notes, last.doubt
 

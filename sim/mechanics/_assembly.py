@@ -323,16 +323,15 @@ class Elasticity:
         return whole
 
     def matrices(
-        self, u: FloatArray, modes: Modes, removed: float = 0.0, pressures: Pressures = ()
+        self, u: FloatArray, modes: Modes, removed_share: float = 0.0, pressures: Pressures = ()
     ) -> Iterator[ElementMatrices]:
         """Yield forces and tangents by u with the modes eliminated, a part of the elements at a time.
 
-        The pressures weigh the volume's curvature in the tangent; by default those that u gives. Of the negative
-        curvature of each point the share `removed` is taken away: with 1 no element has any. The arrays are used again
-        after the next step of the iteration. Where an element is inside out (see :meth:`energy`) its arrays mean
-        nothing.
+        The pressures weigh the volume's curvature in the tangent; by default those that u gives. Of each point's
+        negative curvature `removed_share` is taken away: with 1 no element has any. The arrays are used again after the
+        next step of the iteration. Where an element is inside out (see :meth:`energy`) its arrays mean nothing.
         """
-        return self._evaluate(u, modes, pressures or self.pressures_mpa(u, modes), 1, 1.0 - removed)
+        return self._evaluate(u, modes, pressures or self.pressures_mpa(u, modes), 1, 1.0 - removed_share)
 
     def energy_of_blocks(self) -> dict[str, float]:
         """Return the energy in N mm of each block at the last evaluation."""
@@ -558,24 +557,24 @@ class Assembly:
                 return energy
         return energy + self.elasticity.energy(state.u_mm, state.modes)
 
-    def assemble(self, state: State, removed: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    def assemble(self, state: State, removed_share: float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Fill :attr:`matrix` and return the gradient without the modes, and its part of the terms, in N, (n, 3).
 
-        The tangent does without the share `removed` of each point's negative curvature; where that is above 0, terms
-        do without all of theirs.
+        The tangent does without `removed_share` of each point's negative curvature; where that is above 0, terms do
+        without all of theirs.
         """
         if self._version != self.matrix.version:
             self._slots_of(self.matrix.version)
         self.matrix.clear()
         gradient = np.zeros((self.count, 3))
-        for part in self.elasticity.matrices(state.u_mm, state.modes, removed, state.pressures_mpa):
+        for part in self.elasticity.matrices(state.u_mm, state.modes, removed_share, state.pressures_mpa):
             cells = self.elasticity.cells[part.block][part.elements]
             self.matrix.add_cells(cells, self._slots[part.block][part.elements], part.tangent)
             add_forces(cells, part.force, gradient)
         of_terms = np.zeros((self.count, 3))
         for term in self.terms:
             of_terms += term.gradient(state.u_mm)
-            self.matrix.add_sparse(term.hessian(state.u_mm, removed > 0.0))
+            self.matrix.add_sparse(term.hessian(state.u_mm, removed_share > 0.0))
         return gradient + of_terms, of_terms
 
     def max_step(self, state: State, du: FloatArray) -> float:

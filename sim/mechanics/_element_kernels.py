@@ -201,7 +201,7 @@ def _add_volumetric(
 
 
 @compiled
-def _less_negative(second: FloatArray, kept: float, w: FloatArray, v: FloatArray, work: FloatArray) -> None:
+def _less_negative(second: FloatArray, kept_share: float, w: FloatArray, v: FloatArray, work: FloatArray) -> None:
     """Multiply the negative eigenvalues of a symmetric 3 x 3 matrix by the share that is kept of them."""
     for i in range(3):
         for j in range(3):
@@ -213,7 +213,7 @@ def _less_negative(second: FloatArray, kept: float, w: FloatArray, v: FloatArray
         for j in range(3):
             second[i, j] = 0.0
             for k in range(3):
-                second[i, j] += max(w[k], kept * w[k]) * v[i, k] * v[j, k]
+                second[i, j] += max(w[k], kept_share * w[k]) * v[i, k] * v[j, k]
 
 
 @compiled
@@ -386,7 +386,7 @@ def hexahedron(
     mean_dilatation: bool,
     held_mpa: FloatArray,
     level: int,
-    kept: float,
+    kept_share: float,
     force: FloatArray,
     tangent: FloatArray,
     swelling: FloatArray,
@@ -413,7 +413,7 @@ def hexahedron(
         force is always that of K (v/V - 1).
     level
         0 energy only, 1 forces and tangent.
-    kept
+    kept_share
         Share of the negative curvature of each point that the tangent keeps: 1 all, as it is; 0 none.
     force, tangent
         Filled: (3 nodes,) in N, (3 nodes, 3 nodes) in N/mm.
@@ -478,10 +478,10 @@ def hexahedron(
                     swelling[m, r] += fields[m, q] * dilation[r]
             dilation[:] = 0.0
         _shear_modes(stretch, first, second, shear)
-        if kept < 1.0:
-            _less_negative(second, kept, curve, axes, work)
+        if kept_share < 1.0:
+            _less_negative(second, kept_share, curve, axes, work)
             for k in range(6):
-                shear[k] = max(shear[k], kept * shear[k])
+                shear[k] = max(shear[k], kept_share * shear[k])
         _weigh_rows(here, volume[q:], second, shear, weighted[9 * q : 9 * q + 9])
     if level > 0:
         np.dot(rows.T, weighted, tangent)
@@ -539,7 +539,7 @@ def many_hexahedra(
     parameters: FloatArray,
     held_mpa: FloatArray,
     level: int,
-    kept: float,
+    kept_share: float,
     energy: FloatArray,
     force: FloatArray,
     tangent: FloatArray,
@@ -575,7 +575,7 @@ def many_hexahedra(
             extra == 0,
             held_mpa[e],
             level,
-            kept,
+            kept_share,
             whole_force,
             whole,
             swelling[e],

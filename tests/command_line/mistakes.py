@@ -663,13 +663,13 @@ CASES = (
     Case(
         "largest error of no surrogate",
         MECHANICS + " --largest-error 0.1",
-        r"--largest-error: applies to the answer of a surrogate; give --surrogate FILE, or leave it out",
+        r"--largest-error: applies to a surrogate only; give --surrogate FILE, or leave it out",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(
         "too few presses for teaching",
         "simulate teach {tmp}/finger.toml --presses 3",
-        r"finger\.toml: 3 presses are too few for teaching; at least 20 are needed",
+        r"finger\.toml: 3 presses are too few to teach by; at least 20 are needed",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(

@@ -123,7 +123,7 @@ def test_a_mismatch_is_compared_when_asked(folders: Path) -> None:
     pair = f"{folders}/simulated/bgr.press.json {folders}/captured/bgr.capture.json --out {folders}/one.json"
     refused = finray(f"compare {pair}")
     assert refused.status == 2
-    assert "do not belong together: the contact image of capture of the strip fits" in refused.err
+    assert "do not belong together: the contact image of capture of the strip" in refused.err
     assert "channel order: " in finray(f"compare {pair} --despite-mismatch").out
 
 

@@ -152,7 +152,7 @@ def test_measured_curves_are_read(tmp_path):
         ("center_nm = 500\n", "", RecordError, "filter '500' needs center_nm and fwhm_nm, or curve"),
         ("center_nm = 500\n", 'center_nm = 500\ncurve = "x.csv"\n', RecordError, "contradict each other"),
         ("center_nm = 500\n", "center_nm = 450\n", CurveError, "center_nm 450 is used by two filters"),
-        ('"white/{filter}nm.tif"', '"white/450nm.tif"', RecordError, "must hold {filter}"),
+        ('"white/{filter}nm.tif"', '"white/450nm.tif"', RecordError, "must contain {filter}"),
         ('"white/{filter}nm.tif"', '"../{filter}nm.tif"', ImportFormatError, "leads out of the folder"),
         ('layout = "RGB"', 'layout = "RGB"\nresponse = "../camera.csv"', CurveError, "'../camera.csv' leads out"),
         ('"white/{filter}nm.tif"', '"w/{filter}nm.tif"', ImportFormatError, "no file matches 'w/450nm.tif'"),

@@ -405,7 +405,7 @@ class TestLightInAFile:
                 wait_until(lambda: not guards(str(folder)), "the end of the guard")
 
         with guarded_light("laser", "indi", str(folder)) as light:
-            with pytest.raises(LostError, match=r"nobody hears the keep-alive.*confirmed off"):
+            with pytest.raises(LostError, match=r"nobody hears the keep-alive.*confirmed that the light is off"):
                 work(light)
             assert not (folder / "on").exists()
 
@@ -425,7 +425,9 @@ class TestLightInAFile:
 
         with (
             guarded_light("laser", "indi", str(folder), lease_s=1.5) as light,
-            pytest.raises(LostError, match=r"its owner sent nothing for 1\.5 s.*confirmed off.*--resume"),
+            pytest.raises(
+                LostError, match=r"its owner sent nothing for 1\.5 s.*confirmed that the light is off.*--resume"
+            ),
         ):
             work(light)
 

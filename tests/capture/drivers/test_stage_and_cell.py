@@ -323,7 +323,9 @@ def read_on(cell: Hx711Cell, readings: int) -> None:
         cell.read(0.5)
 
 
-@pytest.mark.parametrize(("status", "error", "words"), [(1, OverloadError, "end of scale"), (2, LostError, "HX711")])
+@pytest.mark.parametrize(
+    ("status", "error", "words"), [(1, OverloadError, "end of its scale"), (2, LostError, "HX711")]
+)
 def test_status_is_told(cell, bench, status, error, words):
     bench.amplifier.status = status
     with pytest.raises(error, match=words):
