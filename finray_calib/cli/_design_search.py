@@ -524,10 +524,8 @@ def run_assess(arguments: argparse.Namespace) -> None:
     settings = ToleranceSettings(runs=96 if arguments.quick else 128, seed=arguments.seed)
     with naming(SimulateError, arguments.design):
         finger_outline(design, folder)  # parts that do not fit are told before any work
-        of = [design.model_dump_json(exclude={"provenance"}), str(arguments.seed), str(arguments.quick)]
-        parts = _AssessedParts(
-            arguments.out or Path(f"{file_name(design.name)}.assessed"), origin, [*of, *inputs.values()]
-        )
+        of = _computed_from(arguments, design, files, paint_paths)
+        parts = _AssessedParts(arguments.out or Path(f"{file_name(design.name)}.assessed"), origin, of)
         sweeps = _swept(arguments, design, folder, paint_paths, parts)
         decision = parts.part(
             "light-angle-decision", LightAngleDecision, lambda: _decided(sweeps, arguments.seed),
@@ -550,6 +548,18 @@ def run_assess(arguments: argparse.Namespace) -> None:
     look_at(parts.out / ASSESSMENT_PAGE)
 
 
+def _computed_from(
+    arguments: argparse.Namespace, design: "FingerDesign", files: Sequence[Path], paints: "Mapping[str, Path]"
+) -> "dict[str, object]":
+    """Return by its role what all parts of an assessment are computed from; of files their SHA-256."""
+    return {
+        "design": design.model_dump(mode="json", exclude={"provenance"}),
+        "files": [digest for file in files for digest in input_digests([file]).values()],
+        "paints": {colour: digest for colour, file in paints.items() for digest in input_digests([file]).values()},
+        **{name: getattr(arguments, name) for name in ("seed", "quick", "engine", "paints_as_given")},
+    }
+
+
 class _AssessedParts:
     """The parts of an assessment: each is stored once it is computed, and read back when the command is given again.
 
@@ -557,13 +567,13 @@ class _AssessedParts:
     continue there.
     """
 
-    def __init__(self, out: Path, origin: "Provenance", computed_from: Sequence[str]) -> None:
+    def __init__(self, out: Path, origin: "Provenance", computed_from: "Mapping[str, object]") -> None:
         from data_schemas import RecordError
         from data_schemas.storage import clear_leftovers, read_text, write_bytes
 
         self.out, self._origin = require_folder(out), origin
         self._other_code: dict[str, str] = {}
-        key = hashlib.sha256(json.dumps(list(computed_from)).encode()).hexdigest()
+        key = hashlib.sha256(json.dumps(computed_from, sort_keys=True).encode()).hexdigest()
         clear_leftovers(out)
         stored = out / ASSESSED_FROM
         if (out / ASSESSMENT_PAGE).exists() or (out.exists() and any(out.iterdir()) and not stored.exists()):
@@ -573,8 +583,8 @@ class _AssessedParts:
             write_bytes(stored, f"{key}\n".encode())
         elif read_text(stored, "the SHA-256 of an assessment's inputs").strip() != key:
             raise RecordError(
-                f"{out}: holds an unfinished assessment of another finger, pad, paint, seed or --quick; give the "
-                "command that began it, or another --out"
+                f"{out}: holds an unfinished assessment of another finger, pad, paint, seed, --engine, --quick or "
+                "--paints-as-given; give the command that began it, or another --out"
             )
         elif kept := sum(1 for _ in out.glob("*.json")):
             say(f"{out}: continues; {kept} finished parts are kept")
