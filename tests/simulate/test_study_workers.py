@@ -17,6 +17,7 @@ from distributed import Client, LocalCluster
 
 from data_schemas import SimulateError, code_digest, provenance
 from data_schemas import _provenance as provenance_module
+from data_schemas._provenance import _source_names
 from sim.studies import _engine as engine_module
 from sim.studies._engine import Unfit, Workers, _fault, _found, _token_in, each_computed, open_workers, run_study
 
@@ -305,6 +306,13 @@ def test_a_scheduler_on_another_machine_computes_also_after_its_cable_was_pulled
         server.kill()
     assert sorted(numbers) == list(range(1, 9))
     assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 9)}
+
+
+def test_what_editors_and_tools_keep_is_not_code(tmp_path):
+    for name in ("sim/_a.py", "sim/.ipynb_checkpoints/_a.py", "rigs/.#b.py", "rigs/plan.toml", "rigs/notes.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    assert _source_names(tmp_path) == ["rigs/plan.toml", "sim/_a.py"]
 
 
 def test_a_record_names_the_machine_that_computed_it(monkeypatch):
