@@ -159,21 +159,17 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     search.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
     search.add_argument("--for", dest="first", required=True, metavar="OBJECTIVE", help="the first objective")
-    search.add_argument(
-        "--and", dest="further", action="append", default=[], metavar="OBJECTIVE", help="a further one (repeatable)"
-    )
+    search.add_argument("--and", dest="further", action="append", default=[], metavar="OBJECTIVE",
+                        help="a further one (repeatable)")  # fmt: skip
     search.add_argument(
         "--within", action="append", default=[], metavar="FIELD[=LOW:HIGH]",
         help="a number that may change, and its limits (repeatable; default: light angle and place, pad "
             "thickness, and ribs and fin if stiffness is an objective)",
     )  # fmt: skip
-    search.add_argument(
-        "--evaluations", type=_evaluation_count, default=60, metavar="N", help="designs to compute (default: 60)"
-    )
-    search.add_argument(
-        "--confirm", type=_confirmation_count, default=6, metavar="N",
-        help="other seeds and contact places that confirm the gain (default: 6; 0: none)",
-    )  # fmt: skip
+    search.add_argument("--evaluations", type=_evaluation_count, default=60, metavar="N",
+                        help="designs to compute (default: 60)")  # fmt: skip
+    search.add_argument("--confirm", type=_confirmation_count, default=6, metavar="N",
+                        help="other seeds and contact places that confirm the gain (default: 6; 0: none)")  # fmt: skip
     add_paint(search)
     add_paints_as_given(search)
     add_engine(search, is_scalar_enough=False)
@@ -296,11 +292,7 @@ def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") ->
     from sim import design_toml
 
     finger = out / f"{file_name(optimum.design.name)}.toml"
-    for file in (
-        out / OPTIMUM_NAME,
-        out / OPTIMUM_PAGE_NAME,
-        finger,
-    ):  # made again from the evaluations, which are kept
+    for file in (out / OPTIMUM_NAME, out / OPTIMUM_PAGE_NAME, finger):  # made again from the kept evaluations
         file.unlink(missing_ok=True)
     page = optimum_page(optimum, origin.command, origin.input_sha256, origin.package_version)
     with ProductSet(out / OPTIMUM_NAME) as products:
@@ -320,10 +312,8 @@ def _tell_optimum(optimum: "DesignOptimum") -> None:
         if gain.confirmed_rel is not None and gain.confirmed_95_rel is not None:
             low, high = gain.confirmed_95_rel
             confirmed = f", confirmed {100 * gain.confirmed_rel:+.1f} % ({100 * low:+.1f} % to {100 * high:+.1f} %)"
-        say(
-            f"  {gain.objective} compared with the {gain.against}: in the search {100 * gain.seen_rel:+.1f} "
-            f"%{confirmed}"
-        )
+        seen = f"in the search {100 * gain.seen_rel:+.1f} %{confirmed}"
+        say(f"  {gain.objective} compared with the {gain.against}: {seen}")
     front = front_rows(optimum)
     if len(optimum.objectives) > 1:
         say(f"  on the front: {len(front)} of {len(optimum.designs)} designs")
@@ -341,38 +331,20 @@ def add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]
     tolerances.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
     add_paint(tolerances)
     add_paints_as_given(tolerances)
-    tolerances.add_argument(
-        "--vary", type=_half_range, action="append", default=[], metavar="FIELD=HALF_RANGE",
-        help="how far a number varies to either side, such as light.angle_deg=2 (repeatable)",
-    )  # fmt: skip
+    tolerances.add_argument("--vary", type=_half_range, action="append", default=[], metavar="FIELD=HALF_RANGE",
+                            help="how far a number varies to either side, such as light.angle_deg=2 (repeatable)")  # fmt: skip
     tolerances.add_argument(
         "--contact", type=float, action="append", default=[], metavar="MM", dest="places_mm",
         help="middle of a contact along the pad, mm (repeatable; default: six from a tenth to nine tenths of the pad)",
     )  # fmt: skip
-    tolerances.add_argument(
-        "--allowed",
-        type=float,
-        default=0.1,
-        metavar="SHARE",
-        help="allowed growth of the error, as a share (default: 0.1)",
-    )
-    tolerances.add_argument(
-        "--calibration",
-        choices=["own", "shared"],
-        default="own",
-        help="calibrate each finger as it was built (own), or use the calibration of the finger as drawn for all "
-        "(shared)",
-    )
-    tolerances.add_argument(
-        "--runs", type=int, default=128, metavar="N", help="fingers in which all numbers vary together (default: 128)"
-    )
-    tolerances.add_argument(
-        "--samples",
-        type=int,
-        default=1024,
-        metavar="N",
-        help="paths per point and repeat (default: 1024, some 1 s a finger)",
-    )
+    tolerances.add_argument("--allowed", type=float, default=0.1, metavar="SHARE",
+                            help="allowed growth of the error, as a share (default: 0.1)")  # fmt: skip
+    tolerances.add_argument("--calibration", choices=["own", "shared"], default="own", help="calibrate each finger as it "
+                            "was built (own), or use the calibration of the finger as drawn for all (shared)")  # fmt: skip
+    tolerances.add_argument("--runs", type=int, default=128, metavar="N",
+                            help="fingers in which all numbers vary together (default: 128)")  # fmt: skip
+    tolerances.add_argument("--samples", type=int, default=1024, metavar="N",
+                            help="paths per point and repeat (default: 1024, some 1 s a finger)")  # fmt: skip
     add_engine(tolerances, is_scalar_enough=False)
     tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
     add_seed(tolerances)

@@ -19,7 +19,18 @@ from data_schemas import SimulateError, code_digest, provenance
 from data_schemas import _provenance as provenance_module
 from data_schemas._provenance import _source_names
 from sim.studies import _engine as engine_module
-from sim.studies._engine import Unfit, Workers, _fault, _found, _token_in, each_computed, open_workers, run_study
+from sim.studies._engine import (
+    Unfit,
+    Workers,
+    _ended,
+    _fault,
+    _found,
+    _Steps,
+    _token_in,
+    each_computed,
+    open_workers,
+    run_study,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -238,6 +249,13 @@ def test_another_folder_of_the_same_path_is_noticed_also_by_a_worker_that_comes_
         assert refused.reason == f"does not see {tmp_path}"
         (tmp_path / "elsewhere").rename(token)
     assert not list(tmp_path.iterdir())
+
+
+def test_workers_of_this_machine_that_are_ended_are_not_called_a_scheduler_elsewhere(cluster):
+    with Client(cluster.scheduler_address) as client:
+        threading.Timer(1.0, cluster.close).start()
+        with pytest.raises(SimulateError, match="the worker processes of this machine were ended in the middle; what"):
+            list(_ended(Workers(client), waits, 5.0, jobs(4), _Steps(4, None)))
 
 
 def test_a_file_that_the_network_shows_late_is_waited_for(monkeypatch, tmp_path):
