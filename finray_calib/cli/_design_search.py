@@ -332,15 +332,15 @@ def add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]
     add_paint(tolerances)
     add_paints_as_given(tolerances)
     tolerances.add_argument("--vary", type=_half_range, action="append", default=[], metavar="FIELD=HALF_RANGE",
-                            help="how far a number varies to either side, such as light.angle_deg=2 (repeatable)")  # fmt: skip
+        help="how far a number varies to either side, such as light.angle_deg=2 (repeatable)")  # fmt: skip
     tolerances.add_argument(
         "--contact", type=float, action="append", default=[], metavar="MM", dest="places_mm",
         help="middle of a contact along the pad, mm (repeatable; default: six from a tenth to nine tenths of the pad)",
     )  # fmt: skip
     tolerances.add_argument("--allowed", type=float, default=0.1, metavar="SHARE",
                             help="allowed growth of the error, as a share (default: 0.1)")  # fmt: skip
-    tolerances.add_argument("--calibration", choices=["own", "shared"], default="own", help="calibrate each finger as it "
-                            "was built (own), or use the calibration of the finger as drawn for all (shared)")  # fmt: skip
+    tolerances.add_argument("--calibration", choices=["own", "shared"], default="own", help="calibrate each finger as "
+        "it was built (own), or use the calibration of the finger as drawn for all (shared)")  # fmt: skip
     tolerances.add_argument("--runs", type=int, default=128, metavar="N",
                             help="fingers in which all numbers vary together (default: 128)")  # fmt: skip
     tolerances.add_argument("--samples", type=int, default=1024, metavar="N",
