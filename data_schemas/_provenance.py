@@ -148,14 +148,15 @@ def code_digest() -> str:
     Two computers with the same digest run the same finray, installed or from a source tree.
     """
     root = Path(__file__).resolve().parent.parent
-    names = sorted(
-        file.relative_to(root).as_posix()
-        for package in _PACKAGES
-        for file in (root / package).rglob("*")
-        if file.suffix in _READ_AT_RUN_TIME and file.is_file()
-    )
-    lines = "".join(f"{sha256_of(root / name)}  {name}\n" for name in names)
+    lines = "".join(f"{sha256_of(root / name)}  {name}\n" for name in _source_names(root))
     return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def _source_names(root: Path) -> list[str]:
+    """Return the names of all source files below a folder, without what editors and tools keep in hidden ones."""
+    files = [file for package in _PACKAGES for file in (root / package).rglob("*") if file.suffix in _READ_AT_RUN_TIME]
+    names = [file.relative_to(root) for file in files if file.is_file()]
+    return sorted(name.as_posix() for name in names if not any(part.startswith(".") for part in name.parts))
 
 
 def digest_of_input(path: Path) -> str:

@@ -21,6 +21,7 @@ The tree (the command line prints the message and ends with status 2; no traceba
     ├── RadiometryError        frames cannot be turned into band signals
     ├── FitError               band signals cannot be fitted
     ├── SimulateError          a scene cannot be built or rendered
+    │   ├── ImpossibleFingerError  a finger of these numbers cannot be made, or seen by its camera
     │   └── NoEquilibriumError a press ended before what was asked for
     ├── CompareError           a render and a capture cannot be compared
     ├── DecideError            a sweep does not allow a decision
@@ -111,6 +112,10 @@ class FitError(FinrayError):
 
 class SimulateError(FinrayError):
     """A scene cannot be built or rendered."""
+
+
+class ImpossibleFingerError(SimulateError):
+    """A finger of these numbers and paints cannot be made, or its camera does not see enough of the pad."""
 
 
 class NoEquilibriumError(SimulateError):

@@ -159,21 +159,17 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     search.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
     search.add_argument("--for", dest="first", required=True, metavar="OBJECTIVE", help="the first objective")
-    search.add_argument(
-        "--and", dest="further", action="append", default=[], metavar="OBJECTIVE", help="a further one (repeatable)"
-    )
+    search.add_argument("--and", dest="further", action="append", default=[], metavar="OBJECTIVE",
+                        help="a further one (repeatable)")  # fmt: skip
     search.add_argument(
         "--within", action="append", default=[], metavar="FIELD[=LOW:HIGH]",
         help="a number that may change, and its limits (repeatable; default: light angle and place, pad "
             "thickness, and ribs and fin if stiffness is an objective)",
     )  # fmt: skip
-    search.add_argument(
-        "--evaluations", type=_evaluation_count, default=60, metavar="N", help="designs to compute (default: 60)"
-    )
-    search.add_argument(
-        "--confirm", type=_confirmation_count, default=6, metavar="N",
-        help="other seeds and contact places that confirm the gain (default: 6; 0: none)",
-    )  # fmt: skip
+    search.add_argument("--evaluations", type=_evaluation_count, default=60, metavar="N",
+                        help="designs to compute (default: 60)")  # fmt: skip
+    search.add_argument("--confirm", type=_confirmation_count, default=6, metavar="N",
+                        help="other seeds and contact places that confirm the gain (default: 6; 0: none)")  # fmt: skip
     add_paint(search)
     add_paints_as_given(search)
     add_engine(search, is_scalar_enough=False)
@@ -296,11 +292,7 @@ def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") ->
     from sim import design_toml
 
     finger = out / f"{file_name(optimum.design.name)}.toml"
-    for file in (
-        out / OPTIMUM_NAME,
-        out / OPTIMUM_PAGE_NAME,
-        finger,
-    ):  # made again from the evaluations, which are kept
+    for file in (out / OPTIMUM_NAME, out / OPTIMUM_PAGE_NAME, finger):  # made again from the kept evaluations
         file.unlink(missing_ok=True)
     page = optimum_page(optimum, origin.command, origin.input_sha256, origin.package_version)
     with ProductSet(out / OPTIMUM_NAME) as products:
@@ -320,10 +312,8 @@ def _tell_optimum(optimum: "DesignOptimum") -> None:
         if gain.confirmed_rel is not None and gain.confirmed_95_rel is not None:
             low, high = gain.confirmed_95_rel
             confirmed = f", confirmed {100 * gain.confirmed_rel:+.1f} % ({100 * low:+.1f} % to {100 * high:+.1f} %)"
-        say(
-            f"  {gain.objective} compared with the {gain.against}: in the search {100 * gain.seen_rel:+.1f} "
-            f"%{confirmed}"
-        )
+        seen = f"in the search {100 * gain.seen_rel:+.1f} %{confirmed}"
+        say(f"  {gain.objective} compared with the {gain.against}: {seen}")
     front = front_rows(optimum)
     if len(optimum.objectives) > 1:
         say(f"  on the front: {len(front)} of {len(optimum.designs)} designs")
@@ -341,38 +331,20 @@ def add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]
     tolerances.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
     add_paint(tolerances)
     add_paints_as_given(tolerances)
-    tolerances.add_argument(
-        "--vary", type=_half_range, action="append", default=[], metavar="FIELD=HALF_RANGE",
-        help="how far a number varies to either side, such as light.angle_deg=2 (repeatable)",
-    )  # fmt: skip
+    tolerances.add_argument("--vary", type=_half_range, action="append", default=[], metavar="FIELD=HALF_RANGE",
+        help="how far a number varies to either side, such as light.angle_deg=2 (repeatable)")  # fmt: skip
     tolerances.add_argument(
         "--contact", type=float, action="append", default=[], metavar="MM", dest="places_mm",
         help="middle of a contact along the pad, mm (repeatable; default: six from a tenth to nine tenths of the pad)",
     )  # fmt: skip
-    tolerances.add_argument(
-        "--allowed",
-        type=float,
-        default=0.1,
-        metavar="SHARE",
-        help="allowed growth of the error, as a share (default: 0.1)",
-    )
-    tolerances.add_argument(
-        "--calibration",
-        choices=["own", "shared"],
-        default="own",
-        help="calibrate each finger as it was built (own), or use the calibration of the finger as drawn for all "
-        "(shared)",
-    )
-    tolerances.add_argument(
-        "--runs", type=int, default=128, metavar="N", help="fingers in which all numbers vary together (default: 128)"
-    )
-    tolerances.add_argument(
-        "--samples",
-        type=int,
-        default=1024,
-        metavar="N",
-        help="paths per point and repeat (default: 1024, some 1 s a finger)",
-    )
+    tolerances.add_argument("--allowed", type=float, default=0.1, metavar="SHARE",
+                            help="allowed growth of the error, as a share (default: 0.1)")  # fmt: skip
+    tolerances.add_argument("--calibration", choices=["own", "shared"], default="own", help="calibrate each finger as "
+        "it was built (own), or use the calibration of the finger as drawn for all (shared)")  # fmt: skip
+    tolerances.add_argument("--runs", type=int, default=128, metavar="N",
+                            help="fingers in which all numbers vary together (default: 128)")  # fmt: skip
+    tolerances.add_argument("--samples", type=int, default=1024, metavar="N",
+                            help="paths per point and repeat (default: 1024, some 1 s a finger)")  # fmt: skip
     add_engine(tolerances, is_scalar_enough=False)
     tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
     add_seed(tolerances)
@@ -524,10 +496,8 @@ def run_assess(arguments: argparse.Namespace) -> None:
     settings = ToleranceSettings(runs=96 if arguments.quick else 128, seed=arguments.seed)
     with naming(SimulateError, arguments.design):
         finger_outline(design, folder)  # parts that do not fit are told before any work
-        of = [design.model_dump_json(exclude={"provenance"}), str(arguments.seed), str(arguments.quick)]
-        parts = _AssessedParts(
-            arguments.out or Path(f"{file_name(design.name)}.assessed"), origin, [*of, *inputs.values()]
-        )
+        of = _computed_from(arguments, design, files, paint_paths)
+        parts = _AssessedParts(arguments.out or Path(f"{file_name(design.name)}.assessed"), origin, of)
         sweeps = _swept(arguments, design, folder, paint_paths, parts)
         decision = parts.part(
             "light-angle-decision", LightAngleDecision, lambda: _decided(sweeps, arguments.seed),
@@ -550,6 +520,18 @@ def run_assess(arguments: argparse.Namespace) -> None:
     look_at(parts.out / ASSESSMENT_PAGE)
 
 
+def _computed_from(
+    arguments: argparse.Namespace, design: "FingerDesign", files: Sequence[Path], paints: "Mapping[str, Path]"
+) -> "dict[str, object]":
+    """Return by its role what all parts of an assessment are computed from; of files their SHA-256."""
+    return {
+        "design": design.model_dump(mode="json", exclude={"provenance"}),
+        "files": [digest for file in files for digest in input_digests([file]).values()],
+        "paints": {colour: digest for colour, file in paints.items() for digest in input_digests([file]).values()},
+        **{name: getattr(arguments, name) for name in ("seed", "quick", "engine", "paints_as_given")},
+    }
+
+
 class _AssessedParts:
     """The parts of an assessment: each is stored once it is computed, and read back when the command is given again.
 
@@ -557,13 +539,13 @@ class _AssessedParts:
     continue there.
     """
 
-    def __init__(self, out: Path, origin: "Provenance", computed_from: Sequence[str]) -> None:
+    def __init__(self, out: Path, origin: "Provenance", computed_from: "Mapping[str, object]") -> None:
         from data_schemas import RecordError
         from data_schemas.storage import clear_leftovers, read_text, write_bytes
 
         self.out, self._origin = require_folder(out), origin
         self._other_code: dict[str, str] = {}
-        key = hashlib.sha256(json.dumps(list(computed_from)).encode()).hexdigest()
+        key = hashlib.sha256(json.dumps(computed_from, sort_keys=True).encode()).hexdigest()
         clear_leftovers(out)
         stored = out / ASSESSED_FROM
         if (out / ASSESSMENT_PAGE).exists() or (out.exists() and any(out.iterdir()) and not stored.exists()):
@@ -573,8 +555,8 @@ class _AssessedParts:
             write_bytes(stored, f"{key}\n".encode())
         elif read_text(stored, "the SHA-256 of an assessment's inputs").strip() != key:
             raise RecordError(
-                f"{out}: holds an unfinished assessment of another finger, pad, paint, seed or --quick; give the "
-                "command that began it, or another --out"
+                f"{out}: holds an unfinished assessment of another finger, pad, paint, seed, --engine, --quick or "
+                "--paints-as-given; give the command that began it, or another --out"
             )
         elif kept := sum(1 for _ in out.glob("*.json")):
             say(f"{out}: continues; {kept} finished parts are kept")

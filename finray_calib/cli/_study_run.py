@@ -491,20 +491,18 @@ def _store(out: Path, result: "StudyResult", points: "Sequence[StudyPoint]", ori
     from finray_calib.exchange import parquet_table, study_netcdf
     from finray_calib.reports import design_study_page, study_pictures_webp
 
-    names = (RESULT_NAME, TABLE_NAME, PARQUET_NAME, NETCDF_NAME, PAGE_NAME, PICTURES_NAME)
-    for name in names:  # made again from the points, which are what is kept
-        (out / name).unlink(missing_ok=True)
     page = design_study_page(result, points, origin.command, origin.input_sha256, origin.package_version)
-    pictures = study_pictures_webp(points)
+    made = {
+        TABLE_NAME: table_csv(result).encode(),
+        PAGE_NAME: page.encode(),
+        PARQUET_NAME: parquet_table(_table_rows(result)),
+        NETCDF_NAME: study_netcdf(result),
+        PICTURES_NAME: study_pictures_webp(points),
+    }
+    for name in (RESULT_NAME, *made):  # those of an earlier run, once all that takes their place is made
+        (out / name).unlink(missing_ok=True)
     with ProductSet(out / RESULT_NAME) as products:
-        products.add(out / TABLE_NAME, table_csv(result).encode())
-        products.add(out / PAGE_NAME, page.encode())
-        further = {
-            PARQUET_NAME: parquet_table(_table_rows(result)),
-            NETCDF_NAME: study_netcdf(result),
-            PICTURES_NAME: pictures,
-        }
-        for name, content in further.items():
+        for name, content in made.items():
             if content is not None:
                 products.add(out / name, content)
         write_record(result, out / RESULT_NAME, origin, products)

@@ -8,7 +8,8 @@ import importlib
 import importlib.util
 import io
 import tarfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -87,13 +88,26 @@ def index_parquet(shards: Iterable[DatasetShard]) -> bytes | None:
 
 
 def parquet_table(rows: Iterable[Mapping[str, Any]]) -> bytes | None:
-    """Return a table as Parquet, a column for each key; None where pyarrow is not installed."""
+    """Return a table as Parquet, a column for each key; None where pyarrow is not installed.
+
+    A column in which numbers and words stand together is text.
+    """
     if importlib.util.find_spec("pyarrow") is None:
         return None
     arrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
     stream = io.BytesIO()
-    parquet.write_table(arrow.Table.from_pylist([dict(row) for row in rows]), stream)
+    table = [dict(row) for row in rows]
+    columns = {name: _of_one_kind([row.get(name) for row in table]) for name in dict.fromkeys(chain(*table))}
+    parquet.write_table(arrow.table(columns), stream)
     return stream.getvalue()
+
+
+def _of_one_kind(values: Sequence[Any]) -> list[Any]:
+    """Return the values of a column, as text where some are words or truths and others are not."""
+    kinds = {type(value) if isinstance(value, str | bool) else object for value in values if value is not None}
+    if len(kinds) <= 1:
+        return list(values)
+    return [value if value is None or isinstance(value, str) else str(value) for value in values]
 
 
 def read_shard(path: Path) -> Iterator[dict[str, Any]]:

@@ -19,6 +19,7 @@ from data_schemas import (
     FingerDesign,
     FingerStiffness,
     ForceSlope,
+    ImpossibleFingerError,
     Indenter,
     Measure,
     NoEquilibriumError,
@@ -76,7 +77,7 @@ def changed_design(design: FingerDesign, field: str, value: Any) -> FingerDesign
     try:
         return FingerDesign.model_validate(whole)
     except ValidationError as refused:
-        raise SimulateError(refused.errors()[0]["msg"]) from refused
+        raise ImpossibleFingerError(refused.errors()[0]["msg"]) from refused
 
 
 Progress = Callable[[int, int, str], None]

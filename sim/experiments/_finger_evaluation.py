@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from data_schemas import CameraCalibration, FingerDesign, NormalErrorChange, SimulateError
+from data_schemas import CameraCalibration, FingerDesign, ImpossibleFingerError, NormalErrorChange, SimulateError
 from finray_calib.decide import LightBasis, error_change
 from finray_calib.sensing import uniformity
 from sim.experiments import light_paths, with_one_panel
@@ -433,7 +433,7 @@ class FingerEvaluator:
             return length * np.linspace(0.1, 0.9, POINTS_ALONG)
         places = np.array(self.settings.contact_places_mm, dtype=np.float64)
         if not ((places >= 0.0) & (places <= length)).all():
-            raise SimulateError(
+            raise ImpossibleFingerError(
                 f"contact places {places.tolist()} mm must lie on the pad, 0 to {length:g} mm (pad.length_mm)"
             )
         return places

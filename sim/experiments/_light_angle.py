@@ -18,6 +18,7 @@ from data_schemas import (
     AngleConstraints,
     AngleObjective,
     FingerDesign,
+    ImpossibleFingerError,
     LightAngleSweep,
     LightPanel,
     PaintCalibration,
@@ -258,7 +259,9 @@ def exposed_table(rgb: Floats, places_mm: Floats, shares: Floats, sensor: Sensor
     last = (covered < CLIPPED_LIMIT).sum(axis=-1, keepdims=True)
     level = np.take_along_axis(np.take_along_axis(brightest, order, axis=-1), last, axis=-1)[..., 0]
     if not (level > 0.0).all():
-        raise SimulateError("the coat is black at some light angle: no exposure can be set; check the light panel")
+        raise ImpossibleFingerError(
+            "the coat is black at some light angle: no exposure can be set; check the light panel"
+        )
     full_e = (sensor.full_scale_dn - sensor.black_level_dn) * sensor.gain_e_per_dn
     signal_e = rgb * (BRIGHT_SHARE * full_e / level)[:, :, None, None, None]
     clipped = (signal_e >= full_e).any(axis=-1).mean(axis=(1, 2)) @ shares

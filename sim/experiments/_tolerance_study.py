@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from data_schemas import FingerDesign, FingerTolerances, SimulateError, ToleranceRow, ToleranceSide, VarianceShare
+from data_schemas import (
+    FingerDesign,
+    FingerTolerances,
+    ImpossibleFingerError,
+    SimulateError,
+    ToleranceRow,
+    ToleranceSide,
+    VarianceShare,
+)
 from finray_calib.decide import (
     ChaosEmulator,
     Estimates,
@@ -213,7 +221,7 @@ def varied_finger(
 def _scaled(paint: PaintDraws, factor: float) -> PaintDraws:
     """Return a batch of another yield."""
     if not factor > 0.0:
-        raise SimulateError(f"a yield of {factor:g} times the calibrated one is not possible")
+        raise ImpossibleFingerError(f"a yield of {factor:g} times the calibrated one is not possible")
     optics = replace(paint.optics, emission_per_nm=factor * paint.optics.emission_per_nm)
     return replace(paint, optics=optics, emission_per_nm=factor * paint.emission_per_nm)
 
@@ -439,7 +447,7 @@ def _search(growth: _Growth, number: int, sign: float, allowed: float) -> _Side:
     for step in _TRIED:
         try:
             losses.append(growth.alone(number, sign * step))
-        except SimulateError as refused:
+        except ImpossibleFingerError as refused:
             ended_by = str(refused)
             break
         steps.append(step)
@@ -493,7 +501,7 @@ def _all_together(
                 if run >= most:
                     most = run + 1
                     done()
-        except SimulateError as refused:
+        except ImpossibleFingerError as refused:
             refusal = str(refused)
             if factor * _NARROWER < _SMALLEST_BOX:
                 raise SimulateError(
@@ -520,7 +528,7 @@ def _stays(check: _Growth, steps: Floats, allowed: float) -> bool:
     """Return whether a finger can be built and stays within what is allowed."""
     try:
         return check.of(steps) <= allowed
-    except SimulateError:
+    except ImpossibleFingerError:
         return False
 
 

@@ -37,7 +37,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import LightPanel, SimulateError
+from data_schemas import ImpossibleFingerError, LightPanel, SimulateError
 from sim.optics._fluorescent_paths import PanelLight, fluorescent_integrator, painted_bsdfs
 from sim.optics._paint_bands import PaintOptics, led_band, led_upper_edge_nm
 from sim.optics._path_rules import MAX_DEPTH, ROULETTE_DEPTH, LookupTable, cell_at
@@ -156,7 +156,7 @@ class FluorescentPaint:
         photons = self.reflectance + self.photon_yield()
         worst = int(np.argmax(photons))
         if photons[worst] > 1.0 + _BALANCE_TOLERANCE:
-            raise SimulateError(
+            raise ImpossibleFingerError(
                 f"paint {self.name} returns {photons[worst]:.3f} photons per photon at "
                 f"{self.wavelength_nm[worst]:g} nm (reflected and emitted; at most 1); lower its emission_per_nm, "
                 "excitation_rel or reflectance"

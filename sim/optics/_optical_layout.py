@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import FingerDesign, LightPanel, SimulateError
+from data_schemas import FingerDesign, ImpossibleFingerError, LightPanel
 from sim.surface_meshes import layout_scale, mirror_shape
 
 
@@ -85,7 +85,7 @@ class Window:
         """
         seen = np.logical_or.reduce([np.isfinite(p[..., 0]) for p in positions])
         if not seen.any():
-            raise SimulateError(
+            raise ImpossibleFingerError(
                 "the camera does not see the coated face: check camera.field_of_view_deg, the mirror and the panel's "
                 "position in the design"
             )

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import LightPanel, SimulateError
+from data_schemas import ImpossibleFingerError, LightPanel, SimulateError
 
 BAND_NAMES = ("red", "green", "led")
 
@@ -137,14 +137,14 @@ def paint_bands(red: PaintOptics, green: PaintOptics, light: LightPanel) -> Pain
         for name, band, out in zip(BAND_NAMES, bands, reflectance[key] + conversion[key], strict=True):
             if out > 1.0 + _ENERGY_TOLERANCE:
                 source = "LED" if name == "led" else f"{name} band"
-                raise SimulateError(
+                raise ImpossibleFingerError(
                     f"paint {paint.name} returns more energy than the {source} brings: reflectance plus emitted share "
                     f"at {band.centroid_nm:.0f} nm make {out:.3f} and must not exceed 1; check the paint's calibration"
                 )
             photons = reflectance[key][BAND_NAMES.index(name)]
             photons += conversion[key][BAND_NAMES.index(name)] * emissions[key][0].centroid_nm / band.centroid_nm
             if photons > 1.0 + _PHOTON_TOLERANCE:
-                raise SimulateError(
+                raise ImpossibleFingerError(
                     f"paint {paint.name} returns {photons:.3f} photons for each one at {band.centroid_nm:.0f} nm; "
                     "reflected and emitted photons must not exceed 1: check the paint's yield and reflectance"
                 )

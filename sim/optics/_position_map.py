@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, diags_array, eye_array, kron, vstack
 from scipy.sparse.linalg import spsolve
 
-from data_schemas import SimulateError
+from data_schemas import ImpossibleFingerError
 from sim.optics._path_rules import LookupTable, cell_at
 from sim.surface_meshes import Surface
 
@@ -179,7 +179,7 @@ class PositionMap:
         middle_mm = np.concatenate([surface.vertices_mm, surface.vertices_mm[corners].mean(axis=1)])
         gap = float(np.linalg.norm(cls(coefficients).positions_mm(middle_uv) - middle_mm, axis=-1).max())
         if gap > _LARGEST_GAP_MM:
-            raise SimulateError(
+            raise ImpossibleFingerError(
                 f"the {name} is not a smooth face: its mesh departs from the smooth map by {gap:.2g} mm "
                 f"({_LARGEST_GAP_MM} mm allowed); check its texture coordinates, or refine the mesh"
             )
@@ -285,7 +285,7 @@ def _turn(surface: Surface, name: str) -> float:
     a, b, c = (surface.uv[surface.triangles[:, k]] for k in range(3))
     turns = np.sign((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     if (turns != turns[0]).any() or turns[0] == 0.0:
-        raise SimulateError(
+        raise ImpossibleFingerError(
             f"the texture coordinates of the {name} fold: {int((turns <= 0.0).sum())} of {len(turns)} "
             "triangles turn the other way; every triangle must turn the same way in (u, v)"
         )

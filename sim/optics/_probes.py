@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from data_schemas import CameraCalibration, FingerDesign, SimulateError
+from data_schemas import CameraCalibration, FingerDesign, ImpossibleFingerError, SimulateError
 from sim.optics._pixel_maps import pixel_maps
 from sim.optics._scene import band_film
 from sim.surface_meshes import FingerShape
@@ -209,7 +209,7 @@ def seen_points(
     distance_mm, nearest = cKDTree(seen_mm).query(grid)
     chosen = np.unique(np.asarray(nearest)[np.asarray(distance_mm) < step_mm / 2.0])
     if 2 * len(chosen) < len(grid):
-        raise SimulateError(
+        raise ImpossibleFingerError(
             f"the camera sees {len(chosen)} of {len(grid)} points spread over the pad, too few to judge a light "
             f"angle; check camera.field_of_view_deg, the mirror and whether light.position_mm stands in the way"
         )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CameraCalibration, Coating, FingerDesign, LightPanel, SimulateError
+from data_schemas import CameraCalibration, Coating, FingerDesign, ImpossibleFingerError, LightPanel
 from sim.optics._calibrated_camera import opencv_sensor
 from sim.optics._optical_layout import CameraPose, PanelFrame, Window, camera_pose, panel_frame
 from sim.optics._paint_bands import PaintBands
@@ -120,7 +120,7 @@ def check_outside_the_gel(light: LightPanel, shape: FingerShape) -> None:
             nearest = np.argmin(((centres - corner) ** 2).sum(axis=1))
             if (corner - centres[nearest]) @ normals[nearest] <= 0.0:
                 place = ", ".join(f"{v:.1f}" for v in corner)
-                raise SimulateError(
+                raise ImpossibleFingerError(
                     f"the light panel at position_mm = {list(light.position_mm)}, angle_deg = {light.angle_deg:g} has "
                     f"a corner at ({place}) mm, behind the gel's inner face ({shape.label}); move it to smaller y"
                 )

@@ -98,30 +98,49 @@ def run_study(
     for folder in (POINTS, PRESSES):  # the last point of a run that was killed may be whole already
         clear_leftovers(task.folder / folder)
     todo = [point for point in points if stored_point(task, point) is None]
-    presses = {file: point for point in todo if (file := press_file(task, point.design)) and not has_press(task, file)}
+    files = {point.number: press_file(task, point.design) for point in todo}
+    presses = {file: point for point in todo if (file := files[point.number]) and not has_press(task, file)}
     failed: dict[int, str] = {}
     if todo:
         with open_workers(min(workers or most_workers(), len(todo)), scheduler, task.folder) as computing:
             steps = _Steps(len(presses) + len(todo), progress)
             broken = {
-                press_file(task, point.design): reason
+                files[point.number]: reason
                 for point, reason in _each(
                     computing, _try_press, task, list(presses.values()), steps, "press of point "
                 )
                 if reason is not None
             }
-            whole = [point for point in todo if press_file(task, point.design) not in broken]
-            failed = {p.number: f"its press: {broken[press_file(task, p.design)]}" for p in todo if p not in whole}
+            failed = {n: f"its press: {broken[file]}" for n, file in files.items() if file in broken}
+            whole = [point for point in todo if point.number not in failed]
             for point, reason in _each(computing, _try_point, task, whole, steps, "point "):
                 if reason is not None:
                     failed[point.number] = reason
-    found = {point.number: stored_point(task, point) for point in points if point.number not in failed}
+    found = _found(task, [point for point in points if point.number not in failed], WAIT_FOR_FILES_S)
     kept = [record for record in found.values() if record is not None]
     failed |= {number: f"was computed, but is not in {task.folder}: {_NOT_SEEN}" for number, record in found.items()
                if record is None}  # fmt: skip
     return kept, [StudyFailure(number=p.number, changes=p.changes, reason=failed[p.number])
                   for p in points if p.number in failed]  # fmt: skip
 
+
+def _found(task: StudyTask, points: Sequence[PlannedPoint], wait_s: float) -> dict[int, StudyPoint | None]:
+    """Return the stored points by number.
+
+    A network file system may show a file that was written elsewhere up to a minute later; it is waited for.
+    """
+    found = {point.number: stored_point(task, point) for point in points}
+    deadline = time.monotonic() + wait_s
+    while (missing := [point for point in points if found[point.number] is None]) and time.monotonic() < deadline:
+        time.sleep(1.0)
+        with suppress(OSError):  # reading the folder asks the file server again
+            os.listdir(task.folder / POINTS)
+        found |= {point.number: stored_point(task, point) for point in missing}
+    return found
+
+
+WAIT_FOR_FILES_S: Final = 60.0
+"""NFS keeps what it knows of a folder for as long as this."""
 
 MEMORY_PER_WORKER_BYTES: Final = 2 * 2**30
 """A worker may take this much; a medium mesh with friction takes 1.2 GB."""
@@ -171,34 +190,56 @@ class Workers:
         Of Dask.
     address
         Of a scheduler elsewhere; None for workers of this machine.
-    folder
-        Of the study, which workers elsewhere must see.
+    token
+        File in the folder of the study, which workers elsewhere must see.
     unfit
-        Address -> why nothing more is given to this worker.
+        Address -> why nothing more is given to this worker, as long as it is there.
     """
 
     client: Any
     address: str | None = None
-    folder: Path | None = None
+    token: Path | None = None
     unfit: dict[str, str] = field(default_factory=dict)
 
     def count(self) -> int:
         """Return how many there are now, at least one: those that are not there yet are waited for."""
-        return max(1, len(self.client.nthreads()) - len(self.unfit))
+        return max(1, len(self._fit()))
 
-    def submit(self, compute: Callable[[T, Q], Outcome], task: T, point: Q) -> Any:
-        """Give a point to a worker; return its future, whose result may be :class:`Unfit`."""
+    def submit(self, compute: Callable[[T, Q], Outcome], task: T, point: Q, tell: Callable[[str], None]) -> Any:
+        """Give a point to a worker; return its future, whose result may be :class:`Unfit`.
+
+        Which workers are chosen is a wish: what they cannot take any more goes to any other, of which an unfit one
+        gives it back.
+        """
         if self.address is None:
             return self.client.submit(compute, task, point, pure=False)
-        chosen = {}
-        if self.unfit:
-            fit = [address for address in self.client.nthreads() if address not in self.unfit]
-            if not fit:
+        fit = self._wait_for_fit(tell)
+        chosen = {"workers": fit, "allow_other_workers": True} if self.unfit and fit else {}
+        return self.client.submit(_on_fit_worker, compute, task, point, code_digest(), self.token, pure=False, **chosen)
+
+    def _fit(self) -> list[str]:
+        """Return the addresses of the workers that are there and not known to be unfit; forget those that left."""
+        there = self.client.nthreads()
+        self.unfit = {address: reason for address, reason in self.unfit.items() if address in there}
+        return [address for address in there if address not in self.unfit]
+
+    def _wait_for_fit(self, tell: Callable[[str], None]) -> list[str]:
+        """Return the workers that may be fit, which are waited for while only unfit ones are there.
+
+        Raises
+        ------
+        SimulateError
+            None came.
+        """
+        deadline, is_told = time.monotonic() + WAIT_FOR_SCHEDULER_S, False
+        while not (fit := self._fit()) and self.unfit:
+            if time.monotonic() > deadline:
                 raise SimulateError(f"--scheduler {self.address}: {_unfit_words(self.unfit)}")
-            chosen = {"workers": fit}
-        return self.client.submit(
-            _on_fit_worker, compute, task, point, code_digest(), self.folder, pure=False, **chosen
-        )
+            if not is_told:
+                tell(f"only unfit workers are there; waiting for others, {WAIT_FOR_SCHEDULER_S / 60:g} minutes at most")
+                is_told = True
+            time.sleep(0.5)
+        return fit
 
     def require_fit(self) -> None:
         """Ask each worker that is there whether it runs the same code and sees the folder.
@@ -208,8 +249,7 @@ class Workers:
         SimulateError
             One does not; the message names it.
         """
-        with _token_in(self.folder) as token:
-            found = self.client.run(_fault, code_digest(), token, on_error="return")
+        found = self.client.run(_fault, code_digest(), self.token, on_error="return")
         faults = {
             address: f"cannot run finray ({type(fault).__name__}: {fault})" if isinstance(fault, Exception) else fault
             for address, fault in found.items()
@@ -245,13 +285,18 @@ def _unfit_words(unfit: Mapping[str, str]) -> str:
     return f"{told}{more}. Install the finray of this computer there and mount the folder under its path, or stop them"
 
 
+REFUSAL_S: Final = 1.0
+"""An unfit worker gives points back as slowly as this: Dask lets idle workers take those that wait for busy ones."""
+
+
 def _on_fit_worker(
-    compute: Callable[[T, Q], Outcome], task: T, point: Q, digest: str, folder: Path | None
+    compute: Callable[[T, Q], Outcome], task: T, point: Q, digest: str, token: Path | None
 ) -> Outcome | Unfit:
     """Compute a point, in a worker elsewhere, unless the worker does not fit."""
-    fault = _fault(digest, folder)
+    fault = _fault(digest, token)
     if fault is None:
         return compute(task, point)
+    time.sleep(REFUSAL_S)
     return Unfit(importlib.import_module("distributed").get_worker().address, fault)
 
 
@@ -306,15 +351,16 @@ def open_workers(count: int, scheduler: str | None = None, folder: Path | None =
             # what it would log with a traceback is said here in a sentence
             logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
             try:
-                workers = Workers(distributed.Client(scheduler, timeout="10s"), scheduler, folder)
+                workers = Workers(distributed.Client(scheduler, timeout="10s"), scheduler)
             except (OSError, ValueError) as error:
                 raise SimulateError(
                     f"--scheduler {scheduler}: no Dask scheduler answers there ({error}); start one with 'dask "
                     "scheduler', or leave it out to compute on this machine"
                 ) from error
             try:
-                workers.require_fit()
-                yield workers
+                with _token_in(folder) as workers.token:  # for the whole run: workers that come later look too
+                    workers.require_fit()
+                    yield workers
             finally:
                 workers.client.close()
             return
@@ -437,7 +483,7 @@ def _ended(
         try:
             window = 1 if is_one_by_one else POINTS_IN_FLIGHT_PER_WORKER * workers.count()
             while waiting and len(running) < window:
-                future = workers.submit(compute, task, waiting[0])
+                future = workers.submit(compute, task, waiting[0], steps.note)
                 running[future.key] = waiting.popleft()
                 ended.add(future)
             if not running:
@@ -447,13 +493,14 @@ def _ended(
             outcome = None if error is not None else future.result()
         except (CancelledError, OSError) as lost:  # Dask cancels what it has given to a scheduler that is gone
             if not workers.reached_again(steps.note):
-                raise SimulateError(_WENT_AWAY) from lost
+                raise SimulateError(_ENDED_HERE if workers.address is None else _WENT_AWAY) from lost
             waiting.extendleft(reversed(running.values()))
             running, ended = {}, as_completed()
             continue
         point = running.pop(future.key)
         if isinstance(outcome, Unfit):
-            steps.note(f"worker {outcome.address} is left out: it {outcome.reason}")
+            if outcome.address not in workers.unfit:
+                steps.note(f"worker {outcome.address} is left out: it {outcome.reason}")
             workers.unfit[outcome.address] = outcome.reason
             waiting.appendleft(point)
         elif error is None:
@@ -462,6 +509,10 @@ def _ended(
             yield point, f"{type(error).__name__}: {error}", type(error).__name__ == "KilledWorker"
 
 
+_ENDED_HERE = (
+    "the worker processes of this machine were ended in the middle; what is finished is kept: give the same command, "
+    "which continues with what is missing (with fewer --workers if memory was short)"
+)
 _WENT_AWAY = (
     "the Dask scheduler went away in the middle and did not come back; what is finished is kept: start the scheduler "
     "and its workers again, and give the same command, which continues with what is missing"

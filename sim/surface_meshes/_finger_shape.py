@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_schemas import FingerDesign, FingerSurfaces, SimulateError
+from data_schemas import FingerDesign, FingerSurfaces, ImpossibleFingerError, SimulateError
 
 BLEND_MM = 0.15
 """Radius of the rounded transition between the indenter and the free face."""
@@ -45,7 +45,7 @@ def check_analytic_press(design: FingerDesign) -> None:
     if indenter.depth_mm == 0.0:
         return
     if indenter.depth_mm >= pad.thickness_mm:
-        raise SimulateError(
+        raise ImpossibleFingerError(
             f"indenter.depth_mm = {indenter.depth_mm} mm goes through the pad; it must be below pad.thickness_mm = "
             f"{pad.thickness_mm} mm for the analytic press. {_BY_ELEMENTS}"
         )
@@ -166,7 +166,7 @@ def _dent_and_bulge(
     removed = _mean(rest_height_mm(design, qx, qz) - _dented(design, qx, qz))
     bulge = _mean(_bulge_shape(design, half_width, qx, qz))
     if bulge < SMALLEST_BULGE_MEAN:
-        raise SimulateError(
+        raise ImpossibleFingerError(
             f"indenter.radius_mm = {indenter.radius_mm} mm at depth {indenter.depth_mm} mm covers "
             f"the pad of {design.pad.length_mm} mm from end to end and leaves no free face; reduce radius or depth"
         )
@@ -313,7 +313,7 @@ def check_closed(surfaces: Mapping[str, Surface], body: str = "gel") -> float:
     if bad.any():
         per_face = np.bincount(np.tile(owner, 3)[bad], minlength=len(surfaces))
         where = ", ".join(f"{name} ({n})" for name, n in zip(surfaces, per_face, strict=True) if n)
-        raise SimulateError(
+        raise ImpossibleFingerError(
             f"the {body} is not closed: {int(bad.sum())} edges are open or belong to triangles of opposite "
             f"orientation, at {where}; two triangles of the same orientation must meet at every edge. Close the "
             f"mesh, or turn the face"
@@ -321,7 +321,7 @@ def check_closed(surfaces: Mapping[str, Surface], body: str = "gel") -> float:
     a, b, c = (vertices[corners[:, k]] for k in range(3))
     volume = float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
     if volume <= 0.0:
-        raise SimulateError(
+        raise ImpossibleFingerError(
             f"the normals of the {body} point inward (signed volume {volume:.3g} mm^3); reverse the "
             "orientation of every face"
         )
@@ -489,7 +489,9 @@ def bent(shape: FingerShape, radius_mm: float) -> FingerShape:
     lowest = min(float(s.vertices_mm[:, 1].min()) for s in shape.surfaces.values())
     highest = max(float(s.vertices_mm[:, 1].max()) for s in shape.surfaces.values())
     if (-radius_mm >= 2.0 * lowest) if radius_mm > 0.0 else (-radius_mm <= 2.0 * highest):
-        raise SimulateError(f"a bending radius of {radius_mm:g} mm folds a finger of y = {lowest:g} to {highest:g} mm")
+        raise ImpossibleFingerError(
+            f"a bending radius of {radius_mm:g} mm folds a finger of y = {lowest:g} to {highest:g} mm"
+        )
     centre = -radius_mm
 
     def bend(vertices: NDArray[np.float64]) -> NDArray[np.float64]:

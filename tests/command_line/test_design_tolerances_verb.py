@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from data_schemas import FingerStiffness, FingerTolerances, LightAngleDecision
-from data_schemas.storage import read_record
+from data_schemas.storage import read_bytes, read_record
 from finray_calib.cli import _design_search
-from finray_calib.cli._design_search import _tolerances
+from finray_calib.cli._design_search import _computed_from, _tolerances
 from sim import preset_design, read_design, with_pad_size
 from sim.mechanics import STEPS
 from sim.mechanics._finger_mesh import MeshSteps
@@ -128,3 +128,21 @@ def test_a_pad_that_no_finger_has_is_refused_before_any_work(paints: Path, tmp_p
         assert outcome.status == 2
         assert words in outcome.err
     assert not (tmp_path / "found").exists()
+
+
+def test_an_assessment_is_known_by_what_each_input_is_for(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("one.json", "two.json")]
+    for file in files:
+        file.write_text(file.name)
+        read_bytes(file, "a paint")
+    design = preset_design("flat-70x35")
+    options = {"seed": 1, "quick": False, "engine": "auto", "paints_as_given": False}
+
+    def key(paints: dict[str, Path], **other: Any) -> dict[str, object]:
+        return _computed_from(argparse.Namespace(**options | other), design, files[:1], paints)
+
+    red_first = key({"red": files[0], "green": files[1]})
+    assert red_first == key({"green": files[1], "red": files[0]})
+    assert red_first != key({"red": files[1], "green": files[0]})
+    for other in ({"engine": "llvm"}, {"paints_as_given": True}, {"seed": 2}, {"quick": True}):
+        assert red_first != key({"red": files[0], "green": files[1]}, **other)

@@ -291,7 +291,7 @@ def test_an_assessment_that_was_killed_continues_with_what_is_missing(tmp_path, 
     for changed in ("--seed 2", "--quick", "--pad 50x30"):
         refused = finray(f"{words} {changed}")
         assert refused.status == 2
-        assert "holds an unfinished assessment of another finger, pad, paint, seed or --quick" in refused.err
+        assert "holds an unfinished assessment of another finger, pad, paint, seed, --engine, --quick or" in refused.err
     said = succeed(words)
     assert said.startswith(f"{out}: continues; 6 finished parts are kept")
     assert [getattr(what, "name", what) for what in computed] == ["flat-70x35-pad-60x30", "stiffness"]

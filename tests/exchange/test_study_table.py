@@ -7,6 +7,7 @@ import pytest
 
 from data_schemas import StudyMetric, StudyResult, StudyRow
 from finray_calib.exchange import parquet_table, study_dataset, study_netcdf
+from finray_calib.exchange._learning_dataset import _of_one_kind
 
 xarray = pytest.importorskip("xarray")
 
@@ -47,3 +48,13 @@ def test_a_parquet_table_reads_back(result):
     parquet = pytest.importorskip("pyarrow.parquet")
     rows = [{"point": 1, "preset": "a", "force_n": 2.0}, {"point": 4, "preset": "b", "force_n": None}]
     assert parquet.read_table(io.BytesIO(parquet_table(rows))).to_pylist() == rows
+
+
+def test_a_column_of_numbers_and_words_is_text_in_parquet():
+    assert _of_one_kind([1, 0.5, None]) == [1, 0.5, None]
+    assert _of_one_kind([0.5, None, "own", True]) == ["0.5", None, "own", "True"]
+    parquet = pytest.importorskip("pyarrow.parquet")
+    rows = [{"point": 1, "given": 0.5, "tried": 1}, {"point": 2, "given": "own"}, {"point": 3, "given": True}]
+    found = parquet.read_table(io.BytesIO(parquet_table(rows))).to_pylist()
+    assert [row["given"] for row in found] == ["0.5", "own", "True"]
+    assert [row["tried"] for row in found] == [1, None, None]

@@ -7,16 +7,30 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
-from distributed import Client
+from distributed import Client, LocalCluster
 
 from data_schemas import SimulateError, code_digest, provenance
 from data_schemas import _provenance as provenance_module
+from data_schemas._provenance import _source_names
 from sim.studies import _engine as engine_module
-from sim.studies._engine import _fault, _token_in, each_computed
+from sim.studies._engine import (
+    Unfit,
+    Workers,
+    _ended,
+    _fault,
+    _found,
+    _Steps,
+    _token_in,
+    each_computed,
+    open_workers,
+    run_study,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -190,6 +204,83 @@ def test_a_folder_of_the_same_path_that_is_another_one_is_not_seen(tmp_path):
 
 
 @pytest.fixture
+def cluster():
+    """A scheduler with two workers in this process."""
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as started:
+        yield started
+
+
+def waits(seconds, job):
+    time.sleep(seconds)
+
+
+def test_a_point_for_a_worker_that_left_goes_to_another(cluster):
+    with Client(cluster) as client:
+        unfit, fit = client.nthreads()
+        workers = Workers(client, cluster.scheduler_address, unfit={unfit: "runs other code", "tcp://gone:1": "left"})
+        assert workers.count() == 1
+        futures = [workers.submit(waits, 0.5, job, print) for job in jobs(3)]
+        client.retire_workers([fit])
+        assert [future.result(timeout=60) for future in futures] == [None, None, None]
+        assert list(workers.unfit) == [unfit]
+
+
+def test_fit_workers_that_are_away_for_a_moment_are_waited_for(cluster, monkeypatch):
+    told = []
+    with Client(cluster) as client:
+        workers = Workers(client, cluster.scheduler_address, unfit=dict.fromkeys(client.nthreads(), "runs other code"))
+        coming = threading.Timer(1.0, lambda: cluster.scale(3))
+        coming.start()
+        assert workers.submit(waits, 0.0, Job(1), told.append).result(timeout=60) is None
+        assert told == ["only unfit workers are there; waiting for others, 10 minutes at most"]
+        workers.unfit = dict.fromkeys(client.nthreads(), "runs other code")
+        monkeypatch.setattr(engine_module, "WAIT_FOR_SCHEDULER_S", 0.1)
+        with pytest.raises(SimulateError, match="runs other code"):
+            workers.submit(waits, 0.0, Job(1), told.append)
+
+
+def test_another_folder_of_the_same_path_is_noticed_also_by_a_worker_that_comes_later(cluster, tmp_path):
+    with open_workers(1, cluster.scheduler_address, tmp_path) as workers:
+        (token,) = tmp_path.iterdir()
+        assert workers.submit(waits, 0.0, Job(1), print).result(timeout=60) is None
+        token.rename(tmp_path / "elsewhere")  # as another folder of the path has none
+        refused = workers.submit(waits, 0.0, Job(1), print).result(timeout=60)
+        assert isinstance(refused, Unfit)
+        assert refused.reason == f"does not see {tmp_path}"
+        (tmp_path / "elsewhere").rename(token)
+    assert not list(tmp_path.iterdir())
+
+
+def test_workers_of_this_machine_that_are_ended_are_not_called_a_scheduler_elsewhere(cluster):
+    with Client(cluster.scheduler_address) as client:
+        threading.Timer(1.0, cluster.close).start()
+        with pytest.raises(SimulateError, match="the worker processes of this machine were ended in the middle; what"):
+            list(_ended(Workers(client), waits, 5.0, jobs(4), _Steps(4, None)))
+
+
+def test_a_file_that_the_network_shows_late_is_waited_for(monkeypatch, tmp_path):
+    looks = iter([None, None, "the record"])
+    monkeypatch.setattr(engine_module, "stored_point", lambda task, point: next(looks))
+    task = SimpleNamespace(folder=tmp_path)
+    assert _found(task, jobs(1), 30.0) == {1: "the record"}
+    monkeypatch.setattr(engine_module, "stored_point", lambda task, point: None)
+    assert _found(task, jobs(1), 0.1) == {1: None}
+
+
+def test_the_press_of_each_point_is_looked_up_once(monkeypatch, tmp_path):
+    looked, points = [], [SimpleNamespace(number=n, design=n % 2, changes={}) for n in range(1, 9)]
+    monkeypatch.setattr(engine_module, "press_file", lambda task, design: looked.append(1) or Path(f"{design}"))
+    monkeypatch.setattr(engine_module, "has_press", lambda task, file: False)
+    monkeypatch.setattr(engine_module, "stored_point", lambda task, point: None)
+    monkeypatch.setattr(engine_module, "open_workers", lambda *given: nullcontext())
+    monkeypatch.setattr(engine_module, "_each", lambda *given: ((point, "broke") for point in given[3]))
+    kept, failed = run_study(SimpleNamespace(folder=tmp_path), points, workers=1)
+    assert kept == []
+    assert [failure.reason for failure in failed] == ["its press: broke"] * 8
+    assert len(looked) == 8
+
+
+@pytest.fixture
 def other_machine():
     """A network of its own, joined by a cable: the command that runs a program there, its address, and the cable."""
     if os.geteuid() != 0 or shutil.which("ip") is None:
@@ -233,6 +324,13 @@ def test_a_scheduler_on_another_machine_computes_also_after_its_cable_was_pulled
         server.kill()
     assert sorted(numbers) == list(range(1, 9))
     assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 9)}
+
+
+def test_what_editors_and_tools_keep_is_not_code(tmp_path):
+    for name in ("sim/_a.py", "sim/.ipynb_checkpoints/_a.py", "rigs/.#b.py", "rigs/plan.toml", "rigs/notes.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    assert _source_names(tmp_path) == ["rigs/plan.toml", "sim/_a.py"]
 
 
 def test_a_record_names_the_machine_that_computed_it(monkeypatch):

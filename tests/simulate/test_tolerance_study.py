@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_schemas import FingerDesign, FingerTolerances, SimulateError, provenance
+from data_schemas import FingerDesign, FingerTolerances, ImpossibleFingerError, SimulateError, provenance
 from data_schemas.storage import read_record, write_record
 from sim.experiments import PaintDraws, ToleranceSettings, study_tolerances, tolerance_inputs, varied_finger
 
@@ -74,7 +74,7 @@ def test_a_box_of_which_a_finger_cannot_be_built_is_made_smaller(drawn):
     def seen(design, paints, seed):
         turned, thicker = abs(design.light.angle_deg - 30.0) / 2.0, abs(design.pad.thickness_mm - 6.0) / 0.2
         if turned + thicker > 8.0 + 1e-9 and min(turned, thicker) > 0.5:
-            raise SimulateError("the camera sees 10 of 30 points")
+            raise ImpossibleFingerError("the camera sees 10 of 30 points")
         return by_formula(design, paints, seed)
 
     inputs = tolerance_inputs(DESIGN, drawn, VARY | OTHERS_STAY)
@@ -95,11 +95,27 @@ def test_a_box_of_which_a_finger_cannot_be_built_is_made_smaller(drawn):
 
     def never(design, paints, seed):
         if abs(design.light.angle_deg - 30.0) > 0.0 and abs(design.pad.thickness_mm - 6.0) > 0.0:
-            raise SimulateError("the camera sees 10 of 30 points")
+            raise ImpossibleFingerError("the camera sees 10 of 30 points")
         return by_formula(design, paints, seed)
 
     with pytest.raises(SimulateError, match=r"not even fingers within .* can be built: the camera sees"):
         study_tolerances(never, DESIGN, drawn, inputs, settings)
+
+
+@pytest.mark.parametrize("evaluations", [3, 40, 100])
+def test_a_fault_that_is_not_the_finger_s_ends_the_study(drawn, evaluations):
+    """In the search of a number, in the box, and in the last check; it is not taken for a finger's limit."""
+    left = [evaluations]
+
+    def fails_once(design, paints, seed):
+        left[0] -= 1
+        if left[0] == 0:
+            raise SimulateError("the renderer ran out of memory")
+        return by_formula(design, paints, seed)
+
+    inputs = tolerance_inputs(DESIGN, drawn, VARY | OTHERS_STAY)
+    with pytest.raises(SimulateError, match=r"^the renderer ran out of memory$"):
+        study_tolerances(fails_once, DESIGN, drawn, inputs, ToleranceSettings(runs=64, seed=3))
 
 
 def _within(factor):
