@@ -188,7 +188,7 @@ def test_objectives_that_agree_or_cannot_be_told_are_not_called_a_disagreement()
     normal, uniformity = DECISION.other_objectives
     unsure = DECISION.model_copy(update={"other_objectives": (uniformity,)})
     assert words.disagreement_sentence(unsure) == (
-        "No other objective of the sweep is shown to need another angle (of 1 the sweep is too noisy to say): "
+        "No other objective of the sweep is shown to need another angle (for 1 the sweep is too noisy to decide this): "
         "uniformity."
     )
     agree = DECISION.model_copy(update={"other_objectives": (normal.model_copy(update={"disagrees": False}),)})
@@ -261,7 +261,7 @@ def test_the_verb_writes_record_and_page_or_neither(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_record(SWEEP, Path("sweep.json"), ORIGIN)
     said = succeed("decide sweep.json --out decision.json")
-    assert "decision.html: for whoever mounts" in said
+    assert "decision.html: the decision with its reasons" in said
     assert "finray decide sweep.json --out decision.json" in plain(Path("decision.html").read_text(encoding="utf-8"))
     Path("taken.html").touch()
     outcome = finray("decide sweep.json --out taken.json")
