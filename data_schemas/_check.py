@@ -102,6 +102,11 @@ class CheckPlan(Record):
     revisits: Annotated[int, Field(ge=0, le=100)] = Field(
         default=20, description="how often the wheel leaves its brightest filter and comes back"
     )
+    texture_is_of_the_tile: bool = Field(
+        default=False,
+        description="a printed pattern with far more contrast than dust and stains is in view, so that a shift of the "
+        "picture can be seen; false: it is never said to stay in place",
+    )
     darks_per_exposure: Annotated[int, Field(ge=2, le=100)] = 6
     longest_dark_s: ExposureS = Field(default=1.0, description="exposure of the longest dark frames")
     exposure_rounds: Annotated[int, Field(ge=4, le=100)] = Field(
@@ -149,8 +154,8 @@ class WheelMove(Model):
 class PictureShift(Model):
     """Shift between two pictures of the white tile, in pixels of the raw frame, with its standard uncertainty.
 
-    Fixed pattern of the sensor and noise are not counted as texture of the tile. Where what is left is too faint,
-    `sd_px` is None and the shift says nothing.
+    Noise and differences between neighbouring cells are not counted as texture. Dust and stains wider than a cell are,
+    and pull the shift to zero. Where what is left is too faint, `sd_px` is None and the shift says nothing.
     """
 
     row_px: float

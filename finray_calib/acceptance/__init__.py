@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from finray_calib.acceptance._acceptance_report import SECTIONS, judge, result_line, value_text
+    from finray_calib.acceptance._acceptance_report import SECTIONS, judge
     from finray_calib.acceptance._conformity import (
         GUARD_FACTOR,
         NO_REFERENCE,
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
         certified_results,
         conformance_probability,
         global_risks,
+        result_line,
+        value_text,
     )
     from finray_calib.acceptance._equivalence import Compared, Equivalence, tins_are_equivalent
     from finray_calib.acceptance._gauge_study import GaugeStudy, balanced_values, gauge_study

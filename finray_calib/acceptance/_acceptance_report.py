@@ -30,7 +30,15 @@ from data_schemas import (
     TriggerLatency,
     WarmUp,
 )
-from finray_calib.acceptance._conformity import ToleranceInterval, limit_text, measured, overall, unmeasured
+from finray_calib.acceptance._conformity import (
+    GUARD_FACTOR,
+    ToleranceInterval,
+    limit_text,
+    measured,
+    not_proven,
+    overall,
+    unmeasured,
+)
 
 Floats = NDArray[np.float64]
 
@@ -76,7 +84,7 @@ def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ..
         "filters": judge_filters(facts),
         "revisits": (*judge_revisits(facts, plan), *judge_picture(facts, plan)),
         "exposures": (*judge_exposures(facts, plan), *judge_lamp(facts, plan), *judge_frames(facts, plan)),
-        "warm-up": judge_warm_up(facts, plan),
+        "warm-up": judge_warm_up(facts, plan, rig.camera),
         "stray light": judge_stray_light(facts, plan),
         "trigger latency": judge_latency(facts, plan),
         "light off": judge_light_off(facts, plan),
@@ -130,16 +138,8 @@ def _handshake(hand: Handshake, plan: CheckPlan) -> CheckResult:
     if not words:
         return unmeasured("handshake", name, what, "UNDECIDED", "it answers but does not identify itself")
     evidence = f"{', '.join(words)}; {len(hand.durations_s)} times asked"
-    return measured(
-        "handshake",
-        name,
-        what,
-        max(hand.durations_s),
-        CLOCK_SD_S,
-        "s",
-        evidence,
-        limits=ToleranceInterval(None, plan.limits.handshake_s),
-    )
+    limits = ToleranceInterval(None, plan.limits.handshake_s)
+    return measured("handshake", name, what, max(hand.durations_s), CLOCK_SD_S, "s", evidence, limits=limits)
 
 
 def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
@@ -261,22 +261,16 @@ def judge_revisits(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...
         f"{100 * still:.2g} %"
     )
     sd = 100 * moved / math.sqrt(2 * number)
-    return (
-        measured(
-            "revisits",
-            name,
-            what,
-            100 * moved,
-            sd,
-            "%",
-            evidence,
-            limits=ToleranceInterval(None, 100 * plan.limits.revisit_rel),
-        ),
-    )
+    limits = ToleranceInterval(None, 100 * plan.limits.revisit_rel)
+    return (measured("revisits", name, what, 100 * moved, sd, "%", evidence, limits=limits),)
 
 
 SHIFT_SCALE_SD: Final = 0.05
 """Of a shift of the picture, relative: how it is measured."""
+PINNED: Final = (
+    "dust or stains on sensor and windows look like texture and would hide a shift; put a printed dot pattern in the "
+    "place of the white tile, then set texture_is_of_the_tile = true in the plan"
+)
 
 
 def judge_picture(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
@@ -285,21 +279,25 @@ def judge_picture(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]
     .. math:: y^2 = \sum (r^2 + c^2) / n, \quad u^2 = y^2 / 4 n + \sum s^2 / n^2 + (0.05 y)^2
 
     with the shifts r along rows and c along columns and the uncertainty s of each, which is mostly noise; the scale of
-    a shift is known to 5 %. Noise makes y larger than it is: the check errs to the safe side.
+    a shift is known to 5 %. Noise makes y larger than it is: the check errs to the safe side. Texture that does not
+    move with the target makes y smaller: the frames cannot rule it out, so without a statement in the plan, and where
+    some pairs show too little texture, the check fails or stays undecided.
     """
     if not facts.revisits:
         return ()
     name, what = "picture stays in place", "RMS shift of the picture of the white tile over a move away and back"
     limits = ToleranceInterval(None, plan.limits.pixel_shift_px)
     shifts = [(one.moved_px, one.still_px) for one in facts.revisits if one.moved_px is not None]
+    if not shifts:
+        return (unmeasured("revisits", name, what, "UNDECIDED", "not recorded", limit_text(None, limits.high, "px")),)
     seen = [(moved, still) for moved, still in shifts if moved.sd_px is not None]
-    if not seen or len(seen) < len(shifts):
-        reason = (
-            f"{len(shifts) - len(seen)} of {len(shifts)} pairs of frames show too little texture above noise and fixed "
-            "pattern; put a printed dot pattern or a rough matt surface in the place of the white tile, in focus, and "
-            "choose a region of 64 x 64 pixels or more"
-        )
-        return (unmeasured("revisits", name, what, "UNDECIDED", reason, limit_text(None, limits.high, "px")),)
+    few = (
+        f"{len(shifts) - len(seen)} of {len(shifts)} pairs of frames show too little texture above noise and fixed "
+        "pattern; put a printed dot pattern or a rough matt surface in the place of the white tile, in focus, and "
+        "choose a region of 64 x 64 pixels or more"
+    )
+    if not seen:
+        return (unmeasured("revisits", name, what, "UNDECIDED", few, limit_text(None, limits.high, "px")),)
     number = len(seen)
     moved_px, still_px = (
         math.sqrt(sum(one.row_px**2 + one.column_px**2 for one in each if one is not None) / number)
@@ -308,7 +306,10 @@ def judge_picture(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]
     mean_square = sum((moved.sd_px or 0.0) ** 2 for moved, _ in seen) / number
     sd = math.sqrt(moved_px**2 / (4 * number) + mean_square / number + (SHIFT_SCALE_SD * moved_px) ** 2)
     evidence = f"{number} times behind filter {facts.revisit_filter}; {still_px:.2g} px without a move"
-    return (measured("revisits", name, what, moved_px, sd, "px", evidence, limits=limits),)
+    found = measured("revisits", name, what, moved_px, sd, "px", evidence, limits=limits)
+    if number < len(shifts):
+        return (not_proven(found, few),)
+    return (found if plan.texture_is_of_the_tile else not_proven(found, PINNED),)
 
 
 def judge_dark_frames(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings) -> tuple[CheckResult, ...]:
@@ -398,18 +399,8 @@ def judge_exposures(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ..
         )
         what = "signal per second of exposure, relative to that of the shortest of three"
         name = f"exposure ratio {factor} : 1"
-        results.append(
-            measured(
-                "exposures",
-                name,
-                what,
-                100 * (ratio - 1.0),
-                100 * sd,
-                "%",
-                evidence,
-                limits=ToleranceInterval(-most, most),
-            )
-        )
+        limits = ToleranceInterval(-most, most)
+        results.append(measured("exposures", name, what, 100 * (ratio - 1.0), 100 * sd, "%", evidence, limits=limits))
     return tuple(results)
 
 
@@ -475,28 +466,15 @@ def judge_reconnect(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ..
     return (measured("reconnect", name, what, facts.reconnect_s, CLOCK_SD_S, "s", evidence, limits=limits),)
 
 
-def value_text(result: CheckResult) -> str:
-    """Return ``1.25 +- 0.02 s``: value and standard uncertainty, which has two significant digits; "" without value."""
-    if result.value is None or result.sd is None:
-        return ""
-    if result.sd == 0.0 or not math.isfinite(result.sd):
-        return f"{result.value:g} {result.unit}".strip()
-    places = max(1 - math.floor(math.log10(result.sd)), 0)
-    return f"{result.value:.{places}f} +- {result.sd:.{places}f} {result.unit}".strip()
-
-
-def result_line(result: CheckResult) -> str:
-    """Return a result as one line: verdict, name, value and limit, then the evidence."""
-    value = value_text(result)
-    limit = f" (allowed: {result.limit})" if value and result.limit else ""
-    return f"{result.verdict:<9} {result.name}: {value}{limit}{'; ' if value else ''}{result.evidence}"
-
-
+LEAST_WHITE_SHARE: Final = 0.05
+"""Of full scale, mean of the region: below it, noise and the dark level decide."""
+LEAST_WATCH: Final = 2.0
+"""Of the time in which a lamp must settle: one that was watched for less could settle later unseen."""
 LAST_SHARE: Final = 0.2
 """Of the looks at the lamp, at the end: their mean is the level that it settles at."""
 
 
-def judge_warm_up(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
+def judge_warm_up(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings) -> tuple[CheckResult, ...]:
     """Return how long the lamp needs to settle, and how far the dark level moved meanwhile."""
     settles = ("lamp settles", "time after switching on from which the lamp stays within lamp_drift_rel of its end")
     dark = ("dark level stays", "change of the dark level while the lamp was on")
@@ -507,37 +485,39 @@ def judge_warm_up(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]
         reason = "the plan asks for none (warm_up_s = 0)"
         return tuple(unmeasured("warm-up", *both, "UNDECIDED", reason) for both in (settles, dark))
     before, after = np.array(warm.dark_before_dn), np.array(warm.dark_after_dn)
-    sd = math.hypot(_sd_of_mean(before), _sd_of_mean(after))
+    sd = math.hypot(_sd_of_mean(before), _sd_of_mean(after), math.sqrt(2.0 * ROUNDING_DN2))
     span_s, most_dn = warm.times_s[-1], plan.limits.black_level_dn
     evidence = f"{before.size} dark frames before and {after.size} after {span_s:.3g} s of light"
     change_dn = float(after.mean() - before.mean())
     limits = ToleranceInterval(-most_dn, most_dn)
     return (
-        _settling(warm, plan, (*settles, limit)),
+        _settling(warm, plan, camera, (*settles, limit)),
         measured("warm-up", *dark, change_dn, sd, "DN", evidence, limits=limits),
     )
 
 
-def _settling(warm: WarmUp, plan: CheckPlan, words: tuple[str, str, str]) -> CheckResult:
+def _settling(warm: WarmUp, plan: CheckPlan, camera: CameraSettings, words: tuple[str, str, str]) -> CheckResult:
     """Judge the time until the lamp has settled."""
     name, what, limit = words
-    times_s, levels, allowed = np.array(warm.times_s), np.array(warm.white_dn), plan.limits.lamp_drift_rel
+    allowed, most_s = plan.limits.lamp_drift_rel, plan.limits.lamp_settles_s
+    dark_dn, times_s = np.array(warm.dark_before_dn), np.array(warm.times_s)
+    levels = np.array(warm.white_dn) + camera.black_level_dn - dark_dn.mean()
     last = max(round(LAST_SHARE * levels.size), 4)
-    if levels.size < 2 * last or levels[-last:].mean() <= 0.0:
-        return unmeasured("warm-up", name, what, "UNDECIDED", "the lamp was hardly seen", limit)
+    least_dn = max(LEAST_WHITE_SHARE * (2**camera.bit_depth - 1), 5.0 * float(dark_dn.std(ddof=1)))
+    if levels.size < 2 * last or levels[-last:].mean() < least_dn:
+        reason = (
+            f"the lamp was hardly seen: {levels[-last:].mean():.3g} DN above the dark frames in {levels.size} looks, "
+            f"{least_dn:.3g} DN in {2 * last} looks are needed; check lamp, tile and lens cap, or raise warm_up_s"
+        )
+        return unmeasured("warm-up", name, what, "UNDECIDED", reason, limit)
     away = levels / levels[-last:].mean() - 1.0
     noise = float(np.std(np.diff(away), ddof=1)) / math.sqrt(2.0)
     drift = float(np.polyfit(times_s[-last:], away[-last:], 1)[0]) * float(times_s[-1] - times_s[-last])
     span_s = float(times_s[-1])
-    if abs(drift) > allowed or 2.0 * noise > allowed:
-        why = (
-            f"it flickers by {100 * noise:.2g} % from frame to frame"
-            if 2.0 * noise > allowed
-            else f"it still changes by {100 * drift:+.2g} % in the last fifth"
-        )
+    if (found := _unsettled(drift, noise, last, allowed)) is not None:
+        why, drifts = found
         reason = f"not settled within the {span_s:.3g} s that it was watched: {why}; raise warm_up_s"
-        slow = abs(drift) > allowed and span_s > plan.limits.lamp_settles_s
-        return unmeasured("warm-up", name, what, "FAIL" if slow else "UNDECIDED", reason, limit)
+        return unmeasured("warm-up", name, what, "FAIL" if drifts and span_s > most_s else "UNDECIDED", reason, limit)
     sooner_s, later_s = (_settled_s(times_s, away, allowed + sign * noise) for sign in (1.0, -1.0))
     step_s = span_s / (times_s.size - 1)
     sd_s = math.hypot(step_s, later_s - sooner_s) / math.sqrt(12.0)
@@ -545,8 +525,23 @@ def _settling(warm: WarmUp, plan: CheckPlan, words: tuple[str, str, str]) -> Che
         f"{levels.size} frames behind filter {warm.filter_name} within {span_s:.3g} s; begins {100 * away[0]:+.2g} % "
         f"from its end, scatters by {100 * noise:.2g} %"
     )
-    limits = ToleranceInterval(None, plan.limits.lamp_settles_s)
-    return measured("warm-up", name, what, 0.5 * (sooner_s + later_s), sd_s, "s", evidence, limits=limits)
+    value_s, limits = 0.5 * (sooner_s + later_s), ToleranceInterval(None, most_s)
+    result, least_s = measured("warm-up", name, what, value_s, sd_s, "s", evidence, limits=limits), LEAST_WATCH * most_s
+    if span_s + step_s >= least_s:
+        return result
+    return not_proven(result, f"too short to see a slow lamp settle: raise warm_up_s to {least_s:g} or more")
+
+
+def _unsettled(drift: float, noise: float, looks: int, allowed: float) -> tuple[str, bool] | None:
+    """Return why the end of the watch is no level to settle at, and whether that is a proven drift; None if it is."""
+    if abs(drift) <= allowed and 2.0 * noise <= allowed:
+        return None
+    # of a line through evenly spaced looks
+    drift_sd = noise * math.sqrt(12.0 * (looks - 1) / (looks * (looks + 1)))
+    drifts = abs(drift) - GUARD_FACTOR * drift_sd > allowed
+    if drifts or 2.0 * noise <= allowed:
+        return f"it still changes by {100 * drift:+.2g} % in the last fifth", drifts
+    return f"it flickers by {100 * noise:.2g} % from frame to frame", drifts
 
 
 def _settled_s(times_s: Floats, away: Floats, allowed: float) -> float:
@@ -559,30 +554,45 @@ def _settled_s(times_s: Floats, away: Floats, allowed: float) -> float:
 
 
 def judge_stray_light(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
-    """Return how much laser light comes through the filters that block it, or past them."""
+    """Return how much laser light comes through the filters that block it, or past them: the worst verdict of all.
+
+    Each mean may be off by rounding. Less light than in the dark frames, beyond the limit, is a fault too.
+    """
     if (stray := facts.stray_light) is None:
         return ()
     name, what = "stray light", "laser light of the white tile behind a filter that blocks it, of that which passes"
-    limit = ToleranceInterval(None, 100 * plan.limits.stray_light_rel)
-    words = limit_text(None, limit.high, "%")
+    most = 100 * plan.limits.stray_light_rel
+    limit, words = ToleranceInterval(-most, most), limit_text(-most, most, "%")
     if stray.missing is not None or stray.passed is None:
         return (unmeasured("stray light", name, what, "UNDECIDED", stray.missing or "not recorded", words),)
     passed, passed_sd = rate_dn_per_s(stray.passed.level)
-    if passed <= 3.0 * passed_sd:
+    reason = None
+    if not stray.blocked:
+        reason = "behind no filter that blocks the laser was anything recorded"
+    elif max((dark.at_zero_fraction for dark in facts.darks), default=0.0) > MOST_AT_ZERO:
+        reason = "dark frames have counts of 0, which hide faint light: raise the black level"
+    elif passed <= 3.0 * passed_sd:
         reason = f"the laser is not seen behind filter {stray.passed.filter_name} either; check tile, box and laser"
+    if reason is not None:
         return (unmeasured("stray light", name, what, "UNDECIDED", reason, words),)
 
-    def share(one: BlockedLight) -> tuple[float, float]:
+    def behind(one: BlockedLight) -> CheckResult:
         rate, sd = rate_dn_per_s(one.level)
-        return rate / passed, math.hypot(sd / passed, rate * passed_sd / passed**2)
+        sd = math.hypot(sd, math.sqrt(2.0 * ROUNDING_DN2) / one.level.exposure_s)
+        evidence = (
+            f"worst of {len(stray.blocked)} filters, behind {one.filter_name}, {one.level.exposure_s:.3g} s; includes "
+            "what filter and tile let through or re-radiate; leaking room light is subtracted (see dark rate)"
+        )
+        share_sd = math.hypot(sd / passed, rate * passed_sd / passed**2)
+        return measured("stray light", name, what, 100 * rate / passed, 100 * share_sd, "%", evidence, limits=limit)
 
-    shares = [(*share(one), one) for one in stray.blocked]
-    value, sd, worst = max(shares, key=lambda each: each[0])
-    evidence = (
-        f"largest of {len(shares)} filters, behind {worst.filter_name}, {worst.level.exposure_s:.3g} s; includes what "
-        "filter and tile let through or re-radiate; leaking room light is subtracted (see dark rate)"
-    )
-    return (measured("stray light", name, what, 100 * value, 100 * sd, "%", evidence, limits=limit),)
+    found = tuple(behind(one) for one in stray.blocked)
+    worst = [one for one in found if one.verdict == overall(found)]
+    return (max(worst, key=lambda one: abs(one.value or 0.0)),)
+
+
+MOST_SHARE_SD: Final = 0.05
+"""Of the lit share of an exposure: beyond it, a share is mostly noise."""
 
 
 def judge_latency(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
@@ -594,20 +604,23 @@ def judge_latency(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]
     .. math:: L = t - T (1 - f)
 
     The light goes on at any time between its command and its confirmation; that half width over the root of 3 is the
-    same in every try. An exposure that was lit all the while, or not at all, tells only that L is larger or smaller.
+    same in every try. An exposure that was lit all the while, or not at all, tells only that L is larger or smaller;
+    one whose share is not known within 5 % tells nothing. A begin before the request, beyond noise, fails.
     """
     if (found := facts.latency) is None:
         return ()
     name, what = "trigger latency", "time from the request of an exposure until the camera collects light"
-    limits = ToleranceInterval(None, plan.limits.latency_s)
-    words = limit_text(None, limits.high, "s")
+    words = limit_text(None, plan.limits.latency_s, "s")
     if found.missing is not None or found.exposure_s is None:
         return (unmeasured("trigger latency", name, what, "UNDECIDED", found.missing or "not recorded", words),)
-    seen = [one for one in found.tries if 0.02 < one.lit_share < 0.98]
+    seen = [one for one in found.tries if 0.02 < one.lit_share < 0.98 and one.lit_share_sd <= MOST_SHARE_SD]
     if len(seen) < 4:
         return (unmeasured("trigger latency", name, what, "UNDECIDED", _unseen(found), words),)
     value_s, sd_s, scatter_s, switching_s = latency_s(seen, found.exposure_s)
-    evidence = (
+    early = value_s + GUARD_FACTOR * sd_s < 0.0
+    limits = ToleranceInterval(0.0 if early else None, plan.limits.latency_s)
+    evidence = "the camera delivers frames that began before their request; " if early else ""
+    evidence += (
         f"{len(seen)} of {len(found.tries)} exposures of {found.exposure_s:.3g} s saw the {found.light} go on; scatter "
         f"{scatter_s:.2g} s, the {found.light} is confirmed {switching_s:.2g} s after its command"
     )
@@ -627,10 +640,11 @@ def _unseen(found: TriggerLatency) -> str:
     """Say what exposures tell that did not see the light go on."""
     lit = sum(one.lit_share >= 0.98 for one in found.tries)
     dark = sum(one.lit_share <= 0.02 for one in found.tries)
+    noisy = sum(one.lit_share_sd > MOST_SHARE_SD for one in found.tries)
     return (
-        f"of {len(found.tries)} exposures of {found.exposure_s:.3g} s, {lit} began after the {found.light} was on and "
-        f"{dark} ended before: dim the {found.light} or close the aperture, for exposures longer than switching "
-        "takes, and raise latency_tries"
+        f"of {len(found.tries)} exposures of {found.exposure_s:.3g} s, {lit} began after the {found.light} was on, "
+        f"{dark} ended before and {noisy} are too noisy: dim the {found.light} or close the aperture, for exposures "
+        "longer than switching takes, and raise latency_tries"
     )
 
 

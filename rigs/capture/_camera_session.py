@@ -128,7 +128,7 @@ def capture_camera_with(
             take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames))
         with (
-            faults_noted(journal, out),
+            faults_noted(journal, out, camera_times(plan, rig).healing_s),
             FrameStore(opened, rig, whole_cells, out, journal, interrupted, watch) as store,
         ):
             recorder = _Recorder(opened, rig, plan, step, store, journal, request)

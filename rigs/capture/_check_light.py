@@ -4,6 +4,8 @@ The light is on inside a ``with`` block only, in the thread that holds it, so th
 ends; the exposure in which a light is switched on runs in a thread of its own and is waited for.
 """
 
+import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,12 +25,15 @@ from data_schemas import (
     StrayLight,
     TimedOutError,
     TriggerLatency,
+    UnsafeError,
     WarmUp,
 )
 from rigs import CallThread, NoAnswerError, OpenRig, RawFrame
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, CAMERA_EXPOSURES, shine
 from rigs.capture._plan import Step
 
+LEAST_SIGNAL_FRACTION: Final = 0.05
+"""Of full scale, mean of the region: below it, noise decides."""
 WARM_UP_LOOKS: Final = 40
 """White frames over the time that the lamp is watched: they resolve a fortieth of it."""
 LEVEL_FRAMES: Final = 6
@@ -85,11 +90,14 @@ def watch_warm_up(
     before, times_s, values = darks(), [], []
     with shine(opened, "lamp"):
         began_s = clock.monotonic_s()
-        for look in range(WARM_UP_LOOKS):
-            clock.sleep(max(began_s + look * plan.warm_up_s / (WARM_UP_LOOKS - 1) - clock.monotonic_s(), 0.0))
+        step_s, look = plan.warm_up_s / (WARM_UP_LOOKS - 1), 0
+        while look < WARM_UP_LOOKS:
+            clock.sleep(max(began_s + look * step_s - clock.monotonic_s(), 0.0))
             asked_s = clock.monotonic_s()
             values.append(frames.expose(white, exposure_s) - rig.camera.black_level_dn)
             times_s.append(0.5 * (asked_s + clock.monotonic_s()) - began_s)
+            # long exposures leave out the looks that they are late for
+            look = max(look + 1, math.ceil((clock.monotonic_s() - began_s) / step_s))
     return WarmUp(
         filter_name=band.name,
         times_s=tuple(times_s),
@@ -150,8 +158,7 @@ def trigger_latency(
     dark = replace(step, frame_type="dark", light="off")
     dark_dn = float(np.mean([frames.expose(dark, exposure_s) for _ in range(LEVEL_FRAMES)]))
     signal_dn, share_sd = float(np.mean(full)) - dark_dn, float(np.std(full, ddof=1))
-    if signal_dn <= 0.0:
-        raise CaptureError(f"camera: the lamp is not seen behind filter {band.name}; check lamp, tile and lens cap")
+    require_white(signal_dn, rig, band)
 
     def seen(raw: RawFrame) -> float:
         return (frames.region_mean_dn(raw.counts) - dark_dn) / signal_dn
@@ -176,6 +183,26 @@ def trigger_latency(
     return TriggerLatency(exposure_s=exposure_s, tries=tuple(tries))
 
 
+def require_white(signal_dn: float, rig: RigFile, band: BandPassFilter) -> None:
+    """Refuse a white tile that is too dark for its light to be measured.
+
+    Raises
+    ------
+    CaptureError
+        The mean of the region is below a twentieth of full scale.
+    """
+    least_dn = LEAST_SIGNAL_FRACTION * (2**rig.camera.bit_depth - 1)
+    if signal_dn < least_dn:
+        raise CaptureError(
+            f"camera: the white tile gives only {signal_dn:.3g} DN through filter {band.name}, {least_dn:.3g} DN are "
+            "needed; check lamp, tile and lens cap"
+        )
+
+
+class CameraInUseError(CaptureError):
+    """An exposure has not ended after its deadline: nobody else may ask the camera for anything."""
+
+
 def _why_not(rig: RigFile, plan: CheckPlan) -> str | None:
     """Return why no light can be switched on in the middle of an exposure."""
     if rig.is_simulated:
@@ -192,6 +219,8 @@ def _switched_on_within(opened: OpenRig, exposure_s: float, delay_s: float) -> t
     ------
     CaptureError
         The camera or the lamp failed; the lamp is off.
+    CameraInUseError
+        The exposure has not ended in time; the lamp is off.
     """
     limit_s = CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S
     requested: list[float] = []
@@ -213,7 +242,13 @@ def _switched_on_within(opened: OpenRig, exposure_s: float, delay_s: float) -> t
             raw = exposing.frame(limit_s)
     finally:
         # the camera is free again before anybody else asks it for anything
-        thread.close(lambda: None, limit_s)
+        ended: list[bool] = []
+        thread.close(lambda: ended.append(True), limit_s)
+        if not ended and not isinstance(sys.exception(), UnsafeError):
+            raise CameraInUseError(
+                f"camera: an exposure of {exposure_s:g} s has not ended {2 * limit_s:g} s after its request, so the "
+                "check ends; switch the camera off and on, then check its cable and driver"
+            )
     return told_s - requested[0], confirmed_s - requested[0], raw
 
 

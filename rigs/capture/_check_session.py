@@ -34,7 +34,7 @@ from data_schemas import (
     WrongPositionError,
 )
 from rigs import OpenRig, Operator, TerminalOperator, open_rig, rig_locked
-from rigs.capture._check_light import stray_light, trigger_latency, watch_warm_up
+from rigs.capture._check_light import CameraInUseError, require_white, stray_light, trigger_latency, watch_warm_up
 from rigs.capture._exposure import WHEEL_DEADLINE_S, CheckedCamera, exposure_ladder, meter_exposure, shine
 from rigs.capture._filter_proof import judge_filters, predicted_rates, signal_floor
 from rigs.capture._picture_shift import cells_of, picture_shift
@@ -52,8 +52,6 @@ from rigs.capture.light_off_time import (
 from rigs.light_guard import GuardedLight, LightLostError, is_hazardous
 
 Counts = NDArray[np.uint16]
-
-LEAST_SIGNAL_FRACTION = 0.05  # of full scale, mean of the region: below it, noise decides
 
 
 class CheckFrames:
@@ -78,6 +76,7 @@ class CheckFrames:
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._tell = tell
+        self._rig = rig
         self._opened, self._settings, self._plan, self._filters = opened, rig.camera, plan, filters
         self._camera = CheckedCamera(opened, rig.camera)
         # whole Bayer cells, so that every frame shows red, green and blue alike
@@ -130,12 +129,7 @@ class CheckFrames:
         if len(self._metered_s) < len(self._filters):
             self.prove_filters()
         band = min(self._filters, key=lambda band: self._metered_s[band.name])
-        signal_dn, full_dn = self._signals_dn[band.name], 2**self._settings.bit_depth - 1
-        if signal_dn < LEAST_SIGNAL_FRACTION * full_dn:
-            raise CaptureError(
-                f"camera: the white tile gives only {signal_dn:.3g} DN through filter {band.name}, "
-                f"{LEAST_SIGNAL_FRACTION * full_dn:.3g} DN are needed; check lamp, tile and lens cap"
-            )
+        require_white(self._signals_dn[band.name], self._rig, band)
         return band
 
     def dimmest_filter(self) -> BandPassFilter:
@@ -441,6 +435,8 @@ class _Recorder:
             self._errors.setdefault(section, str(error))
             if isinstance(error, UnsafeError):
                 self._ended = "a light is not confirmed off"
+            elif isinstance(error, CameraInUseError):
+                self._ended = "the camera is still in use by an exposure that has not ended"
             elif isinstance(error, LightLostError) and section in WITH_LASER and is_hazardous(self._rig.laser):
                 self._ended = "the laser went out, and is not lit again until a person has found out why"
             return None

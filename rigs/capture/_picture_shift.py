@@ -9,7 +9,8 @@ are free of a gradient's own shift to second order:
 where a and b are the two frames, n is the number of cells, c_h the autocovariance of the mean frame at a distance of h
 cells and :math:`\kappa` the sum of squares of the derivative's weights. :math:`\nu` is the part of the variance that no
 lens can make: photon noise, and the sensor's pattern of cells that differ from their neighbours. That pattern stays
-where it is when the picture moves, and must not count as texture of the target.
+where it is when the picture moves, and must not count as texture of the target. Dust and stains that are wider than a
+cell do count, and pull the shift to zero: two frames do not tell them from the target.
 """
 
 import math
@@ -53,7 +54,7 @@ def picture_shift(before: Floats, after: Floats) -> PictureShift:
     """
     rows, columns = _whole_cells(before, after)
     a, b = _overlap(before, after, rows, columns)
-    solved = None if min(a.shape) < 2 * LARGEST_CELLS else _least_squares(a, b)
+    solved = None if min(before.shape) < 2 * LARGEST_CELLS else _least_squares(a, b)
     if solved is None:
         return PictureShift(row_px=0.0, column_px=0.0, sd_px=None)
     rest, sd = solved

@@ -20,7 +20,11 @@ from data_schemas import (
     WheelMove,
 )
 
-PLAN = CheckPlan(check_name="lab", region=RegionOfInterest(row_px=0, column_px=0, height_px=20, width_px=20))
+PLAN = CheckPlan(
+    check_name="lab",
+    region=RegionOfInterest(row_px=0, column_px=0, height_px=20, width_px=20),
+    texture_is_of_the_tile=True,
+)
 
 
 def handshake(role: str = "camera", driver: str = "aravis", **changed: object) -> Handshake:

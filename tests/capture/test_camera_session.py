@@ -32,7 +32,15 @@ from rigs.capture import (
     read_session,
     session_kind,
 )
-from rigs.capture._camera_session import capture_camera_with, level_exposures_s, level_notes, saturation_exposures_s
+from rigs.capture._camera_session import (
+    camera_times,
+    capture_camera_with,
+    level_exposures_s,
+    level_notes,
+    saturation_exposures_s,
+)
+from rigs.capture._journal import LEAST_HEALING_S, HealingTimeError
+from rigs.transports import Fault, tell_fault
 from tests.command_line.running import finray, succeed
 
 SIDE_PX = 72
@@ -285,6 +293,26 @@ def test_camera_that_fails_leaves_the_lamp_off_and_no_session(rig: RigFile, tmp_
     assert last["outcome"] == "CaptureError: camera: connection lost"
     with pytest.raises(RecordError, match=r"was not finished \(session\.json is missing\)"):
         session_kind(out)
+
+
+def test_faults_may_cost_what_the_session_stated(rig: RigFile, tmp_path: Path) -> None:
+    """Of a session of more than ten minutes that is more than the least time."""
+    plan = changed(levels=60, frames_per_level=10)
+    stated_s = camera_times(plan, rig).healing_s
+    assert stated_s > LEAST_HEALING_S
+    faults: list[float] = []
+
+    class Repeating(LostCamera):
+        def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+            faults.append(stated_s / 5.5)
+            tell_fault(Fault("camera", "did not answer", 1, faults[-1]))
+            return super().expose(exposure_s, deadline_s)
+
+    with open_rig(rig, Path()) as opened:
+        broken = replace(opened, camera=Repeating(opened.camera, 100))
+        with pytest.raises(HealingTimeError, match=f"and at most {stated_s:.0f} s are allowed"):
+            capture_camera_with(broken, rig, plan, camera_step(plan, rig), SessionRequest(tmp_path / "out", "pytest"))
+    assert len(faults) == 6
 
 
 # The command.
