@@ -19,6 +19,7 @@ BESIDE = {
     "rooms.md": "Rooms of the code and what they import",
     "practice-faults.md": "Faults of the rig without devices, to practise on",
     "extend-finray.md": "Extend finray from a package of your own: ten kinds, a protocol and a contract each",
+    "checks-of-a-rig.md": "Checks of a rig: what each one measures, and when it passes",
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
     "paper-experiments.md": "The paper's experiments: what it says, what comes out here, why they differ",
     "moduli-by-force-curves.md": "Moduli by force curves: what is given, fitted and not known; derivatives of a press",
