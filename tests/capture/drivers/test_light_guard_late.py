@@ -132,7 +132,7 @@ def test_light_that_comes_on_in_the_dark_is_switched_off_and_told(folder):
         assert not light.state()
         (folder / "on").touch()
         wait_until(lambda: not (folder / "on").exists(), "the light to be off", AT_ONCE_S)
-        with pytest.raises(LostError, match=r"on although nothing had switched it on.*confirmed off"):
+        with pytest.raises(LostError, match=r"on although nothing had switched it on.*confirmed that the light is off"):
             light.state()
 
 
@@ -151,7 +151,7 @@ def test_guard_that_hears_nonsense_ends_in_the_dark(folder):
             wait_until(lambda: not guards(str(folder)), "the end of the guard")
 
     with guarded_light("laser", "indi", str(folder)) as light:
-        with pytest.raises(LostError, match=r"KeyError.*lease_s.*confirmed off"):
+        with pytest.raises(LostError, match=r"KeyError.*lease_s.*confirmed that the light is off"):
             work(light)
         assert not (folder / "on").exists()
 
