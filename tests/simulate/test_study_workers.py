@@ -110,9 +110,6 @@ def slowly(folder, point):
 
 
 @pytest.mark.timeout(1200)
-SIM = "sim"
-
-
 def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path, monkeypatch):
     """Once it is given up, the same command goes on with what is missing when it runs again."""
     monkeypatch.setattr(engine_module, "WAIT_FOR_SCHEDULER_S", 3.0)
@@ -330,10 +327,13 @@ def test_a_scheduler_on_another_machine_computes_also_after_its_cable_was_pulled
 
 
 def test_what_editors_and_tools_keep_is_not_code(tmp_path):
-    for name in (f"{SIM}/one.py", f"{SIM}/.ipynb_checkpoints/one.py", "rigs/.#two.py", "rigs/plan.toml", "rigs/notes.md"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text("")
-    assert _source_names(tmp_path) == ["rigs/plan.toml", f"{SIM}/one.py"]
+    package = tmp_path / "sim"
+    for file in (package / "one.py", package / ".ipynb_checkpoints" / "one.py", package / ".#two.py"):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("")
+    for name in ("plan.toml", "notes.md"):
+        (package / name).write_text("")
+    assert _source_names(tmp_path) == [f"{package.name}/{name}" for name in ("one.py", "plan.toml")]
 
 
 def test_a_record_names_the_machine_that_computed_it(monkeypatch):
