@@ -132,7 +132,7 @@ def test_order_is_that_of_the_capture():
 def test_few_sessions_decide_nothing():
     found = session_history(made(noise(8)))
     assert found.verdict == "UNDECIDED"
-    assert "8 of 10 sessions" in found.waiting[0]
+    assert "8 of the 10 sessions" in found.waiting[0]
     assert session_history(made(noise(10))).verdict == "UNDECIDED"
     alike = session_history(made(np.ones(12)))
     assert (alike.verdict, alike.watched) == ("UNDECIDED", ())

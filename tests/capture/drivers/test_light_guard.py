@@ -198,7 +198,7 @@ class TestFirmware:
                 assert board.when("device", b"OFF", kill.at_s) - kill.at_s <= OFF_WITHIN_S
 
         with guarded_light("laser", "arduino", board.address) as light:
-            with pytest.raises(LostError, match=r"killed by SIGKILL.*confirmed that the light is off.*--resume"):
+            with pytest.raises(LostError, match=r"killed by SIGKILL.*confirmed off.*--resume"):
                 work(light)
             assert not board.state()
             killed_pid = light.guard_pid
