@@ -225,7 +225,7 @@ def test_command(lab, tmp_path, capsys):
     assert main(["history", str(lab), "--reference", "6", "--cleared", "s6"]) == 0
     assert main(["history", str(lab), "--reference", "6", "--report", str(page)]) == 2
     assert main(["history", str(lab)]) == 0
-    assert "7 of 10 sessions" in capsys.readouterr().out
+    assert "7 of the 10 sessions" in capsys.readouterr().out
 
 
 def test_a_folder_without_sessions(tmp_path, capsys):
