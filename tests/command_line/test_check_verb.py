@@ -55,7 +55,7 @@ def test_a_good_rig_is_accepted_and_every_file_is_there(lab: Path, plan: Path, t
     origin = require_valid(tmp_path / "out/check.json")
     assert origin["input_sha256"] == {f"{p}": sha256_of(p) for p in (plan, lab / "rig.toml")}
     assert origin["seed"] == 1
-    assert b'skipped="2"' in (tmp_path / "out/junit.xml").read_bytes()
+    assert b'skipped="4"' in (tmp_path / "out/junit.xml").read_bytes()
     assert "Acceptance check lab rig" in (tmp_path / "out/report.html").read_text()
 
 
