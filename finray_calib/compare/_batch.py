@@ -187,7 +187,8 @@ def predicted_press(
         method=method,
         encoding=capture.encoding,
         no_contact=no_contact.astype(np.float32),
-        contact=np.clip(no_contact * ratio, 0.0, full_dn).astype(np.float32),
+        # where nothing changes the no-contact image stands as it is, below the black level, too
+        contact=np.where(ratio == 1.0, no_contact, np.clip(no_contact * ratio, 0.0, full_dn)).astype(np.float32),
         distance=distance.astype(np.float32),
         variance=None,
         light_angle_deg=None,

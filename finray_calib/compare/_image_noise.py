@@ -212,7 +212,8 @@ def block_mean(image: Image, side_px: int) -> Image:
         return image
     rows, columns = (n // side_px for n in image.shape[:2])
     mean = np.zeros((rows, columns, *image.shape[2:]), dtype=image.dtype)
-    _sum_blocks(image.reshape(*image.shape[:2], -1), side_px, mean.reshape(rows, columns, -1))
+    channels = image.shape[2] if image.ndim == 3 else 1
+    _sum_blocks(image.reshape(*image.shape[:2], channels), side_px, mean.reshape(rows, columns, channels))
     mean /= side_px**2
     return mean
 

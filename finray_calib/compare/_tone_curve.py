@@ -378,7 +378,9 @@ def far_gain(
     """
     side = max(1, min(_FAR_BLOCK_PX, min(distance.shape) // 15))
     far, away = distance > FAR, block_mean(np.nan_to_num(distance), side)
-    contact, rest, rendered, rendered_rest = (np.ascontiguousarray(image) for image in (*captured, *simulated))
+    # the compiled sums read without bounds
+    images = [np.broadcast_to(image, (*distance.shape, 3)) for image in (*captured, *simulated)]
+    contact, rest, rendered, rendered_rest = (np.ascontiguousarray(image) for image in images)
     levels = np.array([_DARKEST_SHARE, _BRIGHTEST_SHARE]) * full_scale_dn
     sums = np.zeros((5, *away.shape, 3))
     _add_usable(contact, rest, rendered, rendered_rest, far, levels, side, sums)
@@ -462,7 +464,7 @@ def drift_record(gain: FarGain, is_corrected: bool) -> WhiteBalanceDrift:
 
 def without_gain(image: Floats, log_gain: Floats, offset_dn: float) -> Floats:
     """Return an image at the light of another one: b + (image - b) / gain, per channel."""
-    changed = image - offset_dn
+    changed = np.subtract(image, offset_dn, dtype=np.float64)
     changed *= np.expm1(-log_gain)
     changed += image
     return np.asarray(changed)

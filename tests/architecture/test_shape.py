@@ -20,7 +20,7 @@ from tests.architecture.test_conventions import PACKAGES, ROOT
 MOST_MODULES = 324
 MOST_IN_A_FOLDER = 24
 LONGEST_CHAIN = 11
-LARGEST_SINGLE_CALLER_SHARE = 0.153
+LARGEST_SINGLE_CALLER_SHARE = 0.155
 SILENT = {
     *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
     *(tokenize.ENCODING, tokenize.ENDMARKER),

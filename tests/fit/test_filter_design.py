@@ -104,7 +104,10 @@ def test_what_cannot_be_designed_is_refused(options, match):
     [
         ("centre_nm,width_nm\n500,10\n", "lacks column peak_transmission"),
         ("centre_nm,width_nm,peak_transmission\n", "holds no filter"),
-        ("centre_nm,width_nm,peak_transmission\n500,10,90\n", "line 2: peak_transmission is '90', but must be a number"),
+        (
+            "centre_nm,width_nm,peak_transmission\n500,10,90\n",
+            "line 2: peak_transmission is '90', but must be a number",
+        ),
         ("centre_nm,width_nm,peak_transmission\n500,ten,0.9\n", "line 2: width_nm is 'ten'"),
         ("centre_nm,width_nm,peak_transmission\n500,10\n", "line 2: peak_transmission is ''"),
     ],

@@ -125,6 +125,16 @@ def test_a_session_measured_again_with_one_error_alone(source, made_of):
     assert ratio == pytest.approx(1.0, abs=0.25), np.array(BUDGETED[:-1])[compared]
 
 
+def test_shares_depend_little_on_the_seed():
+    """Three seeds of the orange paint, whose errors move the weights of components most: a share scatters by 0.02."""
+    bands = paint_bands(590, 45, 0.2, 8)
+    data, shares = band_data(bands), []
+    for seed in range(3):
+        fitted, drawn, values = drawn_quantities(data, DRAWS, seed)
+        shares.append(source_shares(values, drawn, fitted, budget_sources(bands, data, fitted))[1])
+    assert np.ptp(shares, axis=0).max() < 0.1  # of three values, 1.7 standard deviations on average, and at most 5
+
+
 def test_a_linear_model_has_its_closed_form():
     """One normal paint of two directions: shares of the draws against P, A and N, within 4 standard errors."""
     rng = np.random.default_rng(6)

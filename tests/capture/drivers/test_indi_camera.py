@@ -62,7 +62,7 @@ def test_the_recorded_camera_gives_its_frame_and_settings() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "error", "why"),
     [
-        (b'format=".fits"', b'format=".fits.fz"', RefusedError, r"sends frames as '\.fits\.fz', \.fits is needed"),
+        (b'format=".fits"', b'format=".fits.fz"', RefusedError, r"sends frames as '\.fits\.fz', but \.fits"),
         (b'size="', b'size="9', BadFrameError, "bytes, but it states 9"),
         (b'state="Ok"', b'state="Alert" message="no cable"', RefusedError, "refuses to expose for 0.02 s .*no cable"),
         (b"U0lNUExF", b"AAAAAAAA", BadFrameError, "is not a FITS file with a complete header"),
