@@ -392,9 +392,11 @@ def find_equilibrium(
     must lower the energy (Armijo), in which the change of volume counts softly; one that has to be shortened goes near
     to the least energy along it, the modes of each element then follow by themselves, and what hardly resisted is
     damped in the next step. Where the exact tangent has negative curvature, as in buckling, as much of that of each
-    point is taken away as makes it positive definite, and all of it after a step that lowered nothing: the search ends
-    at a least energy, where an exact tangent would lead to a saddle as well. Supports that are not yet where they shall
-    be move there in the first step, or in several where that turns an element inside out or a term allows less.
+    point is taken away as makes it positive definite, and all of it after a step that lowered nothing: the search
+    leaves most saddles, to which an exact tangent would lead. A result is not tested for being none: a straight rib
+    that is compressed in small increments may stand for a while beyond its buckling load. Supports that are not yet
+    where they shall be move there in the first step, or in several where that turns an element inside out or a term
+    allows less.
 
     Returns
     -------

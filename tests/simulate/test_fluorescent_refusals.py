@@ -53,7 +53,7 @@ def test_band_matrices_are_checked(llvm):
         fluorescent_bands(scene, {"red": np.eye(2)})
     with pytest.raises(SimulateError, match=r"paint red returns 1\.100 of the energy of one band"):
         fluorescent_bands(scene, {"red": 1.1 * np.eye(3)})
-    with pytest.raises(SimulateError, match=r"no surface .* id, purple; the scene has .*green, .*red"):
+    with pytest.raises(SimulateError, match=r"no surface .* the id purple; the scene has .*green, .*red"):
         fluorescent_bands(scene, {"purple": np.eye(3)})
 
 
