@@ -148,7 +148,7 @@ def test_the_drivers_own_alert_carries_its_text(server: IndiServer) -> None:
 @pytest.mark.rigs
 def test_a_rig_with_more_filters_than_slots_is_refused(server: IndiServer) -> None:
     with (
-        pytest.raises(RefusedError, match="its slots are 1 to 5, and the rig file puts F6 in slot 6"),
+        pytest.raises(RefusedError, match="its slots are 1 to 5, but the rig file puts F6 in slot 6"),
         open_wheel(wheel_settings(server.address(MANUAL), count=8), OPERATOR),
     ):
         pass
