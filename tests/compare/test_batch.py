@@ -3,11 +3,12 @@ import re
 import numpy as np
 import pytest
 
-from data_schemas import ComparedPair, CompareError, Interval
+from data_schemas import ComparedPair, CompareError, IndenterPose, Interval, TactileCapture
 from finray_calib.compare import (
     PairRow,
     pair_by_name,
     pairs_of_rows,
+    predicted_press,
     rank_simulators,
     skill_differences,
     skill_over_presses,
@@ -172,3 +173,21 @@ def test_what_to_capture_next_follows_from_what_is_missing():
 def test_the_worst_pairs_come_first():
     pairs = [pair(n, s) for n, s in zip("abcdefg", [0.5, 0.1, None, 0.9, -2.0, 0.3, 0.4], strict=True)]
     assert worst_pairs(pairs) == ("e", "b", "f", "g", "a")
+
+
+def test_a_prediction_changes_nothing_where_nothing_touches():
+    """Also below the black level, where noise makes a pixel negative: clipped on one side alone it would be a touch."""
+    counts = np.random.default_rng(3).integers(10, 40, (60, 80, 3)).astype(np.uint16)
+    capture = TactileCapture(
+        name="dark", contact=counts, no_contact=counts, repeat_no_contact=None, layout="RGB", encoding="unknown",
+        bit_depth=8, black_level_dn=16.0, exposure_s=None, light_angle_deg=None,
+        indenter=IndenterPose(shape="ball", radius_mm=3.0, depth_mm=None, position_mm=None),
+        contact_circle=None, mm_per_px=None, source="made up",
+    )  # fmt: skip
+    ratio = np.ones((60, 80, 3))
+    ratio[20:40, 30:50] = 0.5
+    press = predicted_press(capture, ratio, np.full((60, 80), 9.0), ("table", "made up", "table"), "taught by none")
+    assert (press.no_contact < 0.0).any()
+    touched = ratio != 1.0
+    assert np.array_equal(press.contact[~touched], press.no_contact[~touched])
+    assert press.contact[touched].min() >= 0.0
