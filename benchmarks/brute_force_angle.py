@@ -93,7 +93,7 @@ def normals_over_angles(
     angles_deg = np.arange(decision.grid_deg[0], decision.grid_deg[-1] + 0.5 * STEP_DEG, STEP_DEG)
     with patch.object(_light_angle, "POINTS_ALONG", PLACES):
         sweep = finray.sweep_light_angle(
-            design, angles_deg, red=red, green=green, seed=SEED, samples=400, all_objectives=True
+            design, angles_deg.tolist(), red=red, green=green, seed=SEED, samples=400, all_objectives=True
         )
     error = next(objective for objective in sweep.other_objectives if objective.place_values is not None)
     return sweep.angles_deg, 1.0 / np.asarray(error.place_values).mean(axis=1).T
