@@ -1,12 +1,13 @@
 """The functions of the library that need the simulation: a finger's design, its press, its render and its sweep."""
 
+import math
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, TypedDict, get_args
 
 from data_schemas import (
     FingerDesign,
@@ -23,7 +24,7 @@ from data_schemas import (
     naming,
     narrow_sweep_text,
 )
-from finray_calib._library import PathLike, digest_of, given, made
+from finray_calib._library import PathLike, digest_of, given, given_all, made, path_of, require_choice, whole_number
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -112,7 +113,7 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
 
     if isinstance(given_design, FingerDesign):
         return _Design(given_design, Path(), [])
-    path = Path(given_design)
+    path = path_of(given_design, "design")
     if path.name.endswith(SURFACES_SUFFIX):
         return _design_of_surfaces(path)
     if not path.exists() and (os.fspath(given_design) in PRESETS or path.suffix != ".toml"):
@@ -167,9 +168,13 @@ def press_finger(
     """
     from finray_calib.spectra import machine_threads
     from sim.experiments import press_records
-    from sim.mechanics import PressSettings, press_to_force
+    from sim.mechanics import ContactChoice, PressSettings, press_to_force
     from sim.mechanics import press_as_designed as press
 
+    whole_number(increments, "increments", 1, SimulateError)
+    require_choice(contact, "contact", get_args(ContactChoice), SimulateError)
+    if budget_s is not None and not (isinstance(budget_s, int | float) and budget_s > 0.0):
+        raise SimulateError(f"budget_s = {budget_s!r}: processor time above 0 s is needed, or None")
     finger, folder, files = _design(design)
     settings = PressSettings(None, increments, machine_threads(), contact, budget_s)
     if force_n is not None and contact == "barrier":
@@ -221,7 +226,7 @@ def render_press(
     """
     from sim.experiments import simulate_press
 
-    rendering = _rendering(seed, options)
+    rendering = _rendering("render_press", seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     return made(simulate_press(scene, rendering, digests, progress), "render_press", files, seed)
 
@@ -251,7 +256,7 @@ def render_images(
     """
     from sim.experiments import simulate_images
 
-    rendering = _rendering(seed, options)
+    rendering = _rendering("render_images", seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     products = simulate_images(scene, rendering, digests, progress)
     return replace(products, press=made(products.press, "render_images", files, seed))
@@ -284,6 +289,8 @@ def render_sensor(
     """
     from sim.experiments import simulate_sensor_press
 
+    whole_number(seed, "seed", 0, SimulateError)
+    whole_number(samples, "samples", 2, SimulateError)
     design, folder, files = _plain_sensor(sensor)
     with naming(SimulateError, *files[:1]):
         press, _ = simulate_sensor_press(design, folder, _renderer(engine), seed, samples)
@@ -292,7 +299,7 @@ def render_sensor(
 
 def fit_sensor(
     design: FingerDesign | PlainSensor | PathLike,
-    captures: Sequence[TactileCapture | PathLike],
+    captures: TactileCapture | PathLike | Sequence[TactileCapture | PathLike],
     *,
     paints: Mapping[str, Paint] | None = None,
     free: Sequence[str] = (),
@@ -327,10 +334,15 @@ def fit_sensor(
     """
     from sim.experiments import fit_sensor as fit_scene
 
+    _require_options(options, "fit_sensor", ("samples", "engine", "shared_light", "paints_as_given"))
+    whole_number(seed, "seed", 0, SimulateError)
     scene, files = _layered(design, dict(paints or {}), seed, options)
-    read = [given(capture, TactileCapture) for capture in captures]
-    with naming(SimulateError, *files[:1]):
-        fit = fit_scene(scene, [capture for capture, _ in read], free, seed, progress)
+    read = given_all(captures, TactileCapture)
+    named = [Path(design)] if isinstance(design, str | os.PathLike) and Path(design) in files else []
+    with naming(SimulateError, *named):
+        fit = fit_scene(
+            scene, [capture for capture, _ in read], [free] if isinstance(free, str) else free, seed, progress
+        )
     return made(fit, "fit_sensor", [*files, *(file for _, of in read for file in of)], seed)
 
 
@@ -357,7 +369,7 @@ def _is_classic(design: FingerDesign | PathLike) -> bool:
 
     if isinstance(design, FingerDesign):
         return False
-    path = Path(design)
+    path = path_of(design, "design")
     return is_sensor(path) if path.exists() else os.fspath(design) in SENSORS
 
 
@@ -369,19 +381,33 @@ def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainS
         return sensor, Path(), []
     if isinstance(sensor, FingerDesign):
         raise SimulateError(f"{sensor.name} is a painted finger, and this function takes a classic sensor")
-    path = Path(sensor)
+    path = path_of(sensor, "sensor")
     if not path.exists() and os.fspath(sensor) in SENSORS:
         return preset_sensor(os.fspath(sensor)), Path(), []
     design = read_sensor(path)
     return design, path.parent, sensor_inputs(design, path)
 
 
-def _rendering(seed: int, options: RenderOptions) -> "Rendering":
-    """Return how a press is rendered."""
+_OF_A_SWEEP = ("all_objectives", "narrow_sweep")
+_OF_A_PRESS = ("level", "pose_response", "shared_light")
+
+
+def _require_options(options: RenderOptions, call: str, known: Sequence[str]) -> None:
+    """Refuse options that a function of the library does not have: they would change nothing, unseen."""
+    for name in options:
+        if name not in known:
+            raise SimulateError(f"{name}: is no option of {call}; there are {', '.join(known)}")
+
+
+def _rendering(call: str, seed: int, options: RenderOptions) -> "Rendering":
+    """Return how a press is rendered by the function `call` of the library."""
     from sim.experiments import Rendering
 
-    samples = options.get("samples", DEFAULT_SAMPLES_PER_PIXEL)
-    if samples < 2 or samples % 2:
+    _require_options(options, call, [name for name in RenderOptions.__annotations__ if name not in _OF_A_SWEEP])
+    require_choice(options.get("level", "b"), "level", ("a", "a_inverse_square", "b", "c"), SimulateError)
+    whole_number(seed, "seed", 0, SimulateError)
+    samples = whole_number(options.get("samples", DEFAULT_SAMPLES_PER_PIXEL), "samples", 2, SimulateError)
+    if samples % 2:
         raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
     level, pose = options.get("level", "b"), options.get("pose_response", False)
     return Rendering(level, seed, samples, with_pose_response=pose, shared_light=options.get("shared_light", False))
@@ -406,21 +432,53 @@ def sweep_light_angle(
         See :func:`render_press`.
     angles_deg
         Increasing, at least 4 of them for a decision; 0 along the pad, 90 into it.
+
+    Raises
+    ------
+    SimulateError
+        The angles do not increase, an option is unknown, the paints look swapped, or the scene cannot be rendered.
     """
     from sim.experiments import light_angle_sweep
     from sim.optics import ProbePaths
 
     if options.get("level", "b") != "b":
         raise SimulateError("level: sweeps are always made with level b; leave level out")
-    if not options.get("narrow_sweep", False) and look_like_radians(list(angles_deg)):
-        raise SimulateError(f"angles_deg: {narrow_sweep_text(list(angles_deg))}")
+    known = [name for name in RenderOptions.__annotations__ if name not in _OF_A_PRESS]
+    _require_options({k: v for k, v in options.items() if k != "level"}, "sweep_light_angle", known)  # type: ignore[arg-type]
+    whole_number(seed, "seed", 0, SimulateError)
+    whole_number(options.get("samples", DEFAULT_SAMPLES_PER_PROBE), "samples", 1, SimulateError)
+    angles_deg = _increasing(angles_deg)
+    if not options.get("narrow_sweep", False) and look_like_radians(angles_deg):
+        raise SimulateError(f"angles_deg: {narrow_sweep_text(angles_deg)}")
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     paths = ProbePaths(options.get("samples", DEFAULT_SAMPLES_PER_PROBE), SWEEP_REPEATS, seed)
     sweep = light_angle_sweep(
-        scene.finger, scene.calibrations, list(angles_deg), paths, digests, progress,
+        scene.finger, scene.calibrations, angles_deg, paths, digests, progress,
         shapes=scene.shapes, further_objectives=options.get("all_objectives", False),
     )  # fmt: skip
     return made(sweep, "sweep_light_angle", files, seed)
+
+
+def _increasing(angles_deg: Sequence[float]) -> list[float]:
+    """Return the angles of a sweep as numbers.
+
+    Raises
+    ------
+    SimulateError
+        They are no numbers from -180 to 180 deg that increase.
+    """
+    try:
+        angles = [float(angle) for angle in angles_deg]
+    except (TypeError, ValueError):
+        raise SimulateError(f"angles_deg = {angles_deg!r}: a list of numbers in deg is needed") from None
+    for before, angle in zip([-math.inf, *angles], angles, strict=False):
+        if not (before < angle and -180.0 <= angle <= 180.0):
+            raise SimulateError(
+                f"angles_deg: {angle:g} deg stands after {before:g} deg; give angles from -180 to 180 deg that increase"
+                if before > -math.inf
+                else f"angles_deg: {angle:g} deg; give angles from -180 to 180 deg"
+            )
+    return angles
 
 
 def _scene(

@@ -5,12 +5,13 @@ names it with its SHA-256, so that a stored result can be traced.
 """
 
 import hashlib
+import operator
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from data_schemas import (
     BandSignals,
@@ -21,6 +22,7 @@ from data_schemas import (
     CaptureSession,
     CompareError,
     DecideError,
+    FinrayError,
     FitError,
     ForceComparison,
     LightAngleDecision,
@@ -55,6 +57,8 @@ if TYPE_CHECKING:
 
 R = TypeVar("R", bound=Record)
 PathLike = str | os.PathLike[str]
+Criterion = Literal["average", "worst"]
+Aim = Literal["brightness", "normal"]
 
 
 def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
@@ -71,9 +75,50 @@ def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
         path = Path(what)
         return read_stored(path, kind), [path]
     raise RecordError(
-        f"{needed_kind(kind.__name__)}, as a {kind.__name__} or the path of a stored one; a {type(what).__name__} was "
-        "given"
+        f"{needed_kind(kind.__name__)}, as a {kind.__name__} or the path of a stored one; {_type_of(what)} was given"
     )
+
+
+def _type_of(what: object) -> str:
+    """Return the type of an object with its article: "an int"."""
+    name = type(what).__name__
+    return f"{'an' if name[0] in 'aeiouAEIOU' else 'a'} {name}"
+
+
+def path_of(what: object, name: str) -> Path:
+    """Return the path that was given as argument `name`.
+
+    Raises
+    ------
+    RecordError
+        It is no path.
+    """
+    if not isinstance(what, str | os.PathLike):
+        raise RecordError(f"{name}: the path of a file or folder is needed, and {_type_of(what)} was given")
+    return Path(what)
+
+
+def given_all(what: R | PathLike | Sequence[R | PathLike], kind: type[R]) -> list[tuple[R, list[Path]]]:
+    """Return what :func:`given` does for each item of a sequence, or for what was given alone."""
+    items: Sequence[Any] = what if isinstance(what, Sequence) and not isinstance(what, str) else [what]
+    return [given(item, kind) for item in items]
+
+
+def whole_number(value: Any, name: str, least: int, error: type[FinrayError]) -> int:
+    """Return the whole number that was given as argument `name`; raise `error` where it is none, or below `least`."""
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or number < least:
+        raise error(f"{name} = {value!r}: a whole number of at least {least} is needed")
+    return number
+
+
+def require_choice(value: object, name: str, choices: Sequence[str], error: type[FinrayError]) -> None:
+    """Raise `error` where argument `name` is none of `choices`."""
+    if value not in choices:
+        raise error(f"{name} = {value!r}: is unknown; give one of {', '.join(map(repr, choices))}")
 
 
 def made(record: R, call: str, inputs: Iterable[Path], seed: int | None = None) -> R:
@@ -113,7 +158,8 @@ def read_record(path: PathLike) -> Record:
     from data_schemas.storage import A_RECORD, read_json
     from rigs.capture import SESSION_NAME
 
-    file = Path(path) / SESSION_NAME if Path(path).is_dir() else Path(path)
+    file = path_of(path, "path")
+    file = file / SESSION_NAME if file.is_dir() else file
     if file.suffix == ".toml":
         raise RecordError(f"{file}: is a TOML file, not a stored record; read a finger's design with finger_design")
     envelope = read_json(file, A_RECORD)
@@ -137,13 +183,15 @@ def write_record(record: Record, path: PathLike) -> Path:
     RecordError
         The file exists already: a stored record is never overwritten.
     """
+    if not isinstance(record, Record):
+        raise RecordError(f"record: a record of finray is needed, and {_type_of(record)} was given")
     origin = record.provenance
     if origin is None:
         origin = provenance("finray_calib.write_record, from Python")
     elif not origin.command.endswith(", from Python"):
         command = f"finray_calib.write_record, of what was made by: {origin.command}, from Python"
         origin = provenance(command, origin.input_sha256, origin.seed)
-    return write_stored(record, Path(path), origin)
+    return write_stored(record, path_of(path, "path"), origin)
 
 
 def trace_record(path: PathLike) -> "Traced":
@@ -153,7 +201,7 @@ def trace_record(path: PathLike) -> "Traced":
     """
     from finray_calib.lineage import Tracer
 
-    return Tracer().trace(Path(path))
+    return Tracer().trace(path_of(path, "path"))
 
 
 @contextmanager
@@ -169,7 +217,7 @@ def open_rig(rig: PathLike) -> "Iterator[OpenRig]":
     from rigs import open_rig as open_devices
     from rigs import rig_locked
 
-    path = Path(rig)
+    path = path_of(rig, "rig")
     settings = read_toml(path, RigFile)
     with rig_locked(settings), open_devices(settings, path.parent) as opened:
         yield opened
@@ -199,7 +247,7 @@ def capture_session(
     from rigs.capture import SessionRequest, camera_step, capture_camera_session, capture_paint_session, paint_steps
     from rigs.light_guard import require_outside_layer, safety_lines
 
-    plan_file, rig_file, folder = Path(plan), Path(rig), Path(out)
+    plan_file, rig_file, folder = path_of(plan, "plan"), path_of(rig, "rig"), path_of(out, "out")
     kind = read_toml_tables(plan_file).get("kind", "paint")
     if kind not in ("paint", "camera"):
         raise CaptureError(
@@ -249,7 +297,7 @@ def reduce_session(
     from finray_calib.radiometry import characterise_camera
     from rigs.capture import SESSION_NAME, read_camera_session, read_frame_of, session_kind
 
-    folder = Path(session)
+    folder = path_of(session, "session")
     if session_kind(folder) == "paint":
         return _reduced(folder, camera, accept_repeat, None)[0]
     if camera is not None or accept_repeat:
@@ -278,7 +326,7 @@ def reduce_pixels(
     whole_frame
         Whether to take every pixel of the frame.
     """
-    pixels = _reduced(Path(session), camera, accept_repeat, whole_frame)[1]
+    pixels = _reduced(path_of(session, "session"), camera, accept_repeat, whole_frame)[1]
     if pixels is None:
         raise RadiometryError(f"{session}: gave no signals of pixels, which is a fault of finray; report it")
     return pixels
@@ -308,16 +356,17 @@ def import_bands(folder: PathLike) -> BandSignals:
     """Reduce a folder of another lab's band images, described by its ``bands.toml``, to band signals."""
     from finray_calib.exchange import import_band_folder
 
-    with naming(RadiometryError, Path(folder)):
-        bands, digests = import_band_folder(Path(folder))
-    inputs = {(Path(folder) / name).as_posix(): digest for name, digest in digests.items()}
+    images = path_of(folder, "folder")
+    with naming(RadiometryError, images):
+        bands, digests = import_band_folder(images)
+    inputs = {(images / name).as_posix(): digest for name, digest in digests.items()}
     return bands.model_copy(update={"provenance": provenance("finray_calib.import_bands, from Python", inputs)})
 
 
 def fit_paint(
     bands: BandSignals | PathLike | Sequence[BandSignals | PathLike],
     *,
-    other_lights: Sequence[BandSignals | PathLike] = (),
+    other_lights: BandSignals | PathLike | Sequence[BandSignals | PathLike] = (),
     family: str = "auto",
     discrepancy: bool = True,
     check: bool = False,
@@ -357,15 +406,16 @@ def fit_paint(
     """
     from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint, departing_warnings
 
+    whole_number(seed, "seed", 0, FitError)
     signals, files, scatter = _of_sessions(bands)
-    others = [given(other, BandSignals) for other in other_lights]
+    others = given_all(other_lights, BandSignals)
     files += [file for _, read in others for file in read]
     options = FitOptions(
         family=None if family == "auto" else family,
         discrepancy=PAINT_DISCREPANCY if discrepancy else NO_DISCREPANCY,
         check_by_emcee=check,
     )
-    match = None if room_light is None else _room_light_match(Path(room_light), signals)
+    match = None if room_light is None else _room_light_match(path_of(room_light, "room_light"), signals)
     with naming(FitError, *files):
         paint = calibrate_paint(signals, seed, options, [other for other, _ in others], match)
     if scatter is not None and isinstance(paint, PaintCalibration):
@@ -382,11 +432,11 @@ def _of_sessions(
     bands: BandSignals | PathLike | Sequence[BandSignals | PathLike],
 ) -> "tuple[BandSignals, list[Path], SessionScatter | None]":
     """Return the band signals of one session, or those that several share, the files, and how they differ."""
-    if isinstance(bands, BandSignals | str | os.PathLike):
-        return *given(bands, BandSignals), None
     from finray_calib.fit import combine_sessions
 
-    read = [given(one, BandSignals) for one in bands]
+    read = given_all(bands, BandSignals)
+    if not read:
+        raise FitError("bands: an empty list was given; give the band signals of at least one session")
     files = [file for _, of_one in read for file in of_one]
     if len(read) == 1:
         return read[0][0], files, None
@@ -450,6 +500,7 @@ def compare_press(
     """
     from finray_calib.compare import CheckOptions, compare_checked
 
+    whole_number(seed, "seed", 0, CompareError)
     press, files = given(simulated, SimulatedPress)
     captured, read = given(capture, TactileCapture)
     files += read
@@ -493,9 +544,10 @@ def compare_force(
     from finray_calib.exchange import read_force_csv
     from finray_calib.force import compare_force as compare
 
+    whole_number(seed, "seed", 0, CompareError)
     mechanics, files = given(press, PressMechanics)
     other, read = (None, []) if other_mesh is None else given(other_mesh, PressMechanics)
-    measured = read_force_csv(Path(force_csv))
+    measured = read_force_csv(path_of(force_csv, "force_csv"))
     with naming(CompareError, *files):
         compared = compare(mechanics, measured, np.random.default_rng(seed), not known_first_touch, other)
     return made(compared, "compare_force", [*files, Path(force_csv), *read], seed)
@@ -503,12 +555,12 @@ def compare_force(
 
 def decide_light_angle(
     sweeps: LightAngleSweep | PathLike | Sequence[LightAngleSweep | PathLike],
-    reports: Sequence[PhotometricErrorReport | PathLike] = (),
+    reports: PhotometricErrorReport | PathLike | Sequence[PhotometricErrorReport | PathLike] = (),
     *,
     narrow_sweep: bool = False,
     weights: Sequence[float] | None = None,
-    criterion: Literal["average", "worst"] = "average",
-    aim: Literal["brightness", "normal"] | None = None,
+    criterion: Criterion = "average",
+    aim: Aim | None = None,
     seed: int = 1,
 ) -> LightAngleDecision:
     """Decide on the angle of the light over touches of a finger: the angle, its risk, and what each touch loses.
@@ -538,10 +590,13 @@ def decide_light_angle(
     """
     from finray_calib.decide import decide
 
-    several = [sweeps] if isinstance(sweeps, LightAngleSweep | str | os.PathLike) else list(sweeps)
-    swept = [given(sweep, LightAngleSweep) for sweep in several]
+    whole_number(seed, "seed", 0, DecideError)
+    require_choice(criterion, "criterion", get_args(Criterion), DecideError)
+    if aim is not None:
+        require_choice(aim, "aim", get_args(Aim), DecideError)
+    swept = given_all(sweeps, LightAngleSweep)
     files = [file for _, read in swept for file in read]
-    compared = [given(report, PhotometricErrorReport) for report in reports]
+    compared = given_all(reports, PhotometricErrorReport)
     files += [file for _, read in compared for file in read]
     with naming(DecideError, *files):
         decision = decide(

@@ -102,6 +102,14 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
                 f"{first.paint_name!r}; give sessions of one paint (the paint_name of their plans), and fit "
                 "other paints by themselves"
             )
+        for earlier, other in enumerate(sessions[: number - 1], start=1):
+            if np.array_equal(one.fluorescence, other.fluorescence) and np.array_equal(
+                one.reflectance, other.reflectance
+            ):
+                raise FitError(
+                    f"sessions {earlier} and {number} hold the same values: one session given twice would count as two "
+                    "measurements; give each session once"
+                )
         unlike = [
             name for name in type(first.optics).model_fields
             if _as_text(getattr(one.optics, name)) != _as_text(getattr(first.optics, name))

@@ -1,5 +1,7 @@
 """Every function of the library on small examples, from a rig to a decision."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -159,7 +161,7 @@ def test_presses_are_compared_and_captures_decide(lab):
         finray.compare_press(lab / "capture.json", lab / "press.json")
     with pytest.raises(
         RecordError,
-        match="a simulated press is needed, as a SimulatedPress or the path of a stored one; a int was given",
+        match="a simulated press is needed, as a SimulatedPress or the path of a stored one; an int was given",
     ):
         finray.compare_press(7, lab / "capture.json")
 
@@ -204,3 +206,43 @@ def test_what_is_no_record_is_refused(lab, tmp_path):
 def test_band_images_of_others_are_imported(tmp_path):
     with pytest.raises(ImportFormatError, match=r"bands\.toml"):
         finray.import_bands(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda lab: finray.fit_paint(None), "a NoneType was given"),
+        (lambda lab: finray.fit_paint([]), "bands: an empty list"),
+        (lambda lab: finray.fit_paint(finray.read_record(lab / "red.paint.json")), "a PaintCalibration was given"),
+        (lambda lab: finray.fit_paint(lab / "bands.json", seed=-1), "seed = -1: a whole number of at least 0"),
+        (lambda lab: finray.fit_paint([lab / "bands.json"] * 2), "sessions 1 and 2 hold the same values"),
+        (lambda lab: finray.finger_design(None), "design: the path of a file or folder is needed"),
+        (lambda lab: finray.press_finger("flat-70x35", increments=0), "increments = 0: a whole number of at least 1"),
+        (lambda lab: finray.press_finger("flat-70x35", increments=2.5), "increments = 2.5: a whole number"),
+        (lambda lab: finray.press_finger("flat-70x35", contact="hard"), "'auto', 'penalty', 'barrier'"),
+        (lambda lab: finray.press_finger("flat-70x35", budget_s="10"), "budget_s = '10': processor time above 0 s"),
+        (lambda lab: _render(lab, sample=4), "sample: is no option of render_press; there are level, samples"),
+        (lambda lab: _render(lab, level="z"), "level = 'z': is unknown; give one of 'a', 'a_inverse_square'"),
+        (lambda lab: _sweep(lab, [0, 10, float("nan"), 30]), "nan deg stands after 10 deg"),
+        (lambda lab: _sweep(lab, [0, 20, 10, 30]), "10 deg stands after 20 deg"),
+        (lambda lab: _sweep(lab, [0, 100, 200]), "from -180 to 180 deg that increase"),
+        (lambda lab: _sweep(lab, ["a", "b"]), "a list of numbers in deg is needed"),
+        (lambda lab: _sweep(lab, [0, 10, 20], shared_light=True), "shared_light: is no option of sweep_light_angle"),
+        (lambda lab: finray.decide_light_angle([], criterion="best"), "criterion = 'best': is unknown"),
+        (lambda lab: finray.decide_light_angle([], aim="light"), "aim = 'light': is unknown"),
+        (lambda lab: finray.read_record(None), "path: the path of a file or folder is needed"),
+        (lambda lab: finray.write_record(None, lab / "none.json"), "record: a record of finray is needed"),
+    ],
+)
+def test_an_argument_that_cannot_be_meant_is_refused_by_name(lab, call, told):
+    with pytest.raises(finray.FinrayError, match=re.escape(told)):
+        call(lab)
+
+
+def _render(lab, **options):
+    return finray.render_press("flat-70x35", red=lab / "red.paint.json", green=lab / "red.paint.json", **options)
+
+
+def _sweep(lab, angles_deg, **options):
+    paint = lab / "red.paint.json"
+    return finray.sweep_light_angle("flat-70x35", angles_deg, red=paint, green=paint, **options)
