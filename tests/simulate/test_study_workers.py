@@ -254,7 +254,7 @@ def test_another_folder_of_the_same_path_is_noticed_also_by_a_worker_that_comes_
 def test_workers_of_this_machine_that_are_ended_are_not_called_a_scheduler_elsewhere(cluster):
     with Client(cluster.scheduler_address) as client:
         threading.Timer(1.0, cluster.close).start()
-        with pytest.raises(SimulateError, match="the worker processes of this machine ended before their work was done"):
+        with pytest.raises(SimulateError, match="processes of this machine ended before their work was done"):
             list(_ended(Workers(client), waits, 5.0, jobs(4), _Steps(4, None)))
 
 
