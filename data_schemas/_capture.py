@@ -476,7 +476,8 @@ class CharucoBoard(Model):
     )
     images: Annotated[int, Field(ge=1, le=200)] = 10
     on_pad: bool = Field(
-        default=False, description="the first place is flat where the coat of the pad is: it gives mm per pixel"
+        default=False,
+        description=("true: in the first image the board lies flat where the pad's coat is, which gives mm per pixel"),
     )
 
     @model_validator(mode="after")

@@ -48,7 +48,7 @@ class FromPackage(Model):
 
     def _idle_here(self, name: str) -> dict[str, str]:
         """Return the fields that only what another package brings has."""
-        why = f'it belongs to what another package provides, not to "{name}"; leave it out'
+        why = f'it belongs to parts of other packages only, and "{name}" is one of finray; leave it out'
         return dict.fromkeys(("parameters", "package"), why)
 
 

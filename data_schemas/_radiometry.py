@@ -57,7 +57,7 @@ class Optics(Model):
         names = [f.name for f in self.filters]
         if self.excitation_filter not in names:
             raise ValueError(
-                f"excitation_filter {self.excitation_filter!r} is none of the filters ({', '.join(names)})"
+                f"excitation_filter {self.excitation_filter!r} is not one of the filters ({', '.join(names)})"
             )
         return self
 

@@ -171,7 +171,7 @@ class BandFolder(Record):
             raise ValueError(f"filters: {twice[0]!r} is listed twice; list each filter once")
         if self.excitation_filter not in names:
             raise ValueError(
-                f"excitation_filter {self.excitation_filter!r} is none of the filters ({', '.join(names)})"
+                f"excitation_filter {self.excitation_filter!r} is not one of the filters ({', '.join(names)})"
             )
         for field in ("white", "reflectance", "fluorescence"):
             times = getattr(self.exposure_s, field)

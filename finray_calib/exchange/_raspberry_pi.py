@@ -359,7 +359,10 @@ def _metadata(image: Path) -> dict[str, Any]:
         )
     metadata = read_json(path, "what rpicam-still --metadata wrote", ImportFormatError)
     if not isinstance(metadata, dict):
-        raise ImportFormatError(f"{path}: is a {type(metadata).__name__}; metadata is one JSON object per image")
+        raise ImportFormatError(
+            f"{path}: is not a JSON object, which the metadata of an image must be; write it with rpicam-still "
+            "--metadata"
+        )
     return metadata
 
 

@@ -85,7 +85,10 @@ def record_dataset(record: Record) -> "Dataset":
         if "channel" in dims:
             coordinates["channel"] = (("channel",), np.array(CHANNELS), {})
     if not variables:
-        raise RecordError(f"a {type(record).__name__} holds no array; its fields are plain numbers and words")
+        raise RecordError(
+            f"this record ({type(record).__name__}) has no array that xarray could hold; read its fields instead, "
+            "which are plain numbers and words"
+        )
     return Dataset(variables, coords=coordinates, attrs=_attributes(record))
 
 

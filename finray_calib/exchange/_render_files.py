@@ -257,8 +257,8 @@ def _press(folder: Path, capture: TactileCapture | None) -> SimulatedPress:
     contact_file, rest_file = files[CONTACT], files[NO_CONTACT]
     if contact_file is None or rest_file is None:
         raise ImportFormatError(
-            f"{folder}: there is no {NO_CONTACT} ({', '.join(IMAGE_ENDINGS)}) beside {CONTACT}; render the gel "
-            "untouched by the same call, with a height of zero"
+            f"{folder}: there is no {NO_CONTACT} ({', '.join(IMAGE_ENDINGS)}) beside {CONTACT}; render the untouched "
+            "gel with the same settings, with a height of zero"
         )
     if contact_file.suffix != rest_file.suffix:
         raise ImportFormatError(
@@ -400,7 +400,9 @@ def press_request(capture: TactileCapture, with_contact: bool) -> dict[str, byte
         The capture holds Bayer counts, which simulators of colour images do not read.
     """
     if capture.layout != "RGB":
-        raise ImportFormatError(f"{capture.name}: holds {capture.layout} counts; a bench needs captures in RGB")
+        raise ImportFormatError(
+            f"{capture.name}: holds {capture.layout} counts, but simulators of colour images need a capture in RGB"
+        )
     circle, outline = capture.contact_circle, capture.contact_outline
     told = {
         "name": capture.name,

@@ -188,13 +188,11 @@ def _set(tables: dict[str, Any], field: str, value: DesignValue) -> None:
         table = table.get(name) if isinstance(table, dict) else None
     if not isinstance(table, dict):
         raise SimulateError(
-            f"'{field}' is not a field of this finger, which has no [{'.'.join(above)}]; 'finray design init' writes a "
-            "design with all fields"
+            f"'{field}' is not a field of this finger, which has no [{'.'.join(above)}]; 'finray design init' writes "
+            "all fields"
         )
     if last not in table:
-        raise SimulateError(
-            f"'{field}' is not a field of a design; 'finray design init' writes a design with all fields fields"
-        )
+        raise SimulateError(f"'{field}' is not a field of a design; 'finray design init' writes all fields")
     is_whole = isinstance(table[last], int) and not isinstance(table[last], bool)
     table[last] = round(value) if is_whole and isinstance(value, float) else value
 
