@@ -549,7 +549,7 @@ class Skeleton(Model):
         default=0.0, description="angle from the pad's normal; positive when the rib rises towards its back"
     )
     mirror_thickness_mm: SheetMm = 0.15
-    backing: Backing | None = Field(default=None, description="plate on the back fin; left out: none")
+    backing: Backing | None = Field(default=None, description="plate on the back fin; without this table there is none")
 
     @model_validator(mode="after")
     def _ribs_stand_apart(self) -> "Skeleton":

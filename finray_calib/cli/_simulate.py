@@ -230,9 +230,11 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
-        help="only the brightness beside the indenter (default), or also how well normals can be measured (Fisher "
-        "information, held-out error), evenness, colours, clipping and room for the panel: 15 s more, once, with the "
-        "first of --positions",
+        help=(
+                "only the brightness beside the indenter (default), or also how well normals can be measured (Fisher "
+                "information, held-out error), evenness, colours, clipping and room for the panel, which takes 15 s "
+                "more, once, at the first of --positions"
+            ),
     )  # fmt: skip
     parser.add_argument(
         "--samples", type=_even, default=4000, metavar="N", help="paths per probe, an even number (default: 4000)"

@@ -93,7 +93,8 @@ class ImportedFilter(Model):
     fwhm_nm: WidthNm | None = None
     curve: str | None = None
     center_uncertainty_nm: FilterUncertaintyNm | None = Field(
-        default=None, description="standard uncertainty; left out: that of a measured curve or of a catalogue's data"
+        default=None,
+        description=("standard uncertainty; if it is left out, that of a measured curve or of a catalogue's data"),
     )
     fwhm_uncertainty_nm: FilterUncertaintyNm | None = None
     blocking_od: OpticalDensity = 4.0

@@ -264,11 +264,12 @@ press {REPEATS} times, and take the indenter away between. Take every image at a
 1. The camera's geometry and the scale: {BOARD_IMAGES} images of a ChArUco board of 7 x 5 squares, glued to a flat
    plate. Measure all seven squares with a calliper at once; a seventh of that length, and of its uncertainty, is that
    of one square. For the first image the board lies flat where the pad's coat is, with its printed face to the camera;
-   take it before the pad is put in, or lay the board on the pad. All of the board must be in the view through
-   the mirror. For the other images, turn the board and tilt it by 20 to 45 deg in all directions, in some of them so that it reaches the corners of the picture. Camera, mirror and focus are those of the presses. If the
-   printed face cannot lie in the plane of the coat, measure how far behind it the coat is, to 0.1 mm: 1 mm at 50 mm
-   changes the scale by 2 %. The ball plan asks for these images first. Its session then gives millimetres per raw pixel
-   along x and y, with uncertainty, and names what cannot be measured:
+   take it before the pad is put in, or lay the board on the pad. All of the board must be in the view through the
+   mirror. For the other images, turn the board and tilt it by 20 to 45 deg in all directions, in some of them so that
+   it reaches the corners of the picture. Camera, mirror and focus are those of the presses. If the printed face cannot
+   lie in the plane of the coat, measure how far behind it the coat is, to 0.1 mm: 1 mm at 50 mm changes the scale by
+   2 %. The ball plan asks for these images first. Its session then gives millimetres per raw pixel along x and y, with
+   uncertainty, and names what cannot be measured:
 
        finray sense scale SESSION --square-u-mm 0.01 --out pixel-scale.json
 

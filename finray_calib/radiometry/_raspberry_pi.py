@@ -260,7 +260,9 @@ def parse_tuning(document: Mapping[str, Any]) -> LibcameraTuning:
 def _algorithms(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return the enabled algorithms by name, from either layout."""
     if not isinstance(document, Mapping):
-        raise ImportFormatError(f"tuning: is a {type(document).__name__}, and a tuning file must be a JSON object")
+        raise ImportFormatError(
+            "tuning: is not a JSON object, which a tuning file must be; give the file of the camera from libcamera"
+        )
     version = document.get("version", 1.0)
     if not isinstance(version, (int, float)) or version >= 3.0:
         raise ImportFormatError(
