@@ -171,7 +171,7 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     )  # fmt: skip
     lights.add_argument(
         "--map", dest="axes", action="append", default=[], metavar="FIELD=LOW:HIGH:STEP",
-        help="a number of the finger and its values, given twice",
+        help="a number of the finger and its values; give it twice, for a map over two numbers",
     )  # fmt: skip
     lights.add_argument(
         "--samples", type=_sample_count, metavar="N",

@@ -373,8 +373,8 @@ def _notes(
         )
     if len(on.contacts) > 1:
         notes.append(
-            "the errors at two places share a part of their variance that nobody has measured (10 to 90 %, "
-            "all equally likely); edges and reflections are those of one camera and the same at all places"
+            "the errors at two places share a part of their variance that nobody has measured (10 to 90 %, all equally "
+            "likely); errors by the edges of shadows and by reflections are taken to be the same at all places"
         )
     return tuple(notes)
 

@@ -242,7 +242,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
     outcome = finray(f"{press} --out {tmp_path}/lone.json")
     assert outcome.status == 2
     assert re.search(
-        r"error: the sensitivities of the force could not be computed: .* is singular\. The press itself is stored", outcome.err
+        r"error: the sensitivities of the force could not be .* is singular\. The press itself is stored", outcome.err
     )
     assert "push  0.200 mm" in outcome.out
     record = read_record(tmp_path / "lone.mechanics.json", PressMechanics)

@@ -115,7 +115,7 @@ def test_records_are_drawn(results, example, tmp_path):
     with pytest.raises(RecordError, match=r"0\.png.*exists"):
         plot.save(tmp_path / "0.png")
     plan = PaintPlan(paint_name="red", region=RegionOfInterest(row_px=0, column_px=0, height_px=8, width_px=8))
-    with pytest.raises(RecordError, match="the kind PaintPlan cannot be drawn; these kinds can: BandSignals, FingerDesign"):
+    with pytest.raises(RecordError, match="kind PaintPlan cannot be drawn; these kinds can: BandSignals, FingerDesign"):
         plan.plot()
 
 
