@@ -224,6 +224,8 @@ def _meant(unknown: list[str], parser: argparse.ArgumentParser, command: str) ->
         return f"did you mean '{near[0]}'? "
     if re.match(r"(red|green)=", unknown[0]):
         return "write --paint before each COLOUR=FILE; "
+    if "--rig" in flags and unknown[0].endswith(".toml") and Path(unknown[0]).exists():
+        return "write --rig before a rig file; "
     return "" if unknown[0].startswith("-") else "put a path with spaces in quotes; "
 
 
@@ -283,7 +285,7 @@ def _run(words: list[str], in_own_process: bool) -> tuple[str, int]:
         begin([AS_JSON] * parsed.json + [QUIET] * parsed.quiet)
     if unknown:
         named = f"finray {command}".strip()
-        told = f"'{named}' knows no {' '.join(unknown)}; {_meant(unknown, parser, command)}"
+        told = f"'{named}' does not take {' '.join(unknown)}; {_meant(unknown, parser, command)}"
         fail(f"{' '.join(named.split()[:2])}: error: {told}'{named} --help' lists what can be given")
         return command, USER_MISTAKE
     if parsed.verb is None and not parsed.version:

@@ -181,7 +181,10 @@ def read_ball_presses(folder: Path, mm_per_px: float, ball_diameter_mm: float | 
         When a file is missing or not what the layout says.
     """
     if not folder.is_dir():
-        raise ImportFormatError(f"{folder}: no such folder; give a folder with background.png and {CATALOG}")
+        raise ImportFormatError(
+            f"{folder}: {'is a file' if folder.exists() else 'no such folder'}; give a folder with background.png and "
+            f"{CATALOG}"
+        )
     background = next((folder / name for name in BACKGROUNDS if (folder / name).is_file()), None)
     if background is None:
         raise ImportFormatError(
@@ -404,7 +407,10 @@ def read_taxim(folder: Path, ball_diameter_mm: float | None = None, mm_per_px: f
         When the folder holds no presses, or something in it is not what the format says.
     """
     if not folder.is_dir():
-        raise ImportFormatError(f"{folder}: no such folder; give a Taxim calibration folder, with {DATA_PACK} in it")
+        raise ImportFormatError(
+            f"{folder}: {'is a file' if folder.exists() else 'no such folder'}; give a Taxim calibration folder, with "
+            f"{DATA_PACK} in it"
+        )
     path = folder / DATA_PACK
     arrays, pickled = read_npz(path)
     no_contact = _image(require_array(arrays, pickled, "f0", 3, path), "f0", path)

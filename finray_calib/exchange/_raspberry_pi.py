@@ -369,6 +369,8 @@ def _metadata(image: Path) -> dict[str, Any]:
 def _press(folder: Path) -> PressDescription:
     """Read what was pressed."""
     path = folder / PRESS_NAME
+    if folder.is_file():
+        raise ImportFormatError(f"{folder}: is a file; give the folder of one press, with its images and {PRESS_NAME}")
     if not path.exists():
         raise ImportFormatError(
             f"{path}: no such file; write it with a name and an [indenter] table (shape, radius_mm, depth_mm)"

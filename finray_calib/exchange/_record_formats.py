@@ -339,7 +339,9 @@ def capture_by_package(name: str, folder: Path) -> TactileCapture:
     """
     plug_in = find_plug_in(IMPORT_FORMATS, name)
     if not folder.is_dir():
-        raise ImportFormatError(f"{folder}: no such folder; give the folder of one press")
+        raise ImportFormatError(
+            f"{folder}: {'is a file' if folder.exists() else 'no such folder'}; give the folder of one press"
+        )
     module: Any = plug_in.load()
     capture = plug_in.call(lambda: module.read_capture(folder), f"{folder}: ")
     if not isinstance(capture, TactileCapture):

@@ -230,7 +230,10 @@ def read_renders(folder: Path, captures: Mapping[str, TactileCapture] | None = N
         A file is missing or not what the layout says, or the two images differ in size or kind.
     """
     if not folder.is_dir():
-        raise ImportFormatError(f"{folder}: no such folder; give a folder with {CONTACT}.png and {NO_CONTACT}.png")
+        raise ImportFormatError(
+            f"{folder}: {'is a file' if folder.exists() else 'no such folder'}; give a folder with {CONTACT}.png and "
+            f"{NO_CONTACT}.png"
+        )
     if _image_file(folder, CONTACT) is not None:
         folders = [folder]
     else:

@@ -257,7 +257,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
         (
             "",
             "--seed 1",
-            r"finray simulate: error: 'finray simulate press' knows no --seed 1; .* --help' lists what can be",
+            r"finray simulate: error: 'finray simulate press' does not take --seed 1; .* --help' lists what can be",
         ),
         ("", "--force 2 --contact barrier", r"--force presses from first touch with the penalty"),
         ("", "--force 2 --resume d.increments", r"--force presses from first touch with the penalty"),
