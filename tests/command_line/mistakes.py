@@ -134,7 +134,7 @@ CASES = (
     Case(
         "plan and rig exchanged",
         "capture {lab}/rig.toml --rig {lab}/plan.toml",
-        r"rig\.toml: 'paint_name': is missing and must be given; .*known keys are bracket",
+        r"rig\.toml: holds a rig file, where a paint plan is needed; give that file",
     ),
     Case(
         "unknown key",
@@ -348,6 +348,14 @@ CASES = (
         r"'finray fit' does not take --famly skew_t; did you mean '--family'\? 'finray fit --help' lists",
     ),
     Case(
+        "rig without its option", "live {lab}/rig.toml", r"does not take \S*rig\.toml; write --rig before a rig file; "
+    ),
+    Case(
+        "file for the folder of a press",
+        "import raspberry-pi {lab}/rig.toml",
+        r"rig\.toml: is a file; give the folder of one press, with its images and press\.toml",
+    ),
+    Case(
         "two paints behind one option",
         "simulate render f.toml --paint red=a.json green=b.json",
         r"does not take green=b\.json; write --paint before each COLOUR=FILE; ",
@@ -355,7 +363,7 @@ CASES = (
     Case(
         "rig for a finger",
         "study finger-stiffness {lab}/rig.toml",
-        r"rig\.toml: is not a complete finger, because it lacks \[pad\], \[coating\]",
+        r"rig\.toml: holds a rig file, where a finger design is needed; give that file",
     ),
     Case(
         "classic sensor for a finger",
