@@ -282,7 +282,7 @@ def test_from_a_taxim_folder_to_a_normal_map(tmp_path, monkeypatch):
     said = succeed("import taxim t")
     assert "t.captures: 12 captures, 80 x 60 px, encoding unknown" in said
     assert "left out: shadowTable.npz" in said
-    assert "assumed: ball of 4 mm diameter" in said
+    assert "assumed: a ball of 4 mm diameter" in said
     files = " ".join(str(p) for p in sorted((tmp_path / "t.captures").glob("*.json")))
     said = succeed(f"sense teach {files} --out map.json")
     assert "map.json: normal map of 12 presses, 80 x 60 px" in said

@@ -131,7 +131,7 @@ def test_arrays_have_names_and_units_in_xarray(results, example):
     assert "angles_deg" in probes.coords
     assert example_decision("tie").to_xarray().coords["grid_deg"].size == 121
     assert results.capture.to_xarray()["repeat_no_contact"].dims == results.capture.to_xarray()["contact"].dims
-    with pytest.raises(RecordError, match="a FingerDesign holds no array"):
+    with pytest.raises(RecordError, match=r"record \(FingerDesign\) has no array"):
         finray.finger_design().to_xarray()
 
 
