@@ -165,7 +165,7 @@ def healing_s(typical_s: float) -> float:
 
 
 class StatedTimes(NamedTuple):
-    """How long a session takes (s), without the time of persons, and how long faults may hold it up."""
+    """How long a session takes (s), without the time that people need, and how long faults may hold it up."""
 
     typical_s: float
     longest_s: float
