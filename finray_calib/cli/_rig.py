@@ -293,7 +293,7 @@ def run_detect(arguments: argparse.Namespace) -> None:
         warn(f"note: {note}")
     if detection.not_searched:
         unsearched = ", ".join(detection.not_searched)
-        warn(f"note: not searched for: {unsearched}; enter their addresses in the rig file by hand")
+        warn(f"note: these are not searched for: {unsearched}; enter their addresses in the rig file by hand")
 
 
 def run_show(arguments: argparse.Namespace) -> None:

@@ -323,7 +323,7 @@ def _one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         text = f"{error.filename}: {error.strerror}; check the path, its permissions and the space on the disk"
     elif isinstance(error, OSError):
-        todo = TO_DO.get(error.errno or 0, "'finray doctor' says what this computer lacks")
+        todo = TO_DO.get(error.errno or 0, "'finray doctor' lists what this computer lacks")
         text = f"this computer: {system_words(error)}; {todo}"
     return " ".join(text.split())
 

@@ -574,8 +574,8 @@ def processed_signal(
     values: Floats = np.interp(encoded, curve[:, 1], curve[:, 0])
     code_sd = float(np.sqrt(ROUNDING_CODES**2 + PROCESSING_CODES**2 + (JPEG_CODES**2 if compressed else 0.0)))
     steps = [
-        f"tone curve of the tuning inverted; {code_sd:.1f} of 255 codes of uncertainty for rounding, assumed "
-        f"sharpening and denoising" + (", JPEG" if compressed else "")
+        f"the tone curve of the tuning was inverted, with a standard uncertainty of {code_sd:.1f} of 255 codes for "
+        "rounding, assumed sharpening and denoising" + (", JPEG" if compressed else "")
     ]
     variance = (_slope(encoded, curve) * code_sd / LARGEST_CODE) ** 2
     if tuning.contrast is not None:

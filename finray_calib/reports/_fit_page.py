@@ -158,7 +158,7 @@ def _fit_findings(paint: FittedPaint, verdict: Verdict) -> tuple[str, ...]:
     reasons = {
         "Fit can be used": "The draws can be trusted, every band is explained, and there are no warnings.",
         "Use with care": (
-            f"The draws can be trusted, but read the warnings below first ({len(paint.fit.warnings)}), and which "
+            f"The draws can be trusted. Read first the warnings below ({len(paint.fit.warnings)}), and which "
             "quantities come mostly from the prior."
         ),
         "Do not use": "The draws of the posterior cannot be trusted, so neither can any number of this page.",

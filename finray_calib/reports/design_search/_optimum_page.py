@@ -285,9 +285,9 @@ def _percent_interval(value: float, limits: tuple[float, float] | None) -> str:
 def _front(optimum: DesignOptimum) -> Content:
     """Show the designs of the front in a table."""
     lead = (
-        "Designs for which, with at least even odds, no other within the limits is as good in every objective and "
-        f"better by {percent(optimum.tolerance_rel)} in one. The last column names the objectives in which they "
-        f"differ from the recommended one (97.5 %, one-sided); everything else is within the noise."
+        "Designs for which, with a probability of at least 1/2, no other within the limits is as good in every "
+        f"objective and better by {percent(optimum.tolerance_rel)} in one. The last column names the objectives in "
+        "which they differ from the recommended one (97.5 %, one-sided); everything else is within the noise."
     )
     return Content(lead, tables=(_designs_table(optimum, front_rows(optimum), "The front"),), has_wide_tables=True)
 
