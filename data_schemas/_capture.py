@@ -83,8 +83,10 @@ class PaintPlan(Record):
     darks_per_exposure: Annotated[int, Field(ge=1, le=50)] = 2
     second_tilt_deg: Annotated[float, Field(ge=5.0, le=75.0, json_schema_extra={"unit": "deg"})] | None = Field(
         default=None,
-        description="second angle between the laser beam and the sample's normal (the first is 0): tests whether the "
-        "paint is diffuse; left out, the sample is not tilted",
+        description=(
+            "second angle between the laser beam and the sample's normal (the first is 0): tests whether the paint "
+            "is diffuse; if it is left out, the sample is not tilted"
+        ),
     )
     second_tilt_filters: tuple[str, str] | None = Field(
         default=None, description="the two filters of the tilted sample, such as the two brightest of the paint"
@@ -393,7 +395,9 @@ class TactileRig(Record):
 
     name: str
     camera: CameraSettings
-    stage: StageSettings | None = Field(default=None, description="stage that presses; left out: a person presses")
+    stage: StageSettings | None = Field(
+        default=None, description=("stage that presses; without this table a person presses")
+    )
     load_cell: LoadCellSettings | None = Field(
         default=None, description="load cell that stops the stage; a stage needs one"
     )
@@ -445,7 +449,7 @@ class PlannedPress(Model):
     tilt_uncertainty_deg: UncertaintyDeg | None = None
     force_limit_n: ForceN | None = Field(
         default=None,
-        description="force at which the stage stops and the session ends; left out: the limit of the rig file",
+        description="force at which the stage stops and the session ends; if it is left out, the limit of the rig file",
     )
     until_force_n: ForceN | None = Field(
         default=None, description="press until this force; depth_mm is then the depth that must not be exceeded"
@@ -476,7 +480,8 @@ class CharucoBoard(Model):
     )
     images: Annotated[int, Field(ge=1, le=200)] = 10
     on_pad: bool = Field(
-        default=False, description="the first place is flat where the coat of the pad is: it gives mm per pixel"
+        default=False,
+        description=("true: in the first image the board lies flat where the pad's coat is, which gives mm per pixel"),
     )
 
     @model_validator(mode="after")

@@ -104,8 +104,10 @@ class CheckPlan(Record):
     )
     texture_is_of_the_tile: bool = Field(
         default=False,
-        description="a printed pattern with far more contrast than dust and stains is in view, so that a shift of the "
-        "picture can be seen; false: it is never said to stay in place",
+        description=(
+            "a printed pattern with far more contrast than dust and stains is in view, so that a shift of the "
+            "picture can be seen; false: the check does not judge whether it stays in place"
+        ),
     )
     darks_per_exposure: Annotated[int, Field(ge=2, le=100)] = 6
     longest_dark_s: ExposureS = Field(default=1.0, description="exposure of the longest dark frames")
@@ -160,7 +162,9 @@ class PictureShift(Model):
 
     row_px: float
     column_px: float
-    sd_px: Annotated[float, Field(ge=0.0)] | None = Field(description="of each of the two; None: no texture to see")
+    sd_px: Annotated[float, Field(ge=0.0)] | None = Field(
+        description=("standard uncertainty of each of the two; None: the picture has no texture")
+    )
 
 
 class Revisit(Model):
@@ -218,9 +222,9 @@ class StrayLight(Model):
 class LatencyTry(Model):
     """One exposure during which the light was switched on; times after the request of the exposure."""
 
-    on_earliest_s: float = Field(description="when the light was told to go on")
-    on_latest_s: float = Field(description="when its controller had confirmed it")
-    lit_share: float = Field(description="signal over that of an exposure with the light on all the while")
+    on_earliest_s: float = Field(description="when the command to switch the light on was sent")
+    on_latest_s: float = Field(description="when its controller had confirmed that it is on")
+    lit_share: float = Field(description="signal relative to an exposure during which the light is on all the time")
     lit_share_sd: Annotated[float, Field(ge=0.0)]
 
 

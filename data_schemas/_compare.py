@@ -623,7 +623,7 @@ class MaterialFit(Record):
     curves: tuple[FittedForceCurve, ...]
     effective_samples: Annotated[float, Field(gt=0.0)]
     pareto_k: float
-    trusted: bool = Field(description="the draws cover the posterior, and enough of them count")
+    trusted: bool = Field(description="the draws cover the posterior, and their effective number is large enough")
     design_toml: str = Field(description="lines of a finger's design with what was measured of the gel; may be empty")
     notes: tuple[str, ...] = ()
 

@@ -475,27 +475,35 @@ class LightPowers(Record):
     name: str
     sentence: str
     rows: tuple[LightPowerRow, ...] = Field(min_length=1)
-    total_rel: Annotated[float, Field(gt=0.0)] = Field(description="allowed light of all lights over that of now")
+    total_rel: Annotated[float, Field(gt=0.0)] = Field(
+        description=("allowed light of all lights together, relative to the present")
+    )
     variation_now_rel: Estimate = Field(
-        description="standard deviation over the places of the brightness over its mean, now"
+        description=(
+            "standard deviation of the brightness over the places, relative to its mean, with the present powers"
+        )
     )
     variation_rel: Estimate = Field(
-        description="standard deviation over the places of the brightness over its mean, with the recommended powers"
+        description=(
+            "standard deviation of the brightness over the places, relative to its mean, with the recommended powers"
+        )
     )
     gain_rel: Estimate = Field(description="share by which the variation falls")
     gap_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="no allowed powers are more even by a larger share than this, on this basis"
     )
-    brightness_rel: Annotated[float, Field(gt=0.0)] = Field(description="mean brightness over that of now")
+    brightness_rel: Annotated[float, Field(gt=0.0)] = Field(description="mean brightness, relative to the present")
     normal_error: NormalErrorChange | None = Field(
         default=None, description="error of the normal; none where it is not evaluated"
     )
-    at_rest: Annotated[int, Field(ge=1)] = Field(description="rows of the basis that are at rest; others are touched")
+    at_rest: Annotated[int, Field(ge=1)] = Field(
+        description=("rows of the basis without contact; the others are with contact")
+    )
     places_mm: Annotated[Floats, ArraySpec("<f8", ("row", "2"), "mm")] = Field(
         description="x and z of each place on the pad"
     )
     basis: Annotated[Floats, ArraySpec("<f8", ("light", "row"))] = Field(
-        description="brightness by each light at its power of now; the mean of all together is 1 in each state"
+        description="brightness by each light at its present power; the mean of all together is 1 in each state"
     )
     basis_u: Annotated[Floats, ArraySpec("<f8", ("light", "row"))] = Field(
         description="standard uncertainty of the basis from the noise of the paths"

@@ -48,7 +48,7 @@ class FromPackage(Model):
 
     def _idle_here(self, name: str) -> dict[str, str]:
         """Return the fields that only what another package brings has."""
-        why = f'it belongs to what another package provides, not to "{name}"; leave it out'
+        why = f'it belongs to parts of other packages only, and "{name}" is one of finray; leave it out'
         return dict.fromkeys(("parameters", "package"), why)
 
 
@@ -549,7 +549,7 @@ class Skeleton(Model):
         default=0.0, description="angle from the pad's normal; positive when the rib rises towards its back"
     )
     mirror_thickness_mm: SheetMm = 0.15
-    backing: Backing | None = Field(default=None, description="plate on the back fin; left out: none")
+    backing: Backing | None = Field(default=None, description="plate on the back fin; without this table there is none")
 
     @model_validator(mode="after")
     def _ribs_stand_apart(self) -> "Skeleton":

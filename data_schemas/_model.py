@@ -239,7 +239,8 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
         f", got {given!r}" if isinstance(given, str | int | float | bool) and not message.endswith(repr(given)) else ""
     )
     place = f"'{field}'{f' (in {unit})' if unit else ''}: " if field else ""
-    hint = f"; is it in {unit}?" if unit and fault["type"] in OUT_OF_BOUNDS else ""
+    may_be_other_unit = not isinstance(given, int | float) or given > 0
+    hint = f"; is it in {unit}?" if unit and may_be_other_unit and fault["type"] in OUT_OF_BOUNDS else ""
     return f"{place}{message[:1].lower()}{message[1:]}{shown}{hint}"
 
 

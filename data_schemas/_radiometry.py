@@ -57,7 +57,7 @@ class Optics(Model):
         names = [f.name for f in self.filters]
         if self.excitation_filter not in names:
             raise ValueError(
-                f"excitation_filter {self.excitation_filter!r} is none of the filters ({', '.join(names)})"
+                f"excitation_filter {self.excitation_filter!r} is not one of the filters ({', '.join(names)})"
             )
         return self
 
@@ -235,7 +235,8 @@ class CameraPlan(Record):
     kind: Literal["camera"] = "camera"
     camera_name: str = Field(description="name of the camera, for the session's folder and the characterisation")
     filter_name: str | None = Field(
-        default=None, description="filter in the beam; left out: none, the wheel must read that it is out of the beam"
+        default=None,
+        description=("filter in the beam; if it is left out, the wheel must read that no filter is in the beam"),
     )
     region: RegionOfInterest = Field(description="evenly lit part of the white tile")
     levels: Annotated[int, Field(ge=FEWEST_LEVELS, le=200)] = Field(

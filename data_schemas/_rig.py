@@ -42,7 +42,7 @@ def _where_none_is_given(catalogue_nm: float) -> Callable[[dict[str, Any]], floa
 def _uncertainty_text(catalogue_nm: float) -> str:
     """Say which standard uncertainty holds where none is given."""
     return (
-        f"standard uncertainty; left out: {catalogue_nm:g} nm for a filter known from a catalogue only, "
+        f"standard uncertainty; if it is left out, {catalogue_nm:g} nm for a filter known from a catalogue only, "
         f"{MEASURED_CURVE_NM:g} nm with a measured curve. Give the value of a certificate"
     )
 

@@ -170,7 +170,9 @@ class AngleObjective(Model):
         if not least > 0.0:
             raise ValueError(f"{self.name}: values must be positive, but the least is {least:g} {self.unit}")
         if (self.place_values is None) != (self.places_mm is None):
-            raise ValueError(f"{self.name}: values at places and the places themselves belong together")
+            raise ValueError(
+                f"{self.name}: values at places and the places themselves belong together; give both or leave both out"
+            )
         check_dimensions(self)
         return self
 

@@ -445,7 +445,7 @@ darks_per_exposure = {plan.darks_per_exposure}
 
 def _camera_plan_toml(plan: CameraPlan) -> str:
     """Return a camera plan without its region."""
-    through = "# filter_name = ...: left out, the wheel must be out of the beam"
+    through = "# filter_name = ...: without it, the wheel must be out of the beam"
     if plan.filter_name is not None:
         through = f"filter_name = {_quoted(plan.filter_name)}"
     return f"""# A camera session: flat frames of the white tile from dark to beyond saturation, and dark frames.

@@ -225,7 +225,9 @@ class RigLight(StandardReadable):
         if self._is_lit:
             if not self.state():
                 self.off()
-                raise LightLostError(f"{self.name}: went off by itself and is off; find out why, then light it again")
+                raise LightLostError(
+                    f"{self.name}: went off without a command and is off; find out why, then switch it on again"
+                )
             return
         if self._was_lost:
             self._require_permission("was lost")
@@ -240,11 +242,11 @@ class RigLight(StandardReadable):
         """Ask before a light that harms eyes is lit again."""
         if self._operator is not None and not self._operator.allows(
             f"The {self.name} {what_was}. Is the box closed, does everybody wear goggles, and may the {self.name} be "
-            "lit again?"
+            "switched on again?"
         ):
             raise LightLostError(
-                f"{self.name}: {what_was}, and is not lit again unless a person at the terminal says that the box is "
-                "closed; close the box, then go on in a terminal"
+                f"{self.name}: {what_was}, and is switched on again only after a person at the terminal has confirmed "
+                "that the box is closed; close the box, then continue in a terminal"
             )
         self._was_lost = False
 
@@ -298,7 +300,7 @@ class RigTarget(StandardReadable):
             Nobody can answer.
         """
         if value not in get_args(Target):
-            raise RefusedError(f"target: there is no '{value}'; there are {', '.join(get_args(Target))}")
+            raise RefusedError(f"target: '{value}' is not known; allowed are {', '.join(get_args(Target))}")
         self._set_in_view("unknown")
         await self.call(lambda: self._operator.place(value))
         self._set_in_view(value)
@@ -352,8 +354,8 @@ class RigCamera(StandardReadable):
         exposure_s, limits = await self.exposure_s.get_value(), self._rig.camera
         if not limits.shortest_exposure_s <= exposure_s <= limits.longest_exposure_s:
             raise RefusedError(
-                f"camera: exposure_s = {exposure_s:g} s is out of the range of the rig file, "
-                f"{limits.shortest_exposure_s:g} to {limits.longest_exposure_s:g} s"
+                f"camera: exposure_s = {exposure_s:g} s is outside the range of the rig file; "
+                f"{limits.shortest_exposure_s:g} to {limits.longest_exposure_s:g} s are allowed"
             )
         before = await self._surrounded()
         raw = await self.call(lambda: self._camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S))
@@ -404,7 +406,9 @@ def ophyd_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> I
     try:
         call_in_bluesky_event_loop(asyncio.sleep(0.0))
     except RuntimeError:
-        raise RefusedError("bluesky: make the RunEngine first, RE = RunEngine(); it runs the devices") from None
+        raise RefusedError(
+            "bluesky: create the RunEngine before the devices, which it runs: RE = RunEngine()"
+        ) from None
     with rig_locked(rig), open_rig(rig, folder, operator) as opened, ExitStack() as ended:
         filters = {band.slot: band.name for band in rig.filter_wheel.filters}
         with init_devices(set_name=False):

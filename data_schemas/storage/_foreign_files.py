@@ -347,7 +347,11 @@ def read_text(
 
 
 def parse_json(
-    content: bytes, where: object, error: type[FinrayError] = RecordError, deepest: int = DEEPEST_JSON
+    content: bytes,
+    where: object,
+    error: type[FinrayError] = RecordError,
+    deepest: int = DEEPEST_JSON,
+    what: str = "",
 ) -> Any:
     """Parse JSON: no key twice, no NaN and no infinite number, no half characters, at most `deepest` levels.
 
@@ -361,6 +365,8 @@ def parse_json(
         Class of the error.
     deepest
         Levels of objects and lists within each other.
+    what
+        What to give in its place, such as "a stored record (.json)", for the error about a file that is no JSON.
 
     Raises
     ------
@@ -380,8 +386,10 @@ def parse_json(
         if b"\\u" in content:
             _refuse_half_characters(parsed)
     except (ValueError, RecursionError) as fault:
-        other = "" if content.lstrip()[:1] in (b"{", b"[") else ", or is it not a JSON file"
-        raise error(f"{where}: cannot be read as JSON ({fault}); was it edited or cut off{other}?") from None
+        is_json = content.lstrip()[:1] in (b"{", b"[")
+        give = f"; give the path of {what}" if what else ""
+        mend = "was it edited or cut off?" if is_json else f"it does not begin with {{ or [{give}"
+        raise error(f"{where}: cannot be read as JSON ({fault}); {mend}") from None
     return parsed
 
 
@@ -392,7 +400,7 @@ def read_json(
     largest_bytes: int = LARGEST_TEXT_BYTES,
 ) -> Any:
     """Read a JSON file; see :func:`read_bytes` and :func:`parse_json`."""
-    return parse_json(read_bytes(path, what, error, largest_bytes), path, error)
+    return parse_json(read_bytes(path, what, error, largest_bytes), path, error, what=what)
 
 
 def parse_toml(content: bytes, where: object, error: type[FinrayError] = RecordError) -> dict[str, Any]:

@@ -147,7 +147,8 @@ def read_record(path: Path, record_type: type[R]) -> R:
     envelope = _load_json(path)
     kind = envelope.get("kind")
     if kind != record_type.__name__:
-        why = f": {record_type.other_kinds[str(kind)]}" if str(kind) in record_type.other_kinds else ""
+        why = f" (written by {record_type.written_by})" if record_type.written_by != Record.written_by else ""
+        why = f": {record_type.other_kinds[str(kind)]}" if str(kind) in record_type.other_kinds else why
         found = kind_in_words(str(kind)) if kind else "no record of a known kind"
         raise RecordError(f"{path}: holds {found}, where {needed_kind(record_type.__name__)}{why}")
     version = _required_version(path, envelope.get("schema_version"))
@@ -254,6 +255,16 @@ def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any
     return value
 
 
+_KEYS_OF_KINDS: Final = {
+    "filter_wheel": "a rig file",
+    "load_cell": "a rig file",
+    "pad": "the design of a finger or sensor",
+    "paint_name": "the plan of a paint session",
+    "vary": "the plan of a study",
+}
+"""Keys at the top of a TOML file that one kind of file alone has, and what that kind is called."""
+
+
 def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
     """Read a plan, rig or design file that a person wrote (TOML).
 
@@ -282,6 +293,8 @@ def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
     unknown = loaded.keys() - record_type.model_fields.keys()
     lacks = any(field.is_required() and name not in loaded for name, field in record_type.model_fields.items())
     if lacks or 2 * len(unknown) > len(loaded):
+        if found := [words for key, words in _KEYS_OF_KINDS.items() if key in unknown]:
+            raise RecordError(f"{path}: holds {found[0]}, where {needed_kind(record_type.__name__)}; give that file")
         version = min(version, record_type.schema_version)  # a file of another kind: what it lacks tells more
     try:
         read = record_type.model_validate(complete(migrate(path, record_type, version, loaded)))

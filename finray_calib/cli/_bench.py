@@ -31,10 +31,10 @@ judge it. Your command is run once, with these words replaced by folders:
   {renders}  where it writes a folder of the same name for each judged press, as 'finray import render' reads it
 
 It is scored beside a table that the same presses taught, and beside doing nothing, which scores 0; with --elastic-gel
-also beside our own physics, fitted to these presses: a ball in an elastic layer under three lights. Presses whose image
-taught are never judged. OUT gets the page of the comparison (scores/summary.html), row.json and row.csv: skill with its
-interval, digests of all captures, what the command was and how long it took. A run that was interrupted or failed
-starts from the beginning when the same OUT is given again."""
+also beside a physical model that is fitted to these presses: a ball in an elastic layer under three lights. Presses
+whose image taught are never judged. OUT gets the page of the comparison (scores/summary.html), row.json and row.csv:
+skill with its interval, digests of all captures, what the command was and how long it took. A run that was
+interrupted or failed starts from the beginning when the same OUT is given again."""
 TABLE, BLANK = "table of the teaching presses", "doing nothing"
 GEL = "elastic gel under three lights"
 MOST_TEACHING = 6

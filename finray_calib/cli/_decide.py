@@ -136,10 +136,10 @@ def run(arguments: argparse.Namespace) -> None:
 LIGHTS_HELP = "powers of the lights for an even coat; a map over the angle and the place of a light"
 
 LIGHTS_DESCRIPTION = """\
-Find the powers of the lights by which the coat of a finger or classic sensor is lit most evenly, at rest and touched.
-Light adds: each light is traced once, and the most even powers are the solution of a convex problem, so that no other
-allowed powers are more even. The answer says how sure they are, how bright the coat is then, and, of a finger, what
-happens to the expected error of the sensed normal.
+Find the powers of the lights by which the coat of a finger or classic sensor is lit most evenly, without and with
+contact. The light of all sources adds up, so each is traced only once. The most even powers are the solution of a
+convex problem, so that no other allowed powers are more even. The answer states how certain they are, how bright the
+coat is then, and, of a finger, how the expected error of the sensed normal changes.
 
 Each power stays within --range times its present value, and all lights together emit at most --total times
 as much light as now.
@@ -171,7 +171,7 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     )  # fmt: skip
     lights.add_argument(
         "--map", dest="axes", action="append", default=[], metavar="FIELD=LOW:HIGH:STEP",
-        help="a number of the finger and its values, given twice",
+        help="a number of the finger and its values; give it twice, for a map over two numbers",
     )  # fmt: skip
     lights.add_argument(
         "--samples", type=_sample_count, metavar="N",

@@ -210,7 +210,7 @@ def add_ball_press_formats(formats: "argparse._SubParsersAction[argparse.Argumen
         parser = formats.add_parser(name, help=help_line, description=description)
         parser.add_argument("folder", type=Path, metavar="FOLDER", help="the calibration folder")
         taxim = name == "taxim"
-        ball = "default: 4, as of Taxim's own folders" if taxim else "required unless the catalog gives it"
+        ball = "default: 4, as in Taxim's own folders" if taxim else "required unless the catalog gives it"
         scale = "default: pixmm of params.json" if taxim else "required; not px per mm"
         parser.add_argument("--ball-diameter-mm", type=float, metavar="D", help=f"diameter of the ball ({ball})")
         parser.add_argument(

@@ -132,7 +132,11 @@ def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentPa
         "--mass-uncertainty", type=float, default=0.001, metavar="REL",
         help="relative standard uncertainty of the masses (default: 0.001)",
     )  # fmt: skip
-    parser.add_argument("--certificate", metavar="TEXT", help="certificate of the masses; left out: not traceable")
+    parser.add_argument(
+        "--certificate",
+        metavar="TEXT",
+        help=("certificate of the masses; without it, the calibration is not traceable"),
+    )
     add_out(parser, "as the rig file names it")
     parser.set_defaults(run=run_calibrate_cell)
 
@@ -289,7 +293,7 @@ def run_detect(arguments: argparse.Namespace) -> None:
         warn(f"note: {note}")
     if detection.not_searched:
         unsearched = ", ".join(detection.not_searched)
-        warn(f"note: not searched for: {unsearched}; enter their addresses in the rig file by hand")
+        warn(f"note: these are not searched for: {unsearched}; enter their addresses in the rig file by hand")
 
 
 def run_show(arguments: argparse.Namespace) -> None:

@@ -96,7 +96,10 @@ def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = jobs.add_parser("teach", help=TEACH_HELP, description=TEACH_DESCRIPTION)
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter is ignored")
     parser.add_argument(
-        "--presses", type=_presses, metavar="N", help="by finite elements that teach, at least 20 (default: 40)"
+        "--presses",
+        type=_presses,
+        metavar="N",
+        help=("presses by finite elements that teach the surrogate, at least 20 (default: 40)"),
     )
     add_out(parser, "NAME.surrogate.json")
     parser.set_defaults(run=run_teach, long_work=_long_teach)
@@ -219,8 +222,11 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "--positions", type=_positions, metavar="FIRST:LAST:STEP or MM,MM,...",
-        help="sweep with the indenter at each of these places along the pad (mm from the base), e.g. 8:64:4, so that "
-        "the light is decided on for the finger; places that were swept before are not swept again",
+        help=(
+                "sweep with the indenter at each of these places along the pad (mm from the base), e.g. 8:64:4, so "
+                "that the light angle can be decided for all of them; places that were swept before are not swept "
+                "again"
+            ),
     )  # fmt: skip
     _add_scene(parser)
     parser.add_argument(
@@ -230,9 +236,11 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
-        help="only the brightness beside the indenter (default), or also how well normals can be measured (Fisher "
-        "information, held-out error), evenness, colours, clipping and room for the panel: 15 s more, once, with the "
-        "first of --positions",
+        help=(
+                "only the brightness beside the indenter (default), or also how well normals can be measured (Fisher "
+                "information, held-out error), evenness, colours, clipping and room for the panel, which takes 15 s "
+                "more, once, at the first of --positions"
+            ),
     )  # fmt: skip
     parser.add_argument(
         "--samples", type=_even, default=4000, metavar="N", help="paths per probe, an even number (default: 4000)"

@@ -300,7 +300,7 @@ def _vary(
     try:
         said["sensitivities"] = press_sensitivities(design, pressed, machine_threads(), progress, contact, folder)
     except SimulateError as failed:
-        unvaried = f"what the force depends on could not be found: {failed}"
+        unvaried = f"the sensitivities of the force could not be computed: {failed}"
         said["notes"] = (unvaried,)
         return unvaried
     return ""

@@ -12,6 +12,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from data_schemas import DiedError, FinrayError, system_words
@@ -224,6 +225,8 @@ def _meant(unknown: list[str], parser: argparse.ArgumentParser, command: str) ->
         return f"did you mean '{near[0]}'? "
     if re.match(r"(red|green)=", unknown[0]):
         return "write --paint before each COLOUR=FILE; "
+    if "--rig" in flags and unknown[0].endswith(".toml") and Path(unknown[0]).exists():
+        return "write --rig before a rig file; "
     return "" if unknown[0].startswith("-") else "put a path with spaces in quotes; "
 
 
@@ -283,7 +286,7 @@ def _run(words: list[str], in_own_process: bool) -> tuple[str, int]:
         begin([AS_JSON] * parsed.json + [QUIET] * parsed.quiet)
     if unknown:
         named = f"finray {command}".strip()
-        told = f"'{named}' knows no {' '.join(unknown)}; {_meant(unknown, parser, command)}"
+        told = f"'{named}' does not take {' '.join(unknown)}; {_meant(unknown, parser, command)}"
         fail(f"{' '.join(named.split()[:2])}: error: {told}'{named} --help' lists what can be given")
         return command, USER_MISTAKE
     if parsed.verb is None and not parsed.version:
@@ -320,7 +323,7 @@ def _one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         text = f"{error.filename}: {error.strerror}; check the path, its permissions and the space on the disk"
     elif isinstance(error, OSError):
-        todo = TO_DO.get(error.errno or 0, "'finray doctor' says what this computer lacks")
+        todo = TO_DO.get(error.errno or 0, "'finray doctor' lists what this computer lacks")
         text = f"this computer: {system_words(error)}; {todo}"
     return " ".join(text.split())
 

@@ -382,8 +382,8 @@ def _sweep_of(sweeps: Sequence[LightAngleSweep], report: PhotometricErrorReport)
         ]
     if report.finger.version != first.version:
         return 0, [
-            f"the report on {report.captured} names its finger '{report.finger.name}' in the way of another "
-            f"version of finray: whether it is '{first.name}' is not checked; compare again to have it checked"
+            f"the report on {report.captured} identifies its finger '{report.finger.name}' by the rules of another "
+            f"version of finray, so it was not checked whether it is '{first.name}'; compare again to have it checked"
         ]
     others = [report.finger.differs_in(own) for own in owns]
     pushed_mm = report.finger.depth_mm

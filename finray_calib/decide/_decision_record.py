@@ -47,8 +47,8 @@ _ERROR_CURVE = (
 #: Shape of what is looked at where the error of the normal is decided on.
 FACET = "facet"
 _ASSUMED_SIZE = (
-    "3 %, 95 % between 0.4 % and 21 %; with a probability of 1/2, it is proportionally smaller where the "
-    "curve varies less with the angle than usual"
+    "3 %, with 95 % probability between 0.4 % and 21 %; with a probability of 1/2, it is proportionally smaller where "
+    "the curve varies less with the angle than usual"
 )
 
 
@@ -373,8 +373,8 @@ def _notes(
         )
     if len(on.contacts) > 1:
         notes.append(
-            "the errors at two places share a part of their variance that nobody has measured (10 to 90 %, "
-            "all equally likely); edges and reflections are those of one camera and the same at all places"
+            "the errors at two places share a part of their variance that nobody has measured (10 to 90 %, all equally "
+            "likely); errors by the edges of shadows and by reflections are taken to be the same at all places"
         )
     return tuple(notes)
 
@@ -395,9 +395,9 @@ def _note_on_error(captures: CaptureErrors) -> str:
         else "by exposure and LED current, up to one unknown scale for each rig"
     )
     return (
-        f"captures are compared {compared}; how the sim-to-real error depends on the angle elsewhere is "
-        f"{_ERROR_CURVE}, of a size (prior: {_ASSUMED_SIZE}) that the captures determine; captures show the image "
-        f"beside the indenter, the sweep evaluates its probe points"
+        f"captures are compared {compared}; at other angles the sim-to-real error is taken to be {_ERROR_CURVE}, of a "
+        f"size that the captures determine (prior: {_ASSUMED_SIZE}); captures show the image beside the indenter, "
+        "while the sweep evaluates its probe points"
     )
 
 

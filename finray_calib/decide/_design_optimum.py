@@ -366,7 +366,7 @@ def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: fl
     build = f"Build the finger with {changes}: {told}"
     if not is_better:
         build = f"Keep the starting design: the best design found ({changes}) is not shown to be better: {told}"
-    whole = "" if len(searched.objectives) == 1 else " in all objectives together (ratios multiplied)"
+    whole = "" if len(searched.objectives) == 1 else " in all objectives together (product of their ratios)"
     return (
         f"{build}. With 95 % probability no design within the limits is better by more "
         f"than {100 * regret_95:.1f} %{whole}, according to the emulator."
@@ -383,7 +383,7 @@ def _gain_words(gain: DesignGain) -> str:
     value, limits, how = gain.expected_rel, gain.expected_95_rel, "by the emulator, not confirmed"
     if gain.confirmed_rel is not None and gain.confirmed_95_rel is not None:
         value, limits, how = gain.confirmed_rel, gain.confirmed_95_rel, "with other seeds and contact places"
-    real = "" if limits[0] > 0.0 or limits[1] < 0.0 else ", no real difference"
+    real = "" if limits[0] > 0.0 or limits[1] < 0.0 else ", no significant difference"
     word = "better" if value >= 0.0 else "worse"
     low, high = (100 * end for end in (sorted(abs(end) for end in limits) if real == "" else limits))
     return f"{gain.objective} {100 * abs(value):.1f} % {word} than the start ({low:.1f} to {high:.1f} %, {how}{real})"

@@ -159,13 +159,13 @@ class PowerLimits:
         """
         if not ((self.low >= 0.0) & (self.low <= self.high) & (self.high > 0.0)).all():
             raise DecideError(
-                f"limits of the powers must be two factors from 0, the lower one first, got {self.low.tolist()} to "
-                f"{self.high.tolist()}"
+                f"limits of the powers must be two factors of 0 or more, the lower one first, got {self.low.tolist()} "
+                f"to {self.high.tolist()}"
             )
         least = float(self.share @ self.low)
         if self.total_rel <= 0.0 or least > self.total_rel:
             raise DecideError(
-                f"the lowest powers together are {least:.3g} of those now, more than the total allows "
+                f"the lowest powers together are {least:.3g} times the present ones, more than the total allows "
                 f"({self.total_rel:.3g}); lower the lower limit or raise the total"
             )
 
@@ -448,12 +448,12 @@ def light_powers(
 
 
 _NOTES: Final = (
-    "solved: all lights burn at once, and the relative variation of the brightness is least, at rest and touched; this "
-    "is convex, so no other allowed powers are more even on this basis",
-    "not solved: powers of the most information on the normal under shot noise; they are a convex problem only where "
-    "lights burn in turn, each with an exposure of its own",
-    "intervals hold the noise of the paths and, of a finger, the draws of its paints; they do not know how far one LED "
-    "of a batch is from another, nor how far the simulation is from the real sensor",
+    "the powers make the relative variation of the brightness least, without and with contact, where all lights are on "
+    "at once; this problem is convex, so no other allowed powers are more even on this basis",
+    "the powers that give the most information on the normal under shot noise were not sought; they are a convex "
+    "problem only where the lights are on in turn, each with an exposure of its own",
+    "intervals include the noise of the render and, for a finger, the draws of its paints; they include neither the "
+    "differences between the LEDs of a batch nor that between the simulation and the real sensor",
     "power_rel is a factor of radiance, and the light of an LED is not proportional to its current; adjust "
     "the current until a picture shows that factor",
 )

@@ -318,7 +318,7 @@ def check_serial_ports() -> Found:
     ports = import_module("rigs.transports._serial_link").usb_serial_ports()
     closed = [port.address for port in ports if not os.access(port.address, os.R_OK | os.W_OK)]
     if closed:
-        return _note(f"you may not open {', '.join(closed)}", _way_in(Path(closed[0])))
+        return _note(f"your user has no permission to open {', '.join(closed)}", _way_in(Path(closed[0])))
     if not ports:
         return _good("none behind USB (needed for a real rig only)")
     return _good(", ".join(port.address for port in ports))

@@ -108,8 +108,8 @@ def _check(press: BallPress, no_contact_rgb: Bytes, mm_per_px: float, source: st
     rows, columns = no_contact_rgb.shape[:2]
     if press.rgb.shape != no_contact_rgb.shape:
         raise ImportFormatError(
-            f"{where}: an image of shape {press.rgb.shape} with a no-contact image of shape "
-            f"{no_contact_rgb.shape}; both must come from one camera at one size"
+            f"{where}: the image has shape {press.rgb.shape}, but the no-contact image {no_contact_rgb.shape}; both "
+            "must come from one camera at one size"
         )
     if not (0.0 <= press.row_px < rows and 0.0 <= press.column_px < columns):
         raise ImportFormatError(
@@ -119,8 +119,8 @@ def _check(press: BallPress, no_contact_rgb: Bytes, mm_per_px: float, source: st
     ball_px = press.ball_diameter_mm / 2.0 / mm_per_px
     if not 0.0 < press.radius_px < ball_px:
         raise ImportFormatError(
-            f"{where}: a contact circle of {press.radius_px:g} px radius must be above 0 and below the ball's "
-            f"{ball_px:.4g} px ({press.ball_diameter_mm:g} mm diameter at {mm_per_px:g} mm per px); correct "
+            f"{where}: the contact circle has a radius of {press.radius_px:g} px, which must be above 0 and below the "
+            f"ball's {ball_px:.4g} px ({press.ball_diameter_mm:g} mm diameter at {mm_per_px:g} mm per px); correct "
             "--ball-diameter-mm (diameter, not radius) or --mm-per-px (not px per mm), or the label"
         )
 
@@ -181,7 +181,10 @@ def read_ball_presses(folder: Path, mm_per_px: float, ball_diameter_mm: float | 
         When a file is missing or not what the layout says.
     """
     if not folder.is_dir():
-        raise ImportFormatError(f"{folder}: no such folder; give a folder with background.png and {CATALOG}")
+        raise ImportFormatError(
+            f"{folder}: {'is a file' if folder.exists() else 'no such folder'}; give a folder with background.png and "
+            f"{CATALOG}"
+        )
     background = next((folder / name for name in BACKGROUNDS if (folder / name).is_file()), None)
     if background is None:
         raise ImportFormatError(
@@ -201,7 +204,7 @@ def read_ball_presses(folder: Path, mm_per_px: float, ball_diameter_mm: float | 
             f"(docs/how-to/exchange-with-taxim.md)"
         )
     if not presses:
-        raise ImportFormatError(f"{folder}: no labelled press in it; label the contact circles first")
+        raise ImportFormatError(f"{folder}: holds no labelled press; label the contact circles first")
     captures = press_captures(presses, read_rgb(background), scale, f"ball presses of '{folder.resolve().name}'")
     return BallPressFolder(tuple(captures), tuple(left_out))
 
@@ -370,8 +373,8 @@ _NOT_NEEDED = {
     "polycalib.npz": "the shading table: it was made from the presses, and 'finray sense teach' fits a normal map to "
     "them",
     "gelmap.npy": "the height of the undeformed gel: not part of a capture",
-    "real_bg.npy": "a background: dataPack's f0 is taken",
-    "bg.jpg": "a background: dataPack's f0 is taken",
+    "real_bg.npy": "a background: f0 of dataPack.npz is used in its place",
+    "bg.jpg": "a background: f0 of dataPack.npz is used in its place",
 }
 
 
@@ -404,7 +407,10 @@ def read_taxim(folder: Path, ball_diameter_mm: float | None = None, mm_per_px: f
         When the folder holds no presses, or something in it is not what the format says.
     """
     if not folder.is_dir():
-        raise ImportFormatError(f"{folder}: no such folder; give a Taxim calibration folder, with {DATA_PACK} in it")
+        raise ImportFormatError(
+            f"{folder}: {'is a file' if folder.exists() else 'no such folder'}; give a Taxim calibration folder, with "
+            f"{DATA_PACK} in it"
+        )
     path = folder / DATA_PACK
     arrays, pickled = read_npz(path)
     no_contact = _image(require_array(arrays, pickled, "f0", 3, path), "f0", path)
@@ -423,7 +429,7 @@ def read_taxim(folder: Path, ball_diameter_mm: float | None = None, mm_per_px: f
     presses = _presses(arrays, pickled, path, diameter)
     name = folder.resolve().name
     captures = press_captures(presses, no_contact, scale, f"Taxim calibration folder '{name}'")
-    assumed = [] if ball_diameter_mm is not None else [f"ball of {diameter:g} mm diameter, as of Taxim's own folders"]
+    assumed = [] if ball_diameter_mm is not None else [f"a ball of {diameter:g} mm diameter, as in Taxim's own folders"]
     return TaximFolder(tuple(captures), _left_out(folder, pickled), tuple(assumed))
 
 

@@ -93,7 +93,8 @@ class ImportedFilter(Model):
     fwhm_nm: WidthNm | None = None
     curve: str | None = None
     center_uncertainty_nm: FilterUncertaintyNm | None = Field(
-        default=None, description="standard uncertainty; left out: that of a measured curve or of a catalogue's data"
+        default=None,
+        description=("standard uncertainty; if it is left out, that of a measured curve or of a catalogue's data"),
     )
     fwhm_uncertainty_nm: FilterUncertaintyNm | None = None
     blocking_od: OpticalDensity = 4.0
@@ -171,7 +172,7 @@ class BandFolder(Record):
             raise ValueError(f"filters: {twice[0]!r} is listed twice; list each filter once")
         if self.excitation_filter not in names:
             raise ValueError(
-                f"excitation_filter {self.excitation_filter!r} is none of the filters ({', '.join(names)})"
+                f"excitation_filter {self.excitation_filter!r} is not one of the filters ({', '.join(names)})"
             )
         for field in ("white", "reflectance", "fluorescence"):
             times = getattr(self.exposure_s, field)

@@ -111,7 +111,7 @@ class RecipeContact(Model):
         default={}, description="name of the press -> corners (column, row)"
     )
     search: Literal["circle", "outline"] | None = Field(
-        default=None, description="look for it in the picture: the circle of a ball, or what changes most"
+        default=None, description="find it in the picture: the circle of a ball, or the region that changes most"
     )
 
     @model_validator(mode="after")
@@ -200,8 +200,8 @@ def read_recipe(name_or_file: str) -> tuple[Recipe, Path]:
     path = RECIPES / f"{name_or_file}.toml" if name_or_file in recipe_names() else Path(name_or_file)
     if not path.is_file():
         raise ImportFormatError(
-            f"{name_or_file}: no recipe of this name and no such file; there are {', '.join(recipe_names())}, or write "
-            "a TOML file (docs/how-to/import-captures.md shows one)"
+            f"{name_or_file}: there is neither a recipe of this name nor such a file; give one of the recipes "
+            f"{', '.join(recipe_names())}, or write a TOML file (docs/how-to/import-captures.md shows one)"
         )
     tables = read_toml_tables(path, "a recipe (TOML)", ImportFormatError)
     try:

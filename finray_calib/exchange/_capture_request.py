@@ -68,10 +68,10 @@ def ball_presses(design: FingerDesign, view: PlannedView) -> IndenterPresses:
     half = min(pad.width_mm / 2.0, -view.across_mm[0], view.across_mm[1])
     if 2.0 * rim >= min(tip - base, 2.0 * half):
         raise RecordError(
-            f"pad: {pad.length_mm:g} x {pad.width_mm:g} x {pad.thickness_mm:g} mm, of which "
-            f"{max(tip - base, 0.0):.1f} x {max(2.0 * half, 0.0):.1f} mm are seen, leaves no room for presses of a "
-            f"ball of {radius:g} mm radius to {deepest:g} mm, which a normal map needs; change the pad or the camera "
-            f"of the design"
+            f"pad: of its {pad.length_mm:g} x {pad.width_mm:g} x {pad.thickness_mm:g} mm the camera sees "
+            f"{max(tip - base, 0.0):.1f} x {max(2.0 * half, 0.0):.1f} mm, which is too little for the presses that a "
+            f"normal map needs (a ball of {radius:g} mm radius, {deepest:g} mm deep); change the pad or the camera of "
+            "the design"
         )
     reach_mm = half - rim
     columns = BALL_PRESSES // len(_ACROSS_REL)
@@ -166,7 +166,7 @@ _LED_CURRENT_MA = 20.0
 _DEPTH_U_MM, _POSITION_U_MM, _TILT_U_DEG, _ANGLE_U_DEG = 0.02, 0.1, 0.3, 0.5
 _BOARD = f"""
 [board]                          # your ChArUco board; images of it in many places and tilts
-on_pad = true                    # the first one: flat where the pad's coat is
+on_pad = true                    # in the first image the board lies flat where the pad's coat is
 squares = [7, 5]
 square_mm = 3.0                  # MEASURE
 marker_mm = 2.2                  # MEASURE
@@ -203,13 +203,13 @@ def _head(design: FingerDesign, design_file: str, asked: IndenterPresses, view: 
     """Return what all presses of a plan share."""
     name = f"{design.name}, {asked.shape}, panel at {angle_deg:g} deg"
     return f"""\
-# Written by finray. Lines with MEASURE hold what is planned: put in what you measured.
+# Written by finray. Lines with MEASURE hold planned values: replace them by what you measured.
 kind = "tactile"
 name = {_text(name)}
 design = {_text(design_file)}
 bracket_powers = [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]         # powers of two of 1 us that the camera allows
 no_contact_images = {NO_CONTACT_IMAGES}            # before and after each press
-repeats = {REPEATS}                      # of each press, the indenter taken away between
+repeats = {REPEATS}                      # of each press; the indenter is retracted between them
 led_current_ma = {_LED_CURRENT_MA:.1f}            # MEASURE
 light_angle_deg = {_float(angle_deg)}           # MEASURE: the panel's normal from the pad plane
 light_angle_uncertainty_deg = {_ANGLE_U_DEG}  # MEASURE: standard uncertainty
@@ -248,7 +248,7 @@ _BEFORE = """\
 ## Before you begin
 
 - Raw frames of the sensor (Bayer, DNG), no JPEG, no MJPEG. Auto exposure, auto white balance, denoising and sharpening
-  off; both colour gains 1; analogue gain 1. What goes through a camera's own curve cannot be compared as light.
+  off; both colour gains 1; analogue gain 1. A picture with the tone curve of a camera cannot be compared as light.
 - Warm the LEDs up for ten minutes, at a constant current. Write the current down.
 - Work in the dark. Focus, aperture and finger stay as they are from the first frame to the last.
 - Clean the pad; take no frame with dust or dents of the last press in it (wait a minute after each press).
@@ -264,12 +264,12 @@ press {REPEATS} times, and take the indenter away between. Take every image at a
 1. The camera's geometry and the scale: {BOARD_IMAGES} images of a ChArUco board of 7 x 5 squares, glued to a flat
    plate. Measure all seven squares with a calliper at once; a seventh of that length, and of its uncertainty, is that
    of one square. For the first image the board lies flat where the pad's coat is, with its printed face to the camera;
-   take it before the pad is put in, or lay the board on the pad. All of the board must be in view (the view through
-   the mirror is right). For the other images, turn the board and tilt it by 20 to 45 deg in all directions, in some of
-   them so that it reaches the corners of the picture. Camera, mirror and focus are those of the presses. If the
-   printed face cannot lie in the plane of the coat, measure how far behind it the coat is, to 0.1 mm: 1 mm at 50 mm
-   changes the scale by 2 %. The ball plan asks for these images first. Its session then gives millimetres per raw pixel
-   along x and y, with uncertainty, and names what cannot be measured:
+   take it before the pad is put in, or lay the board on the pad. All of the board must be in the view through the
+   mirror. For the other images, turn the board and tilt it by 20 to 45 deg in all directions, in some of them so that
+   it reaches the corners of the picture. Camera, mirror and focus are those of the presses. If the printed face cannot
+   lie in the plane of the coat, measure how far behind it the coat is, to 0.1 mm: 1 mm at 50 mm changes the scale by
+   2 %. The ball plan asks for these images first. Its session then gives millimetres per raw pixel along x and y, with
+   uncertainty, and names what cannot be measured:
 
        finray sense scale SESSION --square-u-mm 0.01 --out pixel-scale.json
 
@@ -340,7 +340,7 @@ def _presses(design: FingerDesign, ball: IndenterPresses, own: IndenterPresses, 
 
 3. The {own.shape} of {own.radius_mm:g} mm radius at {own.presses[0].position_mm:g} mm along the pad, on the middle
    line, to depths of {depths} mm, at each of these panel angles: {_angles(angle_plans)} deg.
-   The panel moves and nothing else; measure its angle each time.
+   Move only the panel, and measure its angle each time.
 
 """
 

@@ -200,8 +200,8 @@ The press is {press}.
 Rendered with baked walls (level b), {spp} paths per pixel and twice as many near the contact, and the same random
 numbers without and with contact.
 {sources}
-**One press appears in {reuse} samples.** Keep its samples together: the column `split` of the index (and of `KEY.json`)
-does, with eight out of ten presses to train, one to validate and one to test (here {split}).
+**One press appears in {reuse} samples.** Keep its samples together, as the column `split` of the index (and of
+`KEY.json`) does: of ten presses, eight are to train, one is to validate and one is to test (here {split}).
 Samples of one press count once when an error is averaged: its interval comes from presses, not from samples.
 
 ## What it does not hold
@@ -245,8 +245,8 @@ Or with the standard library: `tarfile` yields the files in order; the key ends 
 
 _ANALYTIC: Final = "analytic: the pad takes the indenter's shape at once and keeps its volume; no mechanics is solved"
 _NO_LICENCE: Final = """\
-Not stated: the samples hold nothing but what the command above computed from the design and the paints, so whoever ran
-it may say here under which licence they are passed on."""
+Not stated. The samples hold only what the command above computed from the design and the paints, so whoever ran it may
+state a licence here."""
 
 
 def dataset_card(dataset: LearningDataset, origin: Provenance, has_parquet: bool) -> bytes:

@@ -337,7 +337,7 @@ def nine_dtact_prediction(folder: Path, other: Path) -> SimulatedPress:
         variance=None,
         light_angle_deg=None,
         design=None,
-        notes=(f"depth table carried over from {other.name}; nothing is rendered",),
+        notes=(f"predicted by the depth table of another sensor, {other.name}; nothing is rendered",),
     )
 
 

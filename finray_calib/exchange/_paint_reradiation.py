@@ -297,7 +297,7 @@ def read_bispectral_exr(path: Path, row_px: int = 0, column_px: int = 0) -> Band
             continue  # the layout allows an RGB preview and others beside the spectral channels
         if not (0 <= row_px < pixels.shape[0] and 0 <= column_px < pixels.shape[1]):
             raise ImportFormatError(
-                f"{path}: pixel row {row_px}, column {column_px} lies outside of the {pixels.shape[0]} x "
+                f"{path}: pixel row {row_px}, column {column_px} lies outside the image of {pixels.shape[0]} x "
                 f"{pixels.shape[1]} px"
             )
         excitation_nm, emission_nm = (float(text.replace(",", ".")) for text in (match[1], match[2] or match[1]))
@@ -534,7 +534,7 @@ def led_camera_json(
         "warnings": list(spectra.warnings),
         "notes": [
             *matrix.notes,
-            "the standard deviations hold the paint's uncertainty, not that of light and camera response",
+            "the standard deviations include the paint's uncertainty, but not that of light and camera response",
             "reflectance is interpolated between the filters",
         ],
         "provenance": origin.model_dump(mode="json"),

@@ -359,13 +359,18 @@ def _metadata(image: Path) -> dict[str, Any]:
         )
     metadata = read_json(path, "what rpicam-still --metadata wrote", ImportFormatError)
     if not isinstance(metadata, dict):
-        raise ImportFormatError(f"{path}: is a {type(metadata).__name__}; metadata is one JSON object per image")
+        raise ImportFormatError(
+            f"{path}: is not a JSON object, which the metadata of an image must be; write it with rpicam-still "
+            "--metadata"
+        )
     return metadata
 
 
 def _press(folder: Path) -> PressDescription:
     """Read what was pressed."""
     path = folder / PRESS_NAME
+    if folder.is_file():
+        raise ImportFormatError(f"{folder}: is a file; give the folder of one press, with its images and {PRESS_NAME}")
     if not path.exists():
         raise ImportFormatError(
             f"{path}: no such file; write it with a name and an [indenter] table (shape, radius_mm, depth_mm)"

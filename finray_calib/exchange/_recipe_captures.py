@@ -60,7 +60,7 @@ HOLD_SHARE = 0.9
 FAR_HALF_WIDTHS = 1.6
 _SURFACE_DEGREE = 3
 _BITS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
-_MEDIAN_LOSES = "the median of the presses is used instead and still holds some DN of them: small errors are not seen"
+_MEDIAN_LOSES = "the median of the presses is used instead and still contains weak contacts: small errors are not seen"
 _SURFACE_LOSES = "a smooth surface through far pixels is used instead; texture of the gel counts as contact"
 
 
@@ -475,7 +475,7 @@ class _Folder:
             return value
         if file is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': '{value}' is a column, and no file is named that holds it"
+                f"recipe '{self.recipe.name}': '{value}' is a column, but no file is named that holds it; name its file"
             )
         path = _named(self.folder, file, name)
         if path.suffix.lower() in PICKLED:
@@ -541,7 +541,7 @@ def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
     found = {}
     for number, path in enumerate(files_below(folder)):
         if number > MOST_FILES:
-            raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a folder further down")
+            raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a subfolder of it")
         match = wanted.fullmatch(path.relative_to(folder).as_posix())
         if match is not None and fnmatchcase(match[1], recipe.presses.only):
             if not path.resolve().is_relative_to(folder.resolve()):
@@ -613,7 +613,7 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
     distance = contact_distance(capture)
     if distance is None:
-        raise LeftOutError("the place of its contact is not known, and so not which pixels are far from it")
+        raise LeftOutError("the place of its contact is not known, and so neither are the pixels far from it")
     rows, columns = distance.shape
     y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
     powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]

@@ -85,7 +85,10 @@ def record_dataset(record: Record) -> "Dataset":
         if "channel" in dims:
             coordinates["channel"] = (("channel",), np.array(CHANNELS), {})
     if not variables:
-        raise RecordError(f"a {type(record).__name__} holds no array; its fields are plain numbers and words")
+        raise RecordError(
+            f"this record ({type(record).__name__}) has no array that xarray could hold; read its fields instead, "
+            "which are plain numbers and words"
+        )
     return Dataset(variables, coords=coordinates, attrs=_attributes(record))
 
 
@@ -336,7 +339,9 @@ def capture_by_package(name: str, folder: Path) -> TactileCapture:
     """
     plug_in = find_plug_in(IMPORT_FORMATS, name)
     if not folder.is_dir():
-        raise ImportFormatError(f"{folder}: no such folder; give the folder of one press")
+        raise ImportFormatError(
+            f"{folder}: {'is a file' if folder.exists() else 'no such folder'}; give the folder of one press"
+        )
     module: Any = plug_in.load()
     capture = plug_in.call(lambda: module.read_capture(folder), f"{folder}: ")
     if not isinstance(capture, TactileCapture):

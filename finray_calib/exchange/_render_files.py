@@ -230,7 +230,10 @@ def read_renders(folder: Path, captures: Mapping[str, TactileCapture] | None = N
         A file is missing or not what the layout says, or the two images differ in size or kind.
     """
     if not folder.is_dir():
-        raise ImportFormatError(f"{folder}: no such folder; give a folder with {CONTACT}.png and {NO_CONTACT}.png")
+        raise ImportFormatError(
+            f"{folder}: {'is a file' if folder.exists() else 'no such folder'}; give a folder with {CONTACT}.png and "
+            f"{NO_CONTACT}.png"
+        )
     if _image_file(folder, CONTACT) is not None:
         folders = [folder]
     else:
@@ -257,8 +260,8 @@ def _press(folder: Path, capture: TactileCapture | None) -> SimulatedPress:
     contact_file, rest_file = files[CONTACT], files[NO_CONTACT]
     if contact_file is None or rest_file is None:
         raise ImportFormatError(
-            f"{folder}: there is no {NO_CONTACT} ({', '.join(IMAGE_ENDINGS)}) beside {CONTACT}; render the gel "
-            "untouched by the same call, with a height of zero"
+            f"{folder}: there is no {NO_CONTACT} ({', '.join(IMAGE_ENDINGS)}) beside {CONTACT}; render the untouched "
+            "gel with the same settings, with a height of zero"
         )
     if contact_file.suffix != rest_file.suffix:
         raise ImportFormatError(
@@ -400,7 +403,9 @@ def press_request(capture: TactileCapture, with_contact: bool) -> dict[str, byte
         The capture holds Bayer counts, which simulators of colour images do not read.
     """
     if capture.layout != "RGB":
-        raise ImportFormatError(f"{capture.name}: holds {capture.layout} counts; a bench needs captures in RGB")
+        raise ImportFormatError(
+            f"{capture.name}: holds {capture.layout} counts, but simulators of colour images need a capture in RGB"
+        )
     circle, outline = capture.contact_circle, capture.contact_outline
     told = {
         "name": capture.name,

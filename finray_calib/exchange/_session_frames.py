@@ -290,7 +290,7 @@ def read_session_frames(folder: Path) -> SessionFrames:
     if lost:
         raise RecordError(
             f"{folder / lost[0]}: {len(lost)} of {len(seen.frames)} frames of the session are missing; restore them "
-            f"from a copy, and look with: finray verify {folder}"
+            f"from a copy, then check the folder with: finray verify {folder}"
         )
     return seen
 

@@ -387,13 +387,14 @@ def _modes(draws: Floats, wavelength_nm: Floats, laser_nm: float) -> Floats:
     """Return the wavelength of the maximum of each emission draw above the laser, nm."""
     if draws.ndim != 2 or draws.shape[1:] != wavelength_nm.shape or not np.isfinite(draws).all():
         raise FitError(
-            f"absorption: emission draws have shape {draws.shape} on a grid of {wavelength_nm.shape} wavelengths; must "
-            "be finite, (draws, wavelengths)"
+            f"absorption: emission draws have shape {draws.shape} on a grid of {wavelength_nm.shape} wavelengths; the "
+            "draws must be finite and of shape (draws, wavelengths)"
         )
     above = np.where(wavelength_nm > laser_nm, draws, 0.0)
     if not (above.max(axis=1, initial=0.0) > 0).all():
         raise FitError(
-            f"absorption: an emission draw has no light above the laser at {laser_nm:g} nm; check the wavelengths"
+            f"absorption: an emission draw is 0 at all wavelengths above the laser's {laser_nm:g} nm; check the "
+            "wavelengths"
         )
     return np.asarray(wavelength_nm[above.argmax(axis=1)])
 
@@ -402,7 +403,10 @@ def _relative_to_laser(yields: Sequence[ExcitationYield], laser_nm: float) -> Li
     """Return what the lights say relative to the laser; refuse yields that cannot be used."""
     if not yields or yields[0].excitation_nm != laser_nm:
         first = f"{yields[0].excitation_nm:g} nm" if yields else "missing"
-        raise FitError(f"absorption: the first yield must be the laser's at {laser_nm:g} nm, but it is {first}")
+        raise FitError(
+            f"absorption: the first yield must be the laser's at {laser_nm:g} nm, but it is {first}; give the yield "
+            "under the laser first"
+        )
     for light in yields:
         if not (light.yield_rel > 0 and 0 < light.sd_rel <= LARGEST_YIELD_SD_REL):
             raise FitError(

@@ -340,8 +340,8 @@ def _require_energy(energy_yield: Estimate, bands: BandSignals) -> None:
     if energy_yield.low95 > 1.0:
         raise FitError(
             f"'{bands.paint_name}' would emit {energy_yield.estimate:.3g} times the energy of the laser (95 %: at "
-            f"least {energy_yield.low95:.3g}), and no paint emits more than falls on it: check the white reference "
-            "under the laser (its level is too low), and that no band signals are in per cent"
+            f"least {energy_yield.low95:.3g}), but no paint emits more energy than falls on it: check the white "
+            "reference under the laser (its level is too low), and whether band signals are in per cent"
         )
 
 
@@ -476,7 +476,7 @@ def fit_warnings(
     maxima = posterior.maxima.log_posterior
     if len(maxima) > 1 and maxima[0] - maxima[1] < _CLOSE_MAXIMA_NATS:
         modes = ", ".join(f"{theta[0]:.0f}" for theta in posterior.maxima.theta)
-        said.append(f"the bands leave an ambiguity: {len(maxima)} maxima of the posterior, modes at {modes} nm")
+        said.append(f"the bands do not decide between {len(maxima)} maxima of the posterior, with modes at {modes} nm")
     if not posterior.sampling.trusted:
         said.append(
             "the sampling cannot be trusted: neither importance sampling nor moved draws nor emcee reached "
@@ -500,17 +500,17 @@ def energy_warnings(reported: ReportedSpectrum) -> tuple[str, ...]:
     """Say where the level of the signals contradicts the conservation of energy."""
     if reported.excess_share <= LARGEST_EXCESS_SHARE:
         return ()
-    kept = "" if reported.conserving else "; too few are left, so all were kept"
+    kept = " and were left out" if reported.conserving else ", and too few draws do not, so that all were kept"
     return (
-        f"{100 * reported.excess_share:.0f} % of the draws emit more photons than are absorbed at the laser and were "
-        f"left out"
-        f"{kept}: the signals are brighter than energy allows; check the white reference and the laser's level",
+        f"{100 * reported.excess_share:.0f} % of the draws emit more photons than are absorbed at the laser{kept}: the "
+        "signals are brighter than energy allows; check the white reference and the laser's level",
     )
 
 
 REFLECTANCE_METHOD = (
-    "total radiance factor under the lamp minus re-emitted light (absorption plateau assumed from 380 nm to the foot "
-    "of the emission, half of it carried as uncertainty); at the laser line from the reflected laser light"
+    "total radiance factor under the lamp minus the light that the paint re-emits, for which the absorption is assumed "
+    "to be constant from 380 nm to the foot of the emission (half of this light is stated as its uncertainty); at the "
+    "laser line, from the reflected laser light"
 )
 PLATEAU_UNCERTAINTY_REL = 0.5
 # The absorption ends where the emission rises to this share of its peak on the blue side.

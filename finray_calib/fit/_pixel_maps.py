@@ -139,7 +139,7 @@ def region_fit(paint: PaintCalibration) -> RegionFit:
         small = " or ".join(name for name, f in FAMILIES.items() if len(f.parameter_names) == SHAPES)
         raise FitError(
             f"paint map: family {family.name} has {len(family.parameter_names)} parameters, but the bands of one pixel "
-            f"carry {SHAPES}; choose {small} ('finray fit --family') and map with that fit"
+            f"determine only {SHAPES}; choose {small} ('finray fit --family') and map with that fit"
         )
     best, sds = paint.map_estimate, dict(zip(paint.sampled, paint.draws.std(axis=0), strict=True))
     shape = [best[name] for name in family.parameter_names]
@@ -203,8 +203,8 @@ def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> 
     fitted = int((status > 0).sum())
     if fitted == 0:
         raise FitError(
-            f"paint map: no pixel of {status.size} has {FEWEST_BANDS} usable bands; look at the masks and notes of the "
-            "pixel signals: the laser must reach the painted region and exposures must not be lost"
+            f"paint map: no pixel of {status.size} has {FEWEST_BANDS} usable bands; check the masks and notes of the "
+            "pixel signals: the laser must reach the painted region, and no exposure may be missing"
         )
     maps = _named_maps(results, region, problem)
     prior_sd = [float(sd) for sd in 1 / np.sqrt(problem.precision)]
@@ -219,7 +219,7 @@ def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> 
         converged=read_only(status == CONVERGED),
         region=region.quantities,
         prior_sd=dict(zip((*region.family.parameter_names, "reflectance_at_laser"), prior_sd, strict=True)),
-        prior_in_words="normal around the region's fit: noisy pixels shrink to it",
+        prior_in_words="normal distribution around the fit of the region, to which noisy pixels are drawn",
         band_factor=factor,
         fitted_pixels=fitted,
         unusable_pixels=int(status.size) - fitted,

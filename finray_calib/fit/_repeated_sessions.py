@@ -122,8 +122,9 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
             )
         if unlike:
             raise FitError(
-                f"session {number} is of a rig with another {unlike[0]} than the first: only sessions of one rig can "
-                "be combined, because the errors of a rig are common to all of its sessions; capture with one rig file"
+                f"session {number} was captured with a rig whose {unlike[0]} differs from that of the first: only "
+                "sessions of one rig can be combined, because the errors of a rig are common to all of its sessions; "
+                "capture with one rig file"
             )
 
 
@@ -146,7 +147,7 @@ def _notes(scatter: SessionScatter) -> tuple[str, ...]:
     levels = ", ".join(f"{100 * level:+.1f} %" for level in scatter.session_levels_rel)
     return (
         f"{len(scatter.session_levels_rel)} sessions combined; the standard deviation between sessions is "
-        f"{percent(scatter.level_rel)} of the level and {percent(scatter.filter_rel)} of a single filter beside it "
+        f"{percent(scatter.level_rel)} of the level and {percent(scatter.filter_rel)} of a single filter in addition "
         f"(95 %); levels of the sessions: {levels}",
         *departing_warnings(scatter),
     )

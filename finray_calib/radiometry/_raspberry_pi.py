@@ -260,7 +260,9 @@ def parse_tuning(document: Mapping[str, Any]) -> LibcameraTuning:
 def _algorithms(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return the enabled algorithms by name, from either layout."""
     if not isinstance(document, Mapping):
-        raise ImportFormatError(f"tuning: is a {type(document).__name__}, and a tuning file must be a JSON object")
+        raise ImportFormatError(
+            "tuning: is not a JSON object, which a tuning file must be; give the file of the camera from libcamera"
+        )
     version = document.get("version", 1.0)
     if not isinstance(version, (int, float)) or version >= 3.0:
         raise ImportFormatError(
@@ -572,8 +574,8 @@ def processed_signal(
     values: Floats = np.interp(encoded, curve[:, 1], curve[:, 0])
     code_sd = float(np.sqrt(ROUNDING_CODES**2 + PROCESSING_CODES**2 + (JPEG_CODES**2 if compressed else 0.0)))
     steps = [
-        f"tone curve of the tuning inverted; {code_sd:.1f} of 255 codes of uncertainty for rounding, assumed "
-        f"sharpening and denoising" + (", JPEG" if compressed else "")
+        f"the tone curve of the tuning was inverted, with a standard uncertainty of {code_sd:.1f} of 255 codes for "
+        "rounding, assumed sharpening and denoising" + (", JPEG" if compressed else "")
     ]
     variance = (_slope(encoded, curve) * code_sd / LARGEST_CODE) ** 2
     if tuning.contrast is not None:

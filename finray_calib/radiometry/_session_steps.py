@@ -350,8 +350,8 @@ def refuse_other_repeat(trend: BleachingTrend, steps: SessionSteps) -> None:
         )
     elif z > DISAGREEING_SD and faded > LARGEST_FADING:
         why = (
-            f"the repeat is {z:.0f} standard deviations and {100 * faded:.0f} % dimmer, and a paint fades by at most "
-            f"{100 * LARGEST_FADING:.0f} %"
+            f"the repeat is {z:.0f} standard deviations and {100 * faded:.0f} % dimmer, which is more than a paint "
+            f"fades (at most {100 * LARGEST_FADING:.0f} %)"
         )
     else:
         return

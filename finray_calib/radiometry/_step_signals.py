@@ -118,8 +118,8 @@ def _checked_cells(frame: Counts, region: RegionOfInterest) -> Counts:
         )
     if top + height > rows or left + width > columns:
         raise RadiometryError(
-            f"plan.region: rows {top} to {top + height} and columns {left} to {left + width} px reach beyond the "
-            f"frame of {rows} x {columns} px"
+            f"plan.region: rows {top} to {top + height} and columns {left} to {left + width} px reach beyond the frame "
+            f"of {rows} x {columns} px; correct the region"
         )
     return frame[top : top + height, left : left + width]
 

@@ -137,8 +137,10 @@ def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: 
         ReportPage(
             verb="finray compare",
             title=f"{len(names)} presses, {_count(len(batch.simulators), 'simulator')}",
-            lead="How far simulated touches are from real ones. Skill 0 means as good as the untouched image in "
-            "place of the simulation, 1 means perfect.",
+            lead=(
+                "How far simulated touches are from real ones. A skill of 0 means that the simulation predicts a "
+                "touch no better than the image without contact does; 1 is perfect."
+            ),
             verdict=_verdict(batch),
             light=_light(batch),
             sentence=" ".join(list(_sentences(batch))[:1]),

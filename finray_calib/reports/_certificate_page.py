@@ -334,7 +334,7 @@ def _uncertainty(has_budget: bool) -> str:
 def _rule(results: Sequence[CertifiedResult]) -> str:
     """Say how conformity is decided."""
     if all(result.limits is None for result in results):
-        return "None is needed: no statement of conformity is made."
+        return "No rule is needed, because no limits were given and no statement of conformity is made."
     return (
         "PASS where the probability that the quantity keeps its limits is at least 95 % (JCGM 106, guarded acceptance "
         "at the limits of the customer), FAIL where it is at most 5 %, UNDECIDED between."

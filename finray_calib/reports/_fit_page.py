@@ -156,9 +156,11 @@ def _interval(low: float, high: float, unit: str) -> str:
 def _fit_findings(paint: FittedPaint, verdict: Verdict) -> tuple[str, ...]:
     """Return the sentences below the verdict: why it is so, the bands, the family, the absorption."""
     reasons = {
-        "Fit can be used": "The draws are trusted, every band is explained, and there are no warnings.",
-        "Use with care": f"The draws are trusted; read the warnings first ({len(paint.fit.warnings)}, below), and "
-        "the list of what is mostly prior.",
+        "Fit can be used": "The draws can be trusted, every band is explained, and there are no warnings.",
+        "Use with care": (
+            f"The draws can be trusted. Read first the warnings below ({len(paint.fit.warnings)}), and which "
+            "quantities come mostly from the prior."
+        ),
         "Do not use": "The draws of the posterior cannot be trusted, so neither can any number of this page.",
     }
     conclusion = said.bands_conclusion(paint)

@@ -113,7 +113,7 @@ def plot_record(record: Record) -> RecordPlot:
     draw = _DRAWINGS.get(type(record))
     if draw is None:
         kinds = ", ".join(sorted(kind.__name__ for kind in _DRAWINGS))
-        raise RecordError(f"there is no drawing of a {type(record).__name__}; there are drawings of {kinds}")
+        raise RecordError(f"a record of the kind {type(record).__name__} cannot be drawn; these kinds can: {kinds}")
     drawn = draw(record)
     return RecordPlot(drawn.encode(), ".svg") if isinstance(drawn, str) else RecordPlot(drawn, ".png")
 

@@ -75,7 +75,10 @@ def right_aligned(counts: NDArray[np.uint16], pixels: RawPixels, bit_depth: int,
             )
         return counts >> np.uint16(surplus)
     if counts.max(initial=0) >= 2**pixels.bits:
-        raise BadFrameError(f"{camera}: {pixels.name} holds a count of {counts.max()} DN, more than {pixels.bits} bits")
+        raise BadFrameError(
+            f"{camera}: {pixels.name} holds a count of {counts.max()} DN, more than {pixels.bits} bits allow; check "
+            "the camera's pixel format"
+        )
     return counts
 
 

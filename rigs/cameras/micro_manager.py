@@ -102,7 +102,8 @@ class MicroManagerCamera:
         counts = self._call(self._snap, limit_s)
         if counts.max(initial=0) >= 2**self._settings.bit_depth:
             raise BadFrameError(
-                f"{self._where}: holds a count of {counts.max()} DN, more than {self._settings.bit_depth} bits"
+                f"{self._where}: holds a count of {counts.max()} DN, more than {self._settings.bit_depth} bits allow; "
+                "correct bit_depth of the rig file"
             )
         return RawFrame(
             counts=counts,

@@ -152,7 +152,7 @@ CHANNELS: Final = 3
 
 
 def camera_times(plan: CameraPlan, rig: RigFile) -> StatedTimes:
-    """Return what a camera session takes; only metering tells its exposures.
+    """Return what a camera session takes; its exposures are known only after metering.
 
     At the longest each channel has levels of its own, and all exposures are the longest that plan and camera allow.
     """

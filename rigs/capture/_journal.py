@@ -165,7 +165,7 @@ def healing_s(typical_s: float) -> float:
 
 
 class StatedTimes(NamedTuple):
-    """How long a session takes (s), without the time of persons, and how long faults may hold it up."""
+    """How long a session takes (s), without the time that people need, and how long faults may hold it up."""
 
     typical_s: float
     longest_s: float
@@ -278,8 +278,8 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
 def disk_hangs(path: Path, session: Path) -> CaptureError:
     """Return the error of a file of a session that the disk does not take, and does not refuse either."""
     return CaptureError(
-        f"{path}: the disk hangs, nothing was written for {DISK_WITHIN_S:g} s or more; check the disk, or the "
-        f"server of the network folder, then finray capture --resume {session}"
+        f"{path}: the disk does not respond: nothing was written for {DISK_WITHIN_S:g} s or more; check the disk, or "
+        f"the server of the network folder, then finray capture --resume {session}"
     )
 
 

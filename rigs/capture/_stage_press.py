@@ -282,9 +282,9 @@ class StagePress:
                 self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, lambda: None)
                 told = f"moved away to {stage.press_axis} = {stage.clear_mm:g} mm"
         except UnsafeError as worse:
-            unsafe, told = worse, f"not moved away: {worse}"
+            unsafe, told = worse, f"the indenter was not moved away: {worse}"
         except CaptureError as other:
-            told = f"not moved away: {other}"
+            told = f"the indenter was not moved away: {other}"
         with suppress(CaptureError):
             self._note("stage after stop", text=told)
         if unsafe is not None:

@@ -580,11 +580,11 @@ def refusal(laser: LaserSettings, has_dead_man: bool, today: datetime.date | Non
         return None
     if layer is None:
         return (
-            f"a class {laser.laser_class} laser is switched on only if hardware outside the computer can "
-            "switch it off, because no program can do so when the computer hangs or all processes of finray "
-            "are killed. Drive it by an Arduino with our firmware, which has a dead-man, or build an "
-            "interlock or a relay that opens unless it is pulsed into its supply, test it, and declare it in "
-            "the rig file as [laser.outside_layer] (docs/how-to/connect-a-laser.md)"
+            f"a class {laser.laser_class} laser is switched on only if hardware outside the computer can switch it "
+            "off, because no program can do so when the computer hangs or all processes of finray are killed. Drive it "
+            "by an Arduino with our firmware, which has a dead-man, or build an interlock into its supply, or a relay "
+            "that opens unless it is pulsed; then test this hardware and declare it in the rig file as "
+            "[laser.outside_layer] (docs/how-to/connect-a-laser.md)"
         )
     age_days = ((today or datetime.date.today()) - datetime.date.fromisoformat(layer.tested_on)).days
     if 0 <= age_days <= TEST_HOLDS_DAYS:

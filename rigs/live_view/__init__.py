@@ -2,7 +2,8 @@
 
 In the live view one thread owns the devices and exposes continuously; pages and the terminal ask for the newest frame.
 The lamp and the filter wheel follow them; the laser is never lit there, because nothing in it proves that it goes off.
-A session is the one of :mod:`rigs.capture`: views show its frames and numbers, answer its questions, and darken it.
+A session is the one of :mod:`rigs.capture`: views show its frames and numbers, answer its questions, and can switch
+its lights off.
 """
 
 from typing import TYPE_CHECKING

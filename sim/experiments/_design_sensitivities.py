@@ -293,7 +293,7 @@ def press_sensitivities(
     start = before if chosen_contact(contact) == "penalty" else None
     wanted = [f for f in (_uncertain(design) if fields is None else fields) if _is_continuous(design, f)]
     if progress is not None:
-        progress(0, 1, "what the force depends on")
+        progress(0, 1, "sensitivities of the force")
     slopes = _slopes(design, before, wanted, threads, folder)
     changes = list(_changes(design, [field for field in wanted if field not in slopes]))
     varied = []

@@ -314,8 +314,8 @@ class ColourSpread:
             [f"{100 * v:.0f} %" for v in values] for values in (self.led_share, self.sd_rel, self.ratio_sd_rel)
         )
         return (
-            f"camera response at the LED uncertain by {100 * self.response_uncertainty_rel:.0f} %: red, "
-            f"green, blue hold {', '.join(shares)} LED light and are uncertain by {', '.join(sds)}; red / blue by "
+            f"camera response at the LED uncertain by {100 * self.response_uncertainty_rel:.0f} %: red, green, blue "
+            f"contain {', '.join(shares)} of LED light and are uncertain by {', '.join(sds)}; red / blue by "
             f"{ratios[0]}, green / blue by {ratios[1]}"
         )
 

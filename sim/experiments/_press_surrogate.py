@@ -228,7 +228,9 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError("no press can teach: ribs pass through each other in all of them from the start")
+        raise SimulateError(
+            "none of the presses can be used for teaching: ribs pass through each other in all of them from the start"
+        )
     return whole
 
 
@@ -548,7 +550,7 @@ class SurrogateFinger:
         """
         record = self.record
         if why := record.family.outside(indenter):
-            raise SimulateError(f"the surrogate does not answer {why}; change it, or press by finite elements")
+            raise SimulateError(f"the surrogate does not cover {why}; change it, or press by finite elements")
         design = record.design.model_copy(update={"indenter": indenter})
         contact = self.finger.press(rigid_indenter(design), indenter.depth_mm)
         place = record.family.features(indenter)[None]
@@ -641,7 +643,7 @@ class SurrogateFinger:
         """
         self.check_design(design)
         if why := self.record.family.outside(design.indenter):
-            raise SimulateError(f"the surrogate does not answer {why}; change it, or press by finite elements")
+            raise SimulateError(f"the surrogate does not cover {why}; change it, or press by finite elements")
         depth, least = design.indenter.depth_mm, self.record.family.depth_mm[0]
         pushes = [push for k in range(increments) if (push := depth * (k + 1) / increments) >= least]
         answers = [self.press(design.indenter.model_copy(update={"depth_mm": push})) for push in pushes]

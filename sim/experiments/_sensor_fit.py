@@ -322,7 +322,9 @@ def _model(scene: SensorScene, moving: tuple[FreeNumber, ...], captured: Picture
     at = model.channels(np.zeros(len(numbers)), base.pictures)[0]
     gain = float((at * captured.values).sum() / max(float((at**2).sum()), np.finfo(float).tiny))
     if not gain > 0.0:
-        raise SimulateError("the captured pictures hold no light where the design has the pad: check the camera")
+        raise SimulateError(
+            "the captured pictures are dark where the design shows the pad: check the camera of the design"
+        )
     return replace(model, numbers=tuple(replace(n, value=gain) if n.name == GAIN else n for n in numbers))
 
 

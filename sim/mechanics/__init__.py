@@ -8,10 +8,10 @@ is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newto
 coat sticks; `press_as_designed` does what the design says. `grasp_object` closes two fingers on a free object. Contact
 is a penalty on exact distances (fast) or a barrier that never lets surfaces cross, both with friction. `LoadedFinger`
 bends and twists a finger without an indenter, `compress_block` presses a block of gel between plates.
-`press_derivatives` tells what a press answers to each number of its design. Lengths in mm, forces in N, stresses in
-MPa. It knows no light: mechanics and optics meet in the studies.
+`press_derivatives` computes how the force changes with each number of the design. Lengths in mm, forces in N,
+stresses in MPa. There is no light here: mechanics and optics meet in the studies.
 
-The design leads: the shape of the pad and the constants of the materials are those of `FingerDesign` (`GelPad`,
+The design decides: the shape of the pad and the constants of the materials are those of `FingerDesign` (`GelPad`,
 `MechanicalMaterials`). A rigid shape that presses is a distance with its derivatives, in `_rigid_bodies.py`.
 """
 

@@ -217,7 +217,10 @@ class CondensedFinger:
             When the indenter is a mesh, or no balance is found.
         """
         if indenter.body is None:
-            raise SimulateError("a condensed finger takes indenters with an exact distance, not an STL")
+            raise SimulateError(
+                "a condensed finger cannot be pressed by an indenter from an STL file; give a cylinder, a ball or a "
+                "cuboid, or press by finite elements"
+            )
         pose = indenter.pose(depth_mm)
         whole = PenaltyContact(self._rest, self._quads, indenter.body, pose, self._eps)
         near = np.flatnonzero(whole.gaps_mm(np.zeros_like(self._rest)).min(axis=1) < _NEAR_MM)

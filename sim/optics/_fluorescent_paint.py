@@ -115,7 +115,7 @@ def fluorescent_bands(
         gain = float(matrix.sum(axis=0).max())
         if gain > 1.0 + _ENERGY_TOLERANCE:
             raise SimulateError(
-                f"paint {name} returns {gain:.3f} of the energy of one band; a column may sum to at most 1"
+                f"paint {name} returns {gain:.3f} times the energy of one band; a column may sum to at most 1"
             )
     paints = painted_bsdfs(scene, list(matrices))
     carrier = BandCarrier(list(matrices.values()) or [np.eye(3)])

@@ -130,7 +130,9 @@ class RenderSettings:
                     f"{name} must be an even number of at least 2 (two independent halves), got {count}"
                 )
         if self.shared_light and self.level == "c":
-            raise SimulateError("level c traces fluorescence along each path and shares no light; take level b")
+            raise SimulateError(
+                "level c follows fluorescence along each path and cannot share light between pixels; use level b"
+            )
 
     @property
     def on_pad(self) -> int:
@@ -389,8 +391,8 @@ def _check_size(design: FingerDesign, rest: FingerShape) -> None:
     for name, size, meshed in (("width", design.pad.width_mm, extent[0]), ("length", design.pad.length_mm, extent[2])):
         if abs(meshed - size) > _SIZE_TOLERANCE_REL * size:
             raise SimulateError(
-                f"the surfaces belong to another finger: their pad has a {name} of {meshed:.3g} mm, the design's "
-                f"pad.{name}_mm is {size:g} mm"
+                f"the surfaces belong to another finger: their pad has a {name} of {meshed:.3g} mm, but the design's "
+                f"pad.{name}_mm is {size:g} mm; press this design again, and render those surfaces"
             )
 
 

@@ -165,7 +165,7 @@ def prove_variant(variant: str, llvm_library: str | None = None) -> str | None:
     arguments = {"variant": variant} | ({} if llvm_library is None else {"llvm_library": llvm_library})
     files = (*_MODULES, *([] if llvm_library is None else [llvm_library]))
     failure = proof_failure(_PROOF, arguments, files, _PROOF_TIMEOUT_S, remember="cuda" not in variant)
-    return None if failure is None else f"the proof picture {failure}"
+    return None if failure is None else f"the test picture {failure}"
 
 
 def render_proof_picture(variant: str, llvm_library: str | None = None) -> None:

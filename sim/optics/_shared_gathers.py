@@ -261,9 +261,9 @@ class SharedGathers:
         here = sight.on_coat.numpy()
         if not here.any():
             raise SimulateError(
-                "light is shared between pixels that see the coat by the mirror and the gel's inner face, "
-                "but here the camera sees it in another way; check mirror and camera in the design, or "
-                "render without sharing"
+                "light can be shared only between pixels that see the coat through the mirror and the gel's inner "
+                "face, but here the camera sees it in another way; check mirror and camera in the design, or render "
+                "without sharing"
             )
         return uv.numpy().T[here].astype(np.float64), leg.numpy().T[here].astype(np.float64)
 

@@ -236,7 +236,10 @@ class Workers:
             if time.monotonic() > deadline:
                 raise SimulateError(f"--scheduler {self.address}: {_unfit_words(self.unfit)}")
             if not is_told:
-                tell(f"only unfit workers are there; waiting for others, {WAIT_FOR_SCHEDULER_S / 60:g} minutes at most")
+                tell(
+                    f"none of the connected workers can be used; waiting for others, {WAIT_FOR_SCHEDULER_S / 60:g} "
+                    "minutes at most"
+                )
                 is_told = True
             time.sleep(0.5)
         return fit
@@ -262,7 +265,10 @@ class Workers:
         """Wait for a scheduler elsewhere that went away; return whether it is there again."""
         if self.address is None:
             return False
-        tell(f"the scheduler {self.address} went away; waiting for it, {WAIT_FOR_SCHEDULER_S / 60:g} minutes at most")
+        tell(
+            f"the scheduler {self.address} does not answer any more; waiting for it, {WAIT_FOR_SCHEDULER_S / 60:g} "
+            "minutes at most"
+        )
         deadline = time.monotonic() + WAIT_FOR_SCHEDULER_S
         with suppress(Exception):  # it is lost in any case
             self.client.close(timeout=5)
@@ -510,12 +516,12 @@ def _ended(
 
 
 _ENDED_HERE = (
-    "the worker processes of this machine were ended in the middle; what is finished is kept: give the same command, "
-    "which continues with what is missing (with fewer --workers if memory was short)"
+    "the worker processes of this machine ended before their work was done; finished points are kept: give the same "
+    "command again, which computes the others (with fewer --workers if memory was short)"
 )
 _WENT_AWAY = (
-    "the Dask scheduler went away in the middle and did not come back; what is finished is kept: start the scheduler "
-    "and its workers again, and give the same command, which continues with what is missing"
+    "the Dask scheduler stopped answering before the work was done; finished points are kept: start the scheduler and "
+    "its workers again, and give the same command again, which computes the others"
 )
 
 

@@ -188,8 +188,8 @@ def _set(tables: dict[str, Any], field: str, value: DesignValue) -> None:
         table = table.get(name) if isinstance(table, dict) else None
     if not isinstance(table, dict):
         raise SimulateError(
-            f"'{field}' is not a field of this finger, which has no [{'.'.join(above)}]; 'finray design init' "
-            "writes all"
+            f"'{field}' is not a field of this finger, which has no [{'.'.join(above)}]; 'finray design init' writes "
+            "all fields"
         )
     if last not in table:
         raise SimulateError(f"'{field}' is not a field of a design; 'finray design init' writes all fields")
@@ -499,18 +499,23 @@ _TOUCH = "touch_rel"
 
 _MEANINGS: dict[str, tuple[str, str]] = {
     "seen_area_mm2": ("mm2", "area of the coat that the camera sees through the mirror, without contact"),
-    "brightness_rel": ("radiance of the panel", "mean over the seen coat of the camera's channels, without contact"),
-    "variation_rel": ("1", "standard deviation of brightness over the seen coat, over its mean: 0 is even light"),
+    "brightness_rel": ("radiance of the panel", "mean of the camera's channels over the visible coat, without contact"),
+    "variation_rel": (
+        "1",
+        "standard deviation of brightness over the visible coat, relative to its mean: 0 is even light",
+    ),
     **{
         f"{name}_share": (
             "1",
-            f"share of the seen coat where the light of the {source} is strongest, each light relative to its own mean",
+            f"share of the visible coat where the light of the {source} is strongest, each light relative to its own "
+            "mean",
         )
         for name, source in (("red", "red paint"), ("green", "green paint"), ("blue", "LED"))
     },
     "vividness": (
         "CIELAB chroma",
-        "mean chroma of the seen coat, exposed to middle grey and white-balanced so that the coat is grey on the mean",
+        "mean chroma of the visible coat, exposed to middle grey and white-balanced so that the coat is grey on "
+        "average",
     ),
     _TOUCH: (
         "1",
@@ -519,7 +524,7 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     ),
     "force_n": (
         "N",
-        "force of the indenter along the pad's normal at the end of the push, unvalidated; the limits come from the "
+        "force of the indenter along the pad's normal at the end of the push, not validated; the limits come from the "
         "mesh",
     ),
     "push_mm": ("mm", "push that was reached"),

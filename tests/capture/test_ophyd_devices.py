@@ -348,7 +348,7 @@ def test_a_laser_that_harms_eyes_is_lit_again_only_after_asking(
     with ophyd_rig(of_class(rig, "3B"), Path()) as devices:
         interrupted(engine, lit(devices, lambda: pauses(devices, seen)))
         assert person.questions == []
-        with pytest.raises(LightLostError, match="was switched off by a pause, and is not lit again unless a person"):
+        with pytest.raises(LightLostError, match="by a pause, and is switched on again only after a person"):
             engine.resume()
         assert not devices.laser.state()
         assert engine.state == "paused"
@@ -434,8 +434,8 @@ def test_a_laser_that_went_off_by_itself_is_not_taken_for_lit(
             yield from bps.mv(devices.laser, True)
 
         for plan, told in (
-            (lit(devices, lost), "went off by itself"),
-            (bps.mv(devices.laser, True), "was lost, and is not lit again unless a person"),
+            (lit(devices, lost), "went off without a command"),
+            (bps.mv(devices.laser, True), "was lost, and is switched on again only after a person"),
         ):
             with pytest.raises(FailedStatus) as raised:
                 engine(plan)
@@ -561,7 +561,7 @@ def test_a_frame_during_which_a_light_changes_is_not_used(
         (lambda devices: bps.mv(devices.wheel, 99), "has no slot 99"),
         (
             lambda devices: bps.mv(devices.camera.exposure_s, 31.0),
-            r"exposure_s = 31 s is out of the range of the rig file, 0\.0001 to 30 s",
+            r"exposure_s = 31 s is outside the range of the rig file; 0\.0001 to 30 s are allowed",
         ),
     ],
 )
@@ -609,7 +609,7 @@ def test_without_an_engine_it_says_what_to_do(tmp_path: Path) -> None:
         "with ophyd_rig(simulated_rig('red'), Path()):\n    pass"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert "RefusedError: bluesky: make the RunEngine first" in done.stderr
+    assert "RefusedError: bluesky: create the RunEngine before the devices" in done.stderr
 
 
 def test_a_wheel_that_is_turned_by_hand_asks_its_operator(engine: RunEngine, rig: RigFile) -> None:

@@ -233,7 +233,7 @@ def test_disk_that_hangs_ends_the_session_in_the_dark_and_it_can_be_resumed(
         patch.setattr(frame_store, "write_frame", hangs)
         patch.setattr(frame_store, "WRITE_WITHIN_S", 0.3)
         try:
-            with pytest.raises(CaptureError, match=r"the disk hangs, nothing was written .*--resume"):
+            with pytest.raises(CaptureError, match=r"the disk does not respond: nothing was written .*--resume"):
                 capture(opened, rig, small, tmp_path)
             assert dark(opened)
             assert lit == [True]

@@ -202,7 +202,7 @@ def test_a_killed_press_goes_on(tmp_path, monkeypatch):
     assert "holds no increment of a press" in nothing.err
     optical = finray("simulate render d.toml --resume cut.increments")
     assert optical.status == 2
-    assert "finray simulate: error: 'finray simulate render' knows no --resume cut.increments" in optical.err
+    assert "finray simulate: error: 'finray simulate render' does not take --resume cut.increments" in optical.err
 
 
 def test_friction_of_a_press_that_is_gone_on_with_is_nearly_what_it_was(monkeypatch):

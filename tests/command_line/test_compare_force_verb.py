@@ -109,7 +109,7 @@ def test_a_model_that_is_off_is_told_and_drawn(lab: Path) -> None:
         ),
         (
             "simulate render {lab}/finger.toml --sensitivities",
-            "finray simulate: error: 'finray simulate render' knows no --sensitivities",
+            "finray simulate: error: 'finray simulate render' does not take --sensitivities",
         ),
         (
             "simulate press {lab}/finger.toml --engine calculix --sensitivities",

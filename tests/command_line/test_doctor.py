@@ -176,7 +176,7 @@ def test_a_serial_port_that_may_not_be_opened_is_told(tmp_path, monkeypatch):
     assert machine_checks.check_serial_ports() == {"state": "good", "found": str(port), "mend": ""}
     monkeypatch.setattr(machine_checks.os, "access", lambda path, mode: False)
     found = machine_checks.check_serial_ports()
-    assert (found["state"], found["found"]) == ("note", f"you may not open {port}")
+    assert (found["state"], found["found"]) == ("note", f"your user has no permission to open {port}")
     assert re.search(r"^sudo usermod --append --groups \w+ \w+ {3}\(then log in again\)$|^log in again", found["mend"])
 
 

@@ -50,7 +50,7 @@ def test_a_file_that_the_disk_refuses_is_named(tmp_path: Path, monkeypatch: pyte
         (errno.ENOSPC, "this computer: no space left on device; free space on the disk"),
         (errno.EPIPE, "this computer: broken pipe; a process that finray talked to has ended"),
         (errno.EMFILE, "this computer: too many open files; allow more open files with 'ulimit -n 4096'"),
-        (errno.ENOTSUP, "this computer: operation not supported; 'finray doctor' says what this computer lacks"),
+        (errno.ENOTSUP, "this computer: operation not supported; 'finray doctor' lists what this computer lacks"),
     ],
 )
 def test_an_error_without_a_file_says_what_to_do(monkeypatch: pytest.MonkeyPatch, number: int, said: str) -> None:

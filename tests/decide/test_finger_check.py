@@ -84,8 +84,8 @@ def test_another_version_of_the_identity_is_taken_on_trust():
     (note,) = require_one_finger([sweep()], [PhotometricErrorReport.model_construct(captured="press 1", finger=older)])[
         0
     ]
-    assert "in the way of another version of finray" in note
-    assert "is not checked" in note
+    assert "by the rules of another version of finray" in note
+    assert "it was not checked" in note
     # what was stored before there were versions
     assert FingerIdentity(name="finger", depth_mm=1.0, parts={}).version == 1
 

@@ -79,7 +79,7 @@ def test_a_perfectly_even_coat_is_found():
 
 
 def test_limits_that_no_powers_meet_are_refused():
-    with pytest.raises(DecideError, match="two factors from 0, the lower one first"):
+    with pytest.raises(DecideError, match="two factors of 0 or more, the lower one first"):
         limits_of(2, low=2.0, high=1.0)
     with pytest.raises(DecideError, match="more than the total allows"):
         limits_of(2, low=0.9, total=0.5)

@@ -48,7 +48,7 @@ def test_the_ball_of_taxim_is_assumed_and_told(tmp_path):
     folder = write_taxim(tmp_path / "t")
     found = read_taxim(folder)
     assert found.captures[0].indenter.radius_mm == 2.0
-    assert found.assumed == ("ball of 4 mm diameter, as of Taxim's own folders",)
+    assert found.assumed == ("a ball of 4 mm diameter, as in Taxim's own folders",)
 
 
 def test_pickled_parts_are_left_out_and_never_loaded(tmp_path):
@@ -72,9 +72,12 @@ def test_pickled_parts_are_left_out_and_never_loaded(tmp_path):
         ({"f0": None}, "'f0' is missing; it holds img_size, imgs"),
         ({"f0": np.zeros((60, 80))}, "'f0' must be finite numbers of 3 dimensions"),
         ({"f0": np.zeros((60, 80, 3))}, "'f0' must hold 8-bit colour images"),
-        ({"f0": np.zeros((50, 80, 3), np.uint8)}, "press 1: an image of shape .* with a no-contact image"),
+        ({"f0": np.zeros((50, 80, 3), np.uint8)}, "press 1: the image has shape .* but the no-contact image"),
         ({"touch_radius": np.ones(3)}, "12 images in 'imgs' need the same number of centres"),
-        ({"touch_radius": np.full(12, 30.0)}, "press 1: a contact circle of 30 px radius .* below the ball's 20 px"),
+        (
+            {"touch_radius": np.full(12, 30.0)},
+            "press 1: the contact circle has a radius of 30 px, .* below the ball's 20 px",
+        ),
         ({"touch_radius": np.full(12, np.nan)}, "'touch_radius' must be finite numbers"),
         ({"touch_center": np.full((12, 2), 70.0)}, "row 70, column 70, lies outside the picture of 80 x 60 px"),
         ({"imgs": np.array([None, 1], dtype=object)}, "'imgs' is stored as pickled objects, which are never loaded"),
@@ -211,7 +214,7 @@ def test_plain_images_with_circles(tmp_path):
         ("catalog.csv", "experiment_reldir\n../up\n", "line 2: '../up' must be a path within the folder"),
         ("catalog.csv", "experiment_reldir\n/etc\n", "must be a path within the folder"),
         ("catalog.csv", "experiment_reldir\nC:\\x\n", "must be a path within the folder"),
-        ("catalog.csv", "experiment_reldir\nnone\n", "no labelled press in it"),
+        ("catalog.csv", "experiment_reldir\nnone\n", "holds no labelled press"),
         ("catalog.csv", b"\xff\xfe\x00", "cannot be read as UTF-8 text"),
         (
             "catalog.csv",
@@ -279,7 +282,7 @@ def test_from_a_taxim_folder_to_a_normal_map(tmp_path, monkeypatch):
     said = succeed("import taxim t")
     assert "t.captures: 12 captures, 80 x 60 px, encoding unknown" in said
     assert "left out: shadowTable.npz" in said
-    assert "assumed: ball of 4 mm diameter" in said
+    assert "assumed: a ball of 4 mm diameter" in said
     files = " ".join(str(p) for p in sorted((tmp_path / "t.captures").glob("*.json")))
     said = succeed(f"sense teach {files} --out map.json")
     assert "map.json: normal map of 12 presses, 80 x 60 px" in said

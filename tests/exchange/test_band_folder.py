@@ -147,7 +147,7 @@ def test_measured_curves_are_read(tmp_path):
     [
         ('encoding = "linear"', 'encoding = "srgb"', RecordError, "'camera.encoding': must be 'linear'"),
         ('layout = "RGB"', 'layout = "RGBA"', RecordError, "'camera.layout'"),
-        ('"450"\nregion', '"451"\nregion', RecordError, "excitation_filter '451' is none of the filters"),
+        ('"450"\nregion', '"451"\nregion', RecordError, "excitation_filter '451' is not one of the filters"),
         ('name = "500"', 'name = "450"', RecordError, "'450' is listed twice"),
         ("center_nm = 500\n", "", RecordError, "filter '500' needs center_nm and fwhm_nm, or curve"),
         ("center_nm = 500\n", 'center_nm = 500\ncurve = "x.csv"\n', RecordError, "contradict each other"),

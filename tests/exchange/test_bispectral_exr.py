@@ -131,7 +131,7 @@ def test_foreign_and_missing_files_are_refused(tmp_path, written):
         read_bispectral_exr(tmp_path / "x.exr")
     with pytest.raises(ImportFormatError, match="no such file"):
         read_bispectral_exr(tmp_path / "y.exr")
-    with pytest.raises(ImportFormatError, match="row 0, column 5 lies outside of the 1 x 1 px"):
+    with pytest.raises(ImportFormatError, match="row 0, column 5 lies outside the image of 1 x 1 px"):
         read_bispectral_exr(written, 0, 5)
 
 

@@ -201,7 +201,7 @@ def spoil(folder, kind):
         ("no metadata", r"contact.dng: has no metadata beside it \(contact.json\)"),
         ("metadata broken", r"contact.json: cannot be read as JSON"),
         ("metadata too deep", r"contact.json: cannot be read as JSON"),
-        ("metadata list", r"contact.json: is a list; metadata is one JSON object per image"),
+        ("metadata list", r"contact.json: is not a JSON object"),
         ("no contact image", r"holds no image 'contact' \(.dng"),
         ("two contact images", r"holds contact.dng and contact.png; keep one"),
         ("no press", r"press.toml: no such file; write it with a name and an \[indenter\]"),

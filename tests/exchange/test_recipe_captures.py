@@ -333,7 +333,10 @@ def test_recipes_that_contradict_themselves_are_refused(tmp_path, text, message)
 
 
 def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
-    with pytest.raises(ImportFormatError, match="no recipe of this name and no such file; there are estimate-modulus"):
+    with pytest.raises(
+        ImportFormatError,
+        match="there is neither a recipe of this name nor such a file; give one of the recipes estimate-modulus",
+    ):
         read_recipe("gelslim")
     with pytest.raises(ImportFormatError, match="no such folder or zip archive; give the folder that the recipe"):
         read_by_recipe(tmp_path / "nowhere", recipe(PICTURES))

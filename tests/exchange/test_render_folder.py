@@ -138,7 +138,7 @@ def _spoil(folder, what):
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        ("no untouched image", r"there is no no_contact .* beside contact; render the gel untouched"),
+        ("no untouched image", r"there is no no_contact .* beside contact; render the untouched gel"),
         ("different formats", r"contact\.npy and no_contact\.png have different formats"),
         ("no encoding", r'npy files do not state what they hold; write "encoding": "linear"'),
         ("no order", r"npy files do not state the order"),
@@ -210,5 +210,7 @@ def test_a_press_is_asked_for_without_its_contact_and_bayer_counts_are_refused(t
     np.testing.assert_array_equal(image, capture.contact + 1000 - 64)
     plane = capture.contact[..., :1]
     bayer = capture.model_copy(update={"layout": "Bayer RGGB", "contact": plane, "no_contact": plane})
-    with pytest.raises(ImportFormatError, match="holds Bayer RGGB counts; a bench needs captures in RGB"):
+    with pytest.raises(
+        ImportFormatError, match="holds Bayer RGGB counts, but simulators of colour images need a capture in RGB"
+    ):
         press_request(bayer, with_contact=False)

@@ -159,7 +159,7 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
     said = fit_warnings(doubtful, (unexplained,), SimpleNamespace(mean_shift_sd={"kappa": -0.4}), True)
     for words in (
         "cannot explain filter 532",
-        "2 maxima of the posterior, modes at 606, 561 nm",
+        "2 maxima of the posterior, with modes at 606, 561 nm",
         "sampling cannot be trusted",
         "emcee disagrees",
         "7 % of the fitted curve lies below the laser line",
@@ -179,7 +179,7 @@ def test_a_level_that_contradicts_energy_is_told():
     assert energy_warnings(SimpleNamespace(excess_share=0.6, conserving=True)) == ()
     told = energy_warnings(SimpleNamespace(excess_share=0.99, conserving=False))[0]
     assert told.startswith("99 % of the draws emit more photons than are absorbed at the laser")
-    assert "too few are left, so all were kept" in told
+    assert "too few draws do not, so that all were kept" in told
 
 
 def test_the_spectrum_rests_on_measured_spectra_unless_a_family_is_asked_for(bands, paint):

@@ -223,7 +223,7 @@ def test_unusable_pixels_are_nan_and_counted(optics):
     assert np.isfinite(found.mode_nm[0, 1])
     assert (found.bands_used[0, 0], found.bands_used[0, 1]) == (3, 4)
     assert (found.unusable_pixels, found.fitted_pixels) == (2, 1022)
-    with pytest.raises(FitError, match=r"no pixel of 1024 has 4 usable bands; look at the masks"):
+    with pytest.raises(FitError, match=r"no pixel of 1024 has 4 usable bands; check the masks"):
         map_pixels(changed(made.pixels, usable=np.zeros_like(usable)), made.region, SPREAD)
 
 

@@ -115,7 +115,7 @@ def test_records_are_drawn(results, example, tmp_path):
     with pytest.raises(RecordError, match=r"0\.png.*exists"):
         plot.save(tmp_path / "0.png")
     plan = PaintPlan(paint_name="red", region=RegionOfInterest(row_px=0, column_px=0, height_px=8, width_px=8))
-    with pytest.raises(RecordError, match="no drawing of a PaintPlan; there are drawings of BandSignals, FingerDesign"):
+    with pytest.raises(RecordError, match="kind PaintPlan cannot be drawn; these kinds can: BandSignals, FingerDesign"):
         plan.plot()
 
 
@@ -131,7 +131,7 @@ def test_arrays_have_names_and_units_in_xarray(results, example):
     assert "angles_deg" in probes.coords
     assert example_decision("tie").to_xarray().coords["grid_deg"].size == 121
     assert results.capture.to_xarray()["repeat_no_contact"].dims == results.capture.to_xarray()["contact"].dims
-    with pytest.raises(RecordError, match="a FingerDesign holds no array"):
+    with pytest.raises(RecordError, match=r"record \(FingerDesign\) has no array"):
         finray.finger_design().to_xarray()
 
 

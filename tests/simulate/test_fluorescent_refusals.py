@@ -51,7 +51,7 @@ def test_band_matrices_are_checked(llvm):
     scene = llvm.load_dict(llvm.cornell_box())
     with pytest.raises(SimulateError, match="paint red: the band matrix must be 3 x 3 numbers >= 0"):
         fluorescent_bands(scene, {"red": np.eye(2)})
-    with pytest.raises(SimulateError, match=r"paint red returns 1\.100 of the energy of one band"):
+    with pytest.raises(SimulateError, match=r"paint red returns 1\.100 times the energy of one band"):
         fluorescent_bands(scene, {"red": 1.1 * np.eye(3)})
     with pytest.raises(SimulateError, match=r"no surface .* the id purple; the scene has .*green, .*red"):
         fluorescent_bands(scene, {"purple": np.eye(3)})

@@ -121,7 +121,7 @@ def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path, mon
         ended = each_computed(slowly, str(folder), points, "point ", (None, server.address))
         next(ended)
         server.kill()
-        with pytest.raises(SimulateError, match="went away in the middle and did not come back; what is finished is"):
+        with pytest.raises(SimulateError, match="stopped answering before the work was done; finished points are kept"):
             list(ended)
         done = {path.name for path in folder.iterdir()}
         assert 1 <= len(done) < 6
@@ -156,7 +156,7 @@ def test_a_study_waits_for_its_scheduler_while_it_is_started_again(tmp_path):
             one.kill()
     assert sorted(numbers) == list(range(1, 9))
     assert {path.name: path.read_text() for path in folder.iterdir()} == {f"{k}": "x" for k in range(1, 9)}
-    assert f"the scheduler {server.address} went away; waiting for it, 10 minutes at most" in told
+    assert f"the scheduler {server.address} does not answer any more; waiting for it, 10 minutes at most" in told
 
 
 def told_to(told):
@@ -232,7 +232,7 @@ def test_fit_workers_that_are_away_for_a_moment_are_waited_for(cluster, monkeypa
         coming = threading.Timer(1.0, lambda: cluster.scale(3))
         coming.start()
         assert workers.submit(waits, 0.0, Job(1), told.append).result(timeout=60) is None
-        assert told == ["only unfit workers are there; waiting for others, 10 minutes at most"]
+        assert told == ["none of the connected workers can be used; waiting for others, 10 minutes at most"]
         workers.unfit = dict.fromkeys(client.nthreads(), "runs other code")
         monkeypatch.setattr(engine_module, "WAIT_FOR_SCHEDULER_S", 0.1)
         with pytest.raises(SimulateError, match="runs other code"):
@@ -254,7 +254,7 @@ def test_another_folder_of_the_same_path_is_noticed_also_by_a_worker_that_comes_
 def test_workers_of_this_machine_that_are_ended_are_not_called_a_scheduler_elsewhere(cluster):
     with Client(cluster.scheduler_address) as client:
         threading.Timer(1.0, cluster.close).start()
-        with pytest.raises(SimulateError, match="the worker processes of this machine were ended in the middle; what"):
+        with pytest.raises(SimulateError, match="processes of this machine ended before their work was done"):
             list(_ended(Workers(client), waits, 5.0, jobs(4), _Steps(4, None)))
 
 

@@ -223,7 +223,7 @@ def _trades(optimum: DesignOptimum) -> Iterator[str]:
             continue
         told = ", ".join(
             f"{o.name} {best.values[o.name]:.4g} instead of {chosen.values[o.name]:.4g}"
-            + ("" if o.name in (*best.better_than_chosen, *best.worse_than_chosen) else " (no real difference)")
+            + ("" if o.name in (*best.better_than_chosen, *best.worse_than_chosen) else " (no significant difference)")
             for o in optimum.objectives
         )
         yield f"Best in {one.name}: design {best.number}, with {told}."
@@ -285,9 +285,9 @@ def _percent_interval(value: float, limits: tuple[float, float] | None) -> str:
 def _front(optimum: DesignOptimum) -> Content:
     """Show the designs of the front in a table."""
     lead = (
-        "Designs for which, with at least even odds, no other within the limits is as good in every objective and "
-        f"better by {percent(optimum.tolerance_rel)} in one. The last column names the objectives in which they "
-        f"differ from the recommended one (97.5 %, one-sided); everything else is within the noise."
+        "Designs for which, with a probability of at least 1/2, no other within the limits is as good in every "
+        f"objective and better by {percent(optimum.tolerance_rel)} in one. The last column names the objectives in "
+        "which they differ from the recommended one (97.5 %, one-sided); everything else is within the noise."
     )
     return Content(lead, tables=(_designs_table(optimum, front_rows(optimum), "The front"),), has_wide_tables=True)
 
@@ -322,7 +322,7 @@ def _difference(row: OptimisedDesign, chosen: int) -> str:
         return "recommended"
     told = [f"{word} {', '.join(names)}" for word, names in
             (("better", row.better_than_chosen), ("worse", row.worse_than_chosen)) if names]  # fmt: skip
-    return "; ".join(told) or row.failure or "no real difference"
+    return "; ".join(told) or row.failure or "no significant difference"
 
 
 def _all_designs(optimum: DesignOptimum) -> Content:
@@ -486,8 +486,10 @@ def light_powers_page(record: LightPowers, command: str, digests: Mapping[str, s
         ReportPage(
             verb="finray design lights",
             title=record.name,
-            lead="Light adds: each light is traced once, and then the powers that light the coat most evenly are "
-                "computed.",
+            lead=(
+                    "The light of all sources adds up. So each is traced only once, and the powers that light the coat "
+                    "most evenly are computed from that."
+                ),
             verdict=f"{percent(max(gain.estimate, 0.0))} less uneven" if light == "good" else "No gain is certain"
             if not is_worse else "More even, but the sensed normal is worse",
             light=light,

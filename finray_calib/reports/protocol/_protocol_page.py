@@ -99,8 +99,8 @@ _SOLIDS: Final = (
 )
 _EACH: Final = (
     "Make a folder of the press's name. Save a picture without contact as no_contact.png.",
-    "Lower the indenter until the picture just changes: this is zero. Go on to the depth in the table, wait for five "
-    "seconds, and save contact.png.",
+    "Lower the indenter until the picture just changes: this is zero. Continue to the depth in the table, wait for "
+    "five seconds, and save contact.png.",
     "Lift it by 5 mm, wait for a minute, and save repeat_no_contact.png. If a dent is still to be seen, wait longer.",
     "Repeat these three steps for the folder whose name ends in -again. Tick the press off.",
 )

@@ -296,8 +296,8 @@ def _rounded(body: Body, across_mm: float) -> tuple[float, tuple[float, float], 
         x, y, z = (half - body.edge_radius_mm for half in body.half_sizes_mm)
         return body.edge_radius_mm, (x, z), y, (_REACH_DEG, _REACH_DEG), 2.0 * _BALL_FACET_DEG
     raise SimulateError(
-        f"a deck holds an indenter of shape cylinder, ball or cuboid, not {type(body).__name__}; give one of these, or "
-        "press without --engine calculix"
+        "a deck can hold only an indenter of shape cylinder, ball or cuboid; change indenter.shape, or press without "
+        "--engine calculix"
     )
 
 
