@@ -581,13 +581,15 @@ def processed_signal(
     if tuning.contrast is not None:
         variance += _stretch_sd(values, tuning) ** 2
         steps.append(
-            "contrast stretched from image to image (ce_enable): not undone, but its limits are in the uncertainty"
+            "the contrast was stretched from image to image (ce_enable), which was not undone, but its limits are in "
+            "the uncertainty"
         )
     bound = 0.0 if tuning.shading is None else tuning.shading.adaptive_bound_rel
     if bound:
         variance += (bound / np.sqrt(3.0) * np.array([1.0, 0.0, 1.0]) * values) ** 2
         steps.append(
-            f"red and blue shading adapts within {100 * bound:.0f} %: not undone, but included in the uncertainty"
+            f"the shading of red and blue adapts within {100 * bound:.0f} %, which was not undone, but is included in "
+            "the uncertainty"
         )
     lost = codes == LARGEST_CODE
     if undo_colour:
@@ -595,7 +597,7 @@ def processed_signal(
         values, variance = values @ matrix.T, variance @ (matrix**2).T
         mixed = (codes == 0).any(axis=-1) & (codes != 0).any(axis=-1)
         lost = np.broadcast_to((lost.any(axis=-1) | mixed)[..., None], codes.shape)
-        steps.append("colour matrix and white-balance gains undone")
+        steps.append("colour matrix and white-balance gains were undone")
     return LinearEstimate(
         values_rel=np.where(lost, np.nan, values),
         sd_rel=np.where(lost, np.nan, np.sqrt(variance)),

@@ -45,7 +45,7 @@ def test_a_processed_image_returns_to_camera_values_within_its_uncertainty():
     assert abs(np.mean(score)) < 0.1
     # Rounding alone is 0.29 of the 1.04 codes carried.
     assert np.std(score) < 0.5
-    assert estimate.steps[-1] == "colour matrix and white-balance gains undone"
+    assert estimate.steps[-1] == "colour matrix and white-balance gains were undone"
     assert 0.005 < estimate.typical_uncertainty_rel() < 0.1
 
 
