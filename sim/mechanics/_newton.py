@@ -43,7 +43,7 @@ _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while
 _CLOSE_BY_MM = 1e-3
 # a saddle is left along its negative curvature: by the first of these that lowers the energy, doubled while it falls
 _FIRST_WAYS_MM = (1e-2, 1e-3, 1e-4, 1e-5)
-_MOST_SADDLES = 6  # that one search leaves
+_MOST_SADDLES = 10  # that one search leaves
 _UNSTABLE = "an equilibrium with negative curvature ({:.2g} of the stiffness there) that could not be left"
 
 
@@ -185,6 +185,7 @@ class _Search:
             du, rise = self._solved_step(state, gradient, remaining, moving)
         except SimulateError as failed:
             return None, False, str(failed)
+        self.removals[-1] = self.removed
         is_whole = self.damping_n_per_mm == 0.0
         if not moving and is_whole and np.abs(du).max() <= self.options.step_floor_mm:
             return None, True, ""
@@ -305,11 +306,11 @@ class _Search:
         Positive definite is the tangent by u alone, with the modes and pressures eliminated and, of friction, the
         forces that hold the contact as they are.
         """
+        self.unstable = ""
         if not self.options.stable or self.definite_within_mm <= _CLOSE_BY_MM or self._stays_definite():
             return None
         self.removed = self.damping_n_per_mm = 0.0
         matrix = self.assembly.matrix
-        state = self.assembly.with_own_pressures(state)
         self.assembly.assemble(state)
         matrix.constrain(self.supports.fixed.ravel())
         if self._factorised():
