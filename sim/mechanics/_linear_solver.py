@@ -120,7 +120,7 @@ def refined(
 
 
 def stays_definite(times: Callable[[FloatArray], FloatArray], solver: SymmetricSolver, size: int) -> bool:
-    """Tell whether a matrix near the last factorised one is positive definite as that is; when in doubt, that it is not.
+    """Tell whether a matrix near the last factorised one, which is positive definite, is so too; no when in doubt.
 
     A few of Lanczos' steps on K x = c P x with the factorised P, from a random vector in which soft shapes prevail. All
     c are near 1 but those of shapes that have become soft, which such steps find first.
@@ -192,8 +192,9 @@ class SuperLU:
 
     @property
     def definite(self) -> bool:
-        """Whether all pivots of the last matrix are positive; rows change places only where a pivot is small."""
-        return self._solve is not None and bool((self._solve.U.diagonal() > 0.0).all())
+        """Whether all pivots of the last matrix are positive and on the diagonal: exchanged rows hide a sign."""
+        found = self._solve
+        return found is not None and bool((found.perm_r == found.perm_c).all() and (found.U.diagonal() > 0.0).all())
 
     def factorise(self, upper: sp.csr_array, pattern: int) -> None:
         """Factorise the whole matrix."""

@@ -44,7 +44,10 @@ _CLOSE_BY_MM = 1e-3
 # a saddle is left along its negative curvature: by the first of these that lowers the energy, doubled while it falls
 _FIRST_WAYS_MM = (1e-2, 1e-3, 1e-4, 1e-5)
 _MOST_SADDLES = 10  # that one search leaves
-_UNSTABLE = "an equilibrium with negative curvature ({:.2g} of the stiffness there) that could not be left"
+_UNSTABLE = (
+    "the search could not leave an unstable equilibrium (a shape has a stiffness of {:.2g} times what it has without "
+    "negative curvature): a rib or a film may buckle there, and the force may change"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -496,11 +499,13 @@ def find_equilibrium(
     must lower the energy (Armijo), in which the change of volume counts softly; one that has to be shortened goes near
     to the least energy along it, the modes of each element then follow by themselves, and what hardly resisted is
     damped in the next step. Where the exact tangent has negative curvature, as in buckling, as much of that of each
-    point is taken away as makes it positive definite, and all of it after a step that lowered nothing: the search
-    leaves most saddles, to which an exact tangent would lead. A result is not tested for being none: a straight rib
-    that is compressed in small increments may stand for a while beyond its buckling load. Supports that are not yet
-    where they shall be move there in the first step, or in several where that turns an element inside out or a term
-    allows less.
+    point is taken away as makes it positive definite, and all of it after a step that lowered nothing. A result is
+    tested for being a least energy: its tangent is factorised, or compared with a factorised one near by. A saddle is
+    left along its negative curvature, to the side of lower energy, and the search goes on from there. The tangent is
+    that of the energy with friction's limits held, so that it is symmetric: stable means that nothing moves by itself
+    while they stay; the curvature of an indenter times how deep it sinks in is left out where its contact leaves it
+    out. Supports that are not yet where they shall be move there in the first step, or in several where that turns an
+    element inside out or a term allows less.
 
     Returns
     -------
