@@ -318,6 +318,7 @@ class _Search:
         matrix.constrain(self.supports.fixed.ravel())
         if self._factorised():
             return None
+        self._tell()
         self.solved += 1
         exact = matrix.upper().copy()
         curvature, way = math.nan, None
