@@ -163,20 +163,16 @@ def least_curvature(
     solver
         Holds the factors of P.
     """
-    size = exact.shape
-
-    def operator(times: Callable[[FloatArray], FloatArray]) -> sp.linalg.LinearOperator:
-        return sp.linalg.LinearOperator(size, matvec=times, dtype=np.float64)
-
-    k, p = (operator(lambda x, a=upper: a @ x + a.T @ x - a.diagonal() * x) for upper in (exact, definite))
-    start = solver.solve(np.random.default_rng(0).standard_normal(size[0]))
+    k, p = (sp.linalg.aslinearoperator(upper + sp.triu(upper, 1).T) for upper in (exact, definite))
+    inverse = sp.linalg.LinearOperator(exact.shape, matvec=solver.solve, dtype=np.float64)
+    start = solver.solve(np.random.default_rng(0).standard_normal(exact.shape[0]))
     try:
         values, vectors = sp.linalg.eigsh(
-            k, 1, p, which="SA", v0=start, tol=_CURVATURE_REL, Minv=operator(solver.solve), maxiter=_CURVATURE_ROUNDS
+            k, 1, p, which="SA", v0=start, tol=_CURVATURE_REL, Minv=inverse, maxiter=_CURVATURE_ROUNDS
         )
-    except sp.linalg.ArpackNoConvergence as late:
-        values, vectors = late.eigenvalues, late.eigenvectors
-    return (float(values[0]), np.asarray(vectors[:, 0])) if len(values) else (math.nan, None)
+    except sp.linalg.ArpackNoConvergence:
+        return math.nan, None
+    return float(values[0]), np.asarray(vectors[:, 0], dtype=np.float64)
 
 
 def _product(a: FloatArray, b: FloatArray) -> float:
