@@ -155,6 +155,8 @@ def _store(found: "Grasp", record: "ObjectGrasp", files: dict[str, Path], origin
                 f"warning: {side} finger: {pressed.crossing}; its results from there on are not physical: close "
                 "with less force"
             )
+        if pressed.unstable:
+            warn(f"warning: {side} finger: {pressed.unstable}; grasp in smaller increments to see whether it stays")
         touching = int((pressed.pressure_mpa > 0.0).sum())
         if touching < FEWEST_TOUCHING:
             warn(

@@ -355,6 +355,8 @@ def _store(
             "press with --contact barrier, or less deeply" if pressed.motion is None else "give a path that pushes less"
         )
         warn(f"warning: {pressed.crossing}; its results from there on are not physical: {remedy}")
+    if pressed.unstable:
+        warn(f"warning: {pressed.unstable}; press in smaller increments to see whether it stays")
     if mechanics.motion is None:
         tell_few_nodes(pressed, mechanics)
     if mechanics.unreached:

@@ -257,6 +257,7 @@ def _mechanics(
         notes=(
             pressed.contact,
             *([f"{pressed.crossing}: the results from there on are not physical"] if pressed.crossing else []),
+            *([pressed.unstable] if pressed.unstable else []),
             *_chord_note(design, preset, pressed),
             f"gel: {_law(gel)}, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
             *([f"skeleton: {_law(design.mechanics.skeleton)}"] if design.mechanics.skeleton.law is not None else []),

@@ -351,26 +351,61 @@ class Elasticity:
     def relaxed(self, u: FloatArray, modes: Modes) -> Modes:
         """Return modes nearer to those that belong to u: Newton's steps, of each element as long as its energy falls.
 
-        A step of all unknowns is shortened for the worst element; the modes of needles in a folding rib are that.
+        A step of all unknowns is shortened for the worst element; the modes of needles in a folding rib are that. After
+        the first step, only elements with a share in what there is to win go on.
         """
+        pairs = enumerate(modes)
+        return tuple(self._relaxed_block(block, u, own.copy()) if own.shape[1] else own for block, own in pairs)
+
+    def _relaxed_block(self, block: int, u: FloatArray, modes: FloatArray) -> FloatArray:
+        """Move a block's modes (m, 3, 3) in place, and return them."""
+        left = np.arange(len(modes))
         for _ in range(_RELAXATIONS):
-            for _ in self.matrices(u, modes):
-                pass
-            before = [energies.copy() for energies in self._energies]
-            step = self.mode_step(np.zeros_like(u))
-            shares = [np.ones((len(cells), 1, 1)) for cells in self.cells]
+            before, step, gain = self._alone(block, u, left, modes[left])
+            worth = gain > _WORTH_RELAXING_REL * gain.max(initial=0.0)
+            left, before, step = left[worth], before[worth], step[worth]
+            share, open_ = np.ones(len(left)), np.arange(len(left))
             for _ in range(_RELAXATIONS):
-                tried = tuple(m + s * d for m, s, d in zip(modes, shares, step, strict=True))
-                self.energy(u, tried)
-                worse = [~(new <= old) for new, old in zip(self._energies, before, strict=True)]
-                if not any(w.any() for w in worse):
+                tried = modes[left[open_]] + share[open_, None, None] * step[open_]
+                falls = self._energies_alone(block, u, left[open_], tried) <= before[open_]
+                modes[left[open_[falls]]] = tried[falls]
+                open_ = open_[~falls]
+                share[open_] *= _RELAXED_LESS
+                if not len(open_):
                     break
-                for share, bad in zip(shares, worse, strict=True):
-                    share[bad] *= _RELAXED_LESS
-            modes = tuple(
-                np.where(bad[:, None, None], old, new) for bad, old, new in zip(worse, modes, tried, strict=True)
-            )
         return modes
+
+    def _energies_alone(self, block: int, u: FloatArray, elements: IntArray, modes: FloatArray) -> FloatArray:
+        """Return the energies (k,) of some elements of a block with modes (k, 3, 3)."""
+        none = np.zeros(self._volume_strain[block][elements].shape[:2])
+        return self._some(block, u, elements, modes, none, 0)[0]
+
+    def _alone(
+        self, block: int, u: FloatArray, elements: IntArray, modes: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return energies (k,), steps (k, 3, 3) of the modes alone, and by how much these steps may lower them."""
+        found = []
+        for part in np.array_split(np.arange(len(elements)), max(1, len(elements) // _TOGETHER)):
+            none = np.zeros(self._volume_strain[block][elements[part]].shape[:2])
+            strain = self._some(block, u, elements[part], modes[part], none, 0)[3]
+            held = self._moduli[block][0] * strain[..., 1]
+            energy, solved, force, _ = self._some(block, u, elements[part], modes[part], held, 1)
+            found.append((energy, -solved[:, :, 24].reshape(-1, 3, 3), 0.5 * (force * solved[:, :, 24]).sum(axis=1)))
+        energies, steps, gains = (np.concatenate(columns) for columns in zip(*found, strict=True))
+        return energies, steps, gains
+
+    def _some(
+        self, block: int, u: FloatArray, elements: IntArray, modes: FloatArray, held: FloatArray, level: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return energies, solved systems and forces of the modes and volume strains of some elements of a block."""
+        count, room = len(elements), len(elements) if level else 0
+        energy, force, tangent = np.empty(count), np.empty((room, 24)), np.empty((room, 24, 24))
+        solved, mode_force = np.zeros((room, 9, 25)), np.zeros((room, 9))
+        strain = np.zeros((count, *self._volume_strain[block].shape[1:]))
+        swelling = np.zeros((count, *self._swelling[block].shape[1:]))
+        out = (energy, force, tangent, solved, mode_force, swelling, strain)
+        self._evaluate_some(block, self.cells[block][elements], u, modes, held, level, 1.0, out)
+        return energy, solved, mode_force, strain
 
     def mode_work_n_mm(self) -> float:
         """Return sum f_a . K_aa^-1 f_a over the modes: by what the energy's slope lies below that of u alone."""
@@ -413,23 +448,8 @@ class Elasticity:
     def _evaluate_part(
         self, u: FloatArray, modes: FloatArray, held: FloatArray, level: int, kept: float, out: ElementMatrices
     ) -> None:
-        block, part, material = out.block, out.elements, self._materials[out.block]
-        cells = self.cells[block][part]
-        parameters = material.parameters
-        if isinstance(material, PackagedMaterial):
-            stretches = np.empty((len(cells), 8, 3))
-            many_stretches(self._nodes, u, cells, modes[part], stretches)
-            parameters = material.rows(stretches)
-        many_hexahedra(
-            self._nodes,
-            u,
-            cells,
-            modes[part],
-            material.law,
-            parameters,
-            held[part],
-            level,
-            kept,
+        block, part = out.block, out.elements
+        filled = (
             self._energies[block][part],
             out.force,
             out.tangent,
@@ -438,11 +458,33 @@ class Elasticity:
             self._swelling[block][part],
             self._volume_strain[block][part],
         )
+        self._evaluate_some(block, self.cells[block][part], u, modes[part], held[part], level, kept, filled)
+
+    def _evaluate_some(
+        self,
+        block: int,
+        cells: IntArray,
+        u: FloatArray,
+        modes: FloatArray,
+        held: FloatArray,
+        level: int,
+        kept: float,
+        filled: tuple[FloatArray, ...],
+    ) -> None:
+        """Fill what :func:`many_hexahedra` fills, of elements (k, 8) of a block."""
+        material = self._materials[block]
+        parameters = material.parameters
+        if isinstance(material, PackagedMaterial):
+            stretches = np.empty((len(cells), 8, 3))
+            many_stretches(self._nodes, u, cells, modes, stretches)
+            parameters = material.rows(stretches)
+        many_hexahedra(self._nodes, u, cells, modes, material.law, parameters, held, level, kept, *filled)
 
 
 _SEARCH_BULK_OVER_SHEAR = 20.0
 _POINTS_UP_TO = 20.0  # K/mu up to which elements with modes have a pressure of each point
 _RELAXATIONS, _RELAXED_LESS = 3, 0.25  # steps of the modes alone, tries of each, and by what these are shortened
+_WORTH_RELAXING_REL = 1e-4  # of the most that an element may win
 
 
 def _volumetric_moduli_mpa(material: Material) -> tuple[float, float]:

@@ -188,7 +188,7 @@ class _Search:
         """Search from a guess, where there is one, and then from a state; with patience when it is the last try."""
         options = self.options
         if self.load.settle is not None:
-            options = replace(options, residual_rel=max(_LAGGED_REL, options.residual_rel))
+            options = replace(options, residual_rel=max(_LAGGED_REL, options.residual_rel), stable=False)
         reached = self._from(state if guess is None else guess, supports, options)
         if reached.failure and guess is not None and (last or reached.iterations < _LONG_GUESS):
             reached = self._from(state, supports, options)

@@ -1,6 +1,7 @@
 """Direct solvers of the symmetric systems of equilibrium: MKL PARDISO, or SuperLU where that is not there."""
 
 import importlib
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -23,6 +24,10 @@ _INDEFINITE_AFTER_FAILURE = 6
 # a pivot leaves the diagonal only below this share of its column: the usual 1 spoils the order, fifty times as slow
 _DIAGONAL_PIVOT = 1e-3
 _NEGATIVE_PIVOTS = 23  # PARDISO's count of negative eigenvalues
+# of the least eigenvalue, and restarts of 20 vectors
+_CURVATURE_REL, _CURVATURE_ROUNDS = 1e-2, 10
+# of Lanczos; and of the stiffness of before what every shape must have kept: a node that lost contact kept a tenth
+_NEAR_STEPS, _NEAR_RATIO = 4, 0.05
 _BLOCKS = -80  # PARDISO's own value: rows whose patterns agree by 80 % become blocks
 
 
@@ -114,6 +119,62 @@ def refined(
     return None
 
 
+def stays_definite(times: Callable[[FloatArray], FloatArray], solver: SymmetricSolver, size: int) -> bool:
+    """Tell whether a matrix near the last factorised one, which is positive definite, is so too; no when in doubt.
+
+    A few of Lanczos' steps on K x = c P x with the factorised P, from a random vector in which soft shapes prevail. All
+    c are near 1 but those of shapes that have become soft, which such steps find first.
+
+    Parameters
+    ----------
+    times
+        The matrix K times a vector (n,).
+    solver
+        Holds the factors of P, which is positive definite.
+    size
+        n.
+    """
+    image, before = np.random.default_rng(0).standard_normal(size), np.zeros(size)
+    beside = np.zeros((_NEAR_STEPS, 2))
+    for step in range(_NEAR_STEPS):
+        vector = solver.solve(image)
+        norm = math.sqrt(max(_product(vector, image), 1e-300))
+        vector, image = vector / norm, image / norm
+        further = times(vector)
+        beside[step] = _product(vector, further), norm
+        image, before = further - beside[step, 0] * image - norm * (step > 0) * before, image
+    between = beside[1:, 1]
+    ratios = np.linalg.eigvalsh(np.diag(beside[:, 0]) + np.diag(between, 1) + np.diag(between, -1))
+    return bool(ratios.min() >= _NEAR_RATIO)
+
+
+def least_curvature(
+    exact: sp.csr_array, definite: sp.csr_array, solver: SymmetricSolver
+) -> tuple[float, FloatArray | None]:
+    """Return the least eigenvalue c of K x = c P x and its vector x (n,), or none where it is not found.
+
+    Lanczos' method in the product of P, which makes the lowest eigenvalues stand apart: P is K without negative
+    curvature, so that most are 1, and as many are negative as those of K (J. J. Sylvester, 1852).
+
+    Parameters
+    ----------
+    exact, definite
+        Upper triangles of K and P, (n, n) in N/mm.
+    solver
+        Holds the factors of P.
+    """
+    k, p = (sp.linalg.aslinearoperator(upper + sp.triu(upper, 1).T) for upper in (exact, definite))
+    inverse = sp.linalg.LinearOperator(exact.shape, matvec=solver.solve, dtype=np.float64)
+    start = solver.solve(np.random.default_rng(0).standard_normal(exact.shape[0]))
+    try:
+        values, vectors = sp.linalg.eigsh(
+            k, 1, p, which="SA", v0=start, tol=_CURVATURE_REL, Minv=inverse, maxiter=_CURVATURE_ROUNDS
+        )
+    except sp.linalg.ArpackNoConvergence:
+        return math.nan, None
+    return float(values[0]), np.asarray(vectors[:, 0], dtype=np.float64)
+
+
 def _product(a: FloatArray, b: FloatArray) -> float:
     """Return a . b without BLAS, which would wake a thread of its own for long vectors and let it spin."""
     return float(np.einsum("i,i->", a, b))
@@ -127,8 +188,9 @@ class SuperLU:
 
     @property
     def definite(self) -> bool:
-        """Whether all pivots of the last matrix are positive; rows change places only where a pivot is small."""
-        return self._solve is not None and bool((self._solve.U.diagonal() > 0.0).all())
+        """Whether all pivots of the last matrix are positive and on the diagonal: exchanged rows hide a sign."""
+        found = self._solve
+        return found is not None and bool((found.perm_r == found.perm_c).all() and (found.U.diagonal() > 0.0).all())
 
     def factorise(self, upper: sp.csr_array, pattern: int) -> None:
         """Factorise the whole matrix."""

@@ -243,9 +243,22 @@ class LoadedFinger:
         )
 
     def _path(self, loading: Callable[[float], Supports], increments: int) -> list[Increment]:
-        """Return the equilibria from rest to the whole load."""
+        """Return the equilibria from rest to the whole load.
+
+        Raises
+        ------
+        SimulateError
+            When one may be unstable.
+        """
         stops = [(k + 1) / increments for k in range(increments)]
-        return list(load_increments(self._assembly, self._solver, Load(loading), stops))
+        reached = list(load_increments(self._assembly, self._solver, Load(loading), stops))
+        for step in reached:
+            if step.equilibrium.unstable:
+                raise SimulateError(
+                    f"at {step.fraction:.3g} of the load {step.equilibrium.unstable}; give a smaller load or more "
+                    "increments"
+                )
+        return reached
 
     def nodes_at(self, place: Place, towards_n: float) -> IntArray:
         """Return the nodes that share a force; at the side, those of the face that it presses on."""

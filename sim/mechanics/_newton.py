@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from data_schemas import SimulateError
 from sim.mechanics._assembly import Assembly, State
-from sim.mechanics._linear_solver import SymmetricSolver, refined
+from sim.mechanics._linear_solver import SymmetricSolver, least_curvature, refined, stays_definite
 
 FloatArray = NDArray[np.float64]
 
@@ -39,6 +39,15 @@ _REMOVED, _REMOVED_LESS, _LEAST_REMOVED = (0.3, 1.0), 1.0 / 3.0, 0.1
 # share of the first one: below it, something soft goes a long way, and a smaller increment leads there too
 _WANDERS_AFTER, _NEARER, _FAR = 8, 0.5, 1e-3
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
+# an exact tangent that was positive definite so near is not factorised again at the equilibrium
+_CLOSE_BY_MM = 1e-3
+# a saddle is left along its negative curvature: by the first of these that lowers the energy, doubled while it falls
+_FIRST_WAYS_MM = (1e-2, 1e-3, 1e-4, 1e-5)
+_MOST_SADDLES = 10  # that one search leaves
+_UNSTABLE = (
+    "the search could not leave an unstable equilibrium (a shape has a stiffness of {:.2g} times what it has without "
+    "negative curvature): a rib or a film may buckle there, and the force may change"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +86,8 @@ class NewtonOptions:
         increment is cheaper than steps that short.
     tell
         Told before each factorisation how far the search is; what it raises ends the search.
+    stable
+        Whether a result is tested for being a least energy, and the search goes on from it where it is none.
     """
 
     residual_rel: float = 1e-6
@@ -86,6 +97,7 @@ class NewtonOptions:
     iterations: int = 50
     stalled_after: int = 8
     tell: Callable[[str], None] | None = None
+    stable: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +118,8 @@ class Equilibrium:
         Why it is no equilibrium; empty when it is one.
     iterations
         Newton steps that were solved for.
+    unstable
+        That it is no least energy and could not be left; empty where the tangent is positive definite, or not tested.
     """
 
     state: State
@@ -114,6 +128,7 @@ class Equilibrium:
     residuals_n: tuple[float, ...]
     failure: str = ""
     iterations: int = 0
+    unstable: str = ""
 
 
 class _Search:
@@ -122,58 +137,69 @@ class _Search:
     def __init__(self, assembly: Assembly, supports: Supports, solver: SymmetricSolver, options: NewtonOptions) -> None:
         self.assembly, self.supports, self.solver, self.options = assembly, supports, solver, options
         self.residuals: list[float] = []
+        self.removals: list[float] = []  # of the tangents that belong to them
         self.solved = 0
         self.shares: list[float] = []
         self.taken = 1.0  # of the last step, the share of what the terms allowed
         self.bar_n = 0.0  # what the residual must reach
         self.removed = 0.0  # of each point's negative curvature, the share that the tangent at hand does without
         self.factors = -1  # version of the pattern whose factors the solver holds
+        self.definite_within_mm = math.inf  # way from where the exact tangent was last found positive definite
+        self.saddles = 0  # that were left
+        self.unstable = ""
         self._least_damping = 0.0  # below which damping ends
         self.damping_n_per_mm = 0.0  # added to each unknown's own stiffness
 
     def run(self, state: State) -> Equilibrium:
         energy = self.assembly.energy(state)
-        gradient = np.zeros_like(state.u_mm)
         if not math.isfinite(energy):
-            return self._result(
-                state, gradient, energy, "at the start an element is inside out, or a term is not defined"
-            )
+            why = "at the start an element is inside out, or a term is not defined"
+            return self._result(state, np.zeros_like(state.u_mm), energy, why)
         if not state.pressures_mpa:
             state = self.assembly.with_own_pressures(state)
         while True:
             gradient, of_terms = self.assembly.assemble(state, self.removed)
             remaining = np.where(self.supports.fixed, self.supports.displacement_mm - state.u_mm, 0.0)
             moving = bool(remaining.any())
-            settled = self._settled(gradient, of_terms)
-            if settled and not moving:
-                return self._result(self.assembly.with_own_pressures(state), gradient, energy)
-            if why := self.given_up():
-                return self._result(state, gradient, energy, why)
-            self._tell()
-            found, why = None, "the line search found no lower energy"
-            try:
-                if moving:
-                    du, rise = self._moving_step(gradient, remaining)
-                else:
-                    gradient, du, rise = self._downhill_step(state, gradient)
-            except SimulateError as failed:
-                why = str(failed)
-            else:
-                is_whole = self.damping_n_per_mm == 0.0
-                if not moving and is_whole and np.abs(du).max() <= self.options.step_floor_mm:
+            ended = self._settled(gradient, of_terms) and not moving
+            if not ended:
+                if why := self.given_up():
+                    return self._result(state, gradient, energy, why)
+                self._tell()
+                found, ended, why = self._step(state, energy, gradient, remaining, moving)
+            if ended:
+                found = self._off_a_saddle(state)
+                if found is None:
                     return self._result(self.assembly.with_own_pressures(state), gradient, energy)
-                if np.isfinite(du).all():
-                    found = self._line_search(state, energy, du, rise, moving)
-            if found is None and self.removed == 1.0:
+            elif found is None and self.removed == 1.0:
                 return self._result(state, gradient, energy, why)
-            less = self.removed * _REMOVED_LESS
-            self.removed = 1.0 if found is None else less if less >= _LEAST_REMOVED else 0.0
+            else:
+                less = self.removed * _REMOVED_LESS
+                self.removed = 1.0 if found is None else less if less >= _LEAST_REMOVED else 0.0
             if found is not None:
+                self.definite_within_mm += float(np.abs(found[0].u_mm - state.u_mm).max())
                 state, energy = found
-                self._damp(du, rise, moving)
-                if not moving and self.taken < 1.0:
-                    state = replace(state, modes=self.assembly.elasticity.relaxed(state.u_mm, state.modes))
-                    energy = self.assembly.energy(state)
+
+    def _step(
+        self, state: State, energy: float, gradient: FloatArray, remaining: FloatArray, moving: bool
+    ) -> tuple[tuple[State, float] | None, bool, str]:
+        """Return the next state and its energy or nothing, whether the search has ended, and why nothing was found."""
+        try:
+            du, rise = self._solved_step(state, gradient, remaining, moving)
+        except SimulateError as failed:
+            return None, False, str(failed)
+        self.removals[-1] = self.removed
+        is_whole = self.damping_n_per_mm == 0.0
+        if not moving and is_whole and np.abs(du).max() <= self.options.step_floor_mm:
+            return None, True, ""
+        found = self._line_search(state, energy, du, rise, moving) if np.isfinite(du).all() else None
+        if found is None:
+            return None, False, "the line search found no lower energy"
+        self._damp(du, rise, moving)
+        if not moving and self.taken < 1.0:
+            there = replace(found[0], modes=self.assembly.elasticity.relaxed(found[0].u_mm, found[0].modes))
+            found = there, self.assembly.energy(there)
+        return found, False, ""
 
     def _damp(self, du: FloatArray, rise: float, moving: bool) -> None:
         """Choose the damping of the next step (K. Levenberg, 1944) by the share of this one that was taken.
@@ -193,7 +219,7 @@ class _Search:
                 self.damping_n_per_mm *= _STIFFER
 
     def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
-        return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved)
+        return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved, self.unstable)
 
     def given_up(self) -> str:
         """Return why the search is not gone on with, or nothing."""
@@ -202,7 +228,9 @@ class _Search:
         last = self.shares[-self.options.stalled_after :] if self.options.stalled_after else []
         if last and len(last) == self.options.stalled_after and sum(last) < 1.0:
             return f"the last {len(last)} of {self.solved} steps were short, together {sum(last):.2g} of one full step"
-        before, lately = self.residuals[:-_WANDERS_AFTER], self.residuals[-_WANDERS_AFTER:]
+        # where negative curvature is taken away, a search leaves a saddle, and residuals rise before they fall
+        counted = [r for r, removed in zip(self.residuals, self.removals, strict=True) if removed == 0.0]
+        before, lately = counted[:-_WANDERS_AFTER], counted[-_WANDERS_AFTER:]
         near = max(_NEARER * min(before, default=math.inf), _FAR * self.residuals[0])
         if self.options.stalled_after and len(before) >= _WANDERS_AFTER - 1 and min(lately) > near:
             return f"after {self.solved} iterations {min(lately):.2g} N out of balance, no nearer than before"
@@ -218,60 +246,140 @@ class _Search:
         fixed = self.supports.fixed
         residual = _norm(gradient[~fixed])
         self.residuals.append(residual)
+        self.removals.append(self.removed)
         forces = _norm(gradient[fixed]), _norm(of_terms)
         unbalanced = max(residual, self.assembly.elasticity.mode_residual_n())
         self.bar_n = self.options.residual_rel * max(*forces, self.options.force_floor_n)
         return bool(unbalanced <= self.bar_n)
 
-    def _moving_step(self, gradient: FloatArray, remaining: FloatArray) -> tuple[FloatArray, float]:
-        """Return du (n, 3) of supports that move by what remains, and how much the energy may rise."""
-        fixed, matrix = self.supports.fixed.ravel(), self.assembly.matrix
-        prescribed = remaining.ravel()
-        right = -gradient.ravel() - matrix.times(prescribed)
-        right[fixed] = prescribed[fixed]
-        stiffness = matrix.values.copy()
-        matrix.values[matrix.indptr[:-1]] += self.damping_n_per_mm
-        matrix.constrain(fixed)
-        self.solved += 1
-        self.factors = -1
-        self.solver.factorise(matrix.upper(), matrix.version)
-        self.factors = matrix.version if self.removed == 0.0 else -1
-        du = self.solver.solve(right)
-        slope = _dot(gradient.ravel(), du) - self.assembly.elasticity.mode_work_n_mm()
-        matrix.values[:] = stiffness
-        return du.reshape(-1, 3), abs(slope) + 0.5 * abs(_dot(du, matrix.times(du)))
-
-    def _downhill_step(self, state: State, gradient: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return the gradient, du (n, 3) and the linear change of the energy, by a tangent that is positive definite.
+    def _solved_step(
+        self, state: State, gradient: FloatArray, remaining: FloatArray, moving: bool
+    ) -> tuple[FloatArray, float]:
+        """Return du (n, 3) and the linear change of the energy, by a tangent that is positive definite.
 
         As little as makes it so is taken away of the negative curvature of each point. Newton's step by an indefinite
         tangent goes to a saddle of the energy, where a rib stands that would buckle; a multiple of the unit matrix
-        added would hold the soft bending of the whole finger more than the rib.
+        added would hold the soft bending of the whole finger more than the rib. Supports that move go by what remains
+        of their way, and what is returned is then by how much the energy may rise.
 
         Raises
         ------
         SimulateError
             When the tangent without negative curvature is singular.
         """
-        fixed, matrix = self.supports.fixed.ravel(), self.assembly.matrix
+        fixed, matrix, elasticity = self.supports.fixed.ravel(), self.assembly.matrix, self.assembly.elasticity
+        prescribed = remaining.ravel()
         self.solved += 1
         while True:
             right = np.where(fixed, 0.0, -gradient.ravel())
+            if moving:
+                stiffness = matrix.values.copy()
+                right = np.where(fixed, prescribed, right - matrix.times(prescribed))
             matrix.values[matrix.indptr[:-1]] += self.damping_n_per_mm
             matrix.constrain(fixed)
-            du = self._with_old_factors(right) if self.removed == 0.0 else None
-            if du is None:
-                self.factors = -1
-                if self.removed == 1.0:
-                    self.solver.factorise(matrix.upper(), matrix.version)
-                elif not self.solver.factorise_definite(matrix.upper(), matrix.version):
-                    self.removed = next(share for share in _REMOVED if share > self.removed)
-                    gradient, _ = self.assembly.assemble(state, self.removed)
-                    continue
-                self.factors = matrix.version if self.removed == 0.0 else -1
-                du = self.solver.solve(right)
-            slope = _dot(gradient.ravel(), du) - self.assembly.elasticity.mode_work_n_mm()
-            return gradient, du.reshape(-1, 3), slope
+            du = None if moving or self.removed > 0.0 else self._with_old_factors(right)
+            if du is None and not self._factorised():
+                self.removed = next(share for share in _REMOVED if share > self.removed)
+                gradient, _ = self.assembly.assemble(state, self.removed)
+                continue
+            du = self.solver.solve(right) if du is None else du
+            slope = _dot(gradient.ravel(), du) - elasticity.mode_work_n_mm()
+            if moving:
+                matrix.values[:] = stiffness
+                slope = abs(slope) + 0.5 * abs(_dot(du, matrix.times(du)))
+            return du.reshape(-1, 3), slope
+
+    def _factorised(self) -> bool:
+        """Factorise the constrained tangent in the matrix, if it is definite or can be made so by no less curvature."""
+        matrix = self.assembly.matrix
+        self.factors = -1
+        if self.removed == 1.0:
+            self.solver.factorise(matrix.upper(), matrix.version)
+        elif not self.solver.factorise_definite(matrix.upper(), matrix.version):
+            return False
+        if self.removed == 0.0:
+            self.factors = matrix.version
+            if self.damping_n_per_mm == 0.0:
+                self.definite_within_mm = 0.0
+        return True
+
+    def _off_a_saddle(self, state: State) -> tuple[State, float] | None:
+        """Return a state of lower energy and that, where an equilibrium is none of least energy; else nothing.
+
+        Positive definite is the tangent by u alone, with the modes and pressures eliminated and, of friction, the
+        forces that hold the contact as they are.
+        """
+        self.unstable = ""
+        if not self.options.stable or self.definite_within_mm <= _CLOSE_BY_MM or self._stays_definite():
+            return None
+        self.removed = self.damping_n_per_mm = 0.0
+        matrix = self.assembly.matrix
+        self.assembly.assemble(state)
+        matrix.constrain(self.supports.fixed.ravel())
+        if self._factorised():
+            return None
+        self._tell()
+        self.solved += 1
+        exact = matrix.upper().copy()
+        curvature, way = math.nan, None
+        for self.removed in _REMOVED:
+            self.assembly.assemble(state, self.removed)
+            matrix.constrain(self.supports.fixed.ravel())
+            if self.solver.factorise_definite(matrix.upper(), matrix.version):
+                curvature, way = least_curvature(exact, matrix.upper(), self.solver)
+                break
+        self.removed = 0.0
+        if way is not None and curvature >= 0.0:
+            return None
+        found = None
+        if way is not None and self.saddles < _MOST_SADDLES:
+            found = self._downwards(state, np.where(self.supports.fixed, 0.0, way.reshape(-1, 3)))
+        self.saddles += 1
+        self.shares.clear()
+        self.removals = [1.0] * len(self.residuals)
+        self.unstable = "" if found is not None else _UNSTABLE.format(curvature)
+        return found
+
+    def _stays_definite(self) -> bool:
+        """Tell whether the tangent at hand is exact and still as positive definite as when it was last factorised."""
+        matrix = self.assembly.matrix
+        if self.removed > 0.0 or self.factors != matrix.version or self.definite_within_mm == math.inf:
+            return False
+        matrix.constrain(self.supports.fixed.ravel())
+        return stays_definite(matrix.times, self.solver, len(matrix.indptr) - 1)
+
+    def _downwards(self, state: State, way: FloatArray) -> tuple[State, float] | None:
+        """Return the state of least energy along a way (n, 3) or back, and its energy, or nothing.
+
+        The energy falls with the square of what is gone: both senses are tried, and the better one is followed.
+        """
+        elasticity = self.assembly.elasticity
+        self.assembly.assemble(state)
+        energy, held = self.assembly.energy(state), state.pressures_mpa
+        merit = energy + elasticity.excess_n_mm(held)
+        noise = _NOISE * (sum(map(abs, elasticity.energy_of_blocks().values())) + abs(energy) + abs(merit))
+        way = way / max(float(np.abs(way).max()), 1e-300)
+        step = elasticity.mode_step(way)
+
+        def trial(size_mm: float) -> _Trial:
+            there = state.moved(size_mm, way, step)
+            if self.assembly.max_step(state, size_mm * way) < 1.0:
+                return _Trial(size_mm, math.inf, there, math.inf)
+            new = self.assembly.energy(there)
+            return _Trial(size_mm, new + elasticity.excess_n_mm(held) if new < math.inf else new, there, new)
+
+        for first in _FIRST_WAYS_MM:
+            best = min(trial(first), trial(-first), key=lambda tried: tried.merit_n_mm)
+            if best.merit_n_mm < merit - noise:
+                break
+        else:
+            return None
+        while abs(2.0 * best.share) <= self.options.longest_step_mm:
+            further = trial(2.0 * best.share)
+            if not further.merit_n_mm < best.merit_n_mm:
+                break
+            best = further
+        return best.state, best.energy_n_mm
 
     def _with_old_factors(self, right: FloatArray) -> FloatArray | None:
         """Return the solution to what Newton's method needs, if the last step was nearly linear.
@@ -392,11 +500,13 @@ def find_equilibrium(
     must lower the energy (Armijo), in which the change of volume counts softly; one that has to be shortened goes near
     to the least energy along it, the modes of each element then follow by themselves, and what hardly resisted is
     damped in the next step. Where the exact tangent has negative curvature, as in buckling, as much of that of each
-    point is taken away as makes it positive definite, and all of it after a step that lowered nothing: the search
-    leaves most saddles, to which an exact tangent would lead. A result is not tested for being none: a straight rib
-    that is compressed in small increments may stand for a while beyond its buckling load. Supports that are not yet
-    where they shall be move there in the first step, or in several where that turns an element inside out or a term
-    allows less.
+    point is taken away as makes it positive definite, and all of it after a step that lowered nothing. A result is
+    tested for being a least energy: its tangent is factorised, or compared with a factorised one near by. A saddle is
+    left along its negative curvature, to the side of lower energy, and the search goes on from there. The tangent is
+    that of the energy with friction's limits held, so that it is symmetric: stable means that nothing moves by itself
+    while they stay; the curvature of an indenter times how deep it sinks in is left out where its contact leaves it
+    out. Supports that are not yet where they shall be move there in the first step, or in several where that turns an
+    element inside out or a term allows less.
 
     Returns
     -------

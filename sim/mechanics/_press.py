@@ -196,6 +196,8 @@ class PressedFinger:
         From which push on surfaces of the finger pass through each other, and where; empty where none do.
     motion
         Of an indenter on a path (:func:`~sim.mechanics.press_along`): its poses and what its contact does at each.
+    unstable
+        At which push first the finger may stand at an unstable equilibrium; empty where the search found none.
     """
 
     mesh: FingerMesh
@@ -214,6 +216,7 @@ class PressedFinger:
     kind: ContactKind | Literal["unknown"] = "unknown"
     crossing: str = ""
     motion: "ContactMotion | None" = None
+    unstable: str = ""
 
 
 class PressHistory:
@@ -228,7 +231,7 @@ class PressHistory:
 
     Attributes
     ----------
-    crossing
+    crossing, unstable
         See :class:`PressedFinger`; of these increments.
     """
 
@@ -237,7 +240,7 @@ class PressHistory:
     ) -> None:
         self._assembly, self._ties, self._touch, self._before = assembly, ties, touch, before
         self._surfaces = OwnSurfaces(touch.mesh)
-        self.crossing = ""
+        self.crossing, self.unstable = "", ""
         self._states: list[State] = []
         self._iterations: list[int] = []
         self._rows: list[tuple[float, ...]] = []
@@ -256,6 +259,8 @@ class PressHistory:
         lost = self._touch.friction_work_n_mm(state.u_mm)
         if not self.crossing and (found := self._surfaces.crossing(state.u_mm)):
             self.crossing = f"from a push of {depth_mm:.4g} mm on {found}"
+        if not self.unstable and equilibrium.unstable:
+            self.unstable = f"at a push of {depth_mm:.4g} mm {equilibrium.unstable}"
         self._states.append(state)
         self._iterations.append(equilibrium.iterations)
         self._rows.append((depth_mm, stored, contact, lost, *self._touch.force_n(state.u_mm)))
@@ -279,6 +284,7 @@ class PressHistory:
             friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
             kind=self._touch.kind,
             crossing=self.crossing,
+            unstable=self.unstable,
         )
 
     def _after(self, name: str, now: NDArray[Any], goes_on: bool = False) -> NDArray[Any]:

@@ -1,5 +1,7 @@
 """A whole finger pressed by finite elements on the coarse mesh."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -95,3 +97,10 @@ def test_the_surfaces_close_and_the_gel_keeps_its_volume(records):
 def test_a_press_without_depth_is_refused():
     with pytest.raises(SimulateError, match="a press needs a depth above 0 mm"):
         press_finger(FingerDesign(indenter=Indenter(depth_mm=0.0)))
+
+
+def test_a_record_says_where_a_press_may_stand_at_an_unstable_equilibrium(pressed):
+    told = "at a push of 1 mm the search could not leave an unstable equilibrium"
+    for unstable in ("", told):
+        mechanics, _ = press_records(DESIGN, replace(pressed, unstable=unstable))
+        assert (told in mechanics.notes) == bool(unstable)
