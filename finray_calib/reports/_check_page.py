@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from data_schemas import AcceptanceReport, CheckResult, CheckVerdict, package_version
-from finray_calib.acceptance import GUARD_FACTOR, SECTIONS, History, Watched, value_text
+from finray_calib.acceptance import GUARD_FACTOR, PRESS_SECTIONS, SECTIONS, History, Watched, value_text
 from finray_calib.reports._methods import check_methods, methods_part
 from finray_calib.reports._page import (
     Content,
@@ -43,6 +43,7 @@ from finray_calib.reports._style import (
     svg_text,
 )
 
+SECTION_TITLES: Final = SECTIONS | PRESS_SECTIONS
 _SENTENCES: Final[dict[CheckVerdict, str]] = {
     "PASS": "Every check passed.",
     "UNDECIDED": "No check failed; some could not be decided.",
@@ -131,14 +132,15 @@ _MARKS: Final[dict[CheckVerdict, tuple[str, str]]] = {
 @styled()
 def checks_figure(results: Sequence[CheckResult]) -> str:
     """Draw the verdict of every check, section by section."""
-    rows = [title for section, title in SECTIONS.items() if any(result.section == section for result in results)]
+    titles = SECTION_TITLES
+    rows = [title for section, title in titles.items() if any(result.section == section for result in results)]
     figure = new_figure(4.8, 0.3 * len(rows) + 0.9)
     axes = figure.subplots()
     for verdict, (marker, colour) in _MARKS.items():
         seen: Counter[str] = Counter()
         places = []
         for result in results:
-            row = SECTIONS[result.section]
+            row = titles[result.section]
             seen[row] += 1
             if result.verdict == verdict:
                 places.append((seen[row], rows.index(row)))
@@ -165,7 +167,7 @@ def _short(result: CheckResult) -> str:
 def _results(report: AcceptanceReport) -> ReportTable:
     """List every check, grouped as it was done."""
     groups = []
-    for section, title in SECTIONS.items():
+    for section, title in SECTION_TITLES.items():
         rows = tuple(
             (
                 result.name,
@@ -188,7 +190,8 @@ def _devices(report: AcceptanceReport) -> ReportTable:
     rows = []
     for hand in report.facts.handshakes:
         said = hand.identity
-        words = () if said is None else (said.address, said.vendor, said.model, said.serial, said.firmware)
+        keys = ("address", "vendor", "model", "serial", "firmware")
+        words = () if said is None else tuple(getattr(said, key, "") for key in keys)
         rows.append((hand.role, hand.driver, *(word or "\N{EN DASH}" for word in words or ("",) * 5)))
     columns = ("device", "driver", "address", "vendor", "model", "serial", "firmware")
     return one_group("What the devices report about themselves", columns, rows, is_words=True)

@@ -104,7 +104,15 @@ class ForceGauge:
 
     def reading_n(self) -> float:
         """Return the next reading above the tare (N); nan before there is one. Raises what :meth:`strongest_n` does."""
-        return (self._counts() - self._zero) * self._slope
+        return self.force_n(self._counts())
+
+    def force_n(self, counts: float) -> float:
+        """Return the force of a count above the tare (N)."""
+        return (counts - self._zero) * self._slope
+
+    def reading_above_empty_n(self) -> float:
+        """Return the next reading above the empty cell of the calibration (N); raises what :meth:`strongest_n` does."""
+        return (self._counts() - self._unloaded) * self._slope
 
     def strongest_n(self) -> float:
         """Return the next reading above the tare or above the first one of the session (N), whichever is larger.

@@ -1,0 +1,317 @@
+"""The device part of an acceptance check of a rig whose stage presses; :mod:`finray_calib.acceptance` judges.
+
+Whoever reports something is not believed alone: that the stage moves is seen by the force that the cell feels and by
+the dent in the camera's picture, and that the cell feels is seen by the touches of the stage. Towards the pad the stage
+goes in steps that the cell watches; it is stopped on purpose only on its way out of the pad. Whatever ends a part
+early, the stage is stopped and leaves the pad before the next one.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, Literal, TypeVar
+
+import numpy as np
+
+from data_schemas import (
+    CaptureError,
+    CellAtRest,
+    DeviceIdentity,
+    Handshake,
+    LoadCellCalibration,
+    LoadCellSettings,
+    PressDevice,
+    PressFacts,
+    RefusedError,
+    Section,
+    TactileCheckPlan,
+    TactileRig,
+    UnsafeError,
+)
+from rigs import Clock, LoadCell, Operator, TerminalOperator
+from rigs.capture._check_session import HANDSHAKES, Progress
+from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
+from rigs.capture._force_gauge import ForceGauge, read_cell_calibration
+from rigs.capture._plan import require_named
+from rigs.capture._press_rounds import PressRounds, TappedCell, TimedStage
+from rigs.capture._stage_press import OpenTactileRig, StagePress, open_tactile_rig
+
+T = TypeVar("T")
+SECTIONS: Final[tuple[Section, ...]] = ("handshake", "load cell", "stage", "touch", "force limit", "stops")
+STEPS: Final = len(SECTIONS) + 3
+"""Opening, these, closing, opening once more."""
+BLOCKS: Final = 12
+
+
+def check_press_plan(plan: TactileCheckPlan, rig: TactileRig, folder: Path) -> LoadCellCalibration:
+    """Return the calibration of the load cell, after checking the plan against the rig.
+
+    Raises
+    ------
+    CaptureError
+        The check has no name, nothing presses, or a place or force lies outside what the rig file allows.
+    RecordError
+        The cell is not calibrated.
+    """
+    require_named("plan.check_name", plan.check_name)
+    if rig.stage is None or rig.load_cell is None:
+        raise CaptureError(f"rig '{rig.name}': has no [stage] and [load_cell]; there is nothing to check that presses")
+    stage, most_n = rig.stage, rig.load_cell.force_limit_n
+    low_mm, high_mm = stage.pad_travel_mm
+    for away_mm in (-plan.beside_mm, plan.beside_mm):
+        at_mm = stage.base_mm + stage.from_base * (plan.position_mm + away_mm)
+        if not low_mm <= at_mm <= high_mm:
+            raise CaptureError(
+                f"plan.position_mm = {plan.position_mm:g} mm and beside_mm = {plan.beside_mm:g} mm lead to "
+                f"{stage.pad_axis} = {at_mm:g} mm, outside the stage's travel of {low_mm:g} to {high_mm:g} mm; choose "
+                "a position farther from its ends, or a smaller beside_mm"
+            )
+    if plan.force_limit_n is not None and plan.force_limit_n > most_n:
+        raise CaptureError(
+            f"plan.force_limit_n = {plan.force_limit_n:g} N must not exceed the {most_n:g} N of the rig file"
+        )
+    return read_cell_calibration(rig.load_cell, folder)
+
+
+def record_press_facts(
+    rig: TactileRig,
+    plan: TactileCheckPlan,
+    rig_folder: Path,
+    progress: Progress = lambda done, total, what: None,
+    *,
+    operator: Operator | None = None,
+) -> PressFacts:
+    """Try stage, load cell and camera of a rig and return what they did.
+
+    A device error ends its own part; the stage is stopped and leaves the pad before the next one. A cell that fails, a
+    touch that is not found, a place that is lost and a stage that is not seen to stop end all that moves.
+
+    Parameters
+    ----------
+    rig, plan
+        The rig and what to check on it.
+    rig_folder
+        Where relative paths in the rig file start.
+    progress
+        Called with (done, total, text) at the start of every part.
+    operator
+        Who allows the stage to move; a person at the terminal when left out.
+
+    Raises
+    ------
+    CaptureError
+        The plan does not fit the rig.
+    """
+    calibration = check_press_plan(plan, rig, rig_folder)
+    return _Recorder(rig, plan, rig_folder, calibration, progress).record(operator or TerminalOperator())
+
+
+class _Recorder:
+    """Walks through the parts of one check."""
+
+    def __init__(
+        self,
+        rig: TactileRig,
+        plan: TactileCheckPlan,
+        rig_folder: Path,
+        calibration: LoadCellCalibration,
+        progress: Progress,
+    ) -> None:
+        self._rig, self._plan, self._folder, self._progress = rig, plan, rig_folder, progress
+        self._calibration = calibration
+        self._facts = PressFacts(calibration=calibration, calibration_age_days=age_days(calibration.calibrated_utc))
+        self._errors: dict[Section, str] = {}
+        self._ended: str | None = None
+        self._done = 0
+        self._presser: StagePress | None = None
+        self._told: list[str] = []
+
+    def record(self, operator: Operator) -> PressFacts:
+        """Open the rig, try everything, close it, and open it once more."""
+        with ExitStack() as stack:
+            opened = self._attempt(
+                "opening", lambda: stack.enter_context(open_tactile_rig(self._rig, self._folder, operator))
+            )
+            if opened is None:
+                self._ended = "the rig could not be opened"
+                self._errors |= dict.fromkeys(SECTIONS, f"not tried: {self._ended}")
+            else:
+                self._with_open_rig(opened)
+            closing = stack.pop_all()
+        self._attempt("closing", closing.close, also_when_ended=True)
+        self._attempt("reconnect", lambda: self._reconnect(operator))
+        self._keep(errors=self._errors)
+        return self._facts
+
+    def _with_open_rig(self, opened: OpenTactileRig) -> None:
+        """Try everything that the open rig can show."""
+        hands = self._attempt("handshake", lambda: press_handshakes(opened, self._rig))
+        self._keep(handshakes=hands or ())
+        for hand in hands or ():
+            if hand.role != "camera" and hand.error is not None:
+                self._ended = f"the {hand.role} does not answer"
+        self._attempt("handshake", lambda: self._keep(frame_overheads_s=frame_overheads_s(opened, self._plan)))
+        self._attempt("load cell", lambda: self._keep(at_rest=self._rest(opened)))
+        if "load cell" in self._errors:
+            self._ended = self._ended or "the load cell does not work, so nothing would stop the stage"
+        stage, cell = opened.stage, opened.load_cell
+        if stage is None or cell is None:  # a rig file with both opens both
+            return
+        timed, tapped = TimedStage(stage, opened.clock), TappedCell(cell, opened.clock)
+        checked = replace(opened, stage=timed, load_cell=tapped)
+        presser = self._presser = StagePress(checked, self._rig, self._calibration, self._note)
+        checks = PressRounds(checked, presser, timed, tapped, self._plan, self._rig)
+        self._attempt("stage", lambda: self._allowed_to_move(opened, checks))
+        self._ended = self._ended or ("the stage could not be made ready" if "stage" in self._errors else None)
+        self._attempt("touch", lambda: checks.touch(self._keep))
+        self._ended = self._ended or ("the pad was not touched as it should" if "touch" in self._errors else None)
+        self._attempt("force limit", lambda: checks.force_stops(self._keep))
+        self._attempt("stops", lambda: checks.stops(self._keep))
+        self._keep(moves=timed.moves())
+
+    def _allowed_to_move(self, opened: OpenTactileRig, checks: "PressRounds") -> None:
+        """Ask a person before anything moves, then home and move along the pad."""
+        if not opened.operator.allows(checks.question()):
+            raise RefusedError(
+                "stage: nobody has allowed it to move; run the check in a terminal, look at the rig, and type yes"
+            )
+        checks.along_the_pad()
+
+    def _rest(self, opened: OpenTactileRig) -> CellAtRest:
+        """Read the cell while nothing moves."""
+        settings, cell = self._rig.load_cell, opened.load_cell
+        if settings is None or cell is None:
+            raise RefusedError("load cell: there is none")
+        return at_rest(cell, settings, self._calibration, opened.clock, self._plan.rest_s)
+
+    def _reconnect(self, operator: Operator) -> None:
+        """Open the closed rig once more, and note what the devices say of themselves; nothing moves."""
+        start_s = time.monotonic()
+        with open_tactile_rig(self._rig, self._folder, operator) as opened:
+            again = press_handshakes(opened, self._rig, asked=1)
+            took_s = time.monotonic() - start_s
+        for hand in again:
+            if hand.error is not None:
+                raise CaptureError(hand.error)
+        after = tuple(hand.identity for hand in again if hand.identity is not None)
+        self._keep(reconnect_s=took_s, reconnected=after)
+
+    def _attempt(self, section: Section, act: Callable[[], T], *, also_when_ended: bool = False) -> T | None:
+        """Return what `act` returns; note its error, with what the stage did then, and return None."""
+        if self._ended is not None and not also_when_ended:
+            self._errors.setdefault(section, f"not tried: {self._ended}")
+            return None
+        self._progress(self._done, STEPS, section)
+        self._done = min(self._done + 1, STEPS)
+        self._told.clear()
+        try:
+            if self._presser is None:
+                return act()
+            with self._presser.standing_by():
+                return act()
+        except CaptureError as error:
+            self._errors.setdefault(section, "; ".join([str(error), *(f"the stage {told}" for told in self._told)]))
+            if isinstance(error, UnsafeError):
+                self._ended = "the stage was not seen to stop; switch its motors off before anyone touches it"
+            elif self._told and not self._told[-1].startswith("moved away"):
+                self._ended = "the stage did not leave the pad by itself; free the pad by hand"
+            return None
+
+    def _note(self, event: str, **what: object) -> None:
+        """Remember what the stage did after it was stopped."""
+        if event == "stage after stop":
+            self._told.append(str(what["text"]))
+
+    def _keep(self, **what: object) -> None:
+        """Add facts."""
+        self._facts = self._facts.model_copy(update=what)
+
+
+def age_days(calibrated_utc: str) -> float | None:
+    """Return how many days ago a calibration was made; None where its date cannot be read or lies ahead."""
+    try:
+        then = datetime.fromisoformat(calibrated_utc)
+    except ValueError:
+        return None
+    then = then if then.tzinfo is not None else then.replace(tzinfo=UTC)
+    days = (datetime.now(UTC) - then).total_seconds() / 86400.0
+    return days if days > -1.0 else None
+
+
+def press_handshakes(opened: OpenTactileRig, rig: TactileRig, asked: int = HANDSHAKES) -> tuple[Handshake, ...]:
+    """Ask camera, stage and load cell who they are and how they stand, so many times; nothing moves."""
+    stage, cell = opened.stage, opened.load_cell
+    found = [_handshake(opened, "camera", rig.camera.driver, opened.camera_there().identity, lambda: None, asked)]
+    if stage is not None and rig.stage is not None:
+        found.append(_handshake(opened, "stage", rig.stage.driver, stage.identity, stage.places_mm, asked))
+    if cell is not None and rig.load_cell is not None:
+        within_s = rig.load_cell.silent_s
+        asking: Callable[[], object] = lambda: cell.read(within_s)  # noqa: E731
+        found.append(_handshake(opened, "load cell", rig.load_cell.driver, cell.identity, asking, asked))
+    return tuple(found)
+
+
+def _handshake(
+    opened: OpenTactileRig,
+    role: Literal["camera", "stage", "load cell"],
+    driver: str,
+    identity: Callable[[], DeviceIdentity | PressDevice],
+    state: Callable[[], object],
+    asked: int,
+) -> Handshake:
+    """Ask one device so many times."""
+    durations_s: list[float] = []
+    said, error = None, None
+    try:
+        for _ in range(asked):
+            start_s = opened.clock.monotonic_s()
+            said = identity()
+            state()
+            durations_s.append(opened.clock.monotonic_s() - start_s)
+    except CaptureError as raised:
+        error = str(raised)
+    return Handshake(role=role, driver=driver, identity=said, durations_s=tuple(durations_s), error=error)
+
+
+def frame_overheads_s(opened: OpenTactileRig, plan: TactileCheckPlan) -> tuple[float, ...]:
+    """Take frames, and return how long each took beyond its exposure (s)."""
+    camera, clock, found = opened.camera_there(), opened.clock, []
+    for _ in range(HANDSHAKES):
+        start_s = clock.monotonic_s()
+        camera.expose(plan.exposure_s, plan.exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        found.append(max(clock.monotonic_s() - start_s - plan.exposure_s, 0.0))
+    return tuple(found)
+
+
+def at_rest(
+    cell: LoadCell, settings: LoadCellSettings, calibration: LoadCellCalibration, clock: Clock, rest_s: float
+) -> CellAtRest:
+    """Read the cell for so long while nothing moves.
+
+    Raises
+    ------
+    LostError
+        It is stuck.
+    CaptureError
+        It fell silent, or reads as no empty cell would.
+    """
+    gauge = ForceGauge(cell, settings, calibration)
+    gauge.begin(clock.monotonic_s)
+    forces_n, times_s = [], []
+    end_s = clock.monotonic_s() + rest_s
+    while clock.monotonic_s() < end_s:
+        forces_n.append(gauge.reading_above_empty_n())
+        times_s.append(clock.monotonic_s())
+    blocks = np.array_split(np.array(forces_n), BLOCKS)
+    within = math.sqrt(float(np.mean([block.var(ddof=1) for block in blocks])))
+    return CellAtRest(
+        readings=len(forces_n),
+        span_s=times_s[-1] - times_s[0],
+        longest_gap_s=float(np.diff(times_s).max()),
+        noise_n=within,
+        means_n=tuple(float(block.mean()) for block in blocks),
+    )
