@@ -44,11 +44,11 @@ from finray_calib.acceptance._device_checks import (
 PRESS_SECTIONS: Final[dict[Section, str]] = {
     "opening": "rig opens",
     "handshake": "devices answer",
-    "load cell": "load cell at rest",
+    "load cell": "load cell",
     "stage": "stage moves",
-    "touch": "touch repeats",
+    "touch": "touches",
     "force limit": "force limit holds",
-    "stops": "stage stops",
+    "stops": "stops",
     "closing": "rig closes",
     "reconnect": "devices come back",
 }
@@ -60,6 +60,7 @@ FELT_SD: Final = 5.0
 FELT_SHARE: Final = 0.25
 """Of the force of a press: a zero that moved by more could have been the force."""
 DENT_MOVED_PX: Final = 5.0
+FEWEST_TOUCHES: Final = 4
 FEWEST_RETURNS: Final = 10
 """Below it the standard deviation of the returns is known too badly."""
 TURNED_WIDTHS: Final = 1.5
@@ -262,7 +263,7 @@ def _moves_of(
 
 def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) -> tuple[CheckResult, ...]:
     """Judge how well the touch repeats, what is lost on turning, and whether the cell returns to its zero."""
-    if not (touches := facts.touches):
+    if len(touches := facts.touches) < FEWEST_TOUCHES:  # an error ended them, and has a row of its own
         return ()
     limits, number = plan.limits, len(touches)
     spread_mm, spread_sd_mm = _spread_mm(touches)

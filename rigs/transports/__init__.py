@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         alpaca_devices,
         device_number,
     )
+    from rigs.transports._board_lines import BoardClock, check_byte
     from rigs.transports._indi_client import (
         CAMERA_INTERFACE,
         FILTER_WHEEL_INTERFACE,
@@ -41,6 +42,7 @@ __all__ = [
     "LIGHT_INTERFACE",
     "RECOVERS_WITHIN_S",
     "AlpacaClient",
+    "BoardClock",
     "Fault",
     "IndiClient",
     "IndiProperty",
@@ -52,6 +54,7 @@ __all__ = [
     "alpaca_address",
     "alpaca_devices",
     "blob_bytes",
+    "check_byte",
     "device_number",
     "faults_told",
     "found_on_this_computer",
