@@ -299,7 +299,7 @@ def test_mistakes_are_one_line_and_nothing_moves(practice: Path, old: str, new: 
 
 
 BENCH_PLAN = TactileCheckPlan(
-    check_name="boards", position_mm=8.0, returns=4, stops=1, rest_s=10.0, deepest_mm=0.8, force_limit_n=3.0
+    check_name="boards", position_mm=8.0, returns=4, stops=1, rest_s=10.0, deepest_mm=1.3, force_limit_n=3.0
 )
 
 
