@@ -538,17 +538,19 @@ def bare_off(busy: int, tries: int) -> None:
         for _ in range(busy):
             loop = subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
             stack.callback(loop.kill)
-        kept = HTTPConnection("127.0.0.1", port, timeout=WATCHED_S)
         for way in list(heard) * tries:
-            line = kept if way == "kept open" else HTTPConnection("127.0.0.1", port, timeout=WATCHED_S)
-            say_alpaca(kept, "connected", {"Connected": True})
-            say_alpaca(kept, "setswitch", {"Id": 0, "State": True})
+            line = HTTPConnection("127.0.0.1", port, timeout=10.0 * WATCHED_S)
+            say_alpaca(line, "connected", {"Connected": True})
+            say_alpaca(line, "setswitch", {"Id": 0, "State": True})
+            if way == "new connection":
+                line.close()  # the next request opens one
             witness = lamp.witness()
             time.sleep(random.uniform(*SETTLED_S))
             began_s = time.monotonic()
             say_alpaca(line, "setswitch", {"Id": 0, "State": False})
             answered_s = time.monotonic() - began_s
             seen_s = witness(began_s).off_s
+            line.close()
             heard[way].append((answered_s, WATCHED_S if seen_s is None else seen_s))
     for way, times in heard.items():
         for what, values_s in zip(("answered", "seen off"), zip(*times, strict=True), strict=True):

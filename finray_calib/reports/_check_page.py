@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from data_schemas import AcceptanceReport, CheckResult, CheckVerdict, package_version
+from data_schemas import AcceptanceReport, CheckResult, CheckVerdict, Section, package_version
 from finray_calib.acceptance import GUARD_FACTOR, PRESS_SECTIONS, SECTIONS, History, Watched, value_text
 from finray_calib.reports._methods import check_methods, methods_part
 from finray_calib.reports._page import (
@@ -43,7 +43,6 @@ from finray_calib.reports._style import (
     svg_text,
 )
 
-SECTION_TITLES: Final = SECTIONS | PRESS_SECTIONS
 _SENTENCES: Final[dict[CheckVerdict, str]] = {
     "PASS": "Every check passed.",
     "UNDECIDED": "No check failed; some could not be decided.",
@@ -132,7 +131,7 @@ _MARKS: Final[dict[CheckVerdict, tuple[str, str]]] = {
 @styled()
 def checks_figure(results: Sequence[CheckResult]) -> str:
     """Draw the verdict of every check, section by section."""
-    titles = SECTION_TITLES
+    titles = section_titles(results)
     rows = [title for section, title in titles.items() if any(result.section == section for result in results)]
     figure = new_figure(4.8, 0.3 * len(rows) + 0.9)
     axes = figure.subplots()
@@ -157,6 +156,12 @@ def checks_figure(results: Sequence[CheckResult]) -> str:
     return svg_text(figure)
 
 
+def section_titles(results: Sequence[CheckResult]) -> dict[Section, str]:
+    """Return the parts of the check that results come from, in their order."""
+    presses = any(result.section in PRESS_SECTIONS and result.section not in SECTIONS for result in results)
+    return PRESS_SECTIONS if presses else SECTIONS
+
+
 def _short(result: CheckResult) -> str:
     """Return value, limit and evidence of a check that asks for attention."""
     value = value_text(result)
@@ -167,7 +172,7 @@ def _short(result: CheckResult) -> str:
 def _results(report: AcceptanceReport) -> ReportTable:
     """List every check, grouped as it was done."""
     groups = []
-    for section, title in SECTION_TITLES.items():
+    for section, title in section_titles(report.results).items():
         rows = tuple(
             (
                 result.name,
