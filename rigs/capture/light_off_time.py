@@ -208,15 +208,15 @@ class ConnectionWatch:
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Levels that a photodiode read with the laser off and on."""
+    """Levels that a photodiode read with the laser off and on, of its full scale."""
 
-    off: float
-    on: float
+    off_rel: float
+    on_rel: float
 
     @property
-    def threshold(self) -> float:
+    def threshold_rel(self) -> float:
         """Below it the laser is off."""
-        return self.off + DARK_SHARE * (self.on - self.off)
+        return self.off_rel + DARK_SHARE * (self.on_rel - self.off_rel)
 
 
 def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast | None:
@@ -232,19 +232,19 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast | None:
         after = _levels(diode, opened.clock)
     dark = np.concatenate([before, after])
     contrast = Contrast(float(dark.mean()), float(lit.mean()))
-    scatter = max(float(dark.std()), float(lit.std()), 0.5)
-    rises = contrast.on - contrast.off
-    is_seen = rises > LEAST_CONTRAST * MOST_LEVEL and rises > CONTRAST_SD * scatter
-    return contrast if is_seen and float(after.max()) < contrast.threshold < float(lit.min()) else None
+    scatter_rel = max(float(dark.std()), float(lit.std()), 0.5 / MOST_LEVEL)
+    rises_rel = contrast.on_rel - contrast.off_rel
+    is_seen = rises_rel > max(LEAST_CONTRAST, CONTRAST_SD * scatter_rel)
+    return contrast if is_seen and float(after.max()) < contrast.threshold_rel < float(lit.min()) else None
 
 
 def _levels(diode: LightMeter, clock: Clock) -> NDArray[np.float64]:
-    """Return some readings that were all made after this call began."""
+    """Return some readings, of full scale, that were all made after this call began."""
     begun_s, found = clock.monotonic_s() + LATENCY_S, list[float]()
     while len(found) < CONTRAST_READINGS:
         reading = diode.read(DIODE_SILENT_S)
         if reading.at_s > begun_s:
-            found.append(float(reading.level))
+            found.append(reading.level / MOST_LEVEL)
     return np.array(found)
 
 
@@ -267,7 +267,9 @@ class PhotodiodeWatch:
     def look(self) -> Reading:
         """Return the next reading; where it fell silent, the error of the photodiode is raised."""
         reading = self._diode.read(DIODE_SILENT_S)
-        return Reading(reading.at_s - LATENCY_S, reading.at_s, reading.level > self._contrast.threshold)
+        return Reading(
+            reading.at_s - LATENCY_S, reading.at_s, reading.level > MOST_LEVEL * self._contrast.threshold_rel
+        )
 
 
 def require_seen(watch: LaserWatch, now_s: Callable[[], float] = time.monotonic) -> None:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         alpaca_devices,
         device_number,
     )
-    from rigs.transports._board_lines import BoardClock, check_byte
     from rigs.transports._indi_client import (
         CAMERA_INTERFACE,
         FILTER_WHEEL_INTERFACE,
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     )
     from rigs.transports._indi_messages import blob_bytes, new_vector
     from rigs.transports._repeated_exchange import RECOVERS_WITHIN_S, Fault, faults_told, repeated, tell_fault
-    from rigs.transports._serial_link import SerialLink, usb_serial_ports
+    from rigs.transports._serial_link import BoardClock, SerialLink, check_byte, usb_serial_ports
     from rigs.transports._timed_http import MultipartStream, NewestPart, Part, TimedConnection
 else:
     __getattr__ = lazy_exports(__name__, __file__)

@@ -90,7 +90,11 @@ def test_the_folder_is_named_after_the_check(lab: Path, plan: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('kind = "check"', 'kind = "paint"', r"check\.toml: 'kind' is 'paint'; it must be one of 'check', 'tactile check'"),
+        (
+            'kind = "check"',
+            'kind = "paint"',
+            r"'kind' is 'paint'; it must be one of 'check', 'tactile check'",
+        ),
         ("wheel_moves", "weel_moves", r"'weel_moves': unknown key; did you mean 'wheel_moves'\?"),
         ("revisit_rel", "revisit", r"'limits\.revisit': unknown key; did you mean 'revisit_rel'\?"),
         ("revisits = 2", 'filters = ["999"]', r"check\.toml: plan\.filters: the rig has no filter '999'"),

@@ -39,4 +39,5 @@ def test_the_pages_of_paint_camera_and_check_run_on_it(tmp_path: Path, monkeypat
         assert outcome.status == 0, f"{line}: {outcome.err}"
     mode_nm = read_record(Path("red.paint.json"), PaintCalibration).mode_nm
     assert mode_nm.low95 < 597.0 < mode_nm.high95  # of [simulated.paint]
-    assert {path.name for path in tmp_path.iterdir()} >= {"red.html", "red.csv", "camera.json", "lab-rig-check", "finger-check"}
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written >= {"red.html", "red.csv", "camera.json", "lab-rig-check", "finger-check"}

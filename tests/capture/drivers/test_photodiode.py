@@ -31,6 +31,8 @@ from tests.capture.drivers.press_bench import Port, crc8
 from tests.capture.drivers.programs import free_port, require
 from tests.capture.drivers.test_stage_and_cell import connected
 
+SEEN = Contrast(3 / 1023, 700 / 1023)
+
 
 class DiodeBoard:
     """The side of the board: a reading every 10 ms of what `light` says, on a clock of its own."""
@@ -116,26 +118,26 @@ def test_one_that_reads_dark_all_the_while_has_no_contrast() -> None:
         assert find_contrast(real_time, Level(lambda: 900)) is None  # room light
         assert find_contrast(real_time, Level(lambda: 30 if opened.laser.state() else 3)) is None  # too faint
         seen = find_contrast(real_time, Level(lambda: 700 if opened.laser.state() else 3))
-        assert seen == Contrast(3.0, 700.0)
+        assert (seen.off_rel, seen.on_rel) == pytest.approx((SEEN.off_rel, SEEN.on_rel))
 
 
 def test_one_that_goes_blind_proves_nothing(monkeypatch) -> None:
 
     with open_rig(simulated_rig("red", width_px=64, height_px=64), Path()) as opened:
         real_time = replace(opened, clock=SystemClock())
-        seen = PhotodiodeWatch(Level(lambda: 700 if opened.laser.state() else 3), Contrast(3.0, 700.0))
+        seen = PhotodiodeWatch(Level(lambda: 700 if opened.laser.state() else 3), SEEN)
         block = after_exception(real_time, 2, seen)
         assert (block.witness, block.still_on, len(block.latest_s)) == ("a photodiode", 0, 2)
         assert all(a <= b < 0.2 for a, b in zip(block.earliest_s, block.latest_s, strict=True))
         with pytest.raises(CaptureError, match="a photodiode does not see it"):
-            after_exception(real_time, 1, PhotodiodeWatch(Level(lambda: 3), Contrast(3.0, 700.0)))
+            after_exception(real_time, 1, PhotodiodeWatch(Level(lambda: 3), SEEN))
         # unplugged in the very mishap: it read "off" at once, and does not see the laser on afterwards
         looks = iter([700, 3, *([3] * 10_000)])
         with pytest.raises(CaptureError, match="does not see it"):
-            after_exception(real_time, 1, PhotodiodeWatch(Level(lambda: next(looks)), Contrast(3.0, 700.0)))
+            after_exception(real_time, 1, PhotodiodeWatch(Level(lambda: next(looks)), SEEN))
         # stuck bright: a laser that is off is said to be on
         monkeypatch.setattr("rigs.capture.light_off_time.WATCHED_S", 0.3)
-        stuck = PhotodiodeWatch(Level(lambda: 700), Contrast(3.0, 700.0))
+        stuck = PhotodiodeWatch(Level(lambda: 700), SEEN)
         assert after_exception(real_time, 1, stuck).still_on == 1
 
 
@@ -148,7 +150,7 @@ def emptied(diode) -> None:
 
 def test_a_silent_one_is_an_error(tmp_path: Path) -> None:
     with diode_board(tmp_path, lambda: True) as board, open_photodiode(str(board.port.path)) as diode:
-        watch = PhotodiodeWatch(diode, Contrast(3.0, 700.0))
+        watch = PhotodiodeWatch(diode, SEEN)
         require_seen(watch)
         board.is_silent = True
         emptied(diode)
@@ -160,7 +162,7 @@ def test_the_practice_rig_has_one(tmp_path: Path) -> None:
     rig = simulated_rig("red", width_px=320, height_px=256)
     with open_rig(rig, tmp_path) as opened, opened.photodiode("simulated") as diode:
         contrast = find_contrast(opened, diode)
-        assert contrast == Contrast(12.0, 800.0)
+        assert (contrast.off_rel, contrast.on_rel) == pytest.approx((12 / 1023, 800 / 1023))
         block = after_exception(opened, 3, PhotodiodeWatch(diode, contrast))
     assert (block.witness, block.still_on, len(block.latest_s)) == ("a photodiode", 0, 3)
 
@@ -174,7 +176,7 @@ def test_it_sees_the_guard_and_the_dead_man_of_the_firmware(tmp_path: Path) -> N
         )
         with diode_board(tmp_path, lambda: pin_is_on(laser_board)) as board:
             with open_photodiode(str(board.port.path)) as diode:
-                watch = PhotodiodeWatch(diode, Contrast(3.0, 700.0))
+                watch = PhotodiodeWatch(diode, SEEN)
                 guard = after_kill(laser, "guard", watch, 2)
                 dead_man = after_kill(laser, "dead-man", watch, 2)
             assert (guard.still_on, guard.witness, dead_man.still_on) == (0, "a photodiode", 0)
@@ -183,7 +185,7 @@ def test_it_sees_the_guard_and_the_dead_man_of_the_firmware(tmp_path: Path) -> N
             assert 0.3 < min(dead_man.latest_s) <= max(dead_man.latest_s) < 0.7
             board.is_unplugged = True
             with open_photodiode(str(board.port.path)) as diode, pytest.raises(CaptureError, match="does not see it"):
-                after_kill(laser, "guard", PhotodiodeWatch(diode, Contrast(3.0, 700.0)), 1)
+                after_kill(laser, "guard", PhotodiodeWatch(diode, SEEN), 1)
             assert not laser_board.state()
 
 
