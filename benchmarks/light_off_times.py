@@ -36,6 +36,7 @@ from itertools import pairwise, product
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
+from urllib.parse import urlencode, urlsplit
 
 from data_schemas import LaserSettings
 from rigs.capture.light_off_time import make_off
@@ -523,6 +524,50 @@ def table(path: Path) -> int:
     return int(missed > 0)
 
 
+def bare_off(busy: int, tries: int) -> None:
+    """Print how long an "off" takes that is sent straight to Alpaca's simulators, with nothing of ours beside it.
+
+    In turn over a new connection to a number (no name to look up), as the watch sends it, and over one that is kept
+    open: until the server has answered, and until the witness has seen it.
+    """
+    heard: dict[str, list[tuple[float, float]]] = {"new connection": [], "kept open": []}
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        lamp = stack.enter_context(alpaca(folder))
+        port = urlsplit(lamp.address).port
+        for _ in range(busy):
+            loop = subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
+            stack.callback(loop.kill)
+        for way in list(heard) * tries:
+            line = HTTPConnection("127.0.0.1", port, timeout=10.0 * WATCHED_S)
+            say_alpaca(line, "connected", {"Connected": True})
+            say_alpaca(line, "setswitch", {"Id": 0, "State": True})
+            if way == "new connection":
+                line.close()  # the next request opens one
+            witness = lamp.witness()
+            time.sleep(random.uniform(*SETTLED_S))
+            began_s = time.monotonic()
+            say_alpaca(line, "setswitch", {"Id": 0, "State": False})
+            answered_s = time.monotonic() - began_s
+            seen_s = witness(began_s).off_s
+            line.close()
+            heard[way].append((answered_s, WATCHED_S if seen_s is None else seen_s))
+    for way, times in heard.items():
+        for what, values_s in zip(("answered", "seen off"), zip(*times, strict=True), strict=True):
+            slow = sum(value > LEFT_BAR_S for value in values_s)
+            print(
+                f"{way}: {what} after {median(values_s):.3f} s, at most {max(values_s):.3f} s, {slow} of {tries} late"
+            )
+    print(f"load {os.getloadavg()[0]:.1f}")
+
+
+def say_alpaca(line: HTTPConnection, member: str, parameters: dict[str, object]) -> None:
+    """Send one request and read its answer."""
+    body = urlencode({**parameters, "ClientID": 9, "ClientTransactionID": 1})
+    line.request("PUT", f"/api/v1/switch/0/{member}", body, {"Content-Type": "application/x-www-form-urlencoded"})
+    line.getresponse().read()
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--light", choices=sorted(LIGHTS), action="append")
@@ -531,6 +576,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("bench-out/light-off.jsonl"))
     parser.add_argument("--all-three", action="store_true", help="only those that leave no process of ours")
     parser.add_argument("--table", action="store_true")
+    parser.add_argument("--bare", action="store_true", help='an "off" alone, straight to Alpaca\'s simulators')
     parser.add_argument("--stay-lit", type=float, metavar="MINUTES", help="look for silences that trip a dead-man")
     parser.add_argument("--guards", type=int, default=4, help="lights that stay lit side by side")
     parser.add_argument("--hold", nargs=3, metavar=("DRIVER", "ADDRESS", "SECONDS"), help=argparse.SUPPRESS)
@@ -541,6 +587,9 @@ def main() -> int:
         return 0
     # As Ctrl-C does: a board that is emulated before all other work must not outlive us.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if arguments.bare:
+        bare_off(arguments.busy, arguments.tries)
+        return 0
     if arguments.stay_lit is not None:
         return int(stay_lit(arguments.busy, arguments.guards, arguments.stay_lit) > 0)
     if not arguments.table:

@@ -4,14 +4,30 @@ from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import Field, model_validator
 
-from data_schemas._capture import FilterProof, RegionOfInterest
+from data_schemas._capture import (
+    FilterProof,
+    LoadCellCalibration,
+    PressDevice,
+    RegionOfInterest,
+    TactileRig,
+    UncertaintyMm,
+    UncertaintyN,
+)
 from data_schemas._model import Model, Record
-from data_schemas._rig import DeviceIdentity, IsoDay, RigFile
-from data_schemas._units import DurationS, ExposureS, Fraction, RelativeUncertainty, Seed, SignalDn
+from data_schemas._rig import DeviceIdentity, ForceN, IsoDay, RigFile
+from data_schemas._units import (
+    DurationS,
+    ExposureS,
+    Fraction,
+    PositionMm,
+    RelativeUncertainty,
+    Seed,
+    SignalDn,
+)
 
 CheckVerdict = Literal["PASS", "FAIL", "UNDECIDED", "ERROR"]
 LightLayer = Literal["block", "guard", "dead-man"]
-Witness = Literal["its own connection", "a new connection", "the camera"]
+Witness = Literal["its own connection", "a new connection", "the camera", "a photodiode"]
 Section = Literal[
     "opening",
     "handshake",
@@ -26,9 +42,15 @@ Section = Literal[
     "light off",
     "closing",
     "reconnect",
+    "load cell",
+    "stage",
+    "touch",
+    "stops",
+    "force limit",
 ]
 RateDnPerS = Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "DN/s"})]
 PixelShift = Annotated[float, Field(gt=0.0, le=100.0, json_schema_extra={"unit": "px"})]
+StageMm = Annotated[float, Field(gt=0.0, le=10.0, json_schema_extra={"unit": "mm"})]
 SettlingS = Annotated[float, Field(gt=0.0, le=7200.0, json_schema_extra={"unit": "s"})]
 PositiveS = Annotated[float, Field(gt=0.0, le=60.0, json_schema_extra={"unit": "s"})]
 
@@ -87,7 +109,7 @@ class CheckLimits(Model):
 class CheckPlan(Record):
     """Plan of an acceptance check (TOML): where to look, how often, and what is allowed."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
 
     kind: Literal["check"] = "check"
     check_name: str = Field(description="name of the check, and of the report's folder")
@@ -124,6 +146,12 @@ class CheckPlan(Record):
         default=3, description="number of mishaps for each layer"
     )
     seed: Seed = Field(default=1, description="seed of the random moves")
+    photodiode: str | None = Field(
+        default=None,
+        min_length=1,
+        description="serial port (/dev/ttyACM1) or pyserial URL of a photodiode that sees the laser, as a witness that "
+        "it is off; left out: the camera",
+    )
     limits: CheckLimits = CheckLimits()
 
     @model_validator(mode="after")
@@ -134,12 +162,99 @@ class CheckPlan(Record):
         return self
 
 
+class PressLimits(Model):
+    """Largest allowed values of a rig that presses; a check passes when its value is inside with 95 % confidence."""
+
+    handshake_s: PositiveS = Field(
+        default=2.0, description="longest time for one answer of a device about its identity and state"
+    )
+    frame_overhead_s: PositiveS = Field(
+        default=1.0, description="longest time that a frame of the camera takes beyond its exposure"
+    )
+    calibration_age_days: Annotated[float, Field(gt=0.0, le=3660.0, json_schema_extra={"unit": "d"})] = Field(
+        default=365.0, description="age of the load cell's calibration: a year, as laboratories usually set it"
+    )
+    linearity_rel: RelativeUncertainty = Field(
+        default=0.01,
+        description="largest distance of the calibration from its straight line, relative to its heaviest mass",
+    )
+    cell_noise_rel: RelativeUncertainty = Field(
+        default=0.0125,
+        description="noise of one reading, relative to force_limit_n of the rig file; a session refuses more than this",
+    )
+    cell_drift_rel: RelativeUncertainty = Field(
+        default=0.02,
+        description="change of the zero while the cell rests, relative to force_limit_n of the rig file: a fifth of "
+        "what ends a session",
+    )
+    zero_return_rel: RelativeUncertainty = Field(
+        default=0.02,
+        description="zero of the cell after a press less that before, relative to force_limit_n of the rig file",
+    )
+    cell_gap_s: PositiveS = Field(
+        default=0.25, description="longest time between two readings: half of the usual silent_s of a rig file"
+    )
+    cell_rate_rel: RelativeUncertainty = Field(
+        default=0.2, description="readings a second apart from rate_hz of the rig file, relative to it"
+    )
+    stage_overhead_s: PositiveS = Field(
+        default=1.0, description="longest time that a move takes beyond its way over its speed"
+    )
+    stage_report_mm: StageMm = Field(
+        default=0.01, description="largest distance of the reported position from the one that was asked for"
+    )
+    touch_repeat_mm: StageMm = Field(
+        default=0.05,
+        description="standard deviation of the position of the touch over all returns, and how far it moves by stops",
+    )
+    backlash_mm: StageMm = Field(
+        default=0.05,
+        description="difference between a position in the pad reached from above and from below, by the force there",
+    )
+    halt_s: PositiveS = Field(default=1.0, description="time from a request to stop until the stage is seen to stand")
+    reconnect_s: PositiveS = Field(
+        default=45.0, description="time until all devices answer again after they were closed"
+    )
+
+
+class TactileCheckPlan(Record):
+    """Plan of an acceptance check (TOML) of a rig whose stage presses: where, how hard, how often, what is allowed."""
+
+    schema_version: ClassVar[int] = 1
+
+    kind: Literal["tactile check"] = "tactile check"
+    check_name: str = Field(description="name of the check, and of the report's folder")
+    position_mm: PositionMm = Field(description="position along the pad, from the base, at which the check presses")
+    beside_mm: Annotated[float, Field(gt=0.0, le=50.0, json_schema_extra={"unit": "mm"})] = Field(
+        default=2.0, description="how far the stage goes to either side of the position before it returns"
+    )
+    deepest_mm: Annotated[float, Field(gt=0.0, le=20.0, json_schema_extra={"unit": "mm"})] = Field(
+        default=1.0, description="depth in the pad that the check never exceeds"
+    )
+    force_limit_n: ForceN | None = Field(
+        default=None,
+        description="force that the check does not plan to exceed, and at which the stage stops; left out: half of "
+        "force_limit_n of the rig file",
+    )
+    returns: Annotated[int, Field(ge=4, le=100)] = Field(
+        default=12, description="how often the stage returns to the position and touches, from either side in turn"
+    )
+    stops: Annotated[int, Field(ge=1, le=20)] = Field(
+        default=3, description="how often the stage is stopped for each reason"
+    )
+    rest_s: Annotated[float, Field(ge=10.0, le=3600.0, json_schema_extra={"unit": "s"})] = Field(
+        default=60.0, description="how long the load cell is read while nothing touches it"
+    )
+    exposure_s: ExposureS = Field(default=0.01, description="exposure of the camera's frames")
+    limits: PressLimits = PressLimits()
+
+
 class Handshake(Model):
     """What a device said of itself, and how long each asking took."""
 
-    role: Literal["camera", "filter wheel", "laser", "lamp"]
+    role: Literal["camera", "filter wheel", "laser", "lamp", "stage", "load cell"]
     driver: str = Field(description="name of the driver in the rig file")
-    identity: DeviceIdentity | None
+    identity: DeviceIdentity | PressDevice | None
     durations_s: tuple[DurationS, ...]
     error: str | None = None
 
@@ -281,6 +396,92 @@ class CheckFacts(Model):
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 
 
+class CellAtRest(Model):
+    """Readings of the load cell while nothing touches it."""
+
+    readings: Annotated[int, Field(ge=2)]
+    span_s: DurationS = Field(description="time from the first to the last reading")
+    longest_gap_s: DurationS = Field(description="longest time between two readings")
+    noise_n: UncertaintyN = Field(description="standard deviation of one reading within a twelfth of the time")
+    means_n: tuple[float, ...] = Field(
+        min_length=5, description="mean of each twelfth of the time, above the empty cell of the calibration"
+    )
+
+
+class StageMoves(Model):
+    """All moves of one axis that ended where they should, by what the controller reports."""
+
+    axis: str
+    moves: Annotated[int, Field(ge=1)]
+    longest_overhead_s: DurationS = Field(description="longest time of a move beyond its way over its speed")
+    furthest_off_mm: Annotated[float, Field(ge=0.0)] = Field(
+        description="largest distance of the reported position from the one that was asked for"
+    )
+
+
+class CheckedTouch(Model):
+    """One return to the position along the pad, and the press there: all positions are commands, all forces felt."""
+
+    side: Literal["base", "tip"] = Field(description="from where the stage returned to the position along the pad")
+    touch_mm: float = Field(description="position of the press axis at which the pad is touched")
+    touch_uncertainty_mm: UncertaintyMm
+    from_above_n: float = Field(description="settled force at the turning position, reached into the pad")
+    from_below_n: float = Field(description="settled force at the same position, reached out of the pad")
+    deeper_n: float = Field(description="settled force one step deeper")
+    deeper_mm: Annotated[float, Field(gt=0.0)] = Field(description="length of that step")
+    noise_n: UncertaintyN = Field(description="standard uncertainty of each force by noise")
+    relaxed_n: float = Field(description="what the force lost at the turning position while the stage stood")
+    zero_shift_n: float = Field(description="zero after the press less that before")
+
+
+class StageStop(Model):
+    """One move away from the pad that was stopped on its way."""
+
+    reason: Literal["request", "silent cell"]
+    stood_after_s: DurationS = Field(
+        description="time from the request, or from the last reading, until the stage was seen to stand"
+    )
+    start_mm: float
+    end_mm: float = Field(description="where the move would have ended")
+    stood_mm: float | None = Field(description="where it was reported to stand; None: its position was unknown then")
+
+
+class ForceStop(Model):
+    """One press that a force limit ended."""
+
+    limit_n: ForceN
+    peak_n: float = Field(description="largest force that the cell reported until the stage stood, and after")
+    noise_n: UncertaintyN = Field(description="standard deviation of one reading")
+    stiffness_n_per_mm: Annotated[float, Field(gt=0.0)] = Field(description="of the last step before the stop")
+    step_mm: Annotated[float, Field(gt=0.0)] = Field(description="longest step towards the pad")
+
+
+class PressFacts(Model):
+    """What stage, load cell and camera of a rig that presses did, without judgement."""
+
+    handshakes: tuple[Handshake, ...] = ()
+    frame_overheads_s: tuple[DurationS, ...] = ()
+    calibration: LoadCellCalibration | None = None
+    calibration_age_days: float | None = Field(default=None, description="on the day of the check")
+    at_rest: CellAtRest | None = None
+    moves: tuple[StageMoves, ...] = ()
+    touches: tuple[CheckedTouch, ...] = ()
+    dents_px: tuple[float, ...] = Field(
+        default=(),
+        description="column of the contact in the camera's picture at two positions along the pad; empty: not seen",
+    )
+    stops: tuple[StageStop, ...] = ()
+    after_stops: tuple[CheckedTouch, ...] = Field(default=(), description="touches when all stops were over")
+    force_stops: tuple[ForceStop, ...] = ()
+    reconnect_s: DurationS | None = Field(
+        default=None, description="time from closing all devices to the last answer after they were opened again"
+    )
+    reconnected: tuple[DeviceIdentity | PressDevice, ...] = Field(
+        default=(), description="identity that the devices then reported"
+    )
+    errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
+
+
 class CheckResult(Model):
     """One check: the value with its standard uncertainty against the limit."""
 
@@ -303,11 +504,11 @@ class CheckResult(Model):
 class AcceptanceReport(Record):
     """The outcome of an acceptance check of a rig: one result for each check, and the facts they follow from."""
 
-    schema_version: ClassVar[int] = 8
+    schema_version: ClassVar[int] = 9
     written_by: ClassVar[str] = "'finray check run'"
-    plan: CheckPlan
-    rig: RigFile
-    facts: CheckFacts
+    plan: CheckPlan | TactileCheckPlan = Field(discriminator="kind")
+    rig: RigFile | TactileRig
+    facts: CheckFacts | PressFacts
     results: tuple[CheckResult, ...]
     verdict: CheckVerdict = Field(
         description="the worst verdict of the checks: FAIL, else ERROR, else UNDECIDED, else PASS"

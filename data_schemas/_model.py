@@ -179,7 +179,7 @@ PLAIN = {
     **dict.fromkeys(("tuple_type", "list_type"), "must be a list in brackets, such as [1.0, 2.0]"),
     **dict.fromkeys(("dict_type", "model_type"), "must be a table with a value for each of its keys"),
     "string_type": "must be text in quotes",
-    "bool_type": "must be true or false",
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false, without quotes"),
     "too_short": "must have more entries, at least {min_length}",
     "too_long": "must have fewer entries, at most {max_length}",
     "string_too_short": "must not be empty",
@@ -239,8 +239,7 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
         f", got {given!r}" if isinstance(given, str | int | float | bool) and not message.endswith(repr(given)) else ""
     )
     place = f"'{field}'{f' (in {unit})' if unit else ''}: " if field else ""
-    may_be_other_unit = not isinstance(given, int | float) or given > 0
-    hint = f"; is it in {unit}?" if unit and may_be_other_unit and fault["type"] in OUT_OF_BOUNDS else ""
+    hint = f"; correct it, and give it in {unit}" if unit and fault["type"] in OUT_OF_BOUNDS else ""
     return f"{place}{message[:1].lower()}{message[1:]}{shown}{hint}"
 
 

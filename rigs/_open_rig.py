@@ -19,7 +19,7 @@ import socket
 import stat
 import struct
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -49,7 +49,7 @@ from data_schemas import (
 from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
 from rigs._drivers import Kind, driver_notes, offered, open_camera, open_lamp, open_laser, open_wheel
 from rigs._protocols import Camera, Clock, FilterWheel, Light, Operator, SystemClock, TerminalOperator
-from rigs.light_guard import GuardedLight, off_lines
+from rigs.light_guard import GuardedLight, LightMeter, off_lines, open_photodiode
 from rigs.transports import indi_address
 
 if TYPE_CHECKING:
@@ -232,6 +232,8 @@ class OpenRig:
         of other packages with their versions, and what does not switch the laser off.
     practise
         Gives the simulated rig a fault to practise on, or takes it away (None); does nothing to a real one.
+    photodiode
+        Opens the photodiode at an address, a witness of the laser.
     """
 
     camera: Camera
@@ -245,6 +247,7 @@ class OpenRig:
     filter_curves: Mapping[str, SpectralCurve] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     practise: Callable[[PracticeFault | None], None] = lambda fault: None
+    photodiode: Callable[[str], AbstractContextManager[LightMeter]] = open_photodiode
 
     def identities(self) -> tuple[DeviceIdentity, ...]:
         """Return what the devices say they are."""
@@ -319,6 +322,7 @@ def _open_simulated(
         SimulatedFilterWheel,
         SimulatedLight,
         SimulatedOperator,
+        SimulatedPhotodiode,
     )
 
     seed = rig.simulated.seed if rig.simulated is not None else 0
@@ -341,6 +345,7 @@ def _open_simulated(
         filter_curves=filter_curves,
         notes=notes,
         practise=partial(_practise, state, rig),
+        photodiode=lambda address: nullcontext(SimulatedPhotodiode(state)),
     )
 
 

@@ -395,6 +395,9 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # shift of the picture, warm-up, stray light, trigger latency; none: not tried
     ("CheckPlan", 2): _as_it_is,
     ("AcceptanceReport", 7): _as_it_is,
+    # a photodiode as a witness, and rigs whose stage presses beside those with a wheel and lights; none: not there
+    ("CheckPlan", 3): _as_it_is,
+    ("AcceptanceReport", 8): _as_it_is,
     # whole rows and columns in the fixed pattern; none: not separated
     ("CameraCharacterisation", 3): _as_it_is,
     # a fitted tone curve and the gains far from the contact; none: not known

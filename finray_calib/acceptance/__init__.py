@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         result_line,
         value_text,
     )
+    from finray_calib.acceptance._device_checks import PRESS_SECTIONS, judge_pressing
     from finray_calib.acceptance._equivalence import Compared, Equivalence, tins_are_equivalent
     from finray_calib.acceptance._gauge_study import GaugeStudy, balanced_values, gauge_study
     from finray_calib.acceptance._session_history import (
@@ -43,6 +44,7 @@ else:
 __all__ = [
     "GUARD_FACTOR",
     "NO_REFERENCE",
+    "PRESS_SECTIONS",
     "SECTIONS",
     "Alarm",
     "CertifiedResult",
@@ -62,6 +64,7 @@ __all__ = [
     "gauge_study",
     "global_risks",
     "judge",
+    "judge_pressing",
     "result_line",
     "run_length",
     "session_facts",

@@ -21,7 +21,6 @@ from data_schemas import (
     CheckVerdict,
     DarkFrames,
     ExposureLevel,
-    Handshake,
     LatencyTry,
     LightLayer,
     LightOff,
@@ -38,6 +37,14 @@ from finray_calib.acceptance._conformity import (
     not_proven,
     overall,
     unmeasured,
+)
+from finray_calib.acceptance._device_checks import (
+    CLOCK_SD_S,
+    SIMULATED_NOTE,
+    judge_frames,
+    judge_handshakes,
+    judge_reconnect,
+    results_of,
 )
 
 Floats = NDArray[np.float64]
@@ -57,10 +64,6 @@ SECTIONS: Final[dict[Section, str]] = {
     "closing": "rig closes with its lights off",
     "reconnect": "devices come back",
 }
-SIMULATED_NOTE: Final = (
-    "the rig is simulated, so no real device was tried; its simulated clock gives all times except the time "
-    "until devices answer again"
-)
 
 
 def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ...] = ()) -> AcceptanceReport:
@@ -75,71 +78,36 @@ def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ..
     notes
         What the user should know about the rig.
     """
-    results: list[CheckResult] = []
-    judged = {
-        "opening": (),
-        "handshake": judge_handshakes(facts, plan),
+    limits = plan.limits
+    judged: dict[Section, tuple[CheckResult, ...]] = {
+        "handshake": judge_handshakes(facts.handshakes, limits.handshake_s),
         "wheel": judge_wheel(facts, plan),
         "dark frames": judge_dark_frames(facts, plan, rig.camera),
         "filters": judge_filters(facts),
         "revisits": (*judge_revisits(facts, plan), *judge_picture(facts, plan)),
-        "exposures": (*judge_exposures(facts, plan), *judge_lamp(facts, plan), *judge_frames(facts, plan)),
+        "exposures": (
+            *judge_exposures(facts, plan),
+            *judge_lamp(facts, plan),
+            *judge_frames("exposures", facts.frame_overheads_s, limits.frame_overhead_s),
+        ),
         "warm-up": judge_warm_up(facts, plan, rig.camera),
         "stray light": judge_stray_light(facts, plan),
         "trigger latency": judge_latency(facts, plan),
         "light off": judge_light_off(facts, plan),
-        "closing": (),
-        "reconnect": judge_reconnect(facts, plan),
+        "reconnect": judge_reconnect(facts, limits.reconnect_s),
     }
-    for section, title in SECTIONS.items():
-        results += judged[section]
-        if section in facts.errors:
-            what = "the error that ended this part of the check"
-            results.append(unmeasured(section, title, what, "ERROR", facts.errors[section]))
+    results = results_of(SECTIONS, judged, facts.errors)
+    more = (SIMULATED_NOTE,) if rig.is_simulated else ()
     return AcceptanceReport(
-        plan=plan,
-        rig=rig,
-        facts=facts,
-        results=tuple(results),
-        verdict=overall(tuple(results)),
-        notes=(*notes, *((SIMULATED_NOTE,) if rig.is_simulated else ())),
+        plan=plan, rig=rig, facts=facts, results=results, verdict=overall(results), notes=(*notes, *more)
     )
 
 
-CLOCK_SD_S: Final = 0.005
-"""Of one time on a computer that does other things: scheduler and serial buffers, a few milliseconds."""
-UNASKED: Final = ("manual",)
-"""Drivers behind which a person stands: nobody names itself and no time is kept."""
 _LAYERS: Final[dict[LightLayer, tuple[str, str]]] = {
     "block": ("laser off after an exception", "an exception leaves the block that lights the laser"),
     "guard": ("laser off by the guard", "the program that lights the laser is killed (SIGKILL)"),
     "dead-man": ("laser off by the dead-man", "the program, the guard and the watch of the laser are killed (SIGKILL)"),
 }
-
-
-def judge_handshakes(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
-    """Return one result for each device: it answers, names itself, and does so in time."""
-    return tuple(_handshake(hand, plan) for hand in facts.handshakes)
-
-
-def _handshake(hand: Handshake, plan: CheckPlan) -> CheckResult:
-    """Judge one device."""
-    name, what = f"{hand.role} answers", f"slowest answer of the {hand.role} to questions about identity and state"
-    if hand.error is not None or hand.identity is None or not hand.durations_s:
-        return unmeasured("handshake", name, what, "ERROR", hand.error or "it was not asked")
-    said = hand.identity
-    words = [f"{key} {text}" for key in ("vendor", "model", "serial", "firmware") if (text := getattr(said, key))]
-    if hand.driver in UNASKED:
-        return unmeasured("handshake", name, what, "UNDECIDED", "it is switched by hand, so no device can be asked")
-    if (said.role, said.driver) != (hand.role, hand.driver):
-        return unmeasured(
-            "handshake", name, what, "FAIL", f"a {said.role} behind driver '{said.driver}' answers", hand.driver
-        )
-    if not words:
-        return unmeasured("handshake", name, what, "UNDECIDED", "it answers but does not identify itself")
-    evidence = f"{', '.join(words)}; {len(hand.durations_s)} times asked"
-    limits = ToleranceInterval(None, plan.limits.handshake_s)
-    return measured("handshake", name, what, max(hand.durations_s), CLOCK_SD_S, "s", evidence, limits=limits)
 
 
 def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
@@ -429,41 +397,6 @@ def judge_lamp(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     limits = ToleranceInterval(-most, most)
     change = 100 * slope * (rounds.size - 1)
     return (measured("exposures", name, what, change, 100 * sd, "%", evidence, limits=limits),)
-
-
-def judge_frames(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
-    """Return how long a frame takes beyond its exposure."""
-    if not (times_s := facts.frame_overheads_s):
-        return ()
-    what = (
-        "longest time that a frame takes beyond its exposure (queries to wheel and lights, trigger, readout, transfer)"
-    )
-    evidence = f"mean {sum(times_s) / len(times_s):.3g} s of {len(times_s)} frames"
-    limits = ToleranceInterval(None, plan.limits.frame_overhead_s)
-    return (measured("exposures", "frames in time", what, max(times_s), CLOCK_SD_S, "s", evidence, limits=limits),)
-
-
-def judge_reconnect(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
-    """Return whether the same devices answer after they were closed and opened again, and how soon."""
-    if facts.reconnect_s is None:
-        return ()
-    name, what = "devices come back", "time until all devices answer after they were closed"
-    said = {identity.role: identity for identity in facts.reconnected}
-    before = [hand.identity for hand in facts.handshakes if hand.identity is not None]
-    others = [one.role for one in before if said.get(one.role) != one]
-    if others:
-        now = said.get(others[0])
-        named = "" if now is None else " ".join(filter(None, (now.vendor, now.model, now.serial, now.firmware)))
-        reason = (
-            f"another {others[0]} answers than before, or it names itself differently ({named or 'no name'}); give its "
-            "address by serial number in the rig file"
-        )
-        return (unmeasured("reconnect", name, what, "FAIL", reason),)
-    limits = ToleranceInterval(None, plan.limits.reconnect_s)
-    unknown = sorted(set(said) - {one.role for one in before})
-    evidence = f"{len(before)} devices, the same as before"
-    evidence += f"; before they were closed, {', '.join(unknown)} gave no name" if unknown else ""
-    return (measured("reconnect", name, what, facts.reconnect_s, CLOCK_SD_S, "s", evidence, limits=limits),)
 
 
 LEAST_WHITE_SHARE: Final = 0.05

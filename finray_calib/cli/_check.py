@@ -23,7 +23,7 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import CaptureSession, PaintCalibration, RigFile
+    from data_schemas import AcceptanceReport, CaptureSession, PaintCalibration, RigFile, TactileRig
     from finray_calib.acceptance import CertifiedResult, ChartRules, Compared, GaugeStudy, History, SessionFacts
     from finray_calib.fit import BudgetRow
     from finray_calib.lineage import Traced
@@ -35,9 +35,15 @@ Try every device of a rig: handshakes, moves of the wheel, filters in their slot
 exposure ratios, warm-up, stray light, trigger latency, and how long the laser stays on after a mishap. Every check has
 a value, its standard uncertainty, a limit and a verdict: PASS, FAIL, UNDECIDED, or ERROR when a device ended it early.
 Writes a folder with check.json, junit.xml and report.html. The white tile must be in view, the box closed.
+
+A plan of kind "tactile check" tries a rig whose stage presses: noise, drift and zero of the load cell, moves of the
+stage, the position of the touch over many returns, play, and stops on request, at a force and at a silent cell. The
+stage moves after you have typed yes.
+
 Exit status: 0 when nothing failed (also with undecided checks, which are named), 1 after FAIL or ERROR, 2 after a
 mistake in plan, rig file or arguments."""
 NOT_ACCEPTED = 1
+KINDS = ("check", "tactile check")
 
 
 def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -51,9 +57,9 @@ def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         description=CHECK_RUN_DESCRIPTION,
     )
     parser.add_argument(
-        "plan", type=Path, metavar="PLAN", help='plan file (TOML): kind = "check", name, region, limits'
+        "plan", type=Path, metavar="PLAN", help='plan file (TOML): kind = "check" or "tactile check", name, limits'
     )
-    parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
+    parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML) of the plan's kind")
     add_out(parser, "NAME-check/")
     parser.set_defaults(run=run_check)
     add_gauge_rr(acts)
@@ -62,21 +68,17 @@ def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 def run_check(arguments: argparse.Namespace) -> int:
     """Check, store the report and return the exit status."""
-    from data_schemas import CaptureError, CheckPlan, RigFile, provenance
-    from data_schemas.storage import ProductSet, read_toml, write_record
-    from finray_calib.acceptance import judge, result_line
+    from data_schemas import provenance
+    from data_schemas.storage import ProductSet, write_record
+    from finray_calib.acceptance import result_line
     from finray_calib.exchange import junit_xml
     from finray_calib.reports import check_report
-    from rigs.capture import check_filters, record_facts
 
-    plan, rig = read_toml(arguments.plan, CheckPlan), read_toml(arguments.rig, RigFile)
-    out = require_new(arguments.out or Path(f"{file_name(plan.check_name)}-check"))
-    with naming(CaptureError, arguments.plan):
-        check_filters(plan, rig)
-    with interruptible(out), _telling(rig) as progress:
-        facts, notes = record_facts(rig, plan, arguments.rig.parent, progress)
-    origin = provenance(command_line(), input_digests([arguments.plan, arguments.rig]), plan.seed)
-    report = judge(facts, plan, rig, notes).model_copy(update={"provenance": origin})
+    check = _press_check if _plan_kind(arguments.plan) == "tactile check" else _paint_check
+    report, out = check(arguments)
+    seed = report.plan.seed if report.plan.kind == "check" else None
+    origin = provenance(command_line(), input_digests([arguments.plan, arguments.rig]), seed)
+    report = report.model_copy(update={"provenance": origin})
     with ProductSet(out) as products:
         products.add(out / "junit.xml", junit_xml(report, origin))
         products.add(out / "report.html", check_report(report).encode())
@@ -89,6 +91,63 @@ def run_check(arguments: argparse.Namespace) -> int:
     wrote(out, f"{report.verdict}; holds report.html, junit.xml and check.json")
     look_at(out / "report.html")
     return NOT_ACCEPTED if report.verdict in ("FAIL", "ERROR") else 0
+
+
+def _plan_kind(path: Path) -> str:
+    """Return the kind of a plan; what is no TOML at all is left to the reader of plans, which says why."""
+    from data_schemas import RecordError
+    from data_schemas.storage import read_toml_tables
+
+    try:
+        kind = read_toml_tables(path).get("kind", "check")
+    except RecordError:
+        return "check"
+    if kind not in KINDS:
+        raise RecordError(f"{path}: 'kind' is {kind!r}; it must be one of {', '.join(map(repr, KINDS))}")
+    return str(kind)
+
+
+def _paint_check(arguments: argparse.Namespace) -> "tuple[AcceptanceReport, Path]":
+    """Check camera, wheel and lights, and return the report with the folder that it belongs in."""
+    from data_schemas import CaptureError, CheckPlan, RigFile
+    from data_schemas.storage import read_toml
+    from finray_calib.acceptance import judge
+    from rigs.capture import check_filters, record_facts
+
+    plan, rig = read_toml(arguments.plan, CheckPlan), read_toml(arguments.rig, RigFile)
+    out = require_new(arguments.out or Path(f"{file_name(plan.check_name)}-check"))
+    with naming(CaptureError, arguments.plan):
+        check_filters(plan, rig)
+    with interruptible(out), _telling(rig) as progress:
+        facts, notes = record_facts(rig, plan, arguments.rig.parent, progress)
+    return judge(facts, plan, rig, notes), out
+
+
+def _press_check(arguments: argparse.Namespace) -> "tuple[AcceptanceReport, Path]":
+    """Check stage, load cell and camera, and return the report with the folder that it belongs in."""
+    from data_schemas import CaptureError, TactileCheckPlan, TactileRig
+    from data_schemas.storage import read_toml
+    from finray_calib.acceptance import judge_pressing
+    from rigs.capture import check_press_plan, record_press_facts
+
+    plan, rig = read_toml(arguments.plan, TactileCheckPlan), read_toml(arguments.rig, TactileRig)
+    out = require_new(arguments.out or Path(f"{file_name(plan.check_name)}-check"))
+    with naming(CaptureError, arguments.plan):
+        check_press_plan(plan, rig, arguments.rig.parent)
+    with interruptible(out), _telling_of_parts(rig) as progress:
+        facts = record_press_facts(rig, plan, arguments.rig.parent, progress)
+    return judge_pressing(facts, plan, rig), out
+
+
+@contextmanager
+def _telling_of_parts(rig: "TactileRig") -> Iterator[Progress]:
+    """Show the progress; on a real rig in lines, below what must be known before the stage moves."""
+    if rig.is_simulated:
+        with progress_bar("check") as progress:
+            yield progress
+        return
+    guide("The stage will move and press. Keep hands away, and the switch of its motors within reach.")
+    yield lambda done, total, what: guide(f"  {done + 1}/{total} {what}")
 
 
 @contextmanager
@@ -292,8 +351,9 @@ of the emission. The first sessions are the reference (--reference, 10). Later o
 chart, whose limits keep the stated share of false alarms (--false-alarms, 0.01 of the sessions, all quantities
 together) for a reference of that length.
 
-When you have looked into an alarm, give --cleared SESSION: charts begin anew after it, with the same reference. After a
-change of the rig (a new lamp), move the older sessions to another folder: the rig then needs a new reference.
+When you have found the cause of an alarm, give --cleared SESSION: the charts then start again after that session, with
+the same reference. After a change of the rig (a new lamp), move the older sessions to another folder: the rig then
+needs a new reference.
 
 The ledger sums the laser light that fell on each sample, and how much of the emission it cost, where that was measured.
 Exit status: 0 in control or undecided (too few sessions), 1 out of control, 2 after a mistake."""
@@ -307,7 +367,9 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         "history", help=HISTORY_HELP, description=HISTORY_DESCRIPTION,
     )  # fmt: skip
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of session folders")
-    parser.add_argument("--reference", type=int, default=10, metavar="N", help="first sessions: what is normal (10)")
+    parser.add_argument(
+        "--reference", type=int, default=10, metavar="N", help="number of first sessions that say what is normal (10)"
+    )
     parser.add_argument(
         "--false-alarms",
         type=float,
@@ -318,7 +380,7 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument(
         "--cleared",
         metavar="SESSION",
-        help="the alarms up to this session were investigated: charts begin anew after it",
+        help="you have found the cause of the alarms up to this session: the charts start again after it",
     )
     parser.add_argument("--report", type=Path, metavar="PAGE", help="write the charts as a page (HTML); must be new")
     parser.set_defaults(run=run_history)

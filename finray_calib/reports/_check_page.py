@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from data_schemas import AcceptanceReport, CheckResult, CheckVerdict, package_version
-from finray_calib.acceptance import GUARD_FACTOR, SECTIONS, History, Watched, value_text
+from data_schemas import AcceptanceReport, CheckResult, CheckVerdict, Section, package_version
+from finray_calib.acceptance import GUARD_FACTOR, PRESS_SECTIONS, SECTIONS, History, Watched, value_text
 from finray_calib.reports._methods import check_methods, methods_part
 from finray_calib.reports._page import (
     Content,
@@ -131,14 +131,15 @@ _MARKS: Final[dict[CheckVerdict, tuple[str, str]]] = {
 @styled()
 def checks_figure(results: Sequence[CheckResult]) -> str:
     """Draw the verdict of every check, section by section."""
-    rows = [title for section, title in SECTIONS.items() if any(result.section == section for result in results)]
+    titles = section_titles(results)
+    rows = [title for section, title in titles.items() if any(result.section == section for result in results)]
     figure = new_figure(4.8, 0.3 * len(rows) + 0.9)
     axes = figure.subplots()
     for verdict, (marker, colour) in _MARKS.items():
         seen: Counter[str] = Counter()
         places = []
         for result in results:
-            row = SECTIONS[result.section]
+            row = titles[result.section]
             seen[row] += 1
             if result.verdict == verdict:
                 places.append((seen[row], rows.index(row)))
@@ -155,6 +156,12 @@ def checks_figure(results: Sequence[CheckResult]) -> str:
     return svg_text(figure)
 
 
+def section_titles(results: Sequence[CheckResult]) -> dict[Section, str]:
+    """Return the parts of the check that results come from, in their order."""
+    presses = any(result.section in PRESS_SECTIONS and result.section not in SECTIONS for result in results)
+    return PRESS_SECTIONS if presses else SECTIONS
+
+
 def _short(result: CheckResult) -> str:
     """Return value, limit and evidence of a check that asks for attention."""
     value = value_text(result)
@@ -165,7 +172,7 @@ def _short(result: CheckResult) -> str:
 def _results(report: AcceptanceReport) -> ReportTable:
     """List every check, grouped as it was done."""
     groups = []
-    for section, title in SECTIONS.items():
+    for section, title in section_titles(report.results).items():
         rows = tuple(
             (
                 result.name,
@@ -188,7 +195,8 @@ def _devices(report: AcceptanceReport) -> ReportTable:
     rows = []
     for hand in report.facts.handshakes:
         said = hand.identity
-        words = () if said is None else (said.address, said.vendor, said.model, said.serial, said.firmware)
+        keys = ("address", "vendor", "model", "serial", "firmware")
+        words = () if said is None else tuple(getattr(said, key, "") for key in keys)
         rows.append((hand.role, hand.driver, *(word or "\N{EN DASH}" for word in words or ("",) * 5)))
     columns = ("device", "driver", "address", "vendor", "model", "serial", "firmware")
     return one_group("What the devices report about themselves", columns, rows, is_words=True)

@@ -11,6 +11,7 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from rigs.capture._camera_session import camera_step, camera_times, capture_camera_session
+    from rigs.capture._check_press import check_press_plan, record_press_facts
     from rigs.capture._check_session import check_filters, record_facts
     from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S
     from rigs.capture._force_gauge import ForceGauge, calibration_notes, read_cell_calibration
@@ -73,6 +74,7 @@ __all__ = [
     "capture_paint_session",
     "capture_tactile_session",
     "check_filters",
+    "check_press_plan",
     "complete_session",
     "forecast",
     "guard_of_a_clear_way",
@@ -90,6 +92,7 @@ __all__ = [
     "read_journal",
     "read_session",
     "record_facts",
+    "record_press_facts",
     "require_pressable",
     "require_ready",
     "session_bytes",

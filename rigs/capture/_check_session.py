@@ -42,14 +42,17 @@ from rigs.capture._plan import Step, planned_filters, require_named, require_reg
 from rigs.capture.light_off_time import (
     CameraWatch,
     ConnectionWatch,
+    Contrast,
     LaserWatch,
+    PhotodiodeWatch,
     Sight,
     after_exception,
     after_kill,
     can_be_asked_anew,
+    find_contrast,
     find_sight,
 )
-from rigs.light_guard import GuardedLight, LightLostError, is_hazardous
+from rigs.light_guard import GuardedLight, LightLostError, is_hazardous, open_photodiode
 
 Counts = NDArray[np.uint16]
 
@@ -297,6 +300,9 @@ def check_filters(plan: CheckPlan, rig: RigFile) -> list[BandPassFilter]:
     """
     require_named("plan.check_name", plan.check_name)
     require_region_inside(plan.region, rig.camera)
+    if plan.photodiode is not None and rig.is_simulated != (plan.photodiode == "simulated"):
+        allowed = "'simulated', as the rig is" if rig.is_simulated else "a serial port or pyserial URL on a real rig"
+        raise CaptureError(f"plan.photodiode = '{plan.photodiode}': must be {allowed}; correct it, or leave it out")
     return planned_filters(plan.filters, rig)
 
 
@@ -347,6 +353,7 @@ class _Recorder:
         self._done = 0
         self._has_dead_man: bool | None = None  # of a laser that has a guard
         self._sight: Sight | None = None
+        self._contrast: Contrast | None = None
         self._frames: CheckFrames | None = None
 
     def record(self, operator: Operator) -> tuple[CheckFacts, tuple[str, ...]]:
@@ -462,7 +469,19 @@ class _Recorder:
     def _block_layer(self, opened: OpenRig) -> None:
         """Try the block that lights the laser, and see whether the camera sees it."""
         opened.operator.place("white")
-        self._keep(light_off=(after_exception(opened, self._plan.light_off_repeats),))
+        repeats = self._plan.light_off_repeats
+        if self._plan.photodiode is None:
+            self._keep(light_off=(after_exception(opened, repeats),))
+        else:
+            with opened.photodiode(self._plan.photodiode) as diode:
+                self._contrast = find_contrast(opened, diode)
+                if self._contrast is None:
+                    raise CaptureError(
+                        f"photodiode at {self._plan.photodiode}: does not see the difference between laser on and off, "
+                        "so it is no witness; point it at the spot, check its wires and cover it from room light"
+                    )
+                self._keep(light_off=(after_exception(opened, repeats, PhotodiodeWatch(diode, self._contrast)),))
+            return
         if self._has_dead_man is not None and self._frames is not None:
             self._sight = find_sight(opened, self._rig, self._frames)
 
@@ -485,6 +504,9 @@ class _Recorder:
         """Try one layer before a witness."""
         laser, repeats = self._rig.laser, self._plan.light_off_repeats
         try:
+            if self._contrast is not None and self._plan.photodiode is not None:
+                with open_photodiode(self._plan.photodiode) as diode:
+                    return after_kill(laser, layer, PhotodiodeWatch(diode, self._contrast), repeats)
             if self._sight is not None and self._frames is not None:
                 with CameraWatch(self._rig, self._folder, self._frames, self._sight).open() as camera:
                     return after_kill(laser, layer, camera, repeats)
@@ -499,7 +521,7 @@ class _Recorder:
         return LightOff(
             layer=layer,
             missing="nobody can watch: the camera does not see the laser, and opening the laser's serial port a second "
-            "time resets most boards, which switches it off",
+            "time resets most boards, which switches it off; let a photodiode look at it (photodiode in the plan)",
         )
 
 

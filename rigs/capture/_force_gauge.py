@@ -12,9 +12,17 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from data_schemas import CaptureError, LoadCellCalibration, LoadCellSettings, LostError, RecordError, TactileRig
+from data_schemas import (
+    CaptureError,
+    CellAtRest,
+    LoadCellCalibration,
+    LoadCellSettings,
+    LostError,
+    RecordError,
+    TactileRig,
+)
 from data_schemas.storage import read_record
-from rigs import LoadCell
+from rigs import Clock, LoadCell
 
 TARE_READINGS: Final = 32
 STEP_READINGS: Final = 8
@@ -104,7 +112,15 @@ class ForceGauge:
 
     def reading_n(self) -> float:
         """Return the next reading above the tare (N); nan before there is one. Raises what :meth:`strongest_n` does."""
-        return (self._counts() - self._zero) * self._slope
+        return self.force_n(self._counts())
+
+    def force_n(self, counts: int) -> float:
+        """Return the force of a count above the tare (N)."""
+        return (counts - self._zero) * self._slope
+
+    def reading_above_empty_n(self) -> float:
+        """Return the next reading above the empty cell of the calibration (N); raises what :meth:`strongest_n` does."""
+        return (self._counts() - self._unloaded) * self._slope
 
     def strongest_n(self) -> float:
         """Return the next reading above the tare or above the first one of the session (N), whichever is larger.
@@ -213,3 +229,37 @@ class ForceGauge:
                 return now
             before = now
         return before
+
+
+BLOCKS: Final = 12
+"""Equal parts of the time at rest, each with a mean."""
+
+
+def at_rest(
+    cell: LoadCell, settings: LoadCellSettings, calibration: LoadCellCalibration, clock: Clock, rest_s: float
+) -> CellAtRest:
+    """Read the cell for so long while nothing moves.
+
+    Raises
+    ------
+    LostError
+        It is stuck.
+    CaptureError
+        It fell silent, or reads as no empty cell would.
+    """
+    gauge = ForceGauge(cell, settings, calibration)
+    gauge.begin(clock.monotonic_s)
+    forces_n, times_s = [], []
+    end_s = clock.monotonic_s() + rest_s
+    while clock.monotonic_s() < end_s:
+        forces_n.append(gauge.reading_above_empty_n())
+        times_s.append(clock.monotonic_s())
+    blocks = np.array_split(np.array(forces_n), BLOCKS)
+    within = math.sqrt(float(np.mean([block.var(ddof=1) for block in blocks])))
+    return CellAtRest(
+        readings=len(forces_n),
+        span_s=times_s[-1] - times_s[0],
+        longest_gap_s=float(np.diff(times_s).max()),
+        noise_n=within,
+        means_n=tuple(float(block.mean()) for block in blocks),
+    )

@@ -241,7 +241,7 @@ class StagePress:
         if rig.stage is None or rig.load_cell is None or opened.stage is None or opened.load_cell is None:
             raise RefusedError(f"rig '{rig.name}': has no stage with a load cell; nothing can press by itself")
         self._stage, self._settings, self._cell = opened.stage, rig.stage, rig.load_cell
-        self._gauge, self._calibration = ForceGauge(opened.load_cell, rig.load_cell, calibration), calibration
+        self.gauge, self._calibration = ForceGauge(opened.load_cell, rig.load_cell, calibration), calibration
         self._operator, self._clock, self._note = opened.operator, opened.clock, note
         self._is_ready = False
         self._now: _Touched | None = None
@@ -249,9 +249,9 @@ class StagePress:
         self.limit_n = rig.load_cell.force_limit_n
         self.measured: dict[int, MeasuredPress] = {}
 
-    def _guard(self, limit_n: float, advice: str = PRESS_LESS) -> Callable[[], None]:
+    def guard(self, limit_n: float, advice: str = PRESS_LESS) -> Callable[[], None]:
         """Return what is called while the stage moves."""
-        return _guard(self._gauge, limit_n, advice)
+        return _guard(self.gauge, limit_n, advice)
 
     @contextmanager
     def standing_by(self) -> Iterator[None]:
@@ -294,12 +294,12 @@ class StagePress:
         """Find the stage's zero, and go where nothing touches; once in a session."""
         if self._is_ready:
             return
-        self._gauge.begin(self._clock.monotonic_s)
+        self.gauge.begin(self._clock.monotonic_s)
         if self._settings.homing == "switches":
-            self._stage.home(HOMING_WITHIN_S, self._guard(self.limit_n))
+            self._stage.home(HOMING_WITHIN_S, self.guard(self.limit_n))
         else:
             self._trust_by_hand()
-        self._away(self._guard(self.limit_n))
+        self.away(self.guard(self.limit_n))
         places = self._stage.places_mm()
         self._note("stage ready", places_mm=places, homing=self._settings.homing)
         self._is_ready = True
@@ -314,22 +314,22 @@ class StagePress:
         ):
             raise RefusedError("stage: nobody has confirmed that it stands at its zero; bring it there, then resume")
 
-    def _away(self, watch: Callable[[], None]) -> None:
+    def away(self, watch: Callable[[], None]) -> None:
         """Move the press axis to where nothing touches: step by step where that is towards the pad, as after homing."""
         stage = self._settings
         places = self._stage.places_mm()
         if places is None:
             raise RefusedError("stage: its position is unknown; resume the session, which homes it")
-        at_mm, careful = places[stage.press_axis], self._guard(ZERO_MOVED_SHARE * self.limit_n, NOT_CLEAR)
+        at_mm, careful = places[stage.press_axis], self.guard(ZERO_MOVED_SHARE * self.limit_n, NOT_CLEAR)
         while stage.into_pad * (stage.clear_mm - at_mm) > stage.step_mm:
             at_mm += stage.into_pad * stage.step_mm
-            self._step_to(at_mm, careful)
+            self.step_to(at_mm, careful)
         if stage.into_pad * (stage.clear_mm - at_mm) > 0.0:
             self._stage.move(stage.press_axis, stage.clear_mm, stage.press_speed_mm_per_s, careful)
             return
         self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, watch)
 
-    def _step_to(self, to_mm: float, watch: Callable[[], None]) -> None:
+    def step_to(self, to_mm: float, watch: Callable[[], None]) -> None:
         """Move one step towards the pad, and go on only when the amplifier's filter has shown all of its force."""
         self._stage.move(self._settings.press_axis, to_mm, self._settings.press_speed_mm_per_s, watch)
         for _ in range(SETTLING_READINGS):
@@ -350,18 +350,18 @@ class StagePress:
         self.prepare()
         stage = self._settings
         limit_n = min(self.limit_n, press.force_limit_n or math.inf)
-        self._away(self._guard(limit_n))
+        self.away(self.guard(limit_n))
         place_mm = stage.base_mm + stage.from_base * press.position_mm
-        self._stage.move(stage.pad_axis, place_mm, stage.travel_speed_mm_per_s, self._guard(limit_n))
+        self._stage.move(stage.pad_axis, place_mm, stage.travel_speed_mm_per_s, self.guard(limit_n))
         above_mm, force = self._find_touch(limit_n)
-        absorbed_n = self._gauge.absorbed_n()
+        absorbed_n = self.gauge.absorbed_n()
         touched = _Touched(contact, above_mm, 0.0, [(above_mm, force)], press, force, absorbed_n)
         self._push(touched, limit_n)
-        touched.before = self._gauge.settled()
+        touched.before = self.gauge.settled()
         self._note("force", contact=contact, force_n=touched.before.mean_n, before="images")
         self._now = touched
 
-    def _steps(self, from_mm: float, step_mm: float) -> Iterator[float]:
+    def steps(self, from_mm: float, step_mm: float) -> Iterator[float]:
         """Yield places step by step towards the pad, to the end of the travel."""
         stage = self._settings
         number = 1
@@ -377,19 +377,19 @@ class StagePress:
 
     def _find_touch(self, limit_n: float) -> tuple[float, Force]:
         """Return the first place with a force, looked for with long and then with short steps from before it."""
-        stage, watch = self._settings, self._guard(limit_n)
-        self._gauge.tare()
-        for number, at_mm in enumerate(self._steps(stage.clear_mm, stage.step_mm), 1):
-            self._step_to(at_mm, watch)
-            if abs(self._gauge.reading_n()) > COARSE_SD * self._gauge.noise_n and self._is_touched():
+        stage, watch = self._settings, self.guard(limit_n)
+        self.gauge.tare()
+        for number, at_mm in enumerate(self.steps(stage.clear_mm, stage.step_mm), 1):
+            self.step_to(at_mm, watch)
+            if abs(self.gauge.reading_n()) > COARSE_SD * self.gauge.noise_n and self._is_touched():
                 break
             if number % STEPS_OF_A_TARE == 0:
-                self._gauge.tare()
+                self.gauge.tare()
         back_mm = self._step_back(at_mm, watch)
-        self._gauge.tare()
-        for at_mm in self._steps(back_mm, stage.touch_step_mm):
+        self.gauge.tare()
+        for at_mm in self.steps(back_mm, stage.touch_step_mm):
             self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
-            force = self._gauge.mean()
+            force = self.gauge.mean()
             if abs(force.mean_n) > TOUCH_SD * force.noise_n and self._is_touched():
                 if force.mean_n < 0.0:
                     raise CaptureError(
@@ -397,12 +397,12 @@ class StagePress:
                         "reversed; calibrate it as it is mounted (or its zero drifts)"
                     )
                 return at_mm, force
-            self._gauge.follow(force)
+            self.gauge.follow(force)
         raise AssertionError("the steps end with an error")
 
     def _step_back(self, at_mm: float, watch: Callable[[], None]) -> float:
         """Go back some long steps until that changes the force no more, and return where the stage is then."""
-        stage, before = self._settings, self._gauge.mean()
+        stage, before = self._settings, self.gauge.mean()
         while True:
             at_mm -= stage.into_pad * BACK_STEPS * stage.step_mm
             if stage.into_pad * (at_mm - stage.clear_mm) < 0.0:
@@ -412,19 +412,19 @@ class StagePress:
                     f"{3 * BACK_STEPS * stage.step_mm:g} mm from the pad"
                 )
             self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
-            now = self._gauge.mean()
-            if abs(now.mean_n - before.mean_n) <= TOUCH_SD * self._gauge.noise_n * math.sqrt(2.0 / STEP_READINGS):
+            now = self.gauge.mean()
+            if abs(now.mean_n - before.mean_n) <= TOUCH_SD * self.gauge.noise_n * math.sqrt(2.0 / STEP_READINGS):
                 return at_mm
             before = now
 
     def _is_touched(self) -> bool:
         """Whether a second mean is above the threshold too."""
-        force = self._gauge.mean()
+        force = self.gauge.mean()
         return abs(force.mean_n) > TOUCH_SD * force.noise_n
 
     def _push(self, touched: _Touched, limit_n: float) -> None:
         """Press step by step to the depth or force that is asked for."""
-        stage, press, watch = self._settings, touched.press, self._guard(limit_n)
+        stage, press, watch = self._settings, touched.press, self.guard(limit_n)
         first_mm = at_mm = touched.points[0][0]
         self._place_touch(touched)
         while True:
@@ -438,9 +438,9 @@ class StagePress:
                 step_mm = min(step_mm, max((press.until_force_n - force.mean_n) / stiffness, LEAST_STEP_MM))
             if step_mm < 0.5 * LEAST_STEP_MM:
                 break
-            at_mm = next(self._steps(at_mm, step_mm))
+            at_mm = next(self.steps(at_mm, step_mm))
             self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
-            touched.points.append((at_mm, self._gauge.mean()))
+            touched.points.append((at_mm, self.gauge.mean()))
             if len(touched.points) <= FIRST_POINTS:
                 self._place_touch(touched)
                 self._require_seen(touched)
@@ -506,7 +506,7 @@ class StagePress:
         """Measure the force again when the images of a contact are taken; what it lost meanwhile is uncertainty."""
         if self._now is None:
             return
-        after, done = self._gauge.mean(), self._now
+        after, done = self.gauge.mean(), self._now
         measured = self._measured(done, after)
         self._note("press", **measured.model_dump())
         self.measured[done.contact] = measured
@@ -552,11 +552,11 @@ class StagePress:
             By more than a tenth of the force limit.
         """
         self.prepare()
-        self._away(self._guard(math.inf))
+        self.away(self.guard(math.inf))
         if self._now is None:
             return
         contact, self._now = self._now.contact, None
-        shift = self._gauge.mean(TARE_READINGS)
+        shift = self.gauge.mean(TARE_READINGS)
         self._note("zero", contact=contact, shift_n=shift.mean_n)
         self.measured[contact] = with_zero_shift(self.measured[contact], shift.mean_n)
         if abs(shift.mean_n) > ZERO_MOVED_SHARE * self.limit_n:

@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,16 +33,28 @@ from data_schemas import (
     UnsafeError,
     Witness,
 )
-from rigs import LightSwitch, OpenRig, driver_module, find_driver, open_camera
+from rigs import Clock, LightSwitch, OpenRig, driver_module, find_driver, open_camera
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
 from rigs.capture._plan import Step
-from rigs.light_guard import GuardedLight, LightLostError, require_outside_layer
+from rigs.light_guard import (
+    LATENCY_S,
+    MOST_LEVEL,
+    GuardedLight,
+    LightLostError,
+    LightMeter,
+    require_outside_layer,
+)
 
 LONGEST_SIGHT_S: Final = 0.05
 """Exposure of the frames that watch the laser: they resolve the time in which it goes off."""
 LEAST_CONTRAST: Final = 0.05  # of full scale, between laser on and off
 DARK_SHARE: Final = 0.1
 """Of the signal with the laser on: a frame below it was lit for less than a tenth of its exposure."""
+CONTRAST_SD: Final = 10.0
+CONTRAST_READINGS: Final = 20
+DIODE_SILENT_S: Final = 0.3
+SEEING: Final[tuple[Witness, ...]] = ("the camera", "a photodiode")
+SEEN_WITHIN_S: Final = 2.0
 ASK_WITHIN_S: Final = 1.0
 ASK_EVERY_S: Final = 0.02
 OFF_WITHIN_S: Final = 5.0
@@ -194,6 +206,93 @@ class ConnectionWatch:
         return Reading(start_s, start_s if asked_dead_man and not on else answered_s, on)
 
 
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """Levels that a photodiode read with the laser off and on, of its full scale."""
+
+    off_rel: float
+    on_rel: float
+
+    @property
+    def threshold_rel(self) -> float:
+        """Below it the laser is off."""
+        return self.off_rel + DARK_SHARE * (self.on_rel - self.off_rel)
+
+
+def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast | None:
+    """Read the photodiode with the laser off, on and off again; None if it does not see the difference.
+
+    A photodiode that is unplugged, covered or looks elsewhere is dark all the while: it has to see the light first.
+    """
+    with shine(opened, "off"):
+        before = _levels(diode, opened.clock)
+    with shine(opened, "laser"):
+        lit = _levels(diode, opened.clock)
+    with shine(opened, "off"):
+        after = _levels(diode, opened.clock)
+    dark = np.concatenate([before, after])
+    contrast = Contrast(float(dark.mean()), float(lit.mean()))
+    scatter_rel = max(float(dark.std()), float(lit.std()), 0.5 / MOST_LEVEL)
+    rises_rel = contrast.on_rel - contrast.off_rel
+    is_seen = rises_rel > max(LEAST_CONTRAST, CONTRAST_SD * scatter_rel)
+    return contrast if is_seen and float(after.max()) < contrast.threshold_rel < float(lit.min()) else None
+
+
+def _levels(diode: LightMeter, clock: Clock) -> NDArray[np.float64]:
+    """Return some readings, of full scale, that were all made after this call began."""
+    begun_s, found = clock.monotonic_s() + LATENCY_S, list[float]()
+    while len(found) < CONTRAST_READINGS:
+        reading = diode.read(DIODE_SILENT_S)
+        if reading.at_s > begun_s:
+            found.append(reading.level / MOST_LEVEL)
+    return np.array(found)
+
+
+class PhotodiodeWatch:
+    """A photodiode as the witness: its readings come by themselves, and their times are those of its own clock.
+
+    Parameters
+    ----------
+    diode
+        The open photodiode.
+    contrast
+        What the laser looks like.
+    """
+
+    witness: Witness = "a photodiode"
+
+    def __init__(self, diode: LightMeter, contrast: Contrast) -> None:
+        self._diode, self._contrast = diode, contrast
+
+    def look(self) -> Reading:
+        """Return the next reading; where it fell silent, the error of the photodiode is raised."""
+        reading = self._diode.read(DIODE_SILENT_S)
+        return Reading(
+            reading.at_s - LATENCY_S, reading.at_s, reading.level > MOST_LEVEL * self._contrast.threshold_rel
+        )
+
+
+def require_seen(watch: LaserWatch, now_s: Callable[[], float] = time.monotonic) -> None:
+    """Refuse a witness of the light that does not see it while it is on; a controller that is asked sees nothing.
+
+    Raises
+    ------
+    CaptureError
+        It says "off", or nothing.
+    """
+    if watch.witness not in SEEING:
+        return
+    begun_s = now_s()
+    while now_s() - begun_s < SEEN_WITHIN_S:
+        reading = watch.look()
+        if reading.start_s > begun_s and reading.on:
+            return
+    raise CaptureError(
+        f'laser: is on, and {watch.witness} does not see it (any more), so it is no witness of "off"; check what it '
+        "looks at, and its cable"
+    )
+
+
 def can_be_asked_anew(laser: LaserSettings) -> bool:
     """Whether a second connection tells the state without changing it: opening a serial port resets most boards."""
     return laser.driver in ("indi", "alpaca") or laser.address.startswith("socket://")
@@ -246,8 +345,10 @@ class Holder(NamedTuple):
     watch_pid: int
 
 
-def after_exception(opened: OpenRig, repeats: int) -> LightOff:
+def after_exception(opened: OpenRig, repeats: int, watch: LaserWatch | None = None) -> LightOff:
     """Raise an exception in the block that lights the laser; ask the controller when the block is left.
+
+    A watch that sees the light is asked too, where there is one: it must see the laser on before, and off after.
 
     Raises
     ------
@@ -256,25 +357,33 @@ def after_exception(opened: OpenRig, repeats: int) -> LightOff:
     UnsafeError
         It is not confirmed off.
     """
-    latest_s, still_on = [], 0
+    earliest_s, latest_s, still_on = list[float](), list[float](), 0
     for _ in range(repeats):
         start_s = opened.clock.monotonic_s()
         try:
             with opened.laser.lit():
                 if not opened.laser.state():
                     raise LightLostError("laser: reads back off in the block that lights it; check interlock and key")
+                if watch is not None:
+                    require_seen(watch, opened.clock.monotonic_s)
                 start_s = opened.clock.monotonic_s()
                 raise MishapError
         except MishapError:
             is_on = opened.laser.state()
-        if is_on:
+        asked_s = opened.clock.monotonic_s() - start_s
+        earliest, latest = (0.0, asked_s) if watch is None else _watch(watch, start_s, opened.clock.monotonic_s)
+        if is_on or latest is None:
             still_on += 1
         else:
-            latest_s.append(opened.clock.monotonic_s() - start_s)
+            earliest_s.append(earliest)
+            latest_s.append(latest)
+    if watch is not None:  # one that went blind in the last mishap has seen it go off, too
+        with opened.laser.lit():
+            require_seen(watch, opened.clock.monotonic_s)
     return LightOff(
         layer="block",
-        witness="its own connection",
-        earliest_s=(0.0,) * len(latest_s),
+        witness="its own connection" if watch is None else watch.witness,
+        earliest_s=tuple(earliest_s),
         latest_s=tuple(latest_s),
         still_on=still_on,
     )
@@ -299,6 +408,7 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
         for _ in range(_MOST_TRIES):
             try:
                 with _holding(laser) as holder:
+                    require_seen(watch)
                     killed_s = time.monotonic()
                     at_once = _kill(holder, layer)
                     earliest, latest = _watch(watch, killed_s)
@@ -315,6 +425,12 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
         if latest is not None:
             earliest_s.append(earliest)
             latest_s.append(latest)
+    if watch.witness in SEEING:  # one that went blind in the last mishap has seen it go off, too
+        try:
+            with _holding(laser):
+                require_seen(watch)
+        finally:
+            make_off(laser)
     return LightOff(
         layer=layer,
         witness=watch.witness,
@@ -381,10 +497,12 @@ def _on_one_core(pids: Sequence[int]) -> Iterator[None]:
         os.sched_setaffinity(0, ours)
 
 
-def _watch(watch: LaserWatch, killed_s: float) -> tuple[float, float | None]:
+def _watch(
+    watch: LaserWatch, killed_s: float, now_s: Callable[[], float] = time.monotonic
+) -> tuple[float, float | None]:
     """Return between which times after the kill (s) the laser went off; no latest one when it did not."""
     earliest_s = 0.0
-    while time.monotonic() - killed_s < WATCHED_S:
+    while now_s() - killed_s < WATCHED_S:
         reading = watch.look()
         if reading.on is False:
             return earliest_s, max(reading.end_s - killed_s, earliest_s)

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from rigs.load_cells.hx711 import Hx711Cell, check_byte
+    from rigs.load_cells.hx711 import Hx711Cell
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
-__all__ = ["Hx711Cell", "check_byte"]
+__all__ = ["Hx711Cell"]

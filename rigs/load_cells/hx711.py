@@ -10,7 +10,6 @@ digits) of all before the last space. It greets with ``CELL 1.0`` at every reset
 """
 
 import contextlib
-import math
 import re
 import time
 from collections.abc import Iterator
@@ -19,14 +18,12 @@ from typing import Final
 
 from data_schemas import CaptureError, LoadCellSettings, LostError, PressDevice, RefusedError, TimedOutError
 from rigs import CellReading, OverloadError
-from rigs.transports import SerialLink, usb_serial_ports
+from rigs.transports import BoardClock, SerialLink, check_byte, usb_serial_ports
 
 BAUD: Final = 57600
 FIRMWARE_MAJOR: Final = 1
 FRESH_S: Final = 0.2
 """A reading that waited for longer in a buffer says nothing of the force now."""
-CREEP_REL: Final = 0.01
-"""By how much the board's clock may be wrong: the ceramic resonator of an Uno is allowed 0.5 % and ages."""
 BACKLOG_S: Final = 1e-3
 """A line that is there sooner had waited in a buffer."""
 GREET_WITHIN_S: Final = 3.5
@@ -34,17 +31,6 @@ HIGHEST, LOWEST = 0x7FFFFF, -0x800000
 BOARD_VENDORS: Final = ("2341", "2a03", "1a86")
 _LINE: Final = re.compile(rb"(R (\d{1,5}) (\d{1,10}) (-?\d{1,7}) ([0-2])) ([0-9A-F]{2})\r?\n")
 _BANNER: Final = re.compile(rb"CELL (\d{1,3})\.(\d{1,3})\r?\n")
-MILLISECONDS: Final = 2**32
-
-
-def check_byte(text: bytes) -> int:
-    """Return the CRC-8 of a line: polynomial x^8 + x^2 + x + 1, initial value 0, most significant bit first."""
-    crc = 0
-    for byte in text:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x07) & 0xFF if crc & 0x80 else crc << 1
-    return crc
 
 
 class Hx711Cell:
@@ -68,7 +54,7 @@ class Hx711Cell:
     def __init__(self, link: SerialLink, settings: LoadCellSettings) -> None:
         self._link, self._settings = link, settings
         self._name = f"load cell at {settings.address}"
-        self._last_ms, self._least_late_s, self._last_s = 0, math.inf, time.monotonic()
+        self._clock = BoardClock(self._name)
         self._version = self._greet()
 
     def identity(self) -> PressDevice:
@@ -80,7 +66,7 @@ class Hx711Cell:
     def read(self, deadline_s: float) -> CellReading:
         """Return the next fresh reading; see :class:`rigs.LoadCell`."""
         asked_s = time.monotonic()
-        end_s, is_backlog = asked_s + deadline_s, asked_s - self._last_s > FRESH_S
+        end_s, is_backlog = asked_s + deadline_s, asked_s - self._clock.heard_s > FRESH_S
         while True:
             began_s = time.monotonic()
             line = self._link.read_until(b"\n", end_s)
@@ -98,24 +84,12 @@ class Hx711Cell:
                 raise OverloadError(
                     f"{self._name}: reads the end of its scale; take the load away and check the wiring"
                 )
-            if self._waited_s(int(match[3]), now_s) <= FRESH_S and not is_backlog:
+            if self._clock.waited_s(int(match[3]), now_s) <= FRESH_S and not is_backlog:
                 return CellReading(counts, now_s)
             if now_s >= end_s:
                 raise TimedOutError(
                     f"{self._name}: its readings arrive more than {FRESH_S:g} s late; close other programs"
                 )
-
-    def _waited_s(self, at_ms: int, now_s: float) -> float:
-        """Return how much later than the quickest reading so far this one came; the board's clock wraps at 2^32 ms."""
-        ahead_ms = (at_ms - self._last_ms) % MILLISECONDS
-        if ahead_ms > MILLISECONDS // 2:
-            raise LostError(f"{self._name}: its board restarted; check its supply and cable")
-        self._last_ms += ahead_ms
-        late_s = now_s - 1e-3 * self._last_ms
-        # a board whose clock is slow would else look later and later
-        self._least_late_s = min(late_s, self._least_late_s + CREEP_REL * (now_s - self._last_s))
-        self._last_s = now_s
-        return late_s - self._least_late_s
 
     def _greet(self) -> str:
         """Return the version of the firmware, also when opening the port has restarted the board."""

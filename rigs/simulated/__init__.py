@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         SimulatedFilterWheel,
         SimulatedLight,
         SimulatedOperator,
+        SimulatedPhotodiode,
         with_fault,
     )
     from rigs.simulated._finger import FingerCamera, FingerOperator, FingerState, SimulatedLoadCell, SimulatedStage
@@ -41,6 +42,7 @@ __all__ = [
     "SimulatedLight",
     "SimulatedLoadCell",
     "SimulatedOperator",
+    "SimulatedPhotodiode",
     "SimulatedStage",
     "bench_truth",
     "lay_out",

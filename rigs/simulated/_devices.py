@@ -29,6 +29,7 @@ from data_schemas import (
     TimedOutError,
 )
 from rigs import RawFrame
+from rigs.light_guard import LightLevel
 from rigs.simulated._bench import Bench
 from rigs.simulated.sensor import Sensor
 from rigs.transports import RECOVERS_WITHIN_S, repeated
@@ -450,6 +451,22 @@ class SimulatedLight:
             yield
         finally:
             setattr(self.bench_state, self.name, False)
+
+
+LIT_LEVEL, DARK_LEVEL = 800, 12
+LEVEL_EVERY_S: Final = 0.01
+
+
+@dataclass(slots=True)
+class SimulatedPhotodiode:
+    """Photodiode that sees the laser of the bench."""
+
+    state: BenchState
+
+    def read(self, deadline_s: float) -> LightLevel:
+        """Return the next reading."""
+        self.state.clock.sleep(min(LEVEL_EVERY_S, deadline_s))
+        return LightLevel(LIT_LEVEL if self.state.laser else DARK_LEVEL, self.state.clock.monotonic_s())
 
 
 @dataclass(slots=True)

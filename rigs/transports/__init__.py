@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     )
     from rigs.transports._indi_messages import blob_bytes, new_vector
     from rigs.transports._repeated_exchange import RECOVERS_WITHIN_S, Fault, faults_told, repeated, tell_fault
-    from rigs.transports._serial_link import SerialLink, usb_serial_ports
+    from rigs.transports._serial_link import BoardClock, SerialLink, check_byte, usb_serial_ports
     from rigs.transports._timed_http import MultipartStream, NewestPart, Part, TimedConnection
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -41,6 +41,7 @@ __all__ = [
     "LIGHT_INTERFACE",
     "RECOVERS_WITHIN_S",
     "AlpacaClient",
+    "BoardClock",
     "Fault",
     "IndiClient",
     "IndiProperty",
@@ -52,6 +53,7 @@ __all__ = [
     "alpaca_address",
     "alpaca_devices",
     "blob_bytes",
+    "check_byte",
     "device_number",
     "faults_told",
     "found_on_this_computer",

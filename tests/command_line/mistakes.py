@@ -145,7 +145,7 @@ CASES = (
     Case(
         "wrong unit",
         BAD_RIG,
-        r"filters \(entry 1\)\.center_nm' \(in nm\): must be at least 200, got 0\.405; is it in nm\?",
+        r"filters \(entry 1\)\.center_nm' \(in nm\): must be at least 200, got 0\.405; correct it, and give it in nm",
         edited("rig.toml", "center_nm = 405.0", "center_nm = 0.405"),
     ),
     Case(
@@ -699,7 +699,7 @@ CASES = (
     Case(
         "cuboid in micrometres",
         MECHANICS,
-        r"'indenter\.size_mm \(entry 1\)' \(in mm\): must be at most 1000, got 50000\.0; is it in mm\?",
+        r"'indenter\.size_mm \(entry 1\)' \(in mm\): must be at most 1000, got 50000\.0; correct it, and give it in mm",
         design('[indenter]\nshape = "cuboid"\nsize_mm = [50000.0, 15.0, 15.0]'),
     ),
     Case(
@@ -816,7 +816,7 @@ CASES = (
     Case(
         "angle out of range",
         BAD_FINGER,
-        r"finger\.toml: 'light\.angle_deg' \(in deg\): must be at most 180, got 500; is it in deg\?",
+        r"finger\.toml: 'light\.angle_deg' \(in deg\): must be at most 180, got 500; correct it, and give it in deg",
         edited("finger.toml", "[camera]", "[light]\nangle_deg = 500\n[camera]"),
     ),
     Case(

@@ -90,7 +90,11 @@ def test_the_folder_is_named_after_the_check(lab: Path, plan: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('kind = "check"', 'kind = "paint"', r"check\.toml: 'kind': must be 'check'"),
+        (
+            'kind = "check"',
+            'kind = "paint"',
+            r"'kind' is 'paint'; it must be one of 'check', 'tactile check'",
+        ),
         ("wheel_moves", "weel_moves", r"'weel_moves': unknown key; did you mean 'wheel_moves'\?"),
         ("revisit_rel", "revisit", r"'limits\.revisit': unknown key; did you mean 'revisit_rel'\?"),
         ("revisits = 2", 'filters = ["999"]', r"check\.toml: plan\.filters: the rig has no filter '999'"),
@@ -102,6 +106,8 @@ def test_the_folder_is_named_after_the_check(lab: Path, plan: Path, tmp_path: Pa
             r"'exposure_rounds': must be at least 4, got 3",
         ),
         ("revisit_rel = 0.05", "light_off_s = 0", r"'limits\.light_off_s' \(in s\): must be above 0"),
+        ("revisits = 2", "warm_up_s = -5.0", r"must be at least 0, got -5\.0; correct it, and give it in s"),
+        ("revisits = 2", 'texture_is_of_the_tile = "maybe"', r"must be true or false, without quotes, got 'maybe'"),
         ("row_px = ", "row_px = 9", r"check\.toml: plan\.region: row_px = \d+ .* outside the frame"),
     ],
 )

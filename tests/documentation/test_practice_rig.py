@@ -28,6 +28,8 @@ def test_the_pages_of_paint_camera_and_check_run_on_it(tmp_path: Path, monkeypat
     Path("camera.toml").write_text(re.sub(r"^ {7}", "", camera_plan, flags=re.MULTILINE), encoding="utf-8")
     Path("plan.toml").write_text(printed_file("calibrate-a-paint.md", "plan.toml"), encoding="utf-8")
     Path("check.toml").write_text(printed_file("check-a-rig.md", "check.toml"), encoding="utf-8")
+    Path("finger-check.toml").write_text(printed_file("check-a-rig.md", "finger-check.toml"), encoding="utf-8")
+    Path("finger").mkdir()
     paint = commands_of("calibrate-a-paint.md")
     camera = [line for line in commands_of("characterise-a-camera.md") if "red-session" not in line]
     assert paint[0] == "finray rig init --preset simulated --out rig.toml"
@@ -37,4 +39,5 @@ def test_the_pages_of_paint_camera_and_check_run_on_it(tmp_path: Path, monkeypat
         assert outcome.status == 0, f"{line}: {outcome.err}"
     mode_nm = read_record(Path("red.paint.json"), PaintCalibration).mode_nm
     assert mode_nm.low95 < 597.0 < mode_nm.high95  # of [simulated.paint]
-    assert {path.name for path in tmp_path.iterdir()} >= {"red.html", "red.csv", "camera.json", "lab-rig-check"}
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written >= {"red.html", "red.csv", "camera.json", "lab-rig-check", "finger-check"}

@@ -24,8 +24,9 @@ from data_schemas import (
     WrongPositionError,
 )
 from rigs import ForceLimitError, OverloadError, load_cells
-from rigs.load_cells.hx711 import Hx711Cell, check_byte, open_load_cell
+from rigs.load_cells.hx711 import Hx711Cell, open_load_cell
 from rigs.stages.grbl import GrblStage, open_stage
+from rigs.transports import check_byte
 from tests.capture.drivers import firmware_in_qemu
 from tests.capture.drivers.press_bench import PressBench, crc8, press_bench
 from tests.capture.drivers.programs import free_port, require, wait_until

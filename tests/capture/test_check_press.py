@@ -1,0 +1,374 @@
+"""The acceptance check of a rig that presses: on the simulated finger, on lying devices, and on boards in real time."""
+
+import re
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from data_schemas import (
+    AcceptanceReport,
+    CheckResult,
+    PressFacts,
+    TactileCheckPlan,
+    TactileRig,
+)
+from data_schemas.storage import read_record
+from finray_calib.acceptance import judge_pressing
+from rigs import CellReading
+from rigs.capture import OpenTactileRig, record_press_facts
+from rigs.capture import _check_press as check_press
+from tests.capture.drivers.press_bench import press_bench
+from tests.capture.test_stage_press import FlatCamera, Hands, changed, faulty, real_rig
+from tests.command_line.running import finray
+
+PLAN = """\
+kind = "tactile check"
+check_name = "practice finger"
+position_mm = 8.0
+returns = 10
+stops = 1
+rest_s = 10.0
+"""
+
+
+@pytest.fixture
+def practice(tmp_path: Path) -> Path:
+    """A rig to practise on whose cell is calibrated up to its force limit, and a plan."""
+    assert finray(f"rig init --preset simulated-finger --out {tmp_path}/rig.toml").status == 0
+    done = finray(f"rig calibrate-cell {tmp_path}/rig.toml --masses-g 100,300,550 --gravity 9.80665")
+    assert done.status == 0, done.err
+    (tmp_path / "check.toml").write_text(PLAN, encoding="utf-8")
+    return tmp_path
+
+
+def checked(folder: Path) -> tuple[AcceptanceReport, int]:
+    outcome = finray(f"check run {folder}/check.toml --rig {folder}/rig.toml --out {folder}/out")
+    assert outcome.status in (0, 1), outcome.err
+    return read_record(folder / "out/check.json", AcceptanceReport), outcome.status
+
+
+def named(report: AcceptanceReport, name: str) -> CheckResult:
+    (found,) = (result for result in report.results if result.name == name)
+    return found
+
+
+def test_the_practice_rig_is_accepted(practice: Path) -> None:
+    report, status = checked(practice)
+    assert status == 0
+    assert {r.name: r.evidence for r in report.results if r.verdict != "PASS"} == {}
+    assert report.verdict == "PASS"
+    assert all(r.p_conform is None or r.p_conform > 0.95 for r in report.results)
+    assert {r.section for r in report.results} == {
+        "handshake", "load cell", "stage", "touch", "force limit", "stops", "reconnect",
+    }  # fmt: skip
+    # by the numbers of the simulated finger: 60 counts of 4.7e-6 N; its stage brakes for 0.1 s at most
+    assert named(report, "load cell is quiet").value == pytest.approx(100 * 60 * 4.7e-6 / 5.0, rel=0.1)
+    assert named(report, "stage stops on request").value < 0.2
+    assert 0.5 < named(report, "stage stops at a silent cell").value < 0.7
+    xml = (practice / "out/junit.xml").read_text(encoding="utf-8")
+    assert 'failures="0"' in xml
+    assert "press axis turns without play" in (practice / "out/report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "verdict", "words"),
+    [
+        ("stuck cell, 3 s", "load cell", "ERROR", "so it is stuck"),
+        ("silent cell, 3 s", "load cell", "ERROR", "did not answer within 0.5 s"),
+        ("silent cell, 200 s", "touches", "ERROR", "the stage moved away to Z = 0 mm"),
+        ("stuck cell, 200 s", "touches", "ERROR", "the stage moved away to Z = 0 mm"),
+        ("drifting cell, 30 mN/s", "load cell keeps its zero", "FAIL", "+3e+02 mN within 10 s"),
+        ("lost steps, 2 %", "touch repeats", "FAIL", "10 returns"),
+    ],
+)
+def test_faults_of_the_practice_rig_are_found(practice: Path, fault: str, name: str, verdict: str, words: str) -> None:
+    faulty(practice, fault)
+    report, status = checked(practice)
+    found = [r for r in report.results if r.name == name]
+    assert (verdict, words in found[-1].evidence) == (found[-1].verdict, True), found
+    assert report.verdict in ("FAIL", "ERROR")
+    assert status == 1
+
+
+def lying(monkeypatch: pytest.MonkeyPatch, spoil: Callable[[OpenTactileRig], OpenTactileRig]) -> None:
+    """Open the rig with one of its devices replaced."""
+    from contextlib import contextmanager
+
+    opening = check_press.open_tactile_rig
+
+    @contextmanager
+    def opened(*given: object):
+        with opening(*given) as rig:
+            yield spoil(rig)
+
+    monkeypatch.setattr(check_press, "open_tactile_rig", opened)
+
+
+class Wrapped:
+    """A device of which some methods lie."""
+
+    def __init__(self, device: object, **lies: object) -> None:
+        self._device = device
+        self.__dict__.update(lies)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._device, name)
+
+
+def reading(opened: OpenTactileRig, count: Callable[[int], int]) -> OpenTactileRig:
+    """Return the rig with a cell whose counts are changed."""
+    cell = opened.load_cell
+
+    def read(deadline_s: float) -> CellReading:
+        true = cell.read(deadline_s)
+        return true._replace(counts=count(true.counts))
+
+    return replace(opened, load_cell=Wrapped(cell, read=read))
+
+
+def not_moving(opened: OpenTactileRig) -> OpenTactileRig:
+    """Return the rig with a stage that reports whatever it is asked for, and stays where it is."""
+    stage, places = opened.stage, {}
+
+    def move(axis: str, to_mm: float, speed_mm_per_s: float, watch: Callable[[], None]) -> None:
+        watch()
+        places[axis] = to_mm
+
+    def places_mm() -> dict[str, float] | None:
+        true = stage.places_mm()
+        return None if true is None else {**true, **places}
+
+    return replace(opened, stage=Wrapped(stage, move=move, places_mm=places_mm))
+
+
+def still_pad_axis(opened: OpenTactileRig) -> OpenTactileRig:
+    """Return the rig with a pad axis that reports and does not move."""
+    stage, places = opened.stage, {}
+
+    def move(axis: str, to_mm: float, speed_mm_per_s: float, watch: Callable[[], None]) -> None:
+        if axis == "X":
+            watch()
+            places[axis] = to_mm
+        else:
+            stage.move(axis, to_mm, speed_mm_per_s, watch)
+
+    def places_mm() -> dict[str, float] | None:
+        true = stage.places_mm()
+        return None if true is None else {**true, **places}
+
+    return replace(opened, stage=Wrapped(stage, move=move, places_mm=places_mm))
+
+
+class Noise:
+    """Counts that no force changes: noise about a value, as of a broken bridge."""
+
+    def __init__(self, around: int) -> None:
+        self._around, self._number = around, 0
+
+    def __call__(self, true: int) -> int:
+        self._number = (self._number * 1103515245 + 12345) % 2**31
+        return self._around + self._number % 121 - 60
+
+
+@pytest.mark.parametrize(
+    ("spoil", "passes"),
+    [
+        (lambda opened: reading(opened, lambda true: 0), set()),
+        (lambda opened: reading(opened, Noise(84_000)), set()),
+        (lambda opened: reading(opened, lambda true: 168_000 - true), set()),
+        (not_moving, set()),
+    ],
+    ids=["count of 0", "noise that feels nothing", "other sign", "stage that only reports"],
+)
+def test_nothing_passes_that_nobody_saw(practice: Path, monkeypatch, spoil, passes) -> None:
+    lying(monkeypatch, spoil)
+    report, status = checked(practice)
+    assert (status, report.verdict) == (1, "ERROR")
+    seen = {r.name for r in report.results if r.verdict == "PASS"}
+    # what needs no witness: who they are, the calibration on paper, and that they come back
+    assert seen <= {
+        "camera answers", "stage answers", "load cell answers", "frames in time", "calibration is recent",
+        "load cell is straight", "devices come back",
+    }  # fmt: skip
+
+
+def test_an_absent_pad_decides_nothing(practice: Path) -> None:
+    changed(practice, "rig.toml", ("surface_mm = -6.0", "surface_mm = -20.0"))
+    report, status = checked(practice)
+    assert status == 1
+    assert "the end of its travel into the pad" in named(report, "touches").evidence
+    for name in ("load cell is quiet", "load cell keeps its zero", "Z moves in time", "X moves in time"):
+        assert named(report, name).verdict == "UNDECIDED", name
+
+
+def test_a_pad_axis_that_only_reports_does_not_pass(practice: Path, monkeypatch) -> None:
+    lying(monkeypatch, still_pad_axis)
+    report, _ = checked(practice)
+    assert named(report, "X moves in time").verdict == "UNDECIDED"
+    assert "nobody saw that X moves" in named(report, "X reports its position").evidence
+    assert named(report, "Z moves in time").verdict == "PASS"
+
+
+def test_play_of_the_press_axis_is_found(practice: Path, monkeypatch) -> None:
+    """A stage that stands deeper by its play while it comes out of the pad."""
+    play_mm = 0.08
+
+    def slack(opened: OpenTactileRig) -> OpenTactileRig:
+        stage, carriage = opened.stage, {}
+
+        def move(axis: str, to_mm: float, speed_mm_per_s: float, watch: Callable[[], None]) -> None:
+            if axis != "Z":
+                stage.move(axis, to_mm, speed_mm_per_s, watch)
+                return
+            # the motor turns, the carriage follows when the play is used up; into the pad is -Z
+            true = stage.places_mm()["Z"]
+            aim = min(max(true, to_mm - play_mm), to_mm) if to_mm > true else to_mm
+            stage.move(axis, max(min(aim, 0.0), -9.0), speed_mm_per_s, watch)
+            carriage["Z"] = to_mm
+
+        def places_mm() -> dict[str, float] | None:
+            true = stage.places_mm()
+            return None if true is None else {**true, **carriage}
+
+        return replace(opened, stage=Wrapped(stage, move=move, places_mm=places_mm))
+
+    lying(monkeypatch, slack)
+    report, _ = checked(practice)
+    found = named(report, "press axis turns without play")
+    assert found.verdict == "FAIL"
+    assert found.value == pytest.approx(play_mm, abs=0.005)
+
+
+def test_a_stage_that_drives_on_after_its_stop_fails(practice: Path, monkeypatch) -> None:
+    def deaf(opened: OpenTactileRig) -> OpenTactileRig:
+        stage = opened.stage
+
+        def move(axis: str, to_mm: float, speed_mm_per_s: float, watch: Callable[[], None]) -> None:
+            try:
+                stage.move(axis, to_mm, speed_mm_per_s, watch)
+            except BaseException:
+                stage.move(axis, to_mm, speed_mm_per_s, lambda: None)
+                raise
+
+        return replace(opened, stage=Wrapped(stage, move=move))
+
+    lying(monkeypatch, deaf)
+    report, _ = checked(practice)
+    assert named(report, "stage stops on request").verdict == "FAIL"
+    assert "went on to the end of its move" in named(report, "stage stops at a silent cell").evidence
+
+
+def test_nobody_who_says_yes_is_nothing_that_moves(practice: Path, monkeypatch) -> None:
+    class Absent(Hands):
+        def allows(self, question: str) -> bool:
+            assert re.search(r"homes all axes.*with up to 2\.5 N and 1 mm deep", question)
+            return False
+
+    moved: list[str] = []
+
+    def watched(opened: OpenTactileRig) -> OpenTactileRig:
+        moves = {name: lambda *_: moved.append("moved") for name in ("move", "home")}
+        return replace(opened, stage=Wrapped(opened.stage, **moves), operator=Absent())
+
+    lying(monkeypatch, watched)
+    report, status = checked(practice)
+    assert (moved, status) == ([], 1)
+    assert "nobody has allowed it to move" in named(report, "stage moves").evidence
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("position_mm = 8.0", "position_mm = 79.0", r"lead to X = 81 mm, outside the stage's travel of 0 to 80 mm"),
+        ("stops = 1", "force_limit_n = 6.0", r"plan\.force_limit_n = 6 N must not exceed the 5 N of the rig file"),
+        ("stops = 1", "stop = 1", r"'stop': unknown key; did you mean 'stops'"),
+        ("rest_s = 10.0", "rest_s = 1.0", r"'rest_s' \(in s\): must be at least 10"),
+        ('check_name = "practice finger"', 'check_name = ""', r"check_name"),
+    ],
+)
+def test_mistakes_are_one_line_and_nothing_moves(practice: Path, old: str, new: str, message: str) -> None:
+    changed(practice, "check.toml", (old, new))
+    outcome = finray(f"check run {practice}/check.toml --rig {practice}/rig.toml --out {practice}/out")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert re.search(message, outcome.err), outcome.err
+    assert not (practice / "out").exists()
+
+
+BENCH_PLAN = TactileCheckPlan(
+    check_name="boards", position_mm=8.0, returns=4, stops=1, rest_s=10.0, deepest_mm=1.3, force_limit_n=3.0
+)
+
+
+def on_boards(folder: Path, bench, monkeypatch, **given: object) -> tuple[PressFacts, TactileRig]:
+    from contextlib import nullcontext
+
+    monkeypatch.setattr("rigs.capture._stage_press.open_camera", lambda *_: nullcontext(FlatCamera()))
+    rig = real_rig(folder, bench)
+    plan = BENCH_PLAN.model_copy(update=given)
+    return record_press_facts(rig, plan, folder, operator=Hands()), rig
+
+
+@pytest.mark.rigs
+def test_boards_in_real_time(tmp_path: Path, monkeypatch) -> None:
+    with press_bench(tmp_path) as bench:
+        facts, rig = on_boards(tmp_path, bench, monkeypatch)
+        assert bench.strongest_n < BENCH_PLAN.force_limit_n
+        assert bench.force_n == 0.0
+    assert facts.errors == {}
+    report = judge_pressing(facts, BENCH_PLAN, rig)
+    verdicts = {r.name: r.verdict for r in report.results}
+    for name in ("force stops the stage", "stage stops on request", "stage stops at a silent cell", "Z moves in time",
+                 "position survives stops", "load cell is quiet"):  # fmt: skip
+        assert verdicts[name] == "PASS", (name, [r.evidence for r in report.results if r.name == name])
+    # a camera that sees noise is no witness of the pad axis, and four returns are too few
+    assert verdicts["X moves in time"] == verdicts["touch repeats"] == "UNDECIDED"
+
+
+PARTS = ("load cell", "stage", "touch", "force limit", "stops")
+
+
+@pytest.mark.rigs
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("what", ["cell pulled", "stage reset", "stage pulled"])
+def test_poisoned_in_the_middle_of_a_part(tmp_path: Path, monkeypatch, part: str, what: str) -> None:
+    """Whatever breaks, and whenever: the stage stands afterwards, and where its place is known it has left the pad."""
+    with press_bench(tmp_path) as bench:
+        began = threading.Event()
+
+        def spoil() -> None:
+            began.wait(120.0)
+            time.sleep(0.7 if part != "load cell" else 2.0)
+            if what == "cell pulled":
+                bench.amplifier.port.pull()
+            elif what == "stage reset":
+                bench.controller.reset()
+                bench.controller.at_mm = dict.fromkeys("XYZ", 0.0) | {"Z": bench.controller.at_mm["Z"]}
+            else:
+                bench.controller.port.pull()
+                time.sleep(1.0)
+                bench.controller.port.plug()
+
+        thread = threading.Thread(target=spoil)
+        thread.start()
+        from contextlib import nullcontext
+
+        monkeypatch.setattr("rigs.capture._stage_press.open_camera", lambda *_: nullcontext(FlatCamera()))
+        rig = real_rig(tmp_path, bench)
+
+        def progress(done: int, total: int, text: str) -> None:
+            if text == part:
+                began.set()
+
+        facts = record_press_facts(rig, BENCH_PLAN, tmp_path, progress, operator=Hands())
+        thread.join()
+        assert bench.rests
+        assert bench.strongest_n < BENCH_PLAN.force_limit_n
+        if what == "cell pulled":
+            assert bench.force_n == 0.0
+        assert facts.errors
+        report = judge_pressing(facts, BENCH_PLAN, rig)
+        assert report.verdict in ("ERROR", "FAIL")
