@@ -51,14 +51,14 @@ def swept(
     radiance, kept = np.empty((len(designs), repeats, len(paths), 3)), []
     for repeat in range(repeats):
         walls = WallExchange.traced(tracer, shape, BAKE_PATHS, np.random.default_rng((1, repeat)))
-        emitted = np.array([walls.emitted(k, direct[k], bands) for k in range(len(designs))])
+        emitted = walls.emitted(direct, bands)
         for p, count in enumerate(paths):
             rays = [np.broadcast_to(v[p], (count, 3)) for v in (probes.origins_mm, probes.directions)]
             seen = tracer.trace(*rays, count, 1000 * p + repeat, from_wall=False)
-            radiance[:, repeat, p, :LED] = np.einsum("kwij,kwij->kw", seen.by_wall[0], emitted)
+            radiance[:, repeat, p, :LED] = seen.by_wall.received(emitted, range(len(designs)))[:, 0]
             radiance[:, repeat, p, LED] = seen.led[0]
-            light = np.einsum("kwij,kwij->k", seen.by_wall[0], emitted)
-            kept.append(1.0 - light / np.einsum("wij,kwij->k", seen.by_wall[0].max(axis=0), emitted))
+            whole = emitted.reshape(len(designs), -1) @ seen.by_wall.whole[0]
+            kept.append(1.0 - radiance[:, repeat, p, :LED].sum(axis=-1) / whole)
     return radiance, np.mean(kept, axis=0)
 
 

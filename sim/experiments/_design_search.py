@@ -80,7 +80,7 @@ OBJECTIVES: Final[Mapping[str, DesignObjective]] = {**_LIGHT, **_LOADS}
 """What a finger can be searched for, by name."""
 
 _USUAL: Final[Mapping[str, tuple[float, float, bool]]] = {
-    "light.angle_deg": (0.0, 75.0, False),
+    "light.angle_deg": (-60.0, 75.0, False),
     "light.position_mm[y]": (0.6, 1.5, True),
     "light.position_mm[z]": (-4.0, 3.0, False),
     "second_light.angle_deg": (105.0, 180.0, False),

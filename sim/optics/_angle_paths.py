@@ -13,7 +13,6 @@ only.
 Import this module only after a compiled variant has been set (see :func:`sim.optics.open_renderer`).
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,10 +21,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from data_schemas import FingerDesign, LightPanel
-from sim.optics._band_paths import WallGlow, WallTexels, band_paths
-from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP
+from sim.optics._band_paths import WallGlow, WallTexels, band_paths, texels_around
+from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP, WALLS, LightOfTexels
 from sim.optics._panel_light import DIRECT, FROM_EYE, FROM_START, FROM_SURFACE, STRAIGHT_OUT, PosedPanel, state_after
 from sim.optics._path_rules import (
     LARGEST_SURVIVAL,
@@ -34,8 +34,10 @@ from sim.optics._path_rules import (
     NEWTON_STEPS,
     ROULETTE_DEPTH,
     SMALLEST_COS_AIR,
+    EventLog,
     Tally,
     even_points,
+    even_points_of_groups,
 )
 from sim.optics._probes import Facets, Probes
 from sim.optics._refraction import refract_through
@@ -46,6 +48,9 @@ Floats = NDArray[np.float64]
 _FAR_MM = 1e6
 # as many paths at once as fit into some hundred MB
 _MOST_PATHS = 400_000
+_TEXELS = len(WALLS) * TEXELS_ALONG * TEXELS_UP
+# meetings of ended paths with walls that are noted at first, per path; where there are more, room is made for all
+_MEETINGS_LOGGED = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +62,22 @@ class Received:
     led
         LED radiance, (group, angle), in units of the panel's.
     by_wall
-        Radiance per radiance that a texel of a wall emits, (group, angle, wall, TEXELS_ALONG, TEXELS_UP); red wall
-        first.
+        Radiance per radiance that a texel of a wall emits.
     """
 
     led: Floats
-    by_wall: NDArray[np.float32]
+    by_wall: LightOfTexels
+
+
+@dataclass(frozen=True, slots=True)
+class Rays:
+    """Rays in the gel with the random numbers of their first bounce, (ray, 3) each; groups follow each other."""
+
+    origins_mm: Floats
+    directions: Floats
+    spread: Floats
+    per_group: int
+    start: int
 
 
 class AnglePaths:
@@ -92,34 +107,56 @@ class AnglePaths:
         from_wall
             Rays start on a wall: direct light of the panels through the inner face is left out.
         """
-        groups = len(origins_mm) // per_group
-        led = Tally(groups * self.count, mi)
-        texels = (2, TEXELS_ALONG, TEXELS_UP)
-        by_wall = Tally(groups * math.prod(texels), mi)
-        kept_away = Tally(groups * self.count * math.prod(texels), mi)
+        groups, paths = len(origins_mm) // per_group, len(origins_mm)
         rng = np.random.default_rng(seed)
         # the first bounce decides whether a path meets the panel by the mirror, which is most of the noise
-        spread = np.concatenate([even_points(per_group, 3, rng) for _ in range(groups)])
-        seeds = rng.integers(2**32, size=-(-len(origins_mm) // _MOST_PATHS))
-        for number, chunk_seed in enumerate(seeds.tolist()):
-            chunk = slice(number * _MOST_PATHS, (number + 1) * _MOST_PATHS)
-            o, d = (np.ascontiguousarray(v[chunk].T, dtype=np.float32) for v in (origins_mm, directions))
-            sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(chunk_seed, o.shape[1])
-            first = mi.Point3f(np.ascontiguousarray(spread[chunk].T, dtype=np.float32))
-            group = (dr.arange(mi.UInt32, o.shape[1]) + number * _MOST_PATHS) // per_group
-            walls = WallTexels(by_wall, kept_away, group, self.count)
-            state = FROM_START if from_wall else FROM_EYE
-            found = _follow(  # type: ignore[no-untyped-call]
-                self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), first, walls, state
-            )
-            for k, radiance in enumerate(found):
-                led.add(radiance, group * self.count + k)
-            dr.eval(led.sums, by_wall.sums, kept_away.sums)
-        arrived = by_wall.sums.numpy().reshape(groups, 1, *texels)
-        arrived = arrived - kept_away.sums.numpy().reshape(groups, self.count, *texels)
-        arrived /= per_group
-        return Received(np.array(led.sums, dtype=np.float64).reshape(groups, self.count) / per_group, arrived)
+        spread = even_points_of_groups(groups, per_group, 3, rng)
+        seeds = rng.integers(2**32, size=-(-paths // _MOST_PATHS)).tolist()
+        rays = Rays(origins_mm, directions, spread, per_group, FROM_START if from_wall else FROM_EYE)
+        log_length = max(1, round(_MEETINGS_LOGGED * paths))
+        while True:
+            led, by_wall = Tally(groups * self.count, mi), Tally(groups * _TEXELS, mi)
+            kept_away = EventLog(log_length, 3, 3, mi)
+            for number, chunk_seed in enumerate(seeds):
+                self._trace_chunk(rays, number * _MOST_PATHS, chunk_seed, led, by_wall, kept_away)
+            if int(kept_away.count[0]) <= log_length:
+                break
+            log_length = int(kept_away.count[0])  # the same paths again, with room for all that panels keep away
+        of_led = np.array(led.sums, dtype=np.float64).reshape(groups, self.count) / per_group
+        whole = by_wall.sums.numpy().reshape(groups, _TEXELS) / np.float32(per_group)
+        return Received(of_led, LightOfTexels(whole, self._kept_away(kept_away, groups, per_group)))
+
+    def _trace_chunk(self, rays: Rays, first: int, seed: int, led: Tally, by_wall: Tally, kept_away: EventLog) -> None:
+        """Trace as many rays as are traced at once, from the first one on."""
+        chunk = slice(first, first + _MOST_PATHS)
+        o, d, spread = (
+            np.ascontiguousarray(v[chunk].T, dtype=np.float32) for v in (rays.origins_mm, rays.directions, rays.spread)
+        )
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, o.shape[1])
+        path = dr.arange(mi.UInt32, o.shape[1]) + first
+        group = path // rays.per_group
+        found = _follow(  # type: ignore[no-untyped-call]
+            self, sampler, mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), mi.Point3f(spread),
+            WallTexels(by_wall, kept_away, path, group), rays.start,
+        )  # fmt: skip
+        for k, radiance in enumerate(found):
+            led.add(radiance, group * self.count + k)
+        dr.eval(led.sums, by_wall.sums, kept_away.columns, kept_away.count)
+
+    def _kept_away(self, log: EventLog, groups: int, per_group: int) -> tuple[csr_array, ...]:
+        """Return what each panel pose keeps away, (group, texel) each, from where ended paths have met walls."""
+        path, texel, ended, carried, s, t = log.rows()
+        order = np.argsort(path, kind="stable")  # a lane's own rows are in order, lanes need not be
+        path, texel, ended, carried, s, t = (column[order] for column in (path, texel, ended, carried, s, t))
+        weight, column = (np.stack(v, axis=-1) for v in zip(*texels_around(texel, s, t), strict=True))
+        row = np.repeat(path[:, None] // per_group, column.shape[1], axis=1)
+        share = carried[:, None] * weight / per_group
+        poses = [(ended >> k) & 1 == 1 for k in range(self.count)]
+        return tuple(
+            csr_array((share[here].ravel(), (row[here].ravel(), column[here].ravel())), shape=(groups, _TEXELS))
+            for here in poses
+        )
 
     def arriving(
         self, origins_mm: Floats, directions: NDArray[np.floating], emitted: Floats, seed: int
@@ -228,7 +265,7 @@ def _follow(  # type: ignore[no-untyped-def]
     ray = mi.Ray3f(ray)
     throughput: Any = mi.Color3f(1)
     led = [mi.Float(0) for _ in range(tracer.count)]
-    free = [mi.Bool(True) for _ in range(tracer.count)]
+    ended = mi.UInt32(0)
     depth, eta, active = mi.UInt32(0), mi.Float(1), mi.Bool(True)
     state = mi.UInt32(start)
     while dr.hint(active, max_iterations=MAX_DEPTH):
@@ -237,14 +274,15 @@ def _follow(  # type: ignore[no-untyped-def]
         met = tracer.met(ray, si.t)
         for k in range(tracer.count):
             for (here, sent), counted in zip(met[k], aimed_at, strict=True):
-                led[k] += dr.select(active & free[k] & here & ~counted, throughput.z * sent, 0)
+                free = (ended & (1 << k)) == 0
+                led[k] += dr.select(active & free & here & ~counted, throughput.z * sent, 0)
             for here, _ in met[k]:
-                free[k] &= ~here
+                ended |= dr.select(here, mi.UInt32(1 << k), 0)
         active &= si.is_valid()
         front = mi.Frame3f.cos_theta(si.wi) > 0
         is_red, is_green = si.shape == paths.red, si.shape == paths.green
         on_wall = active & front & (is_red | is_green)
-        walls.met(si, is_green, throughput, free, on_wall)
+        walls.met(si, is_green, throughput, ended, on_wall)
         active &= (depth + 1) < MAX_DEPTH
         bsdf = si.bsdf(ray)
         can_connect = active & (on_wall | (~front & (si.shape == paths.coat)))
@@ -257,7 +295,7 @@ def _follow(  # type: ignore[no-untyped-def]
             number = tracer.panels.index(panel)
             for k in range(tracer.count):
                 here, sent = seen[k][number]
-                led[k] += dr.select(reached & free[k] & here, value * sent, 0)
+                led[k] += dr.select(reached & ((ended & (1 << k)) == 0) & here, value * sent, 0)
         lobe, spot = sampler.next_1d(active), sampler.next_2d(active)
         if dr.hint(start != FROM_SURFACE, mode="scalar"):
             lobe = dr.select(depth == 0, first.z, lobe)

@@ -154,7 +154,7 @@ def _read_meters(scene: Any, integrator: Any, renderer: ModuleType, probes: Prob
 BAKE_SHARE: Final = 0.2
 """Of a picture's bake: each repeat bakes its own walls, so that the repeats show its noise; together they sample it."""
 
-# poses are loops of one compiled kernel and share its memory
+# poses are loops of one compiled kernel, and bits of one number of 32
 _POSES_AT_ONCE = 16
 
 
@@ -238,13 +238,13 @@ def _measure_batch(
     for repeat in range(paths.repeats):
         rng = np.random.default_rng(stream_seed(paths.seed, 2 * repeat))
         walls = WallExchange.traced(tracer, shape, _bake_samples(samples), rng)
-        emitted = np.array([walls.emitted(k, direct[k], bands) for k in range(len(designs))])
+        emitted = walls.emitted(direct, bands)
         path_seed = stream_seed(paths.seed, 2 * repeat + 1)
         if facets is not None:
             radiance[:, repeat] = facet_radiance(tracer, probes, facets, emitted, samples, path_seed)
         else:
             seen = tracer.trace(origins, directions, samples, path_seed, from_wall=False)
-            radiance[:, repeat, 0, :, :2] = np.einsum("pkwij,kwij->kpw", seen.by_wall, emitted, optimize=True)
+            radiance[:, repeat, 0, :, :2] = seen.by_wall.received(emitted, range(len(designs)))
             radiance[:, repeat, 0, :, 2] = seen.led.T
         told(repeat + 1)
     return radiance

@@ -28,6 +28,7 @@ from sim.optics._path_rules import (
     NEWTON_STEPS,
     ROULETTE_DEPTH,
     SMALLEST_COS_AIR,
+    EventLog,
     LedSearch,
     LookupTable,
     Tally,
@@ -280,17 +281,19 @@ def first_texel(si: Any, is_green: Any) -> tuple[Any, Any, Any]:
 
 
 class WallTexels:
-    """Adds up, per group, what paths carry to the texels of the walls, and what the panels keep away from them."""
+    """Adds up, per group, what paths carry to the texels of the walls, and logs what the panels keep away from them."""
 
-    def __init__(self, by_wall: Tally, kept_away: Tally, group: Any, count: int) -> None:
-        self.by_wall, self.kept_away, self.group, self.count = by_wall, kept_away, group, count
+    def __init__(self, by_wall: Tally, kept_away: EventLog, path: Any, group: Any) -> None:
+        self.by_wall, self.kept_away, self.path, self.group = by_wall, kept_away, path, group
 
-    def met(self, si: Any, is_green: Any, throughput: Any, free: Sequence[Any], active: Any) -> None:
-        """Note that paths have met a wall; they are free for some angles."""
+    def met(self, si: Any, is_green: Any, throughput: Any, ended: Any, active: Any) -> None:
+        """Note that paths have met a wall; for the angles whose bits are set in ``ended`` they had met the panel."""
         carried = dr.select(is_green, throughput.y, throughput.x)
-        _note_wall(self.by_wall, si, self.group, is_green, carried, active)
-        for k in range(self.count):
-            _note_wall(self.kept_away, si, self.group * self.count + k, is_green, carried, active & ~free[k])
+        first, s, t = first_texel(si, is_green)
+        own = first + self.group * (2 * TEXELS_ALONG * TEXELS_UP)
+        for weight, texel in texels_around(own, s, t):
+            self.by_wall.add(carried * weight, texel, active)
+        self.kept_away.add([self.path, first, ended, carried, s, t], active & (ended != 0))
 
 
 class WallGlow:
@@ -302,13 +305,13 @@ class WallGlow:
         self.radiance = Tally(paths * self.count * 2, mi)
         self.path = dr.arange(mi.UInt32, paths)
 
-    def met(self, si: Any, is_green: Any, throughput: Any, free: Sequence[Any], active: Any) -> None:
+    def met(self, si: Any, is_green: Any, throughput: Any, ended: Any, active: Any) -> None:
         """Add the emission where paths have met a wall, as :meth:`BandPaths.wall_radiance` reads it."""
         carried = dr.select(is_green, throughput.y, throughput.x)
-        around = _texels_around(si, mi.UInt32(0), is_green)
+        around = texels_around(*first_texel(si, is_green))
         per_angle = 2 * TEXELS_ALONG * TEXELS_UP
         for k in range(self.count):
-            here = active & free[k]
+            here = active & ((ended & (1 << k)) == 0)
             glow = mi.Float(0)
             for weight, texel in around:
                 glow += weight * self.texels.row(texel + k * per_angle, here)
@@ -316,16 +319,11 @@ class WallGlow:
             self.radiance.add(carried * glow, band, here)
 
 
-def _note_wall(by_wall: Tally, si: Any, group: Any, is_green: Any, carried: Any, active: Any) -> None:
-    """Add what a path carries to the texels around a wall point, as :meth:`BandPaths.wall_radiance` reads them."""
-    for weight, texel in _texels_around(si, group, is_green):
-        by_wall.add(carried * weight, texel, active)
+def texels_around(first: Any, s: Any, t: Any) -> list[tuple[Any, Any]]:
+    """Return weight and number of the four texels around wall points, from :func:`first_texel`.
 
-
-def _texels_around(si: Any, group: Any, is_green: Any) -> list[tuple[Any, Any]]:
-    """Return weight and index of the four texels around a wall point."""
-    first, s, t = first_texel(si, is_green)
-    first += group * (2 * TEXELS_ALONG * TEXELS_UP)
+    They are read as by :meth:`BandPaths.wall_radiance`.
+    """
     return [
         (along * up, first + (b * TEXELS_UP + a))
         for b, along in ((0, 1.0 - t), (1, t))

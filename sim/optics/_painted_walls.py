@@ -16,6 +16,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from data_schemas import FingerDesign, LightPanel
 from sim.optics._paint_bands import BAND_NAMES, PaintBands
@@ -118,20 +119,14 @@ def direct_irradiance(
     uv
         Texture coordinates (u up the wall, v along), shape (..., 2).
     """
-    return sum(direct_irradiances(design, shape, wall, uv, design.lights), np.zeros(uv.shape[:-1]))
-
-
-def direct_irradiances(
-    design: FingerDesign, shape: FingerShape, wall: str, uv: NDArray[np.float64], lights: Sequence[LightPanel]
-) -> list[NDArray[np.float64]]:
-    """Return the same for each of several panels alone, which need not be those of the design."""
     where, face = wall_map(shape, wall), inner_face(design, shape)
     points, inward = where.positions_mm(uv).reshape(-1, 3), -where.normals(uv).reshape(-1, 3)
     foot = np.stack([np.full(uv.shape[:-1], _FOOT_ACROSS[wall]), uv[..., 1]], axis=-1).reshape(-1, 2)
-    return [
-        light.power_rel * curved_irradiance(points, inward, foot, light, face, _PANEL_QUADRATURE).reshape(uv.shape[:-1])
-        for light in lights
+    of_lights = [
+        light.power_rel * curved_irradiance(points, inward, foot, light, face, _PANEL_QUADRATURE)
+        for light in design.lights
     ]
+    return np.asarray(sum(of_lights)).reshape(uv.shape[:-1])
 
 
 def wall_map(shape: FingerShape, wall: str) -> PositionMap:
@@ -479,15 +474,63 @@ def _trace_one_by_one(
     return np.array([np.array(integrator.sample(scene, sampler, renderer.RayDifferential3f(o, d))[0]) for o, d in rays])
 
 
+@dataclass(frozen=True, slots=True)
+class LightOfTexels:
+    """Light that groups of rays receive per radiance that the texels of the walls emit, for several lights.
+
+    Texels are in the order (wall, TEXELS_ALONG, TEXELS_UP), red wall first.
+
+    Attributes
+    ----------
+    whole
+        Without any panel in the way, (group, texel).
+    kept_away
+        What the panel of each light keeps away from that, (group, texel) each: few rays meet it.
+    """
+
+    whole: NDArray[np.float32]
+    kept_away: tuple[csr_array, ...]
+
+    def of_light(self, light: int) -> NDArray[np.float32]:
+        """Return what is received under one light, (group, wall, TEXELS_ALONG, TEXELS_UP)."""
+        left = self.whole - self.kept_away[light].toarray()
+        return np.asarray(left.reshape(-1, len(WALLS), TEXELS_ALONG, TEXELS_UP), dtype=np.float32)
+
+    def sums(self) -> Floats:
+        """Return what is received where all texels emit one unit of radiance, (light, group)."""
+        whole = self.whole.sum(axis=1, dtype=np.float64)
+        return np.array([whole - kept.sum(axis=1) for kept in self.kept_away])
+
+    def received(self, emitted: Floats, lights: Sequence[int]) -> Floats:
+        """Return the light of each wall, (map, group, wall), by what the walls emit.
+
+        Parameters
+        ----------
+        emitted
+            Radiance, (map, wall, TEXELS_ALONG, TEXELS_UP).
+        lights
+            Number of the light under which each map is seen.
+        """
+        maps = emitted.reshape(len(emitted), len(WALLS), -1).astype(np.float32)
+        walls = self.whole.reshape(len(self.whole), len(WALLS), -1)
+        found = np.stack([(walls[:, w] @ maps[:, w].T).T for w in range(len(WALLS))], axis=-1).astype(np.float64)
+        for number, light in enumerate(lights):
+            of_walls = np.zeros((len(WALLS), *maps.shape[1:]), dtype=np.float32)
+            for w in range(len(WALLS)):
+                of_walls[w, w] = maps[number, w]
+            found[number] -= self.kept_away[light] @ of_walls.reshape(len(WALLS), -1).T
+        return found
+
+
 class WallsMet(Protocol):
-    """Mean over the rays of each group: LED radiance (group, light), per texel of a wall (group, light, wall, ...)."""
+    """Means over the rays of each group."""
 
     @property
     def led(self) -> Floats:
-        """Radiance of the LED."""
+        """Radiance of the LED, (group, light)."""
 
     @property
-    def by_wall(self) -> NDArray[np.float32]:
+    def by_wall(self) -> LightOfTexels:
         """Radiance per radiance that a texel emits."""
 
 
@@ -498,6 +541,9 @@ class WallTracer(Protocol):
         """Return what groups of rays have met."""
 
 
+_OF_WALLS = len(WALLS), TEXELS_ALONG, TEXELS_UP
+
+
 @dataclass(frozen=True, slots=True)
 class WallExchange:
     """Light that reaches the walls.
@@ -505,18 +551,18 @@ class WallExchange:
     Attributes
     ----------
     led
-        Irradiance by the LED but for its direct light, smoothed, (wall, TEXELS_ALONG, TEXELS_UP, light), in units of
+        Irradiance by the LED but for its direct light, smoothed, (light, wall, TEXELS_ALONG, TEXELS_UP), in units of
         the panel's radiance.
     exchange
-        Irradiance per radiance that a texel emits, as it was traced: (wall, TEXELS_ALONG, TEXELS_UP, light, emitting
-        wall, TEXELS_ALONG, TEXELS_UP). The panel of the light keeps some of it away.
-    smoothers
-        Of each light and wall, for what it receives by ``exchange``: a matrix; all is linear in what walls emit.
+        Mean radiance that arrives per radiance that a texel emits, as it was traced; groups are the texels that
+        receive.
+    smoother
+        Of each light and wall, for what it receives by ``exchange``; all is linear in what walls emit.
     """
 
     led: Floats
-    exchange: NDArray[np.float32]
-    smoothers: tuple[tuple[WallSmoother, ...], ...]
+    exchange: LightOfTexels
+    smoother: WallSmoother
 
     @classmethod
     def traced(cls, tracer: WallTracer, shape: FingerShape, samples: int, rng: np.random.Generator) -> "WallExchange":
@@ -524,49 +570,36 @@ class WallExchange:
         per_texel = max(1, round(samples / (TEXELS_ALONG * TEXELS_UP)))
         origins, directions, _ = rays_from_walls(shape, per_texel, rng)
         met = tracer.trace(origins, directions, per_texel, int(rng.integers(2**32)), from_wall=True)
-        texels = len(WALLS), TEXELS_ALONG, TEXELS_UP
-        led = np.pi * met.led.reshape(*texels, -1)
-        exchange = met.by_wall.reshape(*texels, -1, *texels)
-        exchange *= np.pi
         # each light by itself: what is found of one must not depend on which others are traced with it
-        smoothed = np.stack(
-            [[_smoother_of(wall)(wall) for wall in of_light] for of_light in np.moveaxis(led, -1, 0)], axis=-1
-        )
-        received = np.moveaxis(exchange.sum(axis=(4, 5, 6), dtype=np.float64), -1, 0)
-        return cls(smoothed, exchange, tuple(tuple(map(_smoother_of, of_light)) for of_light in received))
+        led = np.pi * met.led.T.reshape(-1, *_OF_WALLS)
+        return cls(_smoother_of(led)(led), met.by_wall, _smoother_of(met.by_wall.sums().reshape(-1, *_OF_WALLS)))
 
-    def emitted(self, light: int, direct: Floats, bands: PaintBands) -> Floats:
+    def emitted(self, direct: Floats, bands: PaintBands) -> Floats:
         """Return the radiance of the walls in their own bands, all orders of fluorescence together.
 
         L = sum over orders of K E / pi, E by the LED at first and then by what the walls have emitted.
 
         Parameters
         ----------
-        light
-            Number of the light.
         direct
-            Its direct irradiance of the walls, (wall, TEXELS_ALONG, TEXELS_UP).
+            Direct irradiance of the walls by each light, (light, wall, TEXELS_ALONG, TEXELS_UP).
         bands
             Energy conversion of the paints.
 
         Returns
         -------
         array
-            (wall, TEXELS_ALONG, TEXELS_UP), in units of the panel's radiance.
+            (light, wall, TEXELS_ALONG, TEXELS_UP), in units of the panel's radiance.
         """
-        conversion = np.array([bands.conversion[wall] for wall in WALLS]) / np.pi
-        latest = conversion[:, BAND_NAMES.index("led"), None, None] * (direct + self.led[..., light])
+        conversion = np.array([bands.conversion[wall] for wall in WALLS])
+        latest = conversion[:, BAND_NAMES.index("led"), None, None] / np.pi * (direct + self.led)
         total = latest
         of_band = conversion[:, [BAND_NAMES.index(wall) for wall in WALLS]]
         for _ in range(2, HIGHEST_ORDER + 1):
-            latest = np.stack(
-                [
-                    smoother(np.einsum("v,ijvkl,vkl->ij", of_band[k], self.exchange[k, :, :, light], latest))
-                    for k, smoother in enumerate(self.smoothers[light])
-                ]
-            )
+            arrived = self.exchange.received(latest, range(len(latest))).reshape(-1, *_OF_WALLS, len(WALLS))
+            latest = self.smoother((arrived * of_band[:, None, None]).sum(axis=-1))
             total = total + latest
-        return total
+        return np.asarray(total)
 
     def chains(self, light: int, direct: Floats, order: int) -> dict[str, tuple[int, Floats]]:
         """Return what each chain of fluorescence makes a wall emit, for conversions of 1.
@@ -586,31 +619,43 @@ class WallExchange:
             Name of the chain -> number of the wall that emits it, and its radiance there, (TEXELS_ALONG, TEXELS_UP), in
             units of the panel's. That of given paints is their conversions along the chain times as much.
         """
-        latest = {f"led>{wall}": (k, (direct[k] + self.led[k, ..., light]) / np.pi) for k, wall in enumerate(WALLS)}
+        smoother = WallSmoother(self.smoother.noise_sd[light], self.smoother.gain[light])
+        latest = {f"led>{wall}": (k, (direct[k] + self.led[light, k]) / np.pi) for k, wall in enumerate(WALLS)}
         found = dict(latest)
         for _ in range(2, order + 1):
+            emitted = np.zeros((len(latest), *_OF_WALLS))
+            for row, (wall_number, radiance) in zip(emitted, latest.values(), strict=True):
+                row[wall_number] = radiance
+            arrived = self.exchange.received(emitted, [light] * len(emitted)).sum(axis=-1)
+            made = smoother(arrived.reshape(-1, *_OF_WALLS))
             latest = {
-                f"{chain}>{wall}": (
-                    k, smoother(np.einsum("ijkl,kl->ij", self.exchange[k, :, :, light, v], emitted)) / np.pi
-                )
-                for chain, (v, emitted) in latest.items()
-                for k, (wall, smoother) in enumerate(zip(WALLS, self.smoothers[light], strict=True))
-            }  # fmt: skip
+                f"{chain}>{wall}": (k, of_chain[k])
+                for chain, of_chain in zip(latest, made, strict=True)
+                for k, wall in enumerate(WALLS)
+            }
             found |= latest
         return found
 
 
 def _smoother_of(received: Floats) -> WallSmoother:
-    """Choose a smoother for one noisy map without repeats: texels above each other tell the noise."""
-    noise2 = (np.diff(received, 2, axis=1) ** 2).mean(axis=1, keepdims=True) / 6.0
+    """Choose smoothers for noisy maps (..., along, up) without repeats: texels above each other tell the noise."""
+    noise2 = (np.diff(received, 2, axis=-1) ** 2).mean(axis=-1, keepdims=True) / 6.0
     return choose_smoother(received, np.broadcast_to(noise2, received.shape), maps=1)
 
 
-def direct_lights(design: FingerDesign, shape: FingerShape, lights: Sequence[LightPanel]) -> list[Floats]:
-    """Return the walls' direct irradiance, (wall, TEXELS_ALONG, TEXELS_UP), by each light with the further ones."""
-    of_walls = []
-    for wall in WALLS:
-        found = direct_irradiances(design, shape, wall, texel_uv(), [*lights, *design.lights[1:]])
-        further = sum(found[len(lights) :], np.zeros((TEXELS_ALONG, TEXELS_UP)))
-        of_walls.append([one + further for one in found[: len(lights)]])
-    return [np.stack(pair) for pair in zip(*of_walls, strict=True)]
+def direct_lights(design: FingerDesign, shape: FingerShape, lights: Sequence[LightPanel]) -> Floats:
+    """Return the walls' direct irradiance by each light with the further ones, (light, wall, along, up).
+
+    As :func:`direct_irradiance`, in single precision, by a compiled variant: all lights in one go.
+    """
+    from sim.optics._panel_light import panel_irradiances  # needs the variant set
+
+    uv = texel_uv().reshape(-1, 2)
+    maps = [wall_map(shape, wall) for wall in WALLS]
+    points = np.concatenate([where.positions_mm(uv) for where in maps])
+    normals = np.concatenate([where.normals(uv) for where in maps])
+    foot = np.concatenate([np.column_stack([np.full(len(uv), _FOOT_ACROSS[wall]), uv[:, 1]]) for wall in WALLS])
+    every = [*lights, *design.lights[1:]]
+    found = panel_irradiances(points, -normals, foot, every, inner_face(design, shape), _PANEL_QUADRATURE)
+    found = found.reshape(-1, *_OF_WALLS) * np.array([light.power_rel for light in every])[:, None, None, None]
+    return np.asarray(found[: len(lights)] + found[len(lights) :].sum(axis=0))

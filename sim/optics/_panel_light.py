@@ -14,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import FingerDesign, LightPanel
-from sim.optics._optical_layout import PanelFrame, panel_frame
-from sim.optics._refraction import GelFace, curved_irradiance
+from sim.optics._optical_layout import PanelFrame, panel_frame, panel_quadrature
+from sim.optics._path_rules import NEWTON_STEPS, LookupTable
+from sim.optics._refraction import GelFace, curved_irradiance, refract_through
 from sim.optics._scene import PANEL_RADIANCE_REL
+
+Floats = NDArray[np.float64]
 
 # panels light different parts of the pad, so none is drawn more rarely than this share of an even one
 _SMALLEST_SHARE = 0.5
@@ -89,6 +92,54 @@ def panel_point(panels: Sequence[Panel], sample: Any) -> tuple[Any, Any, Any]:
             dr.select(here, b, a) for a, b in zip((point, normal, exponent, weight), other, strict=True)
         )
     return point, (normal, exponent), weight
+
+
+def panel_irradiances(
+    points_mm: Floats,
+    normals: Floats,
+    foot: Floats,
+    lights: Sequence[LightPanel],
+    face: GelFace,
+    quadrature: tuple[int, int],
+) -> Floats:
+    """Return :func:`sim.optics._refraction.curved_irradiance` of several panels, (light, n), in single precision.
+
+    All of them in one kernel, whose paths take as many Newton steps as the tracers' connections.
+
+    Parameters
+    ----------
+    points_mm, normals, foot, face, quadrature
+        As there.
+    lights
+        Panels.
+    """
+    frames = [panel_frame(light) for light in lights]
+    spots, areas = zip(*(panel_quadrature(frame, *quadrature) for frame in frames), strict=True)
+    count = len(areas[0])
+    of_lights = [[*frame.normal, light.beam_exponent] for frame, light in zip(frames, lights, strict=True)]
+    place, facing, spot, panel = (
+        LookupTable(np.asarray(rows), mi)
+        for rows in (
+            np.column_stack([points_mm, foot[:, 0]]),
+            np.column_stack([normals, foot[:, 1]]),
+            np.column_stack([np.concatenate(spots), np.concatenate(areas)]),
+            of_lights,
+        )
+    )
+    per_point, per_light = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, count * len(points_mm))
+    lane = dr.arange(mi.UInt32, count * len(points_mm) * len(lights))
+    of_light, rest = lane // per_light, lane % per_light
+    at, seen = place.row(rest // per_point), facing.row(rest // per_point)
+    q, towards = spot.row(of_light * per_point + rest % per_point), panel.row(of_light)
+    index = dr.opaque(mi.Float, face.index)
+    path = refract_through(
+        face.map.in_renderer(mi), (at.x, at.y, at.z), (at.w, seen.w), (q.x, q.y, q.z), face, dr, NEWTON_STEPS, index
+    )
+    cosine = dr.maximum(-dr.dot(mi.Vector3f(*path.to_panel), towards.xyz), 0.0)
+    sent = dr.power(cosine, towards.w) if any(light.beam_exponent != 1.0 for light in lights) else cosine
+    received = dr.maximum(dr.dot(mi.Vector3f(*path.to_crossing), seen.xyz), 0.0)
+    kernel = (path.weight * sent * received * q.w).numpy()
+    return np.asarray(kernel.reshape(len(lights), len(points_mm), count).sum(axis=-1, dtype=np.float64))
 
 
 class PosedRectangle:

@@ -6,6 +6,7 @@ lets NaN pass and a cast to an integer of NaN, infinity or 1e30 is undefined: 42
 without. Every gather, scatter and cast of :mod:`sim.optics` therefore comes through this module.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -50,6 +51,12 @@ class LedSearch:
     refractive: bool = True
 
 
+def even_points_of_groups(groups: int, count: int, dimensions: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return :func:`even_points` for each of some groups, one group after the other, (groups * count, dimensions)."""
+    points = np.arange(count)[:, None] * _steps(dimensions)
+    return np.asarray((rng.random((groups, 1, dimensions)) + points) % 1.0).reshape(-1, dimensions)
+
+
 def even_points(count: int, dimensions: int, rng: np.random.Generator) -> NDArray[np.float64]:
     r"""Return points in the unit cube, (count, dimensions): :math:`x_i = (s + i a) \bmod 1` with a random shift s.
 
@@ -68,11 +75,15 @@ def even_points(count: int, dimensions: int, rng: np.random.Generator) -> NDArra
     ----------
     M. Roberts, The unreasonable effectiveness of quasirandom sequences, 2018.
     """
+    return even_points_of_groups(1, count, dimensions, rng)
+
+
+def _steps(dimensions: int) -> NDArray[np.float64]:
+    """Return by how much points of :func:`even_points` differ from the ones before them."""
     root = 2.0
     for _ in range(40):
         root = (1.0 + root) ** (1.0 / (dimensions + 1.0))
-    steps = root ** -np.arange(1.0, dimensions + 1.0)
-    return np.asarray((rng.random(dimensions) + np.arange(count)[:, None] * steps) % 1.0)
+    return np.asarray(root ** -np.arange(1.0, dimensions + 1.0))
 
 
 def cell_at(place: Any, cells: int) -> Any:
@@ -173,3 +184,37 @@ class Tally:
         import drjit as dr
 
         dr.scatter_add(self.sums, value, number, active & (number < self._count))
+
+
+class EventLog:
+    """Rows of whole numbers and floats that lanes append, in any order; rows past its length are counted, not kept.
+
+    Parameters
+    ----------
+    length
+        Most rows that are kept.
+    integers, floats
+        Columns of unsigned integers and of floats in single precision.
+    renderer
+        From :func:`sim.optics.open_renderer`, a compiled variant.
+    """
+
+    def __init__(self, length: int, integers: int, floats: int, renderer: Any) -> None:
+        import drjit as dr
+
+        self.columns = [dr.zeros(renderer.UInt32, length) for _ in range(integers)]
+        self.columns += [dr.zeros(renderer.Float, length) for _ in range(floats)]
+        self.count = dr.zeros(renderer.UInt32, 1)
+        self._first, self._length = dr.opaque(renderer.UInt32, 0), dr.opaque(renderer.UInt32, length)
+
+    def add(self, values: Sequence[Any], active: Any) -> None:
+        """Append one value per column where active."""
+        import drjit as dr
+
+        row = dr.scatter_inc(self.count, self._first, active)
+        for column, value in zip(self.columns, values, strict=True):
+            dr.scatter(column, value, row, active & (row < self._length))
+
+    def rows(self) -> list[NDArray[Any]]:
+        """Return the columns as far as they were written; all rows are there if ``count`` is not above the length."""
+        return [column.numpy()[: int(self.count[0])] for column in self.columns]

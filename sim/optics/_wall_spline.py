@@ -35,7 +35,7 @@ _LEAST_NOISE_REL = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class WallSmoother:
-    r"""Smooth maps over a wall, (along, up) texels, linearly.
+    r"""Smooth maps over a wall, (along, up) texels, linearly; several smoothers together are one with leading axes.
 
     A map y becomes the c that minimises
 
@@ -47,9 +47,9 @@ class WallSmoother:
     Attributes
     ----------
     noise_sd
-        sigma of what is smoothed, (along,).
+        sigma of what is smoothed, (..., along).
     gain
-        What is kept of each product of vectors, 0 to 1, (along, up); the sum is the degrees of freedom of the fit.
+        What is kept of each product of vectors, 0 to 1, (..., along, up); the sum is the degrees of freedom of the fit.
     """
 
     noise_sd: Floats
@@ -57,9 +57,9 @@ class WallSmoother:
 
     def __call__(self, values: NDArray[np.floating]) -> Floats:
         """Return the smoothed maps (..., along, up)."""
-        (_, along), (_, up) = (_roughness(count) for count in self.gain.shape)
-        kept = self.gain * (along.T @ (values / self.noise_sd[:, None]) @ up)
-        return np.asarray(self.noise_sd[:, None] * (along @ kept @ up.T))
+        (_, along), (_, up) = (_roughness(count) for count in self.gain.shape[-2:])
+        kept = self.gain * (along.T @ (values / self.noise_sd[..., None]) @ up)
+        return np.asarray(self.noise_sd[..., None] * (along @ kept @ up.T))
 
     @property
     def bias_variance(self) -> Floats:
@@ -68,10 +68,10 @@ class WallSmoother:
         Of light that is as rough as cross-validation found: the prior of covariance :math:`P^{-1}` of smoothing splines
         (Wahba 1983, Nychka 1988), of which :math:`I - S` is lost. Valid as a mean over the wall, not at each texel.
         """
-        (_, along), (_, up) = (_roughness(count) for count in self.gain.shape)
+        (_, along), (_, up) = (_roughness(count) for count in self.gain.shape[-2:])
         # per product the prior's variance is s g / (1 - g) noises, and (1 - g)^2 of it is lost
         share = _SHARE_OF_STRENGTH * self.gain * (1.0 - self.gain)
-        return np.asarray(self.noise_sd[:, None] ** 2 * (along**2 @ share @ (up**2).T))
+        return np.asarray(self.noise_sd[..., None] ** 2 * (along**2 @ share @ (up**2).T))
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,9 +126,9 @@ def choose_smoother(values: NDArray[np.floating], variance: NDArray[np.floating]
     Parameters
     ----------
     values
-        The map, (along, up).
+        The map, (along, up), or several, (..., along, up), for each of which is chosen by itself.
     variance
-        Noise variance of each texel, (along, up). It is taken to depend on the place along the wall alone.
+        Noise variance of each texel, of the same shape. It is taken to depend on the place along the wall alone.
     maps
         How many independent maps like this one are to be smoothed together.
 
@@ -136,49 +136,54 @@ def choose_smoother(values: NDArray[np.floating], variance: NDArray[np.floating]
     ----------
     G. Wahba, Spline Models for Observational Data, 1990, chapter 4; P. Eilers, B. Marx, Statistical Science 11, 1996.
     """
-    noise_sd = _noise_along(variance, _LEAST_NOISE_REL * np.abs(values).max() + np.finfo(np.float64).tiny)
-    (of_along, along), (of_up, up) = (_roughness(count) for count in values.shape)
-    spectrum = along.T @ (values / noise_sd[:, None]) @ up
-    a, b = _least_prediction_error(spectrum**2, of_along, of_up)
+    largest = np.abs(values).max(axis=(-2, -1))[..., None]
+    noise_sd = _noise_along(variance, _LEAST_NOISE_REL * largest + np.finfo(np.float64).tiny)
+    (of_along, along), (of_up, up) = (_roughness(count) for count in values.shape[-2:])
+    spectrum = along.T @ (values / noise_sd[..., None]) @ up
+    a, b = _least_prediction_error(spectrum**2)
     gain = 1.0 / (1.0 + _SHARE_OF_STRENGTH / maps * (a * of_along[:, None] + b * of_up))
     return WallSmoother(noise_sd / np.sqrt(maps), gain)
 
 
-def _noise_along(variance: NDArray[np.floating], least_sd: float) -> Floats:
-    """Return the standard deviation of texels along the wall: a parabola in its logarithm, (along,)."""
-    rows = uniform_filter1d(variance.mean(axis=1), _ROWS_TOGETHER, mode="nearest")
-    if not rows.any():
-        return np.full(len(rows), least_sd)
-    place = np.linspace(-1.0, 1.0, len(rows))
-    logarithm = np.log(np.maximum(rows, _LEAST_VARIANCE_REL * rows.mean()))
-    return np.exp(0.5 * np.polynomial.Polynomial.fit(place, logarithm, 2)(place))
+def _noise_along(variance: NDArray[np.floating], least_sd: Floats) -> Floats:
+    """Return the standard deviation of texels along walls: a parabola in its logarithm, (..., along)."""
+    rows = uniform_filter1d(variance.mean(axis=-1), _ROWS_TOGETHER, axis=-1, mode="nearest")
+    lit = rows.any(axis=-1, keepdims=True)
+    logarithm = np.log(np.where(lit, np.maximum(rows, _LEAST_VARIANCE_REL * rows.mean(axis=-1, keepdims=True)), 1.0))
+    parabola, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, rows.shape[-1]), 3))
+    return np.where(lit, np.exp(0.5 * (logarithm @ parabola @ parabola.T)), least_sd)
 
 
-def _least_prediction_error(spectrum2: Floats, along: Floats, up: Floats) -> tuple[float, float]:
-    """Return the strengths along and up the wall with the least generalised cross-validation score.
+def _least_prediction_error(spectrum2: Floats) -> tuple[Floats, Floats]:
+    """Return the strengths along and up walls with the least generalised cross-validation score, (..., 1, 1) each.
 
     Every second one is tried, then the neighbours of the best.
     """
-    coarse = np.arange(0, len(_STRENGTHS), 2)
-    i, j = _best_pair(spectrum2, along, up, coarse, coarse)
-    near = [np.clip(np.arange(k - 1, k + 2), 0, len(_STRENGTHS) - 1) for k in (i, j)]
-    i, j = _best_pair(spectrum2, along, up, *near)
-    return float(_STRENGTHS[i]), float(_STRENGTHS[j])
+    lost2, divisor = _trials(*spectrum2.shape[-2:])
+    maps = spectrum2.reshape(-1, lost2.shape[-1])
+    every, last = np.arange(0, len(_STRENGTHS), 2), len(_STRENGTHS) - 1
+    coarse = (every[:, None] * len(_STRENGTHS) + every).ravel()
+    best = coarse[np.argmin((maps @ lost2[coarse].T) / divisor[coarse], axis=1)]
+    around = np.arange(-1, 2)
+    up, along = (np.clip(k[:, None] + around, 0, last) for k in divmod(best, len(_STRENGTHS)))
+    near = (up[:, :, None] * len(_STRENGTHS) + along[:, None, :]).reshape(len(maps), -1)
+    scores = (lost2[near] @ maps[:, :, None])[..., 0] / divisor[near]
+    chosen = np.take_along_axis(near, scores.argmin(axis=1)[:, None], axis=1)[:, 0]
+    b, a = (_STRENGTHS[k].reshape(*spectrum2.shape[:-2], 1, 1) for k in divmod(chosen, len(_STRENGTHS)))
+    return a, b
 
 
-def _best_pair(
-    spectrum2: Floats, along: Floats, up: Floats, of_along: NDArray[np.int_], of_up: NDArray[np.int_]
-) -> tuple[int, int]:
-    """Return the numbers of the two strengths, among these, with the least score."""
-    best, found = np.inf, (0, 0)
-    for j in of_up:
-        roughness = _STRENGTHS[of_along][:, None, None] * along[:, None] + _STRENGTHS[j] * up
-        lost = roughness / (1.0 + roughness)
-        scores = (lost**2 * spectrum2).sum(axis=(1, 2)) / lost.mean(axis=(1, 2)) ** 2
-        least = int(np.argmin(scores))
-        if scores[least] < best:
-            best, found = float(scores[least]), (int(of_along[least]), int(j))
-    return found
+@functools.cache
+def _trials(along: int, up: int) -> tuple[Floats, Floats]:
+    """Return what each pair of strengths takes off, squared, (pair, along * up), and the square of its mean, (pair,).
+
+    Pairs are in the order of the strength up the wall, then along it.
+    """
+    (of_along, _), (of_up, _) = _roughness(along), _roughness(up)
+    strength_up, strength_along = (s.reshape(-1, 1, 1) for s in np.meshgrid(_STRENGTHS, _STRENGTHS, indexing="ij"))
+    roughness = strength_along * of_along[:, None] + strength_up * of_up
+    lost = (roughness / (1.0 + roughness)).reshape(len(roughness), -1)
+    return lost**2, lost.mean(axis=1) ** 2
 
 
 @functools.cache

@@ -5,6 +5,7 @@ does not matter. A shard holds a range of presses. It is written under a hidden 
 record, so that whatever ends the run loses the shards in flight only, and the same command continues with the others.
 """
 
+import functools
 import hashlib
 import io
 import json
@@ -46,7 +47,7 @@ from sim.experiments import (
 )
 from sim.mechanics import PressSettings, press_as_designed
 from sim.optics import Preference, RenderSettings, camera_view, choose_variant, open_renderer
-from sim.studies._engine import Progress, each_computed
+from sim.studies._engine import Progress, each_computed, not_seen, when_seen
 from sim.surface_meshes import FingerShape, check_analytic_press, contact_half_width_mm, restore_shapes
 
 Floats = NDArray[np.float64]
@@ -268,6 +269,9 @@ def run_dataset(
 ) -> tuple[list[DatasetShard], list[DatasetFailure]]:
     """Compute what a data set still lacks; return the records of its shards, and presses that failed.
 
+    A shard that was computed and is not seen after a minute, as on a slow network file system, counts as failed; the
+    next run takes it up where it is there by then, and computes it again where it is not.
+
     Parameters
     ----------
     task
@@ -286,12 +290,19 @@ def run_dataset(
     """
     clear_leftovers(task.folder / SHARDS)  # the last shard of a run that was killed may be whole already
     todo = [shard for shard in shards if stored_shard(task, shard) is None]
-    failed = []
+    failed: dict[int, str] = {}
     for shard, reason in each_computed(_try_shard, task, todo, "shard ", (workers, scheduler), progress, task.folder):
         if reason is not None:
-            failed += [DatasetFailure(press=press, reason=reason) for press in shard.presses]
-    kept = [record for shard in shards if (record := stored_shard(task, shard)) is not None]
-    return kept, [*(failure for record in kept for failure in record.failures), *failed]
+            failed[shard.number] = reason
+    whole = [shard for shard in shards if shard.number not in failed]
+    found = when_seen(functools.partial(stored_shard, task), whole, task.folder / SHARDS)
+    kept = [record for record in found.values() if record is not None]
+    failed |= {number: not_seen(task.folder) for number, record in found.items() if record is None}
+    lost = [(shard, failed[shard.number]) for shard in shards if shard.number in failed]
+    return kept, [
+        *(failure for record in kept for failure in record.failures),
+        *(DatasetFailure(press=press, reason=reason) for shard, reason in lost for press in shard.presses),
+    ]
 
 
 def _try_shard(task: DatasetTask, shard: PlannedShard) -> str | None:

@@ -8,6 +8,7 @@ a certificate made for this run, and end with the study. Workers elsewhere must 
 the folder of the study: what does not is refused, or left out where it comes later.
 """
 
+import functools
 import importlib
 import logging
 import os
@@ -56,6 +57,7 @@ class Numbered(Protocol):
 T = TypeVar("T")
 P = TypeVar("P", bound=Numbered)
 Q = TypeVar("Q")
+R = TypeVar("R")
 Progress = Callable[[int, int, str], None]
 Outcome = str | None
 
@@ -116,26 +118,39 @@ def run_study(
             for point, reason in _each(computing, _try_point, task, whole, steps, "point "):
                 if reason is not None:
                     failed[point.number] = reason
-    found = _found(task, [point for point in points if point.number not in failed], WAIT_FOR_FILES_S)
+    whole = [point for point in points if point.number not in failed]
+    found = when_seen(functools.partial(stored_point, task), whole, task.folder / POINTS)
     kept = [record for record in found.values() if record is not None]
-    failed |= {number: f"was computed, but is not in {task.folder}: {_NOT_SEEN}" for number, record in found.items()
-               if record is None}  # fmt: skip
+    failed |= {number: not_seen(task.folder) for number, record in found.items() if record is None}
     return kept, [StudyFailure(number=p.number, changes=p.changes, reason=failed[p.number])
                   for p in points if p.number in failed]  # fmt: skip
 
 
-def _found(task: StudyTask, points: Sequence[PlannedPoint], wait_s: float) -> dict[int, StudyPoint | None]:
-    """Return the stored points by number.
+def when_seen(
+    stored: Callable[[P], R | None], jobs: Sequence[P], folder: Path, wait_s: float | None = None
+) -> dict[int, R | None]:
+    """Return what is stored of jobs that workers have ended, by number; None of what is not seen.
 
     A network file system may show a file that was written elsewhere up to a minute later; it is waited for.
+
+    Parameters
+    ----------
+    stored
+        Returns what is stored of a job, None where nothing is.
+    jobs
+        What was computed.
+    folder
+        Where it is stored.
+    wait_s
+        Longest wait; by default :data:`WAIT_FOR_FILES_S`.
     """
-    found = {point.number: stored_point(task, point) for point in points}
-    deadline = time.monotonic() + wait_s
-    while (missing := [point for point in points if found[point.number] is None]) and time.monotonic() < deadline:
+    found = {job.number: stored(job) for job in jobs}
+    deadline = time.monotonic() + (WAIT_FOR_FILES_S if wait_s is None else wait_s)
+    while (missing := [job for job in jobs if found[job.number] is None]) and time.monotonic() < deadline:
         time.sleep(1.0)
         with suppress(OSError):  # reading the folder asks the file server again
-            os.listdir(task.folder / POINTS)
-        found |= {point.number: stored_point(task, point) for point in missing}
+            os.listdir(folder)
+        found |= {job.number: stored(job) for job in missing}
     return found
 
 
@@ -404,7 +419,13 @@ class _Steps:
             self._progress(self._done, self._of, what)
 
 
-_NOT_SEEN = "a worker stored it where this computer does not see it; workers must see the folder under the same path"
+def not_seen(folder: Path) -> str:
+    """Say that something was computed and is not seen, and what to do."""
+    return (
+        f"a worker has computed and stored it, but this computer does not see it in {folder} after "
+        f"{WAIT_FOR_FILES_S:g} s. Check that the workers see this folder under the same path, then give the same "
+        "command again: it continues with what is missing"
+    )
 
 
 def _each(

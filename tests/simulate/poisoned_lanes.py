@@ -27,7 +27,7 @@ from sim.optics._calibrated_camera import opencv_sensor
 from sim.optics._fluorescent_paint import FluorescentPaint
 from sim.optics._mirror_guide import CELLS_ACROSS, CELLS_ALONG, NUMBERS, ROUTES
 from sim.optics._painted_walls import TEXELS_UP
-from sim.optics._path_rules import LookupTable, Tally, cell_at
+from sim.optics._path_rules import EventLog, LookupTable, Tally, cell_at
 from sim.optics._position_map import PositionMap
 from sim.optics._render import pathwise_integrator
 from sim.surface_meshes import bent, rest_shape
@@ -84,10 +84,11 @@ class Poisoned:
 def tables(lanes, _scene):
     """The door itself: places, and numbers that lie outside."""
     mi = lanes.renderer
-    table, tally = LookupTable(np.ones((5, 4)), mi), Tally(5, mi)
+    table, tally, log = LookupTable(np.ones((5, 4)), mi), Tally(5, mi), EventLog(5, 1, 1, mi)
+    log.add([lanes.number(), lanes.next_1d()], lanes.either())
     tally.add(mi.Float(1.0), lanes.number())
     tally.add(mi.Float(1.0), cell_at(lanes.next_1d(), 5), lanes.either())
-    return [table.row(lanes.number()), table.row(cell_at(lanes.next_1d(), 5), lanes.either()), tally.sums]
+    return [table.row(lanes.number()), table.row(cell_at(lanes.next_1d(), 5), lanes.either()), tally.sums, *log.columns]
 
 
 def position_map(lanes, _scene):
@@ -106,10 +107,11 @@ def walls(lanes, scene):
     si, green, throughput = SimpleNamespace(uv=lanes.next_2d()), lanes.either(), mi.Color3f(lanes.next_3d())
     found = paths.wall_radiance(si, green, mi.Bool(True))
     glow = WallGlow(np.ones((3, *texels)), LANES)
-    noted = WallTexels(Tally(4 * int(np.prod(texels)), mi), Tally(12 * int(np.prod(texels)), mi), lanes.number(), 3)
+    log = EventLog(LANES, 3, 3, mi)
+    noted = WallTexels(Tally(4 * int(np.prod(texels)), mi), log, dr.arange(mi.UInt32, LANES), lanes.number())
     for tally in (glow, noted):
-        tally.met(si, green, throughput, [lanes.either() for _ in range(3)], mi.Bool(True))
-    return [*found, glow.radiance.sums, noted.by_wall.sums, noted.kept_away.sums]
+        tally.met(si, green, throughput, lanes.number(), mi.Bool(True))
+    return [*found, glow.radiance.sums, noted.by_wall.sums, *log.columns]
 
 
 def mirror_guide(lanes, _scene):

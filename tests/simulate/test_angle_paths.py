@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from data_schemas import FingerDesign, LightPanel, SimulateError
 from data_schemas._design_parts import TactileCamera
@@ -16,7 +17,7 @@ from sim.optics import (
     sweep_light_angle,
 )
 from sim.optics._painted_walls import TEXELS_UP
-from sim.optics._path_rules import even_points
+from sim.optics._path_rules import even_points, even_points_of_groups
 from sim.optics._probes import probes_on
 from sim.optics._render import lit_integrator
 from sim.surface_meshes import bent, pressed_shape
@@ -97,11 +98,42 @@ def test_the_panel_keeps_light_of_the_walls_away_in_each_of_its_poses(llvm, pain
             (llvm.Point3f, origins), (llvm.Vector3f, directions))))  # fmt: skip
         integrator = band_integrator(scene, design, shape, bright)
         there.append(integrator.sample(scene, sampler, rays, None, llvm.Bool(True))[0].numpy()[:2].sum(axis=0))
-    here, means = seen.by_wall[0].sum(axis=(1, 2, 3)), np.mean(there, axis=1)
+    here, means = seen.by_wall.sums()[:, 0], np.mean(there, axis=1)
     error = np.hypot(1.0, 1.0) * np.std(there, axis=1) / np.sqrt(paths)
     assert (np.abs(here[:2] - means) < STANDARD_ERRORS * error).all()
     # on edge, 7 % are kept away: far more than the noise could hide
     assert here[2] - here[1] > 2.0 * STANDARD_ERRORS * error[1]
+
+
+@pytest.mark.renderer
+def test_an_angle_is_found_as_if_it_were_alone(llvm, paints):
+    """What is shared leaves no trace: the same paths, each with its own panel in the way."""
+    design, paths = FingerDesign(camera=CAMERA), ProbePaths(SAMPLES, 2, 4)
+    together = sweep_light_angle(design, paints, llvm, [0.0, 30.0, 60.0, 110.0], paths, XZ_MM).radiance_rel
+    for k, angle in ((1, 30.0), (3, 110.0)):
+        alone = sweep_light_angle(design, paints, llvm, [angle], paths, XZ_MM).radiance_rel[0]
+        np.testing.assert_allclose(together[k], alone, rtol=1e-5)
+
+
+@pytest.mark.renderer
+def test_no_meeting_is_lost_where_there_are_more_than_was_made_room_for(llvm, paints, monkeypatch):
+    from sim.optics import _angle_paths
+
+    # flat before the middle of the pad it keeps away most of what leaves through the inner face
+    light = LightPanel(position_mm=(0.0, -14.0, 35.0), width_mm=30.0, height_mm=20.0, angle_deg=90.0)
+    design, paths, found = FingerDesign(camera=CAMERA, light=light), ProbePaths(SAMPLES, 1, 4), []
+    for share in (4.0, 1e-6):
+        monkeypatch.setattr(_angle_paths, "_MEETINGS_LOGGED", share)
+        found.append(sweep_light_angle(design, paints, llvm, [90.0], paths, XZ_MM).radiance_rel)
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6)
+    # the poison of this test: it sees where no meeting is counted
+    none = csr_array((2, 2 * TEXELS_ALONG * TEXELS_UP), dtype=np.float32)
+    walls = csr_array((none.shape[1],) * 2, dtype=np.float32)
+    monkeypatch.setattr(
+        _angle_paths.AnglePaths, "_kept_away", lambda _tracer, _log, groups, _: (none if groups == 2 else walls,)
+    )
+    forgotten = sweep_light_angle(design, paints, llvm, [90.0], paths, XZ_MM).radiance_rel
+    assert forgotten[..., :2].sum() > 1.005 * found[0][..., :2].sum()
 
 
 def test_even_points_are_uniform_and_even():
@@ -112,6 +144,9 @@ def test_even_points_are_uniform_and_even():
     # a tenth of each axis holds a tenth of the points to a few, where random numbers would scatter by ten
     for axis in points.T:
         assert np.abs(np.histogram(axis, 10, (0.0, 1.0))[0] - 100).max() <= 4
+    groups = even_points_of_groups(2, 1000, 3, np.random.default_rng(2)).reshape(2, 1000, 3)
+    np.testing.assert_array_equal(groups[0], points)
+    assert np.ptp((groups[1] - points) % 1.0, axis=0).max() < 1e-9  # the second one is the first one, shifted
     # another shift gives independent means
     means = [even_points(50, 2, rng)[:, 0].mean() for _ in range(400)]
     assert abs(np.mean(means) - 0.5) < 4.0 * np.std(means) / 20.0

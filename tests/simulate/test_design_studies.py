@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,6 +32,7 @@ from sim.studies import (
     run_study,
     study_points,
 )
+from sim.studies import _engine as engine_module
 from sim.studies import _point as point_module
 from sim.studies._engine import _each, _Steps, open_workers
 from sim.studies._point import (
@@ -434,6 +436,54 @@ def test_points_that_differ_in_the_light_share_their_press(tmp_path):
     )
     files = [press_file(task, point.design) for point in points]
     assert files[0] == files[2] != files[1] == files[3]
+
+
+LIGHTS_DEG = [float(angle) for angle in range(0, 100, 10)]
+
+
+def presses_of_ten_lights(tmp_path, monkeypatch, press):
+    """Run a study of ten lights in this process; return the design of each press, the points, and those that failed."""
+    text = '[measure]\npress = "finite elements"\nimages = false\nincrements = 2\n'
+    finger = 'design = "baby-48x18"\n[set]\n"indenter.depth_mm" = 0.3\n'
+    task, points = study_of(tmp_path, finger + text + vary("light.angle_deg", LIGHTS_DEG))
+    pressed = []
+
+    def counted(design, *given, **options):
+        pressed.append(design)
+        return press(design, *given, **options)
+
+    monkeypatch.setattr(point_module, "press_as_designed", counted)
+    monkeypatch.setattr(engine_module, "open_workers", lambda *given: nullcontext())
+    monkeypatch.setattr(
+        engine_module, "_each", lambda _workers, compute, task, jobs, *_: ((job, compute(task, job)) for job in jobs)
+    )
+    return pressed, *run_study(task, points, workers=1)
+
+
+def test_a_study_of_ten_lights_on_one_press_presses_once(tmp_path, monkeypatch):
+    pressed, kept, failed = presses_of_ten_lights(tmp_path, monkeypatch, point_module.press_as_designed)
+    assert (len(pressed), failed) == (1, [])
+    assert [record.design.light.angle_deg for record in kept] == LIGHTS_DEG
+    forces = {metric.value for record in kept for metric in record.metrics if metric.name == "force_n"}
+    assert len(forces) == 1
+    assert forces.pop() > 0.0
+
+
+def test_a_press_that_lights_do_not_share_is_counted_for_each(tmp_path, monkeypatch):
+    """The poison of the test above: a press known by its light, too, is made ten times."""
+    known_by = point_module.press_file
+
+    def by_light(task, design):
+        file = known_by(task, design)
+        return file.with_name(f"{design.light.angle_deg:g}-{file.name}")
+
+    def refused(*given, **options):
+        raise SimulateError("counted, not pressed")
+
+    for module in (point_module, engine_module):
+        monkeypatch.setattr(module, "press_file", by_light)
+    pressed, kept, failed = presses_of_ten_lights(tmp_path, monkeypatch, refused)
+    assert (len(pressed), kept, len(failed)) == (len(LIGHTS_DEG), [], len(LIGHTS_DEG))
 
 
 def test_everything_listens_on_the_loopback_interface_only():

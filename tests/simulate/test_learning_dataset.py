@@ -2,6 +2,7 @@
 
 import io
 import tarfile
+import time
 
 import numpy as np
 import pytest
@@ -25,8 +26,9 @@ from sim.experiments._learning_samples import encoded_depth, encoded_normal, enc
 from sim.experiments._sensor_press import surface_of
 from sim.optics import RenderSettings, choose_variant, open_renderer, pixel_maps
 from sim.optics import _render as renders
-from sim.studies import DatasetTask, drawn_light, drawn_press, planned_shards
+from sim.studies import DatasetTask, drawn_light, drawn_press, planned_shards, run_dataset
 from sim.studies import _dataset as datasets
+from sim.studies import _engine as engines
 from sim.surface_meshes import FingerShape, contact_half_width_mm, gel_faces, pressed_shape, rest_shape
 
 
@@ -201,3 +203,36 @@ def test_only_shapes_that_may_pass_through_themselves_are_searched(monkeypatch):
     nowhere = np.full(len(faces["coat"].vertices_mm), np.nan)
     renders.check_apart(FingerShape({**shape.surfaces, **faces}, nowhere, "below its plane"), is_analytic=True)
     assert len(searched) == 2
+
+
+def test_a_shard_that_the_disk_shows_late_is_told_and_taken_up_by_the_next_run(tmp_path, paints, monkeypatch):
+    """The disk of this computer shows nothing for a while of what the workers have written."""
+    monkeypatch.setattr(engines, "WAIT_FOR_FILES_S", 3.0)
+    task = task_of(tmp_path, paints, presses_per_shard=1, paints=1)
+    shards = planned_shards(task.plan, 2)
+    look, shown_at_s, computed = datasets.stored_shard, {0: np.inf, 1: np.inf}, []
+
+    def late(task, shard):
+        return look(task, shard) if time.monotonic() > shown_at_s[shard.number] else None
+
+    def here(compute, task, jobs, *_):
+        """Compute in this process, which sees at once what it has written."""
+        for shard in jobs:
+            shown_at_s[shard.number] = -np.inf
+            reason = compute(task, shard)
+            computed.append(shard.number)
+            shown_at_s[shard.number] = time.monotonic() + (1.0 if shard.number == 0 else np.inf)
+            yield shard, reason
+
+    monkeypatch.setattr(datasets, "stored_shard", late)
+    monkeypatch.setattr(datasets, "each_computed", here)
+    kept, failed = run_dataset(task, shards, workers=1)
+    # the first one came within the wait; the second one did not, and is told
+    assert [record.number for record in kept] == [0]
+    assert [failure.press for failure in failed] == [1]
+    assert f"does not see it in {tmp_path} after 3 s" in failed[0].reason
+    shown_at_s[1] = -np.inf
+    kept, failed = run_dataset(task, shards, workers=1)
+    assert [record.number for record in kept] == [0, 1]
+    assert failed == []
+    assert computed == [0, 1]  # nothing was computed again

@@ -6,7 +6,7 @@ from scipy.integrate import dblquad
 
 from data_schemas import FingerDesign, GelPad, LightPanel
 from sim.optics import WALLS, last_band, paint_bands, panel_frame, paper_emission
-from sim.optics._painted_walls import direct_irradiance, excited, texel_uv, unbaked_walls, wall_map
+from sim.optics._painted_walls import direct_irradiance, direct_lights, excited, texel_uv, unbaked_walls, wall_map
 from sim.surface_meshes import bent, pressed_shape, rest_shape
 from tests.simulate.flat_refraction import refracted_irradiance
 
@@ -52,6 +52,21 @@ def test_two_panels_give_the_sum_of_each():
     both = FingerDesign(light=one, second_light=other)
     sums = [direct_irradiance(d, rest_shape(d), "green", uv) for d in (*parts, both)]
     np.testing.assert_allclose(sums[2], sums[0] + sums[1], rtol=1e-12)
+
+
+@pytest.mark.renderer
+def test_lights_together_in_single_precision_are_each_alone(llvm):
+    """Sharp and wide beams, near and far, on a bent finger; the second panel is added to every one."""
+    lights = [LightPanel(angle_deg=angle, beam_exponent=m) for angle, m in ((0.0, 1.0), (40.0, 3.0), (120.0, 1.0))]
+    lights.append(LightPanel(position_mm=(4.0, -14.0, 35.0), width_mm=12.0, angle_deg=90.0, power_rel=0.3))
+    further = LightPanel(position_mm=(0.0, -8.0, 66.0), angle_deg=150.0, power_rel=0.4)
+    shape = bent(pressed_shape(FingerDesign()), 150.0)
+    together = direct_lights(FingerDesign(light=lights[0], second_light=further), shape, lights)
+    for light, found in zip(lights, together, strict=True):
+        design = FingerDesign(light=light, second_light=further)
+        alone = np.stack([direct_irradiance(design, shape, wall, texel_uv()) for wall in WALLS])
+        # single precision, and three Newton steps in place of five
+        np.testing.assert_allclose(found, alone, rtol=1e-4, atol=1e-5 * alone.max())
 
 
 def test_level_b_follows_the_angle_and_level_a_only_its_gain(paints):

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.optics._path_rules import LookupTable, Tally, cell_at
+from sim.optics._path_rules import EventLog, LookupTable, Tally, cell_at
 from sim.optics._position_map import cell_and_fraction
 
 HERE = Path(__file__).parents[2]
@@ -46,6 +46,21 @@ def test_every_float_has_a_cell_and_every_number_a_row(llvm):
     tally = Tally(3, llvm)
     tally.add(llvm.Float([1, 2, 4, 8, np.nan]), llvm.UInt32([0, 2, 3, 2**32 - 1, 1]), llvm.Bool([True] * 4 + [False]))
     np.testing.assert_array_equal(np.array(tally.sums), [1, 0, 2])
+
+
+@pytest.mark.renderer
+@pytest.mark.parametrize("length", [1, 3, 8])
+def test_a_log_keeps_what_has_room_and_counts_all(llvm, length):
+    log = EventLog(length, 1, 1, llvm)
+    numbers = llvm.UInt32([7, 8, 9, 2**32 - 1])
+    log.add([numbers, llvm.Float(numbers) / 2.0], llvm.Bool([True, False, True, True]))
+    assert int(log.count[0]) == 3
+    whole, halves = log.rows()
+    kept = min(length, 3)
+    assert len(whole) == len(halves) == kept
+    assert len(set(whole.tolist())) == kept
+    assert set(whole.tolist()) <= {7, 9, 2**32 - 1}
+    np.testing.assert_array_equal(halves, (whole.astype(np.float32) / 2.0).astype(np.float32))
 
 
 def test_the_same_map_in_numpy_has_a_cell_for_every_float():

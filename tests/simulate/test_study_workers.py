@@ -24,12 +24,12 @@ from sim.studies._engine import (
     Workers,
     _ended,
     _fault,
-    _found,
     _Steps,
     _token_in,
     each_computed,
     open_workers,
     run_study,
+    when_seen,
 )
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -258,13 +258,10 @@ def test_workers_of_this_machine_that_are_ended_are_not_called_a_scheduler_elsew
             list(_ended(Workers(client), waits, 5.0, jobs(4), _Steps(4, None)))
 
 
-def test_a_file_that_the_network_shows_late_is_waited_for(monkeypatch, tmp_path):
+def test_a_file_that_the_network_shows_late_is_waited_for(tmp_path):
     looks = iter([None, None, "the record"])
-    monkeypatch.setattr(engine_module, "stored_point", lambda task, point: next(looks))
-    task = SimpleNamespace(folder=tmp_path)
-    assert _found(task, jobs(1), 30.0) == {1: "the record"}
-    monkeypatch.setattr(engine_module, "stored_point", lambda task, point: None)
-    assert _found(task, jobs(1), 0.1) == {1: None}
+    assert when_seen(lambda job: next(looks), jobs(1), tmp_path, 30.0) == {1: "the record"}
+    assert when_seen(lambda job: None, jobs(1), tmp_path, 0.1) == {1: None}
 
 
 def test_the_press_of_each_point_is_looked_up_once(monkeypatch, tmp_path):

@@ -4,16 +4,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from data_schemas import Coating, FingerDesign, GelPad
 from data_schemas._design_parts import Enclosure, Mirror, TactileCamera
 from sim.optics import BAND_NAMES, TEXELS_ALONG, WALLS, PaintBands, open_scene, paint_bands
-from sim.optics._painted_walls import TEXELS_UP, WallExchange, texel_uv
+from sim.optics._painted_walls import TEXELS_UP, LightOfTexels, WallExchange, texel_uv
 from sim.optics._wall_spline import WallSmoother
 from sim.surface_meshes import rest_shape
 
 TEXELS = TEXELS_ALONG * TEXELS_UP
-AS_TRACED = WallSmoother(np.ones(TEXELS_ALONG), np.ones((TEXELS_ALONG, TEXELS_UP)))
+AS_TRACED = WallSmoother(np.ones((1, 2, TEXELS_ALONG)), np.ones((1, 2, TEXELS_ALONG, TEXELS_UP)))
 # a cube, whose opposite faces see much of each other, and the default pad, whose walls see little
 CUBE, PAD = GelPad(length_mm=40.0, width_mm=40.0, thickness_mm=40.0), GelPad(refractive_index=1.0)
 # both paints excite each other, which no real pair does: only then does every order add to both walls
@@ -64,7 +65,7 @@ class Met:
     """What rays of each group have met."""
 
     led: np.ndarray
-    by_wall: np.ndarray
+    by_wall: LightOfTexels
 
 
 class EmptyBox:
@@ -80,12 +81,12 @@ class EmptyBox:
         spot = origins_mm + ((far - origins_mm[:, 0]) / directions[:, 0])[:, None] * directions
         up, along = spot[:, 1] / pad.thickness_mm, spot[:, 2] / pad.length_mm
         hit = (up > 0.0) & (up < 1.0) & (along > 0.0) & (along < 1.0)
-        by_wall = np.zeros((group[-1] + 1, 2, 2, TEXELS_ALONG, TEXELS_UP))
+        whole = np.zeros((group[-1] + 1, 2, TEXELS_ALONG, TEXELS_UP), dtype=np.float32)
         at = group[hit], (far[hit] > 0.0).astype(int), (along[hit] * TEXELS_ALONG).astype(int)
-        up_texel = (up[hit] * TEXELS_UP).astype(int)
-        for light, share in ((0, 1.0), (1, 0.5)):
-            np.add.at(by_wall, (at[0], light, *at[1:], up_texel), share / per_group)
-        return Met(np.zeros((group[-1] + 1, 2)), by_wall)
+        np.add.at(whole, (*at, (up[hit] * TEXELS_UP).astype(int)), 1.0 / per_group)
+        whole = whole.reshape(len(whole), -1)
+        kept_away = csr_array(whole.shape, dtype=np.float32), csr_array(0.5 * whole)
+        return Met(np.zeros((len(whole), 2)), LightOfTexels(whole, kept_away))
 
 
 def test_form_factor_of_the_test_is_that_of_the_catalogue():
@@ -99,10 +100,13 @@ def test_form_factor_of_the_test_is_that_of_the_catalogue():
 def test_orders_of_even_walls_are_a_geometric_series():
     """Evenly lit, evenly seen walls: L_r = (a_r + b_r F a_g) / (1 - b_r b_g F^2), whatever their texels."""
     factor, red_by_green, bands = 0.4, 0.6, bands_of(0.6)
-    exchange = np.zeros((2, TEXELS_ALONG, TEXELS_UP, 1, 2, TEXELS_ALONG, TEXELS_UP))
-    exchange[0, :, :, 0, 1] = exchange[1, :, :, 0, 0] = np.pi * factor / TEXELS
-    walls = WallExchange(np.zeros((2, TEXELS_ALONG, TEXELS_UP, 1)), exchange, ((AS_TRACED, AS_TRACED),))
-    seen = walls.emitted(0, np.full((2, TEXELS_ALONG, TEXELS_UP), np.pi), bands)
+    whole = np.zeros((2, TEXELS, 2, TEXELS), dtype=np.float32)
+    whole[0, :, 1] = whole[1, :, 0] = factor / TEXELS
+    whole = whole.reshape(2 * TEXELS, 2 * TEXELS)
+    walls = WallExchange(
+        np.zeros((1, 2, TEXELS_ALONG, TEXELS_UP)), LightOfTexels(whole, (csr_array(whole.shape),)), AS_TRACED
+    )
+    seen = walls.emitted(np.full((1, 2, TEXELS_ALONG, TEXELS_UP), np.pi), bands)[0]
     loop = red_by_green * GREEN_BY_RED * factor**2
     expected = {
         "red": (FROM_LED["red"] + red_by_green * factor * FROM_LED["green"]) / (1.0 - loop),
@@ -123,12 +127,12 @@ def test_orders_in_an_empty_box_are_those_of_a_dense_inverse():
     expected = all_orders(kernel, direct, bands)
     first = FROM_LED["red"] / np.pi * direct[0].mean()
     assert 0.08 < 1.0 - first / expected[0].mean() < 0.12
-    seen = walls.emitted(0, direct, bands)
+    seen, halved = walls.emitted(np.stack([direct, direct]), bands)
     # the ten per cent along the wall: 400 000 rays, of which a fifth meets the other face, smoothed over ten texels
     np.testing.assert_allclose(seen.mean(axis=2), expected.reshape(seen.shape).mean(axis=2), rtol=3e-3)
     # a light that keeps half of what the walls send away
     np.testing.assert_allclose(
-        walls.emitted(1, direct, bands).mean(axis=2),
+        halved.mean(axis=2),
         all_orders(0.5 * kernel, direct, bands).reshape(seen.shape).mean(axis=2),
         rtol=3e-3,
     )
@@ -154,13 +158,14 @@ def test_traced_walls_of_a_black_finger_see_each_other_by_their_form_factor(llvm
     # each ray meets the other wall or does not
     error_rel = np.sqrt((1.0 - factor) / factor / samples)
     even, ones = replace(walls, led=np.zeros_like(walls.led)), np.ones((TEXELS_ALONG, TEXELS_UP))
-    for here, there in ((0, 1), (1, 0)):
-        arriving = walls.smoothers[0][here](walls.exchange[here, :, :, 0, there].sum(axis=(2, 3)))
-        assert arriving.mean() == pytest.approx(np.pi * factor, rel=STANDARD_ERRORS * error_rel)
+    exchange = walls.exchange.of_light(0).reshape(2, TEXELS_ALONG, TEXELS_UP, 2, TEXELS)
+    arriving = walls.smoother(exchange.sum(axis=(3, 4))[None])[0]
+    for here in range(2):
+        assert arriving[here].mean() == pytest.approx(factor, rel=STANDARD_ERRORS * error_rel)
         # a wall is flat and does not see itself
-        assert np.abs(walls.exchange[here, :, :, 0, here]).max() == 0.0
+        assert np.abs(exchange[here, :, :, here]).max() == 0.0
     direct = np.stack([ones, 2.0 * ones]) * np.linspace(2.0, 0.5, TEXELS_ALONG)[:, None]
-    expected, seen = all_orders(texel_kernel(PAD), direct, bands), even.emitted(0, direct, bands)
+    expected, seen = all_orders(texel_kernel(PAD), direct, bands), even.emitted(direct[None], bands)[0]
     second = 1.0 - FROM_LED["red"] / np.pi * direct[0].mean() / expected[0].mean()
     assert 0.08 < second < 0.25
     for k in range(2):
