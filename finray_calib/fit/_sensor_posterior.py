@@ -297,9 +297,10 @@ def sample_picture_posterior(
 ) -> PicturePosterior:
     r"""Fit standardised parameters to the blocks of pictures and draw from their posterior.
 
-    .. math:: y = f(\theta) + m \, (\sigma_d \Phi w + \sigma_n e) + e_y, \quad \theta, w, e \sim N(0, 1)
+    .. math:: y = f(\theta) + m \, (\sigma_d \Phi w + \sigma_n e) + e_y, \quad \theta, w \sim N(0, 1)
 
-    with m the model's own picture, :math:`\Phi` of :meth:`PictureBlocks.features` and :math:`e_y` of known variance.
+    with m the model's own picture, :math:`\Phi` of :meth:`PictureBlocks.features` and :math:`e_y` of known variance;
+    e has unit size in the mean, and channels, pictures and blocks share it as they share the noise of the model.
     The model is rendered and has noise of its own, which would make what smooths it (blur) look right and what it
     hides (slopes) look small; the squared residual is therefore the product of the residuals of two independent halves
     of it. Gauss-Newton finds the tangent; there the posterior is Gaussian at each pair of sizes, and draws come from
