@@ -1,8 +1,8 @@
 """Posterior of what makes a sensor's pictures, when a model predicts the means of their blocks.
 
 The pictures are taken as the model times one plus a smooth error of unknown size (what the model does not have, such as
-uneven paint or a vignetting lens) plus independent noise. At given sizes of both errors all is Gaussian about the
-model's tangent; the sizes are integrated over a grid.
+uneven paint or a vignetting lens) plus noise of blocks, which pictures and channels share. At given sizes of both
+errors all is Gaussian about the model's tangent; the sizes are integrated over a grid.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,6 +46,11 @@ _FARTHEST = 4.0
 # variance of an unexplained error of a block that pictures do not share, over that which they do
 _LEAST_APART = 0.05
 _LEAST_INFORMATION = 1e-6
+# of a block's squared residual, the least that a fit leaves
+_LEAST_LEFT = 0.1
+# of the noise of blocks: rounds of covariance and sizes by turns; least excess of the sizes' scatter
+_NOISE_ROUNDS = 5
+_LEAST_EXCESS = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,21 +192,83 @@ class _Tangent:
     seen: Floats
 
     def noise(self, independent_rel: float) -> Floats:
-        """Return the variance of each value, (value,).
+        """Return the covariance of the channels of each block, (picture, block, 3, 3).
 
-        Pictures that are rendered with common random numbers share most of their noise: it is pooled from the half
-        differences, apart for the mean of the pictures and for their contrasts. An unexplained error of a block is
-        taken to be shared in the same ratio.
+        That of the model is told by its half differences (:func:`_noise_of_halves`). An unexplained error of a block
+        is taken to be shared by pictures, channels and blocks in the same ratios.
         """
         pictures = len(self.seen)
-        of_model = (self.columns[:, -1].reshape(self.seen.shape) ** 2).mean(axis=2, keepdims=True)
-        common, apart = float(of_model[0].mean()), float(of_model[1:].mean())
+        of_model, by_block = _noise_of_halves(self.columns[:, -1].reshape(self.seen.shape))
+        sizes = np.trace(of_model, axis1=1, axis2=2)
+        common, apart = float(sizes[0]), float(sizes[1:].mean())
         ratio = min(max(apart / common, _LEAST_APART), 1.0) if common > 0.0 else 1.0
         unexplained = np.full((pictures, 1, 1), ratio)
         unexplained[0] = 1.0
         unexplained *= pictures / unexplained.sum()
         # with neither noise nor error the solution would claim to be exact: a ten-thousandth is below every camera
-        return np.asarray(self.seen + of_model + max(independent_rel, 1e-4) ** 2 * unexplained).ravel()
+        own = max(independent_rel, 1e-4) ** 2 * unexplained * _correlation(of_model.sum(axis=0))
+        seen = np.moveaxis(self.seen, 1, 2)[..., None] * np.eye(CHANNELS)
+        return np.asarray(seen + by_block[:, None, None] * (of_model + own)[:, None])
+
+
+def _noise_of_halves(halves: Floats) -> tuple[Floats, Floats]:
+    """Return the covariance of channels (picture, 3, 3), and how many times as large that of each block is, (block,).
+
+    Pictures that are rendered with common random numbers share most of their noise: it is apart for the mean of the
+    pictures and for their contrasts. Channels that see the same light share its noise. Few blocks, where light has
+    edges, hold most of it.
+
+    Parameters
+    ----------
+    halves
+        (picture, 3, block) half differences of the model, as mean and contrasts of pictures.
+    """
+    by_picture, by_block = halves.transpose(0, 2, 1), np.ones(halves.shape[2])
+    for _ in range(_NOISE_ROUNDS):
+        covariance = (by_picture / by_block[:, None]).transpose(0, 2, 1) @ by_picture / len(by_block)
+        spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        if not (spread > 0.0).all():
+            break
+        roots = np.linalg.cholesky(np.array([_correlation(one) for one in covariance]))
+        whitened = np.linalg.solve(roots[:, None], (by_picture / spread[:, None])[..., None])
+        by_block = _variances_by_block((whitened**2).mean(axis=(0, 2, 3)), halves.shape[0] * CHANNELS)
+    return covariance, by_block
+
+
+def _variances_by_block(squares: Floats, freedom: int) -> Floats:
+    r"""Return variances of blocks, 1 in the mean, from mean squares with few degrees of freedom, by empirical Bayes.
+
+    .. math:: g_b = \frac{\nu s_0^2 + d s_b^2}{\nu + d}, \quad
+        \mathrm{var}(\ln s_b^2) = \psi'(d / 2) + \psi'(\nu / 2), \quad
+        \ln s_0^2 = \overline{\ln s_b^2} - \psi(d / 2) + \ln(d / 2) + \psi(\nu / 2) - \ln(\nu / 2)
+
+    Source: G. K. Smyth, Statistical Applications in Genetics and Molecular Biology 3 (2004) 3.
+    """
+    from scipy.special import digamma, polygamma
+
+    logs, half = np.log(np.maximum(squares, np.finfo(float).tiny)), 0.5 * freedom
+    excess = max(float(logs.var(ddof=1) - polygamma(1, half)), _LEAST_EXCESS)
+    # psi'(x) is 1 / x + 1 / (2 x^2) to 5 % above 1
+    own = max((1.0 + np.sqrt(1.0 + 2.0 * excess)) / (2.0 * excess), 0.5)
+    usual = np.exp(logs.mean() - digamma(half) + np.log(half) + digamma(own) - np.log(own))
+    found = (own * usual + half * squares) / (own + half)
+    return np.asarray(found / found.mean())
+
+
+def _correlation(covariance: Floats) -> Floats:
+    """Return a covariance (3, 3) as correlations, of which each channel keeps a part of its own."""
+    spread = np.sqrt(np.diagonal(covariance))
+    if not (spread > 0.0).all():
+        return np.eye(CHANNELS)
+    correlation = covariance / np.outer(spread, spread)
+    return np.asarray((1.0 - _LEAST_APART) * correlation + _LEAST_APART * np.eye(CHANNELS))
+
+
+def _whitened(columns: Floats, noise: Floats) -> Floats:
+    """Return columns (value, k) in units of the noise (picture, block, 3, 3)."""
+    pictures, blocks = noise.shape[:2]
+    by_block = columns.reshape(pictures, CHANNELS, blocks, -1).transpose(0, 2, 1, 3)
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), by_block).reshape(columns.shape))
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,9 +297,10 @@ def sample_picture_posterior(
 ) -> PicturePosterior:
     r"""Fit standardised parameters to the blocks of pictures and draw from their posterior.
 
-    .. math:: y = f(\theta) + m \, (\sigma_d \Phi w + \sigma_n e) + e_y, \quad \theta, w, e \sim N(0, 1)
+    .. math:: y = f(\theta) + m \, (\sigma_d \Phi w + \sigma_n e) + e_y, \quad \theta, w \sim N(0, 1)
 
-    with m the model's own picture, :math:`\Phi` of :meth:`PictureBlocks.features` and :math:`e_y` of known variance.
+    with m the model's own picture, :math:`\Phi` of :meth:`PictureBlocks.features` and :math:`e_y` of known variance;
+    e has unit size in the mean, and channels, pictures and blocks share it as they share the noise of the model.
     The model is rendered and has noise of its own, which would make what smooths it (blur) look right and what it
     hides (slopes) look small; the squared residual is therefore the product of the residuals of two independent halves
     of it. Gauss-Newton finds the tangent; there the posterior is Gaussian at each pair of sizes, and draws come from
@@ -330,14 +398,14 @@ def _grid(tangent: _Tangent, features: Floats, pairs: Sequence[tuple[float, floa
     evidence, means, covariances = [], [], []
     for independent in dict.fromkeys(own for _, own in pairs):
         noise = tangent.noise(independent)
-        weighted = tangent.columns / noise[:, None]
-        products = tangent.columns.T @ weighted
-        sizes, vectors = np.linalg.eigh(features.T @ (features / noise[:, None]))
-        sizes, seen = np.maximum(sizes, 0.0), vectors.T @ (features.T @ weighted)
+        columns, smooth = _whitened(tangent.columns, noise), _whitened(features, noise)
+        products, log_noise = columns.T @ columns, float(np.linalg.slogdet(noise)[1].sum())
+        sizes, vectors = np.linalg.eigh(smooth.T @ smooth)
+        sizes, seen = np.maximum(sizes, 0.0), vectors.T @ (smooth.T @ columns)
         for size in (size for size, own in pairs if own == independent):
             share = size**2 / (1.0 + size**2 * sizes)
             reduced = products - seen.T @ (share[:, None] * seen)
-            log_size = float(np.log(noise).sum() + np.log1p(size**2 * sizes).sum())
+            log_size = log_noise + float(np.log1p(size**2 * sizes).sum())
             move, covariance, square = _solved(reduced, tangent.point)
             log_information = -float(np.linalg.slogdet(covariance)[1])
             evidence.append(-0.5 * (square + log_size + log_information))
@@ -364,15 +432,16 @@ def _widening(tangent: _Tangent, features: Floats, pair: tuple[float, float], co
 
     .. math:: \Sigma (1 + M) \Sigma, \quad M = \sum_i s_i s_i^T
 
-    replaces :math:`\Sigma = (1 + I)^{-1}`, with s the slopes of the log likelihood by block; M is taken where it is
-    more than the information I. Rendered pictures have rare bright paths: few blocks hold most of the noise.
+    replaces :math:`\Sigma = (1 + I)^{-1}`, with s the slopes of the log likelihood by block, all pictures and channels
+    of it together; M is taken where it is more than the information I. Rendered pictures have rare bright paths: few
+    blocks hold most of the noise.
     """
-    count, noise = len(tangent.point), tangent.noise(pair[1])[:, None]
-    both = tangent.columns[:, : count + 1]
+    count, noise = len(tangent.point), tangent.noise(pair[1])
+    both, smooth = _whitened(tangent.columns[:, : count + 1], noise), _whitened(features, noise)
     if pair[0] > 0.0:
-        inner = np.eye(features.shape[1]) / pair[0] ** 2 + features.T @ (features / noise)
-        both = both - features @ np.linalg.solve(inner, features.T @ (both / noise))
-    scores = both[:, :count] * both[:, count:] / noise
+        inner = np.eye(features.shape[1]) / pair[0] ** 2 + smooth.T @ smooth
+        both = both - smooth @ np.linalg.solve(inner, smooth.T @ both)
+    scores = _scores_by_block(both.reshape(len(tangent.seen), CHANNELS, -1, count + 1), covariance)
     information = np.linalg.inv(covariance) - (1.0 - _LEAST_INFORMATION) * np.eye(count)
     root = np.linalg.cholesky(0.5 * (information + information.T))
     whitened = np.linalg.solve(root, np.linalg.solve(root, scores.T @ scores).T)
@@ -382,11 +451,24 @@ def _widening(tangent: _Tangent, features: Floats, pair: tuple[float, float], co
     return np.asarray(np.linalg.cholesky(0.5 * (wide + wide.T)) @ np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
+def _scores_by_block(both: Floats, covariance: Floats) -> Floats:
+    r"""Return slopes of the log likelihood by block, (block, n), of slopes and residual (picture, 3, block, n + 1).
+
+    A fit draws the residual of a block to zero by :math:`1 - H, H = X \Sigma X^T`; its size is restored by
+    :math:`(1 - H)^{-1/2}`. Source: R. M. Bell, D. F. McCaffrey, Survey Methodology 28 (2002) 169.
+    """
+    by_block = np.moveaxis(both, 2, 0).reshape(both.shape[2], -1, both.shape[3])
+    slopes, residual = by_block[..., :-1], by_block[..., -1:]
+    left, vectors = np.linalg.eigh(np.eye(by_block.shape[1]) - slopes @ covariance @ slopes.transpose(0, 2, 1))
+    turned = vectors.transpose(0, 2, 1) @ residual / np.sqrt(np.maximum(left, _LEAST_LEFT))[..., None]
+    return np.asarray((slopes.transpose(0, 2, 1) @ vectors @ turned)[..., 0])
+
+
 def _noise_share(tangent: _Tangent, features: Floats, pair: tuple[float, float]) -> Floats:
     """Return for each parameter the squared slopes of the half differences over those of the model, (parameter,)."""
-    noise, count = np.sqrt(tangent.noise(pair[1]))[:, None], len(tangent.point)
-    smooth = pair[0] * features / noise
-    slopes = np.delete(tangent.columns / noise, [count, 2 * count + 1], axis=1)
+    noise, count = tangent.noise(pair[1]), len(tangent.point)
+    smooth = pair[0] * _whitened(features, noise)
+    slopes = np.delete(_whitened(tangent.columns, noise), [count, 2 * count + 1], axis=1)
     inner = np.linalg.solve(np.eye(smooth.shape[1]) + smooth.T @ smooth, smooth.T @ slopes)
     seen, of_noise = np.split(np.maximum((slopes * (slopes - smooth @ inner)).sum(axis=0), 0.0), 2)
     return np.asarray(of_noise / np.maximum(seen, 1.0))
