@@ -304,6 +304,8 @@ class _Fit:
         Derivatives by every cause where nothing is changed yet, weighted, at these pixels.
     gram : ndarray
         Products of the rows with each other.
+    first : dict
+        The derivatives (parameters, H, W, 3) where nothing is changed yet, of the causes that were asked for.
     """
 
     scene: _Scene
@@ -311,6 +313,7 @@ class _Fit:
     fitted: NDArray[np.intp]
     rows: Floats
     gram: Floats
+    first: dict[Cause, Floats] = field(init=False, default_factory=dict)
 
     @classmethod
     def of(cls, scene: _Scene) -> "_Fit":
@@ -321,10 +324,11 @@ class _Fit:
         image = scene.changed({})
         light = fit._light_rows(image)
         of_light: dict[Cause, Floats] = {"gain": light[:3], "shading": light[3:]}
-        rows = np.concatenate(
-            [of_light[c] if c in of_light else fit.listed(fit.derivatives(c, {}, image)) for c in CAUSES]
-        )
-        return replace(fit, rows=rows, gram=rows @ rows.T)
+        found = {c: fit.derivatives(c, {}, image) for c in CAUSES if c not in of_light}
+        rows = np.concatenate([of_light[c] if c in of_light else fit.listed(found[c]) for c in CAUSES])
+        fit = replace(fit, rows=rows, gram=rows @ rows.T)
+        fit.first.update(found)
+        return fit
 
     def _light_rows(self, image: Floats) -> Floats:
         """Return the listed derivatives (9, 3 P) by gain and shading, which are none of the other channels'."""
@@ -396,12 +400,8 @@ class _Fit:
         tile = np.repeat(tile_indices(self.scene.fitted, _TILE_PX), 3)
         for number in range(_PASSES):
             image = self.scene.changed(theta)
-            # pose and size last: the others share one moved change
-            order = sorted(chosen, key=lambda c: c in ("pose", "size"))
-            images = {c: self.derivatives(c, theta, image) for c in order}
-            rows = np.concatenate([self.listed(images[c]) for c in chosen])
+            images, rows, hessian = self._linearised(chosen, theta, image, first=number == 0)
             residual = self.listed((self.scene.captured - image)[None])[0]
-            hessian = rows @ rows.T
             # a move along a strip changes nothing: what the image does not tell stays where it is
             prior = noise / np.concatenate([np.full(len(theta[c]), _PRIOR_SD[c]) for c in chosen]) ** 2
             hessian += _RIDGE * np.diag(np.diag(hessian)) + np.diag(prior)
@@ -419,6 +419,22 @@ class _Fit:
             if is_last:
                 break
         return theta, effects, u
+
+    def _linearised(
+        self, chosen: Sequence[Cause], theta: Mapping[Cause, Floats], image: Floats, first: bool
+    ) -> tuple[Mapping[Cause, Floats], Floats, Floats]:
+        """Return derivatives by causes, as images and listed, and their products; known where nothing is changed."""
+        if first:
+            for c in chosen:
+                if c not in self.first:
+                    self.first[c] = self.derivatives(c, {}, image)
+            of = np.concatenate([_OWN[c] for c in chosen])
+            return self.first, self.rows[of], self.gram[np.ix_(of, of)].copy()
+        # pose and size last: the others share one moved change
+        order = sorted(chosen, key=lambda c: c in ("pose", "size"))
+        images = {c: self.derivatives(c, theta, image) for c in order}
+        rows = np.concatenate([self.listed(images[c]) for c in chosen])
+        return images, rows, rows @ rows.T
 
     def alike(self, cause: Cause, effect: Floats) -> tuple[str, ...]:
         """Return the causes that could imitate an effect."""
