@@ -23,7 +23,7 @@ from data_schemas import (
     naming,
     narrow_sweep_text,
 )
-from finray_calib._library import PathLike, digest_of, given, made
+from finray_calib._library import PathLike, digest_of, given, given_list, made, whole_seed
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -221,6 +221,7 @@ def render_press(
     """
     from sim.experiments import simulate_press
 
+    seed = whole_seed(seed)
     rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     return made(simulate_press(scene, rendering, digests, progress), "render_press", files, seed)
@@ -251,6 +252,7 @@ def render_images(
     """
     from sim.experiments import simulate_images
 
+    seed = whole_seed(seed)
     rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     products = simulate_images(scene, rendering, digests, progress)
@@ -284,6 +286,7 @@ def render_sensor(
     """
     from sim.experiments import simulate_sensor_press
 
+    seed = whole_seed(seed)
     design, folder, files = _plain_sensor(sensor)
     with naming(SimulateError, *files[:1]):
         press, _ = simulate_sensor_press(design, folder, _renderer(engine), seed, samples)
@@ -327,8 +330,9 @@ def fit_sensor(
     """
     from sim.experiments import fit_sensor as fit_scene
 
+    seed = whole_seed(seed)
+    read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
     scene, files = _layered(design, dict(paints or {}), seed, options)
-    read = [given(capture, TactileCapture) for capture in captures]
     with naming(SimulateError, *files[:1]):
         fit = fit_scene(scene, [capture for capture, _ in read], free, seed, progress)
     return made(fit, "fit_sensor", [*files, *(file for _, of in read for file in of)], seed)
@@ -410,6 +414,7 @@ def sweep_light_angle(
     from sim.experiments import light_angle_sweep
     from sim.optics import ProbePaths
 
+    seed = whole_seed(seed)
     if options.get("level", "b") != "b":
         raise SimulateError("level: sweeps are always made with level b; leave level out")
     if not options.get("narrow_sweep", False) and look_like_radians(list(angles_deg)):

@@ -9,8 +9,9 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from data_schemas import (
     BandSignals,
@@ -76,6 +77,39 @@ def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
     )
 
 
+def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
+    """Return the records and paths of a list that the user gave.
+
+    Raises
+    ------
+    RecordError
+        It is no list, such as a record or a path alone.
+    """
+    if isinstance(what, Record | str | os.PathLike | bytes) or not isinstance(what, Iterable):
+        raise RecordError(
+            f"{argument}: a list is needed, each a {kind.__name__} or the path of a stored one; a "
+            f"{type(what).__name__} was given"
+        )
+    return list(what)
+
+
+def whole_seed(seed: int) -> int:
+    """Return a seed that the random generators and the record can hold; asked for before any work is done.
+
+    Raises
+    ------
+    RecordError
+        It is not a whole number from 0 to 2^63 - 1.
+    """
+    try:
+        number = -1 if isinstance(seed, bool) else index(seed)
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**63:
+        raise RecordError(f"seed={seed!r}: a seed is a whole number from 0 to 2^63 - 1; give one, such as 1")
+    return number
+
+
 def made(record: R, call: str, inputs: Iterable[Path], seed: int | None = None) -> R:
     """Return a record with its origin: the function of the library, the files that went in, and the seed."""
     return record.model_copy(
@@ -135,8 +169,12 @@ def write_record(record: Record, path: PathLike) -> Path:
     Raises
     ------
     RecordError
-        The file exists already: a stored record is never overwritten.
+        The file exists already, and a stored record is never overwritten; or what was given is no record.
     """
+    if not isinstance(record, Record):
+        raise RecordError(
+            f"{path}: a record is stored here, such as fit_paint returns; a {type(record).__name__} was given"
+        )
     origin = record.provenance
     if origin is None:
         origin = provenance("finray_calib.write_record, from Python")
@@ -357,8 +395,9 @@ def fit_paint(
     """
     from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint, departing_warnings
 
+    seed = whole_seed(seed)
     signals, files, scatter = _of_sessions(bands)
-    others = [given(other, BandSignals) for other in other_lights]
+    others = [given(other, BandSignals) for other in given_list(other_lights, BandSignals, "other_lights")]
     files += [file for _, read in others for file in read]
     options = FitOptions(
         family=None if family == "auto" else family,
@@ -386,7 +425,7 @@ def _of_sessions(
         return *given(bands, BandSignals), None
     from finray_calib.fit import combine_sessions
 
-    read = [given(one, BandSignals) for one in bands]
+    read = [given(one, BandSignals) for one in given_list(bands, BandSignals, "bands")]
     files = [file for _, of_one in read for file in of_one]
     if len(read) == 1:
         return read[0][0], files, None
@@ -450,6 +489,7 @@ def compare_press(
     """
     from finray_calib.compare import CheckOptions, compare_checked
 
+    seed = whole_seed(seed)
     press, files = given(simulated, SimulatedPress)
     captured, read = given(capture, TactileCapture)
     files += read
@@ -493,6 +533,7 @@ def compare_force(
     from finray_calib.exchange import read_force_csv
     from finray_calib.force import compare_force as compare
 
+    seed = whole_seed(seed)
     mechanics, files = given(press, PressMechanics)
     other, read = (None, []) if other_mesh is None else given(other_mesh, PressMechanics)
     measured = read_force_csv(Path(force_csv))
@@ -538,10 +579,12 @@ def decide_light_angle(
     """
     from finray_calib.decide import decide
 
-    several = [sweeps] if isinstance(sweeps, LightAngleSweep | str | os.PathLike) else list(sweeps)
+    seed = whole_seed(seed)
+    alone = isinstance(sweeps, LightAngleSweep | str | os.PathLike)
+    several = [sweeps] if alone else given_list(sweeps, LightAngleSweep, "sweeps")
     swept = [given(sweep, LightAngleSweep) for sweep in several]
     files = [file for _, read in swept for file in read]
-    compared = [given(report, PhotometricErrorReport) for report in reports]
+    compared = [given(of, PhotometricErrorReport) for of in given_list(reports, PhotometricErrorReport, "reports")]
     files += [file for _, read in compared for file in read]
     with naming(DecideError, *files):
         decision = decide(

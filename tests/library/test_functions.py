@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 import finray_calib as finray
-from data_schemas import CaptureError, ImportFormatError, PlainSensor, RadiometryError, RecordError, SimulateError
+from data_schemas import (
+    CaptureError,
+    DecideError,
+    FitError,
+    ImportFormatError,
+    PlainSensor,
+    RadiometryError,
+    RecordError,
+    SimulateError,
+)
 from data_schemas.storage import read_record, sha256_of
 from finray_calib.lineage import findings
 from sim.mechanics import STEPS
@@ -204,3 +213,63 @@ def test_what_is_no_record_is_refused(lab, tmp_path):
 def test_band_images_of_others_are_imported(tmp_path):
     with pytest.raises(ImportFormatError, match=r"bands\.toml"):
         finray.import_bands(tmp_path)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "a", None, True, 2**70])
+def test_a_seed_that_no_generator_takes_is_refused_before_the_work(lab, paint, seed):
+    calls = (
+        lambda: finray.fit_paint(lab / "bands.json", seed=seed),
+        lambda: finray.compare_press(lab / "press.json", lab / "capture.json", seed=seed),
+        lambda: finray.compare_force(lab / "press.json", "force.csv", seed=seed),
+        lambda: finray.decide_light_angle(lab / "sweep.json", seed=seed),
+        lambda: finray.render_press(lab / "finger.toml", red=paint, green=paint, seed=seed),
+        lambda: finray.render_images(lab / "finger.toml", red=paint, green=paint, seed=seed),
+        lambda: finray.render_sensor("gelsight-flat", seed=seed),
+        lambda: finray.fit_sensor("gelsight-flat", [], seed=seed),
+        lambda: finray.sweep_light_angle(lab / "finger.toml", [0, 30, 60, 90], red=paint, green=paint, seed=seed),
+    )
+    for call in calls:
+        with pytest.raises(RecordError, match="a seed is a whole number from 0 to"):
+            call()
+
+
+def test_a_seed_of_numpy_is_a_seed(lab):
+    decision = finray.decide_light_angle(lab / "sweep.json", seed=np.int64(3))
+    assert decision.provenance.seed == 3
+    assert decision.angle_deg == finray.decide_light_angle(lab / "sweep.json", seed=3).angle_deg
+
+
+def test_what_is_no_list_of_records_is_refused_by_its_own_name(lab, paint, tmp_path):
+    for wrong in (None, 7, paint, np.nan):
+        with pytest.raises(RecordError, match="bands: a list is needed, each a BandSignals or the path"):
+            finray.fit_paint(wrong)
+    with pytest.raises(RecordError, match=r"other_lights: a list is needed, .*; a PosixPath was given"):
+        finray.fit_paint(lab / "bands.json", other_lights=lab / "bands.json")
+    with pytest.raises(RecordError, match=r"sweeps: a list is needed, .*; a PaintCalibration was given"):
+        finray.decide_light_angle(paint)
+    with pytest.raises(RecordError, match="reports: a list is needed"):
+        finray.decide_light_angle(lab / "sweep.json", lab / "report.json")
+    with pytest.raises(RecordError, match="captures: a list is needed"):
+        finray.fit_sensor(lab / "finger.toml", lab / "capture.json")
+    with pytest.raises(FitError, match="no band signals are given"):
+        finray.fit_paint([])
+    with pytest.raises(RecordError, match=r"x\.json: a record is stored here, .* a ndarray was given"):
+        finray.write_record(np.zeros(3), tmp_path / "x.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_same_session_does_not_count_twice(lab):
+    with pytest.raises(FitError, match="session 2 holds the same values as session 1: it would count twice"):
+        finray.fit_paint([lab / "bands.json", lab / "bands.json"])
+
+
+def test_a_decision_without_sweeps_or_with_unknown_choices_is_refused(lab):
+    with pytest.raises(DecideError, match="no sweep is given"):
+        finray.decide_light_angle([])
+    with pytest.raises(DecideError, match="aim='normals' is unknown; it is one of None, 'brightness', 'normal'"):
+        finray.decide_light_angle(lab / "sweep.json", aim="normals")
+    with pytest.raises(DecideError, match="criterion='best' is unknown; it is one of 'average', 'worst'"):
+        finray.decide_light_angle(lab / "sweep.json", criterion="best")
+    for weights in ([np.inf], [np.nan], [0], ["a"], "a", 3, [1, 1]):
+        with pytest.raises(DecideError, match="for 1 sweeps: give one finite number above 0 for each sweep"):
+            finray.decide_light_angle(lab / "sweep.json", weights=weights)
