@@ -4,9 +4,14 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import isfinite
+from numbers import Real
+from operator import index
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, SupportsIndex, TypedDict
+
+from pydantic import ValidationError
 
 from data_schemas import (
     FingerDesign,
@@ -19,6 +24,7 @@ from data_schemas import (
     SimulatedPress,
     SimulateError,
     TactileCapture,
+    explain,
     look_like_radians,
     naming,
     narrow_sweep_text,
@@ -39,6 +45,15 @@ DEFAULT_SAMPLES_PER_PROBE = 4000
 SWEEP_REPEATS = 6
 SURFACES_SUFFIX = ".surfaces.json"
 MECHANICS_SUFFIX = ".mechanics.json"
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "level": ("a", "a_inverse_square", "b", "c"),
+    "engine": ("auto", "llvm", "scalar", "cuda"),
+    "contact": ("auto", "penalty", "barrier"),
+}
+_OF_ALL = frozenset({"samples", "engine", "paints_as_given"})
+_OF_A_PRESS = _OF_ALL | {"level", "pose_response", "shared_light", "position_mm"}
+_OF_A_FIT = _OF_ALL | {"shared_light"}
+_OF_A_SWEEP = _OF_ALL | {"level", "all_objectives", "position_mm", "narrow_sweep"}
 
 
 class FingerPress(NamedTuple):
@@ -111,7 +126,7 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
     from sim import PRESETS, design_inputs, preset_design, read_design
 
     if isinstance(given_design, FingerDesign):
-        return _Design(given_design, Path(), [])
+        return _Design(_valid(given_design), Path(), [])
     path = Path(given_design)
     if path.name.endswith(SURFACES_SUFFIX):
         return _design_of_surfaces(path)
@@ -119,6 +134,50 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
         return _Design(preset_design(os.fspath(given_design)), Path(), [])
     design = read_design(path)
     return _Design(design, path.parent, design_inputs(design, path))
+
+
+def _valid(design: FingerDesign) -> FingerDesign:
+    """Return a design whose numbers are checked again: ``model_copy(update=...)`` takes any.
+
+    Raises
+    ------
+    SimulateError
+        A number is not allowed; the message names it.
+    """
+    try:
+        FingerDesign.model_validate(design.model_dump(warnings=False))
+    except ValidationError as refused:
+        raise SimulateError(f"the design {design.name!r}: {explain(refused, FingerDesign)}") from None
+    return design
+
+
+def _require_options(options: Mapping[str, object], known: frozenset[str]) -> None:
+    """Refuse options that a function does not have, and values that they cannot have, before any work is done.
+
+    Raises
+    ------
+    SimulateError
+        An option is unknown or out of range; the message lists what is allowed.
+    """
+    for name, value in options.items():
+        if name not in known:
+            raise SimulateError(f"{name}: no such option here; there are {', '.join(sorted(known))}")
+        if name in _CHOICES and value not in _CHOICES[name]:
+            raise SimulateError(f"{name}={value!r} is unknown; it is one of {', '.join(_CHOICES[name])}")
+        if name == "samples":
+            _whole("samples", value, 1)
+
+
+def _whole(name: str, value: object, least: int) -> None:
+    """Refuse what is not a whole number of at least this size."""
+    if isinstance(value, bool) or not isinstance(value, SupportsIndex) or index(value) < least:
+        raise SimulateError(f"{name}={value!r}: a whole number from {least} is needed")
+
+
+def _positive(name: str, value: object, unit: str) -> None:
+    """Refuse what is not a finite number above zero."""
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < value < float("inf"):
+        raise SimulateError(f"{name}={value!r}: a finite number above 0 {unit} is needed")
 
 
 def _design_of_surfaces(surfaces: Path) -> _Design:
@@ -170,6 +229,11 @@ def press_finger(
     from sim.mechanics import PressSettings, press_to_force
     from sim.mechanics import press_as_designed as press
 
+    _whole("increments", increments, 1)
+    _require_options({"contact": contact}, frozenset({"contact"}))
+    for name, value, unit in (("force_n", force_n, "N"), ("budget_s", budget_s, "s")):
+        if value is not None:
+            _positive(name, value, unit)
     finger, folder, files = _design(design)
     settings = PressSettings(None, increments, machine_threads(), contact, budget_s)
     if force_n is not None and contact == "barrier":
@@ -222,6 +286,7 @@ def render_press(
     from sim.experiments import simulate_press
 
     seed = whole_seed(seed)
+    _require_options(options, _OF_A_PRESS)
     rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     return made(simulate_press(scene, rendering, digests, progress), "render_press", files, seed)
@@ -253,6 +318,7 @@ def render_images(
     from sim.experiments import simulate_images
 
     seed = whole_seed(seed)
+    _require_options(options, _OF_A_PRESS)
     rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     products = simulate_images(scene, rendering, digests, progress)
@@ -287,6 +353,9 @@ def render_sensor(
     from sim.experiments import simulate_sensor_press
 
     seed = whole_seed(seed)
+    _require_options({"samples": samples, "engine": engine}, _OF_ALL)
+    if samples % 2:
+        raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
     design, folder, files = _plain_sensor(sensor)
     with naming(SimulateError, *files[:1]):
         press, _ = simulate_sensor_press(design, folder, _renderer(engine), seed, samples)
@@ -331,7 +400,10 @@ def fit_sensor(
     from sim.experiments import fit_sensor as fit_scene
 
     seed = whole_seed(seed)
+    _require_options(options, _OF_A_FIT)
     read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
+    if paints is not None and not (isinstance(paints, Mapping) and set(paints) == {"red", "green"}):
+        raise SimulateError("paints: give a paint of each wall, such as {'red': PAINT, 'green': PAINT}, or none")
     scene, files = _layered(design, dict(paints or {}), seed, options)
     with naming(SimulateError, *files[:1]):
         fit = fit_scene(scene, [capture for capture, _ in read], free, seed, progress)
@@ -415,17 +487,32 @@ def sweep_light_angle(
     from sim.optics import ProbePaths
 
     seed = whole_seed(seed)
+    _require_options(options, _OF_A_SWEEP)
+    angles_deg = _angles(angles_deg)
     if options.get("level", "b") != "b":
         raise SimulateError("level: sweeps are always made with level b; leave level out")
-    if not options.get("narrow_sweep", False) and look_like_radians(list(angles_deg)):
-        raise SimulateError(f"angles_deg: {narrow_sweep_text(list(angles_deg))}")
+    if not options.get("narrow_sweep", False) and look_like_radians(angles_deg):
+        raise SimulateError(f"angles_deg: {narrow_sweep_text(angles_deg)}")
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     paths = ProbePaths(options.get("samples", DEFAULT_SAMPLES_PER_PROBE), SWEEP_REPEATS, seed)
     sweep = light_angle_sweep(
-        scene.finger, scene.calibrations, list(angles_deg), paths, digests, progress,
+        scene.finger, scene.calibrations, angles_deg, paths, digests, progress,
         shapes=scene.shapes, further_objectives=options.get("all_objectives", False),
     )  # fmt: skip
     return made(sweep, "sweep_light_angle", files, seed)
+
+
+def _angles(angles_deg: Sequence[float]) -> list[float]:
+    """Return the angles of a sweep as floats."""
+    try:
+        angles = [float(angle) for angle in angles_deg]
+    except (TypeError, ValueError):
+        angles = []
+    if not angles or not all(isfinite(angle) for angle in angles):
+        raise SimulateError(
+            f"angles_deg={angles_deg!r}: a list of finite angles in deg is needed, such as [0, 30, 60, 90]"
+        )
+    return angles
 
 
 def _scene(
@@ -440,7 +527,7 @@ def _scene(
     found = _design(design)
     if "position_mm" in options:
         indenter = found.design.indenter.model_copy(update={"position_mm": options["position_mm"]})
-        found = found._replace(design=found.design.model_copy(update={"indenter": indenter}))
+        found = found._replace(design=_valid(found.design.model_copy(update={"indenter": indenter})))
     if surfaces is None and not isinstance(design, FingerDesign) and Path(design).name.endswith(SURFACES_SUFFIX):
         surfaces = design
     read = {colour: given(paint, PaintCalibration) for colour, paint in paints.items()}

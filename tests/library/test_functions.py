@@ -273,3 +273,56 @@ def test_a_decision_without_sweeps_or_with_unknown_choices_is_refused(lab):
     for weights in ([np.inf], [np.nan], [0], ["a"], "a", 3, [1, 1]):
         with pytest.raises(DecideError, match="for 1 sweeps: give one finite number above 0 for each sweep"):
             finray.decide_light_angle(lab / "sweep.json", weights=weights)
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"sampels": 40}, "sampels: no such option here; there are all_objectives, engine, level"),
+        ({"pose_response": True}, "pose_response: no such option here"),
+        ({"samples": 0}, "samples=0: a whole number from 1"),
+        ({"samples": 1.5}, r"samples=1\.5: a whole number"),
+        ({"engine": "cpu"}, "engine='cpu' is unknown; it is one of auto, llvm, scalar, cuda"),
+        ({"position_mm": 500.0}, r"indenter\.position_mm = 500\.0 mm must lie on the pad \(0 to 70\.0 mm\)"),
+        ({"position_mm": np.nan}, r"'indenter\.position_mm' \(in mm\): must be a finite number"),
+    ],
+)
+def test_an_option_that_a_sweep_does_not_have_is_refused(lab, paint, option, message):
+    with pytest.raises(SimulateError, match=message):
+        finray.sweep_light_angle(lab / "finger.toml", [0, 30, 60, 90], red=paint, green=paint, **option)
+
+
+def test_options_of_a_press_are_checked(lab, paint):
+    for option, message in (({"all_objectives": True}, "all_objectives: no such option here"),
+                            ({"level": "B"}, "level='B' is unknown; it is one of a, a_inverse_square, b, c"),
+                            ({"position_mm": -1.0}, "must lie on the pad")):  # fmt: skip
+        with pytest.raises(SimulateError, match=message):
+            finray.render_press(lab / "finger.toml", red=paint, green=paint, **option)
+    with pytest.raises(SimulateError, match="samples=3: a press is rendered as two halves"):
+        finray.render_sensor("gelsight-flat", samples=3)
+    with pytest.raises(SimulateError, match="paints: give a paint of each wall"):
+        finray.fit_sensor(lab / "finger.toml", [lab / "capture.json"], paints={"rde": paint, "green": paint})
+
+
+@pytest.mark.parametrize("angles_deg", [None, 7, [], "0:90:30", [0, 30, 60, np.nan]])
+def test_angles_are_a_list_of_finite_numbers(lab, paint, angles_deg):
+    with pytest.raises(SimulateError, match="a list of finite angles in deg is needed"):
+        finray.sweep_light_angle(lab / "finger.toml", angles_deg, red=paint, green=paint)
+
+
+def test_numbers_of_a_push_are_checked_before_it():
+    for numbers, message in (({"increments": 0}, "increments=0: a whole number from 1"),
+                             ({"increments": 1.5}, r"increments=1\.5"),
+                             ({"force_n": -1.0}, r"force_n=-1\.0: a finite number above 0 N"),
+                             ({"force_n": np.nan}, "force_n=nan"),
+                             ({"budget_s": 0}, "budget_s=0: a finite number above 0 s"),
+                             ({"contact": "glue"}, "contact='glue' is unknown; it is one of")):  # fmt: skip
+        with pytest.raises(SimulateError, match=message):
+            finray.press_finger("flat-70x35", **numbers)
+
+
+def test_a_design_changed_in_python_is_checked_again(paint):
+    design = finray.finger_design()
+    metres = design.indenter.model_copy(update={"depth_mm": -1.5})
+    with pytest.raises(SimulateError, match=r"the design 'flat-70x35': 'indenter\.depth_mm' \(in mm\): must be"):
+        finray.render_press(design.model_copy(update={"indenter": metres}), red=paint, green=paint)
