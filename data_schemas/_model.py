@@ -59,6 +59,10 @@ class Model(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True)
 
+    def __eq__(self, other: object) -> bool:
+        """Return whether all fields are equal; pydantic's own comparison fails on arrays."""
+        return self is other or (type(self) is type(other) and _equal(self.__dict__, other.__dict__))
+
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Take truth values and texts for no numbers, and numbers and texts for no truth values."""
@@ -81,6 +85,17 @@ class Model(BaseModel):
             if isinstance(part := getattr(self, name), Model)
             for path, why in part.idle_fields().items()
         }
+
+
+def _equal(one: object, other: object) -> bool:
+    """Return whether two values are equal, arrays among them in shape and every value (NaN equals NaN there)."""
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc" and other.dtype.kind in "fc")
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_equal(value, other[key]) for key, value in one.items())
+    if isinstance(one, tuple | list) and type(one) is type(other):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    return bool(np.all(one == other))
 
 
 class Record(Model):

@@ -1,13 +1,18 @@
 """The functions of the library that need the simulation: a finger's design, its press, its render and its sweep."""
 
-import math
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from math import isfinite
+from numbers import Real
+from operator import index
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple, TypedDict, get_args
+from typing import TYPE_CHECKING, NamedTuple, SupportsIndex, TypedDict
+
+from pydantic import ValidationError
 
 from data_schemas import (
     FingerDesign,
@@ -20,11 +25,12 @@ from data_schemas import (
     SimulatedPress,
     SimulateError,
     TactileCapture,
+    explain,
     look_like_radians,
     naming,
     narrow_sweep_text,
 )
-from finray_calib._library import PathLike, digest_of, given, given_all, made, path_of, require_choice, whole_number
+from finray_calib._library import PathLike, digest_of, given, given_list, made, path_of, whole_seed
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -40,6 +46,15 @@ DEFAULT_SAMPLES_PER_PROBE = 4000
 SWEEP_REPEATS = 6
 SURFACES_SUFFIX = ".surfaces.json"
 MECHANICS_SUFFIX = ".mechanics.json"
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "level": ("a", "a_inverse_square", "b", "c"),
+    "engine": ("auto", "llvm", "scalar", "cuda"),
+    "contact": ("auto", "penalty", "barrier"),
+}
+_OF_ALL = frozenset({"samples", "engine", "paints_as_given"})
+_OF_A_PRESS = _OF_ALL | {"level", "pose_response", "shared_light", "position_mm"}
+_OF_A_FIT = _OF_ALL | {"shared_light"}
+_OF_A_SWEEP = _OF_ALL | {"level", "all_objectives", "position_mm", "narrow_sweep"}
 
 
 class FingerPress(NamedTuple):
@@ -112,7 +127,7 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
     from sim import PRESETS, design_inputs, preset_design, read_design
 
     if isinstance(given_design, FingerDesign):
-        return _Design(given_design, Path(), [])
+        return _Design(_valid(given_design), Path(), [])
     path = path_of(given_design, "design")
     if path.name.endswith(SURFACES_SUFFIX):
         return _design_of_surfaces(path)
@@ -120,6 +135,50 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
         return _Design(preset_design(os.fspath(given_design)), Path(), [])
     design = read_design(path)
     return _Design(design, path.parent, design_inputs(design, path))
+
+
+def _valid(design: FingerDesign) -> FingerDesign:
+    """Return a design whose numbers are checked again: ``model_copy(update=...)`` takes any.
+
+    Raises
+    ------
+    SimulateError
+        A number is not allowed; the message names it.
+    """
+    try:
+        FingerDesign.model_validate(design.model_dump(warnings=False))
+    except ValidationError as refused:
+        raise SimulateError(f"the design {design.name!r}: {explain(refused, FingerDesign)}") from None
+    return design
+
+
+def _require_options(options: Mapping[str, object], known: frozenset[str]) -> None:
+    """Refuse options that a function does not have, and values that they cannot have, before any work is done.
+
+    Raises
+    ------
+    SimulateError
+        An option is unknown or out of range; the message lists what is allowed.
+    """
+    for name, value in options.items():
+        if name not in known:
+            raise SimulateError(f"{name}: no such option here; there are {', '.join(sorted(known))}")
+        if name in _CHOICES and value not in _CHOICES[name]:
+            raise SimulateError(f"{name}={value!r} is unknown; it is one of {', '.join(_CHOICES[name])}")
+        if name == "samples":
+            _whole("samples", value, 1)
+
+
+def _whole(name: str, value: object, least: int) -> None:
+    """Refuse what is not a whole number of at least this size."""
+    if isinstance(value, bool) or not isinstance(value, SupportsIndex) or index(value) < least:
+        raise SimulateError(f"{name}={value!r}: a whole number from {least} is needed")
+
+
+def _positive(name: str, value: object, unit: str) -> None:
+    """Refuse what is not a finite number above zero."""
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < value < float("inf"):
+        raise SimulateError(f"{name}={value!r}: a finite number above 0 {unit} is needed")
 
 
 def _design_of_surfaces(surfaces: Path) -> _Design:
@@ -168,13 +227,14 @@ def press_finger(
     """
     from finray_calib.spectra import machine_threads
     from sim.experiments import press_records
-    from sim.mechanics import ContactChoice, PressSettings, press_to_force
+    from sim.mechanics import PressSettings, press_to_force
     from sim.mechanics import press_as_designed as press
 
-    whole_number(increments, "increments", 1, SimulateError)
-    require_choice(contact, "contact", get_args(ContactChoice), SimulateError)
-    if budget_s is not None and not (isinstance(budget_s, int | float) and budget_s > 0.0):
-        raise SimulateError(f"budget_s = {budget_s!r}: processor time above 0 s is needed, or None")
+    _whole("increments", increments, 1)
+    _require_options({"contact": contact}, frozenset({"contact"}))
+    for name, value, unit in (("force_n", force_n, "N"), ("budget_s", budget_s, "s")):
+        if value is not None:
+            _positive(name, value, unit)
     finger, folder, files = _design(design)
     settings = PressSettings(None, increments, machine_threads(), contact, budget_s)
     if force_n is not None and contact == "barrier":
@@ -226,7 +286,9 @@ def render_press(
     """
     from sim.experiments import simulate_press
 
-    rendering = _rendering("render_press", seed, options)
+    seed = whole_seed(seed)
+    _require_options(options, _OF_A_PRESS)
+    rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     return made(simulate_press(scene, rendering, digests, progress), "render_press", files, seed)
 
@@ -256,7 +318,9 @@ def render_images(
     """
     from sim.experiments import simulate_images
 
-    rendering = _rendering("render_images", seed, options)
+    seed = whole_seed(seed)
+    _require_options(options, _OF_A_PRESS)
+    rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     products = simulate_images(scene, rendering, digests, progress)
     return replace(products, press=made(products.press, "render_images", files, seed))
@@ -289,8 +353,10 @@ def render_sensor(
     """
     from sim.experiments import simulate_sensor_press
 
-    whole_number(seed, "seed", 0, SimulateError)
-    whole_number(samples, "samples", 2, SimulateError)
+    seed = whole_seed(seed)
+    _require_options({"samples": samples, "engine": engine}, _OF_ALL)
+    if samples % 2:
+        raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
     design, folder, files = _plain_sensor(sensor)
     with naming(SimulateError, *files[:1]):
         press, _ = simulate_sensor_press(design, folder, _renderer(engine), seed, samples)
@@ -299,7 +365,7 @@ def render_sensor(
 
 def fit_sensor(
     design: FingerDesign | PlainSensor | PathLike,
-    captures: TactileCapture | PathLike | Sequence[TactileCapture | PathLike],
+    captures: Sequence[TactileCapture | PathLike],
     *,
     paints: Mapping[str, Paint] | None = None,
     free: Sequence[str] = (),
@@ -334,15 +400,14 @@ def fit_sensor(
     """
     from sim.experiments import fit_sensor as fit_scene
 
-    _require_options(options, "fit_sensor", ("samples", "engine", "shared_light", "paints_as_given"))
-    whole_number(seed, "seed", 0, SimulateError)
+    seed = whole_seed(seed)
+    _require_options(options, _OF_A_FIT)
+    read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
+    if paints is not None and not (isinstance(paints, Mapping) and set(paints) == {"red", "green"}):
+        raise SimulateError("paints: give a paint of each wall, such as {'red': PAINT, 'green': PAINT}, or none")
     scene, files = _layered(design, dict(paints or {}), seed, options)
-    read = given_all(captures, TactileCapture)
-    named = [Path(design)] if isinstance(design, str | os.PathLike) and Path(design) in files else []
-    with naming(SimulateError, *named):
-        fit = fit_scene(
-            scene, [capture for capture, _ in read], [free] if isinstance(free, str) else free, seed, progress
-        )
+    with naming(SimulateError, *files[:1]):
+        fit = fit_scene(scene, [capture for capture, _ in read], free, seed, progress)
     return made(fit, "fit_sensor", [*files, *(file for _, of in read for file in of)], seed)
 
 
@@ -388,26 +453,12 @@ def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainS
     return design, path.parent, sensor_inputs(design, path)
 
 
-_OF_A_SWEEP = ("all_objectives", "narrow_sweep")
-_OF_A_PRESS = ("level", "pose_response", "shared_light")
-
-
-def _require_options(options: RenderOptions, call: str, known: Sequence[str]) -> None:
-    """Refuse options that a function of the library does not have: they would change nothing, unseen."""
-    for name in options:
-        if name not in known:
-            raise SimulateError(f"{name}: is no option of {call}; there are {', '.join(known)}")
-
-
-def _rendering(call: str, seed: int, options: RenderOptions) -> "Rendering":
-    """Return how a press is rendered by the function `call` of the library."""
+def _rendering(seed: int, options: RenderOptions) -> "Rendering":
+    """Return how a press is rendered."""
     from sim.experiments import Rendering
 
-    _require_options(options, call, [name for name in RenderOptions.__annotations__ if name not in _OF_A_SWEEP])
-    require_choice(options.get("level", "b"), "level", ("a", "a_inverse_square", "b", "c"), SimulateError)
-    whole_number(seed, "seed", 0, SimulateError)
-    samples = whole_number(options.get("samples", DEFAULT_SAMPLES_PER_PIXEL), "samples", 2, SimulateError)
-    if samples % 2:
+    samples = options.get("samples", DEFAULT_SAMPLES_PER_PIXEL)
+    if samples < 2 or samples % 2:
         raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
     level, pose = options.get("level", "b"), options.get("pose_response", False)
     return Rendering(level, seed, samples, with_pose_response=pose, shared_light=options.get("shared_light", False))
@@ -432,22 +483,15 @@ def sweep_light_angle(
         See :func:`render_press`.
     angles_deg
         Increasing, at least 4 of them for a decision; 0 along the pad, 90 into it.
-
-    Raises
-    ------
-    SimulateError
-        The angles do not increase, an option is unknown, the paints look swapped, or the scene cannot be rendered.
     """
     from sim.experiments import light_angle_sweep
     from sim.optics import ProbePaths
 
+    seed = whole_seed(seed)
+    _require_options(options, _OF_A_SWEEP)
+    angles_deg = _angles(angles_deg)
     if options.get("level", "b") != "b":
         raise SimulateError("level: sweeps are always made with level b; leave level out")
-    known = [name for name in RenderOptions.__annotations__ if name not in _OF_A_PRESS]
-    _require_options({k: v for k, v in options.items() if k != "level"}, "sweep_light_angle", known)  # type: ignore[arg-type]
-    whole_number(seed, "seed", 0, SimulateError)
-    whole_number(options.get("samples", DEFAULT_SAMPLES_PER_PROBE), "samples", 1, SimulateError)
-    angles_deg = _increasing(angles_deg)
     if not options.get("narrow_sweep", False) and look_like_radians(angles_deg):
         raise SimulateError(f"angles_deg: {narrow_sweep_text(angles_deg)}")
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
@@ -459,25 +503,19 @@ def sweep_light_angle(
     return made(sweep, "sweep_light_angle", files, seed)
 
 
-def _increasing(angles_deg: Sequence[float]) -> list[float]:
-    """Return the angles of a sweep as numbers.
-
-    Raises
-    ------
-    SimulateError
-        They are no numbers from -180 to 180 deg that increase.
-    """
+def _angles(angles_deg: Sequence[float]) -> list[float]:
+    """Return the angles of a sweep as floats."""
     try:
         angles = [float(angle) for angle in angles_deg]
     except (TypeError, ValueError):
-        raise SimulateError(f"angles_deg = {angles_deg!r}: a list of numbers in deg is needed") from None
-    for before, angle in zip([-math.inf, *angles], angles, strict=False):
-        if not (before < angle and -180.0 <= angle <= 180.0):
-            raise SimulateError(
-                f"angles_deg: {angle:g} deg stands after {before:g} deg; give angles from -180 to 180 deg that increase"
-                if before > -math.inf
-                else f"angles_deg: {angle:g} deg; give angles from -180 to 180 deg"
-            )
+        angles = []
+    if not angles or not all(isfinite(angle) for angle in angles):
+        raise SimulateError(
+            f"angles_deg={angles_deg!r}: a list of finite angles in deg is needed, such as [0, 30, 60, 90]"
+        )
+    for before, angle in pairwise(angles):
+        if before >= angle:
+            raise SimulateError(f"angles_deg: {angle:g} deg stands after {before:g} deg; give angles that increase")
     return angles
 
 
@@ -493,7 +531,7 @@ def _scene(
     found = _design(design)
     if "position_mm" in options:
         indenter = found.design.indenter.model_copy(update={"position_mm": options["position_mm"]})
-        found = found._replace(design=found.design.model_copy(update={"indenter": indenter}))
+        found = found._replace(design=_valid(found.design.model_copy(update={"indenter": indenter})))
     if surfaces is None and not isinstance(design, FingerDesign) and Path(design).name.endswith(SURFACES_SUFFIX):
         surfaces = design
     read = {colour: given(paint, PaintCalibration) for colour, paint in paints.items()}

@@ -5,13 +5,13 @@ names it with its SHA-256, so that a stored result can be traced.
 """
 
 import hashlib
-import operator
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from data_schemas import (
     BandSignals,
@@ -22,7 +22,6 @@ from data_schemas import (
     CaptureSession,
     CompareError,
     DecideError,
-    FinrayError,
     FitError,
     ForceComparison,
     LightAngleDecision,
@@ -57,8 +56,6 @@ if TYPE_CHECKING:
 
 R = TypeVar("R", bound=Record)
 PathLike = str | os.PathLike[str]
-Criterion = Literal["average", "worst"]
-Aim = Literal["brightness", "normal"]
 
 
 def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
@@ -75,18 +72,13 @@ def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
         path = Path(what)
         return read_stored(path, kind), [path]
     raise RecordError(
-        f"{needed_kind(kind.__name__)}, as a {kind.__name__} or the path of a stored one; {_type_of(what)} was given"
+        f"{needed_kind(kind.__name__)}, as a {kind.__name__} or the path of a stored one; a {type(what).__name__} was "
+        "given"
     )
 
 
-def _type_of(what: object) -> str:
-    """Return the type of an object with its article: "an int"."""
-    name = type(what).__name__
-    return f"{'an' if name[0] in 'aeiouAEIOU' else 'a'} {name}"
-
-
-def path_of(what: object, name: str) -> Path:
-    """Return the path that was given as argument `name`.
+def path_of(what: object, argument: str) -> Path:
+    """Return the path that was given as an argument.
 
     Raises
     ------
@@ -94,31 +86,43 @@ def path_of(what: object, name: str) -> Path:
         It is no path.
     """
     if not isinstance(what, str | os.PathLike):
-        raise RecordError(f"{name}: the path of a file or folder is needed, and {_type_of(what)} was given")
+        raise RecordError(
+            f"{argument}: the path of a file or folder is needed; what was given is of type {type(what).__name__}"
+        )
     return Path(what)
 
 
-def given_all(what: R | PathLike | Sequence[R | PathLike], kind: type[R]) -> list[tuple[R, list[Path]]]:
-    """Return what :func:`given` does for each item of a sequence, or for what was given alone."""
-    items: Sequence[Any] = what if isinstance(what, Sequence) and not isinstance(what, str) else [what]
-    return [given(item, kind) for item in items]
+def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
+    """Return the records and paths of a list that the user gave.
+
+    Raises
+    ------
+    RecordError
+        It is no list, such as a record or a path alone.
+    """
+    if isinstance(what, Record | str | os.PathLike | bytes) or not isinstance(what, Iterable):
+        raise RecordError(
+            f"{argument}: a list is needed, each a {kind.__name__} or the path of a stored one; a "
+            f"{type(what).__name__} was given"
+        )
+    return list(what)
 
 
-def whole_number(value: Any, name: str, least: int, error: type[FinrayError]) -> int:
-    """Return the whole number that was given as argument `name`; raise `error` where it is none, or below `least`."""
+def whole_seed(seed: int) -> int:
+    """Return a seed that the random generators and the record can hold; asked for before any work is done.
+
+    Raises
+    ------
+    RecordError
+        It is not a whole number from 0 to 2^63 - 1.
+    """
     try:
-        number = None if isinstance(value, bool) else operator.index(value)
+        number = -1 if isinstance(seed, bool) else index(seed)
     except TypeError:
-        number = None
-    if number is None or number < least:
-        raise error(f"{name} = {value!r}: a whole number of at least {least} is needed")
+        number = -1
+    if not 0 <= number < 2**63:
+        raise RecordError(f"seed={seed!r}: a seed is a whole number from 0 to 2^63 - 1; give one, such as 1")
     return number
-
-
-def require_choice(value: object, name: str, choices: Sequence[str], error: type[FinrayError]) -> None:
-    """Raise `error` where argument `name` is none of `choices`."""
-    if value not in choices:
-        raise error(f"{name} = {value!r}: is unknown; give one of {', '.join(map(repr, choices))}")
 
 
 def made(record: R, call: str, inputs: Iterable[Path], seed: int | None = None) -> R:
@@ -181,10 +185,12 @@ def write_record(record: Record, path: PathLike) -> Path:
     Raises
     ------
     RecordError
-        The file exists already: a stored record is never overwritten.
+        The file exists already, and a stored record is never overwritten; or what was given is no record.
     """
     if not isinstance(record, Record):
-        raise RecordError(f"record: a record of finray is needed, and {_type_of(record)} was given")
+        raise RecordError(
+            f"{path}: a record is stored here, such as fit_paint returns; a {type(record).__name__} was given"
+        )
     origin = record.provenance
     if origin is None:
         origin = provenance("finray_calib.write_record, from Python")
@@ -366,7 +372,7 @@ def import_bands(folder: PathLike) -> BandSignals:
 def fit_paint(
     bands: BandSignals | PathLike | Sequence[BandSignals | PathLike],
     *,
-    other_lights: BandSignals | PathLike | Sequence[BandSignals | PathLike] = (),
+    other_lights: Sequence[BandSignals | PathLike] = (),
     family: str = "auto",
     discrepancy: bool = True,
     check: bool = False,
@@ -406,9 +412,9 @@ def fit_paint(
     """
     from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint, departing_warnings
 
-    whole_number(seed, "seed", 0, FitError)
+    seed = whole_seed(seed)
     signals, files, scatter = _of_sessions(bands)
-    others = given_all(other_lights, BandSignals)
+    others = [given(other, BandSignals) for other in given_list(other_lights, BandSignals, "other_lights")]
     files += [file for _, read in others for file in read]
     options = FitOptions(
         family=None if family == "auto" else family,
@@ -432,11 +438,11 @@ def _of_sessions(
     bands: BandSignals | PathLike | Sequence[BandSignals | PathLike],
 ) -> "tuple[BandSignals, list[Path], SessionScatter | None]":
     """Return the band signals of one session, or those that several share, the files, and how they differ."""
+    if isinstance(bands, BandSignals | str | os.PathLike):
+        return *given(bands, BandSignals), None
     from finray_calib.fit import combine_sessions
 
-    read = given_all(bands, BandSignals)
-    if not read:
-        raise FitError("bands: an empty list was given; give the band signals of at least one session")
+    read = [given(one, BandSignals) for one in given_list(bands, BandSignals, "bands")]
     files = [file for _, of_one in read for file in of_one]
     if len(read) == 1:
         return read[0][0], files, None
@@ -500,7 +506,7 @@ def compare_press(
     """
     from finray_calib.compare import CheckOptions, compare_checked
 
-    whole_number(seed, "seed", 0, CompareError)
+    seed = whole_seed(seed)
     press, files = given(simulated, SimulatedPress)
     captured, read = given(capture, TactileCapture)
     files += read
@@ -544,7 +550,7 @@ def compare_force(
     from finray_calib.exchange import read_force_csv
     from finray_calib.force import compare_force as compare
 
-    whole_number(seed, "seed", 0, CompareError)
+    seed = whole_seed(seed)
     mechanics, files = given(press, PressMechanics)
     other, read = (None, []) if other_mesh is None else given(other_mesh, PressMechanics)
     measured = read_force_csv(path_of(force_csv, "force_csv"))
@@ -555,12 +561,12 @@ def compare_force(
 
 def decide_light_angle(
     sweeps: LightAngleSweep | PathLike | Sequence[LightAngleSweep | PathLike],
-    reports: PhotometricErrorReport | PathLike | Sequence[PhotometricErrorReport | PathLike] = (),
+    reports: Sequence[PhotometricErrorReport | PathLike] = (),
     *,
     narrow_sweep: bool = False,
     weights: Sequence[float] | None = None,
-    criterion: Criterion = "average",
-    aim: Aim | None = None,
+    criterion: Literal["average", "worst"] = "average",
+    aim: Literal["brightness", "normal"] | None = None,
     seed: int = 1,
 ) -> LightAngleDecision:
     """Decide on the angle of the light over touches of a finger: the angle, its risk, and what each touch loses.
@@ -590,13 +596,12 @@ def decide_light_angle(
     """
     from finray_calib.decide import decide
 
-    whole_number(seed, "seed", 0, DecideError)
-    require_choice(criterion, "criterion", get_args(Criterion), DecideError)
-    if aim is not None:
-        require_choice(aim, "aim", get_args(Aim), DecideError)
-    swept = given_all(sweeps, LightAngleSweep)
+    seed = whole_seed(seed)
+    alone = isinstance(sweeps, LightAngleSweep | str | os.PathLike)
+    several = [sweeps] if alone else given_list(sweeps, LightAngleSweep, "sweeps")
+    swept = [given(sweep, LightAngleSweep) for sweep in several]
     files = [file for _, read in swept for file in read]
-    compared = given_all(reports, PhotometricErrorReport)
+    compared = [given(of, PhotometricErrorReport) for of in given_list(reports, PhotometricErrorReport, "reports")]
     files += [file for _, read in compared for file in read]
     with naming(DecideError, *files):
         decision = decide(

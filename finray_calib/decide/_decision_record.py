@@ -6,7 +6,7 @@ the next render and the next physical capture.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from data_schemas import (
     AngleProposal,
     AngleStatement,
     DecidedContact,
+    DecideError,
     DecidingCapture,
     Indenter,
     LightAngleDecision,
@@ -162,6 +163,9 @@ def decide(
         The sweeps allow no decision or do not belong together, a report carries no error of the objective or no angle,
         is on another finger, or two reports are on one capture.
     """
+    for name, choice, allowed in (("criterion", criterion, get_args(Criterion)), ("aim", aim, (None, *get_args(Aim)))):
+        if choice not in allowed:
+            raise DecideError(f"{name}={choice!r} is unknown; it is one of {', '.join(map(repr, allowed))}")
     swept = [sweeps] if isinstance(sweeps, LightAngleSweep) else list(sweeps)
     on = decided_on(swept, weights, narrow_sweep, aim, bool(reports))
     of_finger, of_sweep = require_one_finger(swept, reports)

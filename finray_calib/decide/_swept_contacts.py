@@ -160,11 +160,9 @@ def swept_contacts(
     DecideError
         The sweeps do not belong together, the weights do not fit, or angles look like radians.
     """
-    if weights is not None and (len(weights) != len(sweeps) or not (np.array(weights) > 0).all()):
-        raise DecideError(
-            f"{len(weights)} weights ({', '.join(f'{w:g}' for w in weights)}) for {len(sweeps)} sweeps; give one "
-            "number above 0 for each sweep, in their order, or none for equal weights"
-        )
+    if not sweeps:
+        raise DecideError("no sweep is given; give the sweep of each touch, or one alone")
+    weights = None if weights is None else _weights(weights, len(sweeps))
     for sweep in sweeps:
         if look_like_radians(sweep.angles_deg) and not narrow_sweep:
             raise DecideError(narrow_sweep_text(sweep.angles_deg))
@@ -177,6 +175,21 @@ def swept_contacts(
             "it would count twice. Give each sweep once, and its weight by --weights"
         )
     return [_contact(sweep, 1.0 if weights is None else weights[k]) for k, sweep in enumerate(sweeps)]
+
+
+def _weights(weights: Sequence[float], sweeps: int) -> list[float]:
+    """Return the weights of so many sweeps as floats."""
+    try:
+        numbers = [float(weight) for weight in weights]
+        fit = len(numbers) == sweeps and all(0.0 < number < np.inf for number in numbers)
+    except (TypeError, ValueError):
+        fit = False
+    if not fit:
+        raise DecideError(
+            f"weights={weights!r} for {sweeps} sweeps: give one finite number above 0 for each sweep, in their order, "
+            "or none for equal weights"
+        )
+    return numbers
 
 
 def _require_together(first: LightAngleSweep, sweep: LightAngleSweep) -> None:

@@ -92,6 +92,8 @@ def combine_sessions(sessions: Sequence[BandSignals]) -> tuple[BandSignals, Sess
 
 def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
     """Refuse what are no repeats of one paint on one rig."""
+    if not sessions:
+        raise FitError("no band signals are given; give those of one session, or of several sessions of one paint")
     if len(sessions) < 2:
         raise FitError("combined sessions: one session alone has nothing to be combined with; give at least two")
     first = sessions[0]
@@ -102,14 +104,6 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
                 f"{first.paint_name!r}; give sessions of one paint (the paint_name of their plans), and fit "
                 "other paints by themselves"
             )
-        for earlier, other in enumerate(sessions[: number - 1], start=1):
-            if np.array_equal(one.fluorescence, other.fluorescence) and np.array_equal(
-                one.reflectance, other.reflectance
-            ):
-                raise FitError(
-                    f"sessions {earlier} and {number} hold the same values: one session given twice would count as two "
-                    "measurements; give each session once"
-                )
         unlike = [
             name for name in type(first.optics).model_fields
             if _as_text(getattr(one.optics, name)) != _as_text(getattr(first.optics, name))
@@ -125,6 +119,18 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
                 f"session {number} was captured with a rig whose {unlike[0]} differs from that of the first: only "
                 "sessions of one rig can be combined, because the errors of a rig are common to all of its sessions; "
                 "capture with one rig file"
+            )
+    _refuse_twice(sessions)
+
+
+def _refuse_twice(sessions: Sequence[BandSignals]) -> None:
+    """Refuse the same session given twice: two sessions never agree in every bit of their noise."""
+    values = [one.fluorescence.tobytes() + one.reflectance.tobytes() for one in sessions]
+    for number, value in enumerate(values):
+        if value in values[:number]:
+            raise FitError(
+                f"session {number + 1} holds the same values as session {values.index(value) + 1}: it would count "
+                "twice, and the intervals would be too narrow. Give each session once"
             )
 
 

@@ -1,12 +1,19 @@
 """Every function of the library on small examples, from a rig to a decision."""
 
-import re
-
 import numpy as np
 import pytest
 
 import finray_calib as finray
-from data_schemas import CaptureError, ImportFormatError, PlainSensor, RadiometryError, RecordError, SimulateError
+from data_schemas import (
+    CaptureError,
+    DecideError,
+    FitError,
+    ImportFormatError,
+    PlainSensor,
+    RadiometryError,
+    RecordError,
+    SimulateError,
+)
 from data_schemas.storage import read_record, sha256_of
 from finray_calib.lineage import findings
 from sim.mechanics import STEPS
@@ -161,7 +168,7 @@ def test_presses_are_compared_and_captures_decide(lab):
         finray.compare_press(lab / "capture.json", lab / "press.json")
     with pytest.raises(
         RecordError,
-        match="a simulated press is needed, as a SimulatedPress or the path of a stored one; an int was given",
+        match="a simulated press is needed, as a SimulatedPress or the path of a stored one; a int was given",
     ):
         finray.compare_press(7, lab / "capture.json")
 
@@ -208,41 +215,130 @@ def test_band_images_of_others_are_imported(tmp_path):
         finray.import_bands(tmp_path)
 
 
+@pytest.mark.parametrize("seed", [-1, 1.5, "a", None, True, 2**70])
+def test_a_seed_that_no_generator_takes_is_refused_before_the_work(lab, paint, seed):
+    calls = (
+        lambda: finray.fit_paint(lab / "bands.json", seed=seed),
+        lambda: finray.compare_press(lab / "press.json", lab / "capture.json", seed=seed),
+        lambda: finray.compare_force(lab / "press.json", "force.csv", seed=seed),
+        lambda: finray.decide_light_angle(lab / "sweep.json", seed=seed),
+        lambda: finray.render_press(lab / "finger.toml", red=paint, green=paint, seed=seed),
+        lambda: finray.render_images(lab / "finger.toml", red=paint, green=paint, seed=seed),
+        lambda: finray.render_sensor("gelsight-flat", seed=seed),
+        lambda: finray.fit_sensor("gelsight-flat", [], seed=seed),
+        lambda: finray.sweep_light_angle(lab / "finger.toml", [0, 30, 60, 90], red=paint, green=paint, seed=seed),
+    )
+    for call in calls:
+        with pytest.raises(RecordError, match="a seed is a whole number from 0 to"):
+            call()
+
+
+def test_a_seed_of_numpy_is_a_seed(lab):
+    decision = finray.decide_light_angle(lab / "sweep.json", seed=np.int64(3))
+    assert decision.provenance.seed == 3
+    assert decision.angle_deg == finray.decide_light_angle(lab / "sweep.json", seed=3).angle_deg
+
+
+def test_what_is_no_list_of_records_is_refused_by_its_own_name(lab, paint, tmp_path):
+    for wrong in (None, 7, paint, np.nan):
+        with pytest.raises(RecordError, match="bands: a list is needed, each a BandSignals or the path"):
+            finray.fit_paint(wrong)
+    with pytest.raises(RecordError, match=r"other_lights: a list is needed, .*; a PosixPath was given"):
+        finray.fit_paint(lab / "bands.json", other_lights=lab / "bands.json")
+    with pytest.raises(RecordError, match=r"sweeps: a list is needed, .*; a PaintCalibration was given"):
+        finray.decide_light_angle(paint)
+    with pytest.raises(RecordError, match="reports: a list is needed"):
+        finray.decide_light_angle(lab / "sweep.json", lab / "report.json")
+    with pytest.raises(RecordError, match="captures: a list is needed"):
+        finray.fit_sensor(lab / "finger.toml", lab / "capture.json")
+    with pytest.raises(FitError, match="no band signals are given"):
+        finray.fit_paint([])
+    with pytest.raises(RecordError, match=r"x\.json: a record is stored here, .* a ndarray was given"):
+        finray.write_record(np.zeros(3), tmp_path / "x.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_same_session_does_not_count_twice(lab):
+    with pytest.raises(FitError, match="session 2 holds the same values as session 1: it would count twice"):
+        finray.fit_paint([lab / "bands.json", lab / "bands.json"])
+
+
+def test_a_decision_without_sweeps_or_with_unknown_choices_is_refused(lab):
+    with pytest.raises(DecideError, match="no sweep is given"):
+        finray.decide_light_angle([])
+    with pytest.raises(DecideError, match="aim='normals' is unknown; it is one of None, 'brightness', 'normal'"):
+        finray.decide_light_angle(lab / "sweep.json", aim="normals")
+    with pytest.raises(DecideError, match="criterion='best' is unknown; it is one of 'average', 'worst'"):
+        finray.decide_light_angle(lab / "sweep.json", criterion="best")
+    for weights in ([np.inf], [np.nan], [0], ["a"], "a", 3, [1, 1]):
+        with pytest.raises(DecideError, match="for 1 sweeps: give one finite number above 0 for each sweep"):
+            finray.decide_light_angle(lab / "sweep.json", weights=weights)
+
+
 @pytest.mark.parametrize(
-    ("call", "told"),
+    ("option", "message"),
     [
-        (lambda lab: finray.fit_paint(None), "a NoneType was given"),
-        (lambda lab: finray.fit_paint([]), "bands: an empty list"),
-        (lambda lab: finray.fit_paint(finray.read_record(lab / "red.paint.json")), "a PaintCalibration was given"),
-        (lambda lab: finray.fit_paint(lab / "bands.json", seed=-1), "seed = -1: a whole number of at least 0"),
-        (lambda lab: finray.fit_paint([lab / "bands.json"] * 2), "sessions 1 and 2 hold the same values"),
-        (lambda lab: finray.finger_design(None), "design: the path of a file or folder is needed"),
-        (lambda lab: finray.press_finger("flat-70x35", increments=0), "increments = 0: a whole number of at least 1"),
-        (lambda lab: finray.press_finger("flat-70x35", increments=2.5), "increments = 2.5: a whole number"),
-        (lambda lab: finray.press_finger("flat-70x35", contact="hard"), "'auto', 'penalty', 'barrier'"),
-        (lambda lab: finray.press_finger("flat-70x35", budget_s="10"), "budget_s = '10': processor time above 0 s"),
-        (lambda lab: _render(lab, sample=4), "sample: is no option of render_press; there are level, samples"),
-        (lambda lab: _render(lab, level="z"), "level = 'z': is unknown; give one of 'a', 'a_inverse_square'"),
-        (lambda lab: _sweep(lab, [0, 10, float("nan"), 30]), "nan deg stands after 10 deg"),
-        (lambda lab: _sweep(lab, [0, 20, 10, 30]), "10 deg stands after 20 deg"),
-        (lambda lab: _sweep(lab, [0, 100, 200]), "from -180 to 180 deg that increase"),
-        (lambda lab: _sweep(lab, ["a", "b"]), "a list of numbers in deg is needed"),
-        (lambda lab: _sweep(lab, [0, 10, 20], shared_light=True), "shared_light: is no option of sweep_light_angle"),
-        (lambda lab: finray.decide_light_angle([], criterion="best"), "criterion = 'best': is unknown"),
-        (lambda lab: finray.decide_light_angle([], aim="light"), "aim = 'light': is unknown"),
-        (lambda lab: finray.read_record(None), "path: the path of a file or folder is needed"),
-        (lambda lab: finray.write_record(None, lab / "none.json"), "record: a record of finray is needed"),
+        ({"sampels": 40}, "sampels: no such option here; there are all_objectives, engine, level"),
+        ({"pose_response": True}, "pose_response: no such option here"),
+        ({"samples": 0}, "samples=0: a whole number from 1"),
+        ({"samples": 1.5}, r"samples=1\.5: a whole number"),
+        ({"engine": "cpu"}, "engine='cpu' is unknown; it is one of auto, llvm, scalar, cuda"),
+        ({"position_mm": 500.0}, r"indenter\.position_mm = 500\.0 mm must lie on the pad \(0 to 70\.0 mm\)"),
+        ({"position_mm": np.nan}, r"'indenter\.position_mm' \(in mm\): must be a finite number"),
     ],
 )
-def test_an_argument_that_cannot_be_meant_is_refused_by_name(lab, call, told):
-    with pytest.raises(finray.FinrayError, match=re.escape(told)):
-        call(lab)
+def test_an_option_that_a_sweep_does_not_have_is_refused(lab, paint, option, message):
+    with pytest.raises(SimulateError, match=message):
+        finray.sweep_light_angle(lab / "finger.toml", [0, 30, 60, 90], red=paint, green=paint, **option)
 
 
-def _render(lab, **options):
-    return finray.render_press("flat-70x35", red=lab / "red.paint.json", green=lab / "red.paint.json", **options)
+def test_options_of_a_press_are_checked(lab, paint):
+    for option, message in (({"all_objectives": True}, "all_objectives: no such option here"),
+                            ({"level": "B"}, "level='B' is unknown; it is one of a, a_inverse_square, b, c"),
+                            ({"position_mm": -1.0}, "must lie on the pad")):  # fmt: skip
+        with pytest.raises(SimulateError, match=message):
+            finray.render_press(lab / "finger.toml", red=paint, green=paint, **option)
+    with pytest.raises(SimulateError, match="samples=3: a press is rendered as two halves"):
+        finray.render_sensor("gelsight-flat", samples=3)
+    with pytest.raises(SimulateError, match="paints: give a paint of each wall"):
+        finray.fit_sensor(lab / "finger.toml", [lab / "capture.json"], paints={"rde": paint, "green": paint})
 
 
-def _sweep(lab, angles_deg, **options):
-    paint = lab / "red.paint.json"
-    return finray.sweep_light_angle("flat-70x35", angles_deg, red=paint, green=paint, **options)
+@pytest.mark.parametrize("angles_deg", [None, 7, [], "0:90:30", [0, 30, 60, np.nan]])
+def test_angles_are_a_list_of_finite_numbers(lab, paint, angles_deg):
+    with pytest.raises(SimulateError, match="a list of finite angles in deg is needed"):
+        finray.sweep_light_angle(lab / "finger.toml", angles_deg, red=paint, green=paint)
+
+
+def test_numbers_of_a_push_are_checked_before_it():
+    for numbers, message in (({"increments": 0}, "increments=0: a whole number from 1"),
+                             ({"increments": 1.5}, r"increments=1\.5"),
+                             ({"force_n": -1.0}, r"force_n=-1\.0: a finite number above 0 N"),
+                             ({"force_n": np.nan}, "force_n=nan"),
+                             ({"budget_s": 0}, "budget_s=0: a finite number above 0 s"),
+                             ({"contact": "glue"}, "contact='glue' is unknown; it is one of")):  # fmt: skip
+        with pytest.raises(SimulateError, match=message):
+            finray.press_finger("flat-70x35", **numbers)
+
+
+def test_a_design_changed_in_python_is_checked_again(paint):
+    design = finray.finger_design()
+    metres = design.indenter.model_copy(update={"depth_mm": -1.5})
+    with pytest.raises(SimulateError, match=r"the design 'flat-70x35': 'indenter\.depth_mm' \(in mm\): must be"):
+        finray.render_press(design.model_copy(update={"indenter": metres}), red=paint, green=paint)
+
+
+@pytest.mark.parametrize("angles_deg", [[0, 20, 10, 30], [0, 10, 10, 20]])
+def test_angles_that_do_not_increase_are_refused(lab, paint, angles_deg):
+    with pytest.raises(SimulateError, match="10 deg stands after [12]0 deg; give angles that increase"):
+        finray.sweep_light_angle(lab / "finger.toml", angles_deg, red=paint, green=paint)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [finray.finger_design, finray.read_record, finray.trace_record, finray.import_bands, finray.reduce_session,
+     finray.render_sensor],
+)  # fmt: skip
+def test_what_is_no_path_is_refused(call):
+    with pytest.raises(RecordError, match="the path of a file or folder is needed; what was given is of type NoneType"):
+        call(None)

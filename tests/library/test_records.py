@@ -157,3 +157,17 @@ def test_the_ground_alone_says_where_its_methods_come_from():
     code = "from data_schemas import FingerDesign; FingerDesign().plot()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "FingerDesign.plot(): comes with the package finray_calib, which is not imported; write" in done.stderr
+
+
+def test_records_with_arrays_are_compared(lab, paint):
+    again = finray.read_record(lab / "red.paint.json")
+    assert paint == again
+    assert paint in [again]
+    other = paint.draws.copy()
+    other[0, 0] += 1e-9
+    assert paint != paint.model_copy(update={"draws": other})
+    assert paint != paint.model_copy(update={"draws": other[:-1]})
+    assert paint != paint.draws.tolist()
+    with_nan = paint.model_copy(update={"draws": np.where(other > 0, other, np.nan)})
+    assert with_nan == with_nan.model_copy(update={"draws": with_nan.draws.copy()})
+    assert len({finray.finger_design().pad, finray.finger_design().pad}) == 1  # what holds no arrays is still hashed
