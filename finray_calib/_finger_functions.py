@@ -177,7 +177,7 @@ def _whole(name: str, value: object, least: int) -> None:
 
 def _positive(name: str, value: object, unit: str) -> None:
     """Refuse what is not a finite number above zero."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < value < float("inf"):
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < float(value) < float("inf"):
         raise SimulateError(f"{name}={value!r}: a finite number above 0 {unit} is needed")
 
 

@@ -330,7 +330,7 @@ def test_a_design_changed_in_python_is_checked_again(paint):
 
 @pytest.mark.parametrize("angles_deg", [[0, 20, 10, 30], [0, 10, 10, 20]])
 def test_angles_that_do_not_increase_are_refused(lab, paint, angles_deg):
-    with pytest.raises(SimulateError, match="10 deg stands after [12]0 deg; give angles that increase"):
+    with pytest.raises(SimulateError, match=r"10 deg stands after [12]0 deg; give angles that increase"):
         finray.sweep_light_angle(lab / "finger.toml", angles_deg, red=paint, green=paint)
 
 
