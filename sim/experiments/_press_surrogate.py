@@ -228,9 +228,7 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError(
-            "none of the presses can be used for teaching: ribs pass through each other in all of them from the start"
-        )
+        raise SimulateError("no press can teach it: ribs pass through each other in all of them from the start")
     return whole
 
 
