@@ -413,7 +413,8 @@ def _facts(folder: Path) -> "list[SessionFacts]":
     from rigs.capture import read_frame_of, read_session, session_kind
 
     if not folder.is_dir():
-        raise CaptureError(f"{folder}: no such folder; give a folder whose folders were written by 'finray capture'")
+        what = "is a file" if folder.exists() else "no such folder"
+        raise CaptureError(f"{folder}: {what}; give a folder whose folders were written by 'finray capture'")
     places = sorted({path.parent for pattern in DEPTHS for path in folder.glob(pattern)})
     paint = [place for place in places if session_kind(place) == "paint"]
     if not paint:

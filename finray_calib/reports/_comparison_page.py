@@ -141,9 +141,9 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
     floor = row_of(headline(report), "floor")
     repeated = ("not known", "no repeat of the no-contact image was captured")
     if floor is not None:
-        noise = "with its noise, which is not in the simulation's skill"
+        noise = "its noise is in this number, but not in the simulation's skill"
         if not words.is_noise_taken_out(report):
-            noise = "with its noise, which is in the simulation's skill too"
+            noise = "its noise is in this number, and in the simulation's skill too"
         repeated = (words.repeat_text(floor.skill.estimate), noise)
     known = "the camera's noise is not known" if floor is None else "the camera's noise is known"
     numbers = (

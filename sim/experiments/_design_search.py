@@ -131,7 +131,7 @@ class _Field:
             value = design_value(design, self.path)
         except AttributeError:
             raise SimulateError(
-                f"'{self.path}' is not a field of a design; 'finray design init' writes all fields"
+                f"'{self.path}' is not a field of a design; 'finray design init' writes a file with all fields"
             ) from None
         if self.axis is not None and isinstance(value, tuple):
             value = value[self.axis]

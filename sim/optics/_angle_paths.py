@@ -277,7 +277,7 @@ def _follow(  # type: ignore[no-untyped-def]
                 free = (ended & (1 << k)) == 0
                 led[k] += dr.select(active & free & here & ~counted, throughput.z * sent, 0)
             for here, _ in met[k]:
-                ended |= dr.select(here, mi.UInt32(1 << k), 0)
+                ended = dr.select(here, ended | (1 << k), ended)
         active &= si.is_valid()
         front = mi.Frame3f.cos_theta(si.wi) > 0
         is_red, is_green = si.shape == paths.red, si.shape == paths.green

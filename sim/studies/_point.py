@@ -192,7 +192,7 @@ def _set(tables: dict[str, Any], field: str, value: DesignValue) -> None:
             "all fields"
         )
     if last not in table:
-        raise SimulateError(f"'{field}' is not a field of a design; 'finray design init' writes all fields")
+        raise SimulateError(f"'{field}' is not a field of a design; 'finray design init' writes a file with all fields")
     is_whole = isinstance(table[last], int) and not isinstance(table[last], bool)
     table[last] = round(value) if is_whole and isinstance(value, float) else value
 

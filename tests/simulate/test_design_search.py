@@ -41,7 +41,7 @@ def evaluated(design: FingerDesign) -> EvaluatedDesign:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("light.angel_deg=0:60", "'light.angel_deg' is not a field of a design; 'finray design init' writes all"),
+        ("light.angel_deg=0:60", "'light.angel_deg' is not a field of a design; 'finray design init' writes a file"),
         ("angle", "'angle' is not a field of a design, such as light.angle_deg"),
         ("light.angle_deg=0-60", "must be FIELD=LOW:HIGH, such as light.angle_deg=0:60"),
         ("light.angle_deg=60:0", "must be two finite numbers, the lower one first"),

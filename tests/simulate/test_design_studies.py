@@ -114,7 +114,7 @@ def test_what_a_point_changes_is_no_longer_the_paper_s(tmp_path):
             vary("light.angel_deg", [1.0]),
             r"point 1 \(light\.angel_deg = 1\.0\): 'light\.angel_deg' is not a field of a d",
         ),
-        (vary("second_light.angle_deg", [1.0]), r"is not a field of this finger, which has no \[second_light\]"),
+        (vary("second_light.angle_deg", [1.0]), r"is not a field of this finger: it has no \[second_light\]"),
         (
             vary("pad.length_mm", [-3.0]),
             r"point 1 \(pad\.length_mm = -3\.0\): 'pad\.length_mm' \(in mm\): must be",

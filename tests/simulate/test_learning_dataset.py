@@ -208,7 +208,7 @@ def test_only_shapes_that_may_pass_through_themselves_are_searched(monkeypatch):
 def test_a_shard_that_the_disk_shows_late_is_told_and_taken_up_by_the_next_run(tmp_path, paints, monkeypatch):
     """The disk of this computer shows nothing for a while of what the workers have written."""
     monkeypatch.setattr(engines, "WAIT_FOR_FILES_S", 3.0)
-    task = task_of(tmp_path, paints, presses_per_shard=1, paints=1)
+    task = task_of(tmp_path, paints, presses_per_shard=1)
     shards = planned_shards(task.plan, 2)
     look, shown_at_s, computed = datasets.stored_shard, {0: np.inf, 1: np.inf}, []
 
