@@ -351,9 +351,7 @@ def _store(
     mechanics, surfaces = press_records(design, pressed, **said)
     _write(mechanics, surfaces, pressed, files, origin, folder)
     if pressed.crossing:
-        remedy = (
-            "press with --contact barrier, or less deeply" if pressed.motion is None else "give a path that pushes less"
-        )
+        remedy = "press with --contact barrier, or less deeply" if pressed.motion is None else "push less on the path"
         warn(f"warning: {pressed.crossing}; its results from there on are not physical: {remedy}")
     if pressed.unstable:
         warn(f"warning: {pressed.unstable}; press in smaller increments to see whether it stays")

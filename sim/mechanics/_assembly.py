@@ -404,7 +404,7 @@ class Elasticity:
         strain = np.zeros((count, *self._volume_strain[block].shape[1:]))
         swelling = np.zeros((count, *self._swelling[block].shape[1:]))
         out = (energy, force, tangent, solved, mode_force, swelling, strain)
-        self._evaluate_some(block, self.cells[block][elements], u, modes, held, level, 1.0, out)
+        self._evaluate_some(block, self.cells[block][elements], u, modes, held, 1.0 if level else None, out)
         return energy, solved, mode_force, strain
 
     def mode_work_n_mm(self) -> float:
@@ -458,7 +458,8 @@ class Elasticity:
             self._swelling[block][part],
             self._volume_strain[block][part],
         )
-        self._evaluate_some(block, self.cells[block][part], u, modes[part], held[part], level, kept, filled)
+        share = kept if level else None
+        self._evaluate_some(block, self.cells[block][part], u, modes[part], held[part], share, filled)
 
     def _evaluate_some(
         self,
@@ -467,18 +468,18 @@ class Elasticity:
         u: FloatArray,
         modes: FloatArray,
         held: FloatArray,
-        level: int,
-        kept: float,
+        kept: float | None,
         filled: tuple[FloatArray, ...],
     ) -> None:
-        """Fill what :func:`many_hexahedra` fills, of elements (k, 8) of a block."""
+        """Fill what :func:`many_hexahedra` fills, of elements (k, 8) of a block; energies only without `kept`."""
         material = self._materials[block]
         parameters = material.parameters
         if isinstance(material, PackagedMaterial):
             stretches = np.empty((len(cells), 8, 3))
             many_stretches(self._nodes, u, cells, modes, stretches)
             parameters = material.rows(stretches)
-        many_hexahedra(self._nodes, u, cells, modes, material.law, parameters, held, level, kept, *filled)
+        level, share = (0, 1.0) if kept is None else (1, kept)
+        many_hexahedra(self._nodes, u, cells, modes, material.law, parameters, held, level, share, *filled)
 
 
 _SEARCH_BULK_OVER_SHEAR = 20.0
