@@ -186,7 +186,7 @@ def _weights(weights: Sequence[float], sweeps: int) -> list[float]:
         fit = False
     if not fit:
         raise DecideError(
-            f"weights={weights!r} for {sweeps} sweeps: give one finite number above 0 for each sweep, in their order, "
+            f"weights={weights!r} for {sweeps} sweeps: give one number above 0 for each sweep, in their order, "
             "or none for equal weights"
         )
     return numbers
