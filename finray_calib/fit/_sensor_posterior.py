@@ -191,7 +191,7 @@ class _Tangent:
     columns: Floats
     seen: Floats
 
-    def noise(self, independent_rel: float) -> Floats:
+    def noise(self, independent_rel: float, blocks_alike: bool = False) -> Floats:
         """Return the covariance of the channels of each block, (picture, block, 3, 3).
 
         That of the model is told by its half differences (:func:`_noise_of_halves`). An unexplained error of a block
@@ -206,6 +206,8 @@ class _Tangent:
         unexplained[0] = 1.0
         unexplained *= pictures / unexplained.sum()
         # with neither noise nor error the solution would claim to be exact: a ten-thousandth is below every camera
+        if blocks_alike:
+            by_block = np.ones_like(by_block)
         own = max(independent_rel, 1e-4) ** 2 * unexplained * _correlation(of_model.sum(axis=0))
         seen = np.moveaxis(self.seen, 1, 2)[..., None] * np.eye(CHANNELS)
         return np.asarray(seen + by_block[:, None, None] * (of_model + own)[:, None])
@@ -465,8 +467,11 @@ def _scores_by_block(both: Floats, covariance: Floats) -> Floats:
 
 
 def _noise_share(tangent: _Tangent, features: Floats, pair: tuple[float, float]) -> Floats:
-    """Return for each parameter the squared slopes of the half differences over those of the model, (parameter,)."""
-    noise, count = tangent.noise(pair[1]), len(tangent.point)
+    """Return for each parameter the squared slopes of the half differences over those of the model, (parameter,).
+
+    Sizes of the noise by block come from the same half differences, and would make them look small.
+    """
+    noise, count = tangent.noise(pair[1], blocks_alike=True), len(tangent.point)
     smooth = pair[0] * _whitened(features, noise)
     slopes = np.delete(_whitened(tangent.columns, noise), [count, 2 * count + 1], axis=1)
     inner = np.linalg.solve(np.eye(smooth.shape[1]) + smooth.T @ smooth, smooth.T @ slopes)
