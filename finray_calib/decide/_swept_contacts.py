@@ -185,9 +185,10 @@ def _weights(weights: Sequence[float], sweeps: int) -> list[float]:
     except (TypeError, ValueError):
         fit = False
     if not fit:
+        words = "one sweep" if sweeps == 1 else f"{sweeps} sweeps"
         raise DecideError(
-            f"weights={weights!r} for {sweeps} sweeps: give one number above 0 for each sweep, in their order, "
-            "or none for equal weights"
+            f"weights {weights!r} do not fit {words}: give one number above 0 for each sweep, in their order, or none "
+            "for equal weights"
         )
     return numbers
 

@@ -870,7 +870,7 @@ CASES = (
     Case(
         "weights that do not fit",
         "decide {lab}/sweep.json --weights 1,2",
-        r"2 weights \(1, 2\) for 1 sweeps; give one number above 0 for each sweep",
+        r"weights \[1\.0, 2\.0\] do not fit one sweep: give one number above 0 for each sweep",
     ),
     # import and demo
     Case(

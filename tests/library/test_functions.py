@@ -271,7 +271,7 @@ def test_a_decision_without_sweeps_or_with_unknown_choices_is_refused(lab):
     with pytest.raises(DecideError, match="criterion='best' is unknown; it is one of 'average', 'worst'"):
         finray.decide_light_angle(lab / "sweep.json", criterion="best")
     for weights in ([np.inf], [np.nan], [0], ["a"], "a", 3, [1, 1]):
-        with pytest.raises(DecideError, match="for 1 sweeps: give one number above 0 for each sweep"):
+        with pytest.raises(DecideError, match="do not fit one sweep: give one number above 0 for each sweep"):
             finray.decide_light_angle(lab / "sweep.json", weights=weights)
 
 
