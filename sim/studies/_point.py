@@ -188,8 +188,8 @@ def _set(tables: dict[str, Any], field: str, value: DesignValue) -> None:
         table = table.get(name) if isinstance(table, dict) else None
     if not isinstance(table, dict):
         raise SimulateError(
-            f"'{field}' is not a field of this finger, which has no [{'.'.join(above)}]; 'finray design init' writes "
-            "all fields"
+            f"'{field}' is not a field of this finger: it has no [{'.'.join(above)}]; 'finray design init' writes a "
+            "file with all fields"
         )
     if last not in table:
         raise SimulateError(f"'{field}' is not a field of a design; 'finray design init' writes a file with all fields")
