@@ -173,6 +173,9 @@ SMALLEST_DEFAULT_PROBABILITY: Final = 0.1
 CLEAR_SCORE_SD: Final = 2.0
 """Another family replaces the default only when the evidence and the left-out bands both speak clearly against it."""
 
+RULED_OUT_PROBABILITY: Final = 1e-4
+"""Below it the evidence alone decides: priors of four numbers twice as wide change a probability by a factor of 16."""
+
 
 @dataclass(frozen=True, slots=True)
 class FamilyScore:
@@ -228,7 +231,8 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
     """Return the name of the family to report and the sentence that says why and how surely.
 
     The default family stays unless its probability is below 0.1 and the most probable one predicts left-out bands
-    better by two standard errors: eight bands rarely tell families apart, measured paints did.
+    better by two standard errors: eight bands rarely tell families apart, measured paints did. A default that is ruled
+    out does not stay: where nothing fits, left-out bands scatter too much to say so.
     """
     best = max(scores, key=lambda name: scores[name].probability)
     gain = scores[best].left_out.total - scores[DEFAULT_FAMILY].left_out.total
@@ -239,6 +243,8 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
     told = ", ".join(f"{name} {score.probability:.2f}" for name, score in scores.items())
     if best == DEFAULT_FAMILY:
         return best, f"{best}: the default, and the most probable given these bands ({told})"
+    if scores[DEFAULT_FAMILY].probability < RULED_OUT_PROBABILITY and not clear:
+        return best, f"{best}: the bands rule out the default, {DEFAULT_FAMILY} (probabilities {told})"
     if clear:
         return best, (
             f"{best}: the bands speak clearly against the default, {DEFAULT_FAMILY} (probabilities {told}; left-out "

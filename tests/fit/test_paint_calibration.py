@@ -13,6 +13,7 @@ from data_schemas.storage import read_record, write_record
 from finray_calib.fit import (
     DEFAULT_FAMILY,
     LARGEST_MEMORY,
+    NO_DISCREPANCY,
     PAINT_DISCREPANCY,
     EmissionPrior,
     FitOptions,
@@ -129,6 +130,14 @@ def test_asked_for_family_is_reported_with_what_the_rule_says(bands, paint):
     assert fitted.family_choice.startswith("zheng2014")
     assert "kappa" in fitted.sampled
     assert fitted.families == paint.families  # the same seed gives the same numbers
+
+
+def test_without_discrepancy_a_family_that_the_bands_rule_out_is_not_reported(bands):
+    """The paint has the paper's curve: as a log-normal one, its mode is 14 nm and its yield four fifths off."""
+    fitted = calibrate_paint(bands, 1, replace(FEW, discrepancy=NO_DISCREPANCY))
+    assert fitted.family in ("zheng2014", "skew_t")
+    truth = bench_truth(simulated_rig("red", seed=3), Path())
+    assert fitted.mode_nm.low95 <= truth.mode_nm <= fitted.mode_nm.high95
 
 
 def flagged(bands, lost):
