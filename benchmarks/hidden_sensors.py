@@ -1,11 +1,12 @@
 """Whether intervals of ``finray simulate fit`` hold on sensors whose numbers are hidden.
 
-    python -m benchmarks.hidden_sensors [--drawn 40] [--uneven 10] [--rendered 16]
+    python -m benchmarks.hidden_sensors [--drawn 40] [--uneven 10] [--rendered 16] [--first 0]
 
 Drawn sensors are formulas with the noise of a render (tests/simulate/drawn_sensor.py); uneven ones have vignetting of
 10 to 40 % and slopes of one channel up to 15 %, which the model does not have. Rendered ones are the default finger at
 80 x 60 pixels with other random numbers than the model's; yields, responses, gain and the picture's place are hidden.
-Four renders of the model serve them by turns: the noise of one would move all fits the same way.
+Four renders of the model serve them by turns: the noise of one would move all fits the same way. --first begins the
+rendered ones at another number: those from 0 to 15 were looked at when the fit was made.
 Bar: 0.90 to 0.98 of 95 % intervals hold; of uneven ones the share is told.
 """
 
@@ -55,16 +56,16 @@ class _Once:
         return self._layers
 
 
-def rendered(count: int) -> list[tuple[dict[str, float], SensorFit]]:
-    """Return truth and fit of rendered fingers."""
+def rendered(count: int, first: int) -> list[tuple[dict[str, float], SensorFit]]:
+    """Return truth and fit of rendered fingers, from a number on."""
     design = FingerDesign()
     camera = design.camera.model_copy(update={"width_px": 160, "height_px": 120})
     design = design.model_copy(update={"camera": camera})
     renderer = open_renderer(choose_variant("llvm"))
     finger = paint_finger(design, paints(), Path(), renderer)
-    models = [_Once(FingerLayers(finger, seed=1 + k, samples=MODEL_SAMPLES)) for k in range(min(MODELS, count))]
+    models = [_Once(FingerLayers(finger, seed=1 + first + k, samples=MODEL_SAMPLES)) for k in range(min(MODELS, count))]
     found = []
-    for number in range(count):
+    for number in range(first, first + count):
         model = models[number % len(models)]
         rng = np.random.default_rng([7, number])
         factors = {n.name: float(n.at(rng.standard_normal())) for n in model.layer_numbers}
@@ -106,7 +107,7 @@ def share(what: str, fits: list[tuple[dict[str, float], SensorFit]]) -> float:
 def main() -> None:
     """Print the shares and leave 1 where one is outside the bar."""
     parser = argparse.ArgumentParser()
-    for name, default in (("drawn", 40), ("uneven", 10), ("rendered", 16)):
+    for name, default in (("drawn", 40), ("uneven", 10), ("rendered", 16), ("first", 0)):
         parser.add_argument(f"--{name}", type=int, default=default)
     args = parser.parse_args()
     judged = []
@@ -115,7 +116,7 @@ def main() -> None:
     if args.uneven:
         share("uneven", [drawn(k, True) for k in range(args.uneven)])
     if args.rendered:
-        judged.append(share("rendered", rendered(args.rendered)))
+        judged.append(share("rendered", rendered(args.rendered, args.first)))
     raise SystemExit(0 if all(LEAST <= one <= MOST for one in judged) else 1)
 
 
