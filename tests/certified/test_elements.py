@@ -164,7 +164,7 @@ def test_uniaxial_stress_of_the_closed_form(element, material, stretch):
         move[top, 2] = fraction * (stretch - 1.0)
         return Supports(fixed, move)
 
-    # one element with modes, pressed to 0.6, is softer by 0.15 % when it takes the shape of an hourglass: uniform stress
+    # one element with modes, pressed to 0.6, is softer by 0.15 % as an hourglass: uniform stress
     # is then no least energy of it (P. Wriggers, S. Reese, Comput. Methods Appl. Mech. Eng. 135, 1996, 201)
     options = NewtonOptions(stable=element == "mean_dilatation")
     force = press(assembly, loading, np.linspace(0.1, 1.0, 10), options=options)[-1].gradient_n[top, 2].sum()

@@ -269,7 +269,10 @@ def test_record_is_read_where_the_package_is_not_installed():
             'shape = "flat"\nparameters = { radius_mm = 40.0 }',
             r"pad\.parameters has no effect: it belongs to",
         ),
-        ('shape = "flat"\npackage = "my-finger-parts 0.1"', r"pad\.package has no effect: it belongs to parts of other packages"),
+        (
+            'shape = "flat"\npackage = "my-finger-parts 0.1"',
+            r"pad\.package has no effect: it belongs to parts of other pack",
+        ),
     ],
 )
 def test_mistakes_in_a_design_are_told(tmp_path, table, told):
