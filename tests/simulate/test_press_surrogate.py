@@ -363,7 +363,7 @@ def test_the_command_falls_back_on_finite_elements(command: str, tmp_path: Path)
     ("old", "new", "said"),
     [
         ("length_mm = 48.0", "length_mm = 50.0", "was taught another design: it differs in pad"),
-        ("depth_mm = 0.6", "depth_mm = 4.5", "does not answer indenter.depth_mm = 4.5 mm; it was taught 0.5 to 4 mm"),
+        ("depth_mm = 0.6", "depth_mm = 4.5", "does not cover indenter.depth_mm = 4.5 mm; it was taught 0.5 to 4 mm"),
     ],
 )
 def test_the_command_refuses_another_finger_and_another_press(
