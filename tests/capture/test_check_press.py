@@ -280,6 +280,59 @@ def test_nobody_who_says_yes_is_nothing_that_moves(practice: Path, monkeypatch) 
     assert "nobody has allowed it to move" in named(report, "stage moves").evidence
 
 
+@pytest.mark.parametrize(("homing", "answers"), [("switches", 0), ("by hand", 0), ("by hand", 1)])
+def test_after_a_no_the_stage_stays_where_it_is(practice: Path, monkeypatch, homing: str, answers: int) -> None:
+    """Also where its position is known from before, and beyond clear_mm."""
+    changed(practice, "rig.toml", ('homing = "switches"', f'homing = "{homing}"'))
+    moved, asked = [], []
+
+    class Refusing(Hands):
+        def allows(self, question: str) -> bool:
+            asked.append(question)
+            return len(asked) <= answers
+
+    stages = []
+
+    def watched(opened: OpenTactileRig) -> OpenTactileRig:
+        stage = opened.stage
+        stage.is_known = answers == 0
+        stage.state.counted_mm["Z"] = -3.0
+        stages.append(stage)
+        moves = {name: lambda *_: moved.append("moved") for name in ("move", "home", "stop")}
+        return replace(opened, stage=Wrapped(stage, **moves), operator=Refusing())
+
+    lying(monkeypatch, watched)
+    report, status = checked(practice)
+    assert (moved, status, len(asked)) == ([], 1, answers + 1)
+    assert stages[0].is_known == (answers == 0)
+    assert "nobody has" in named(report, "stage moves").evidence
+
+
+def test_the_force_limit_of_the_plan_holds_while_homing_too(practice: Path, monkeypatch) -> None:
+    changed(practice, "check.toml", ("stops = 1", "stops = 1\nforce_limit_n = 0.6"))
+    in_the_way_n, went_on = [0.0], []
+
+    def blocked(opened: OpenTactileRig) -> OpenTactileRig:
+        stage, cell = opened.stage, opened.load_cell
+
+        def home(deadline_s: float, watch: Callable[[], None]) -> None:
+            in_the_way_n[0] = 1.0
+            for _ in range(3):
+                watch()
+            went_on.append("homing went on")
+
+        def read(deadline_s: float) -> CellReading:
+            true = cell.read(deadline_s)
+            return true._replace(counts=true.counts + round(in_the_way_n[0] / 4.7e-6))
+
+        return replace(opened, stage=Wrapped(stage, home=home), load_cell=Wrapped(cell, read=read))
+
+    lying(monkeypatch, blocked)
+    report, _ = checked(practice)
+    assert went_on == []
+    assert "beyond the limit of 0.6 N" in named(report, "stage moves").evidence
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
