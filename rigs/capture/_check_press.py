@@ -440,8 +440,8 @@ class PressRounds:
         stage, plan = self._settings, self._plan
         homes = "homes all axes, then " if stage.homing == "switches" else ""
         return (
-            f"The check {homes}moves the stage along the pad and presses {plan.returns + 2 * plan.stops + 3} times and "
-            f"more at {plan.position_mm:g} mm from the base and {plan.beside_mm:g} mm beside it, with up to "
+            f"The check {homes}moves the stage along the pad and presses {plan.returns + 3 * plan.stops + 4} times "
+            f"at {plan.position_mm:g} mm from the base and {plan.beside_mm:g} mm beside it, with up to "
             f"{self._limit_n:g} N and {plan.deepest_mm:g} mm deep. Is the way free, are all hands away, and is the "
             "switch of the motors within reach?"
         )

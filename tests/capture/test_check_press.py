@@ -56,11 +56,19 @@ def named(report: AcceptanceReport, name: str) -> CheckResult:
     return found
 
 
-def test_the_practice_rig_is_accepted(practice: Path) -> None:
+NOBODY_SAW = {
+    "calibration holds", "X moves in time", "X reports its position", "Z reports its position",
+    "press axis turns without play", "force stops the stage", "stage stops on request", "stage stops at a silent cell",
+}  # fmt: skip
+"""What no device of the rig is a witness of."""
+
+
+def test_the_practice_rig_passes_what_somebody_saw(practice: Path) -> None:
+    changed(practice, "check.toml", ("rest_s = 10.0", "rest_s = 60.0"))
     report, status = checked(practice)
     assert status == 0
-    assert {r.name: r.evidence for r in report.results if r.verdict != "PASS"} == {}
-    assert report.verdict == "PASS"
+    assert {r.name: r.verdict for r in report.results if r.verdict != "PASS"} == dict.fromkeys(NOBODY_SAW, "UNDECIDED")
+    assert report.verdict == "UNDECIDED"
     assert all(r.p_conform is None or r.p_conform > 0.95 for r in report.results)
     assert {r.section for r in report.results} == {
         "handshake", "load cell", "stage", "touch", "force limit", "stops", "reconnect",
@@ -374,8 +382,7 @@ def test_boards_in_real_time(tmp_path: Path, monkeypatch) -> None:
     assert facts.errors == {}
     report = judge_pressing(facts, BENCH_PLAN, rig)
     verdicts = {r.name: r.verdict for r in report.results}
-    for name in ("force stops the stage", "stage stops on request", "stage stops at a silent cell", "Z moves in time",
-                 "position survives stops", "load cell is quiet"):  # fmt: skip
+    for name in ("Z moves in time", "position survives stops", "load cell is quiet"):
         assert verdicts[name] == "PASS", (name, [r.evidence for r in report.results if r.name == name])
     # a camera that sees noise is no witness of the pad axis, and four returns are too few
     assert verdicts["X moves in time"] == verdicts["touch repeats"] == "UNDECIDED"
@@ -390,10 +397,10 @@ PARTS = ("load cell", "stage", "touch", "force limit", "stops")
 def test_poisoned_in_the_middle_of_a_part(tmp_path: Path, monkeypatch, part: str, what: str) -> None:
     """Whatever breaks, and whenever: the stage stands afterwards, and where its place is known it has left the pad."""
     with press_bench(tmp_path) as bench:
-        began = threading.Event()
+        began, begun = threading.Event(), list[bool]()
 
         def spoil() -> None:
-            began.wait(120.0)
+            begun.append(began.wait(120.0))
             time.sleep(0.7 if part != "load cell" else 2.0)
             if what == "cell pulled":
                 bench.amplifier.port.pull()
@@ -418,6 +425,7 @@ def test_poisoned_in_the_middle_of_a_part(tmp_path: Path, monkeypatch, part: str
 
         facts = record_press_facts(rig, BENCH_PLAN, tmp_path, progress, operator=Hands())
         thread.join()
+        assert begun == [True]
         assert bench.rests
         assert bench.strongest_n < BENCH_PLAN.force_limit_n
         if what == "cell pulled":
