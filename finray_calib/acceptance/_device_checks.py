@@ -298,7 +298,8 @@ def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     per_minute = MINUTE_S / max(rest.span_s, 1e-9)
     zero = measured(
         "load cell", "load cell keeps its zero", "change of the zero in a minute while nothing touched, of "
-        "force_limit_n of the rig file", 100 * drift_n * per_minute / full_n, 100 * drift_sd_n * per_minute / full_n, "%",
+        "force_limit_n of the rig file",
+        100 * drift_n * per_minute / full_n, 100 * drift_sd_n * per_minute / full_n, "%",
         f"{1e3 * drift_n:+.2g} mN within {rest.span_s:.3g} s", limits=ToleranceInterval(-most, most),
     )  # fmt: skip
     if plan.rest_s < MINUTE_S:
@@ -423,7 +424,7 @@ def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
 def _by_chi_square(found: CheckResult, number: int, most: float) -> CheckResult:
     r"""Let a standard deviation pass only where its 95 % upper confidence limit is inside.
 
-    :math:`s \sqrt{(n-1) / \chi^2_{0.05}}` for n normally distributed values: at the limit it passes in 5 % of all checks.
+    :math:`s \sqrt{(n-1) / \chi^2_{0.05}}` for n normal values: at the limit it passes in 5 % of all checks.
     """
     if found.value is None or found.verdict != "PASS":
         return found
