@@ -267,6 +267,10 @@ class Stage(Protocol):
         """
         ...
 
+    def counted_mm(self) -> dict[str, float]:
+        """Return where the controller counts the axes (mm), whether or not that is true; nothing is trusted by it."""
+        ...
+
     def trust_places(self) -> dict[str, float]:
         """Take where the controller counts the axes for true, because a person brought them there; return it."""
         ...

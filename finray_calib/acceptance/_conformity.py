@@ -226,6 +226,9 @@ def measured(
 ) -> CheckResult:
     """Return the result of a check with a number, judged against its limits."""
     low, high = (None, None) if limits is None else (limits.low, limits.high)
+    if math.isnan(value):
+        why = f"{evidence}; what was seen gives no number"
+        return unmeasured(section, name, what, "UNDECIDED", why, limit_text(low, high, unit))
     return CheckResult(
         section=section,
         name=name,

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
 import numpy as np
+from scipy.stats import chi2
 
 from data_schemas import (
     AcceptanceReport,
@@ -145,7 +146,25 @@ AGE_SD_DAYS: Final = 0.5
 FELT_SD: Final = 5.0
 FELT_SHARE: Final = 0.25
 """Of the force of a press: a zero that moved by more could have been the force."""
+NO_SCALE: Final = (
+    "that is what the controller counts: whether {axis} moves as many millimetres, without play and the right way "
+    "round, only a dial gauge shows"
+)
+ONLY_COUNTED: Final = (
+    "only the controller says that the stage stood: nobody saw whether it drove on; watch it with a dial gauge"
+)
+NO_MASS: Final = (
+    "no known mass was laid on the cell in this check, so that a wrong factor would not show, and the true force can "
+    "exceed the plan's limit; lay one on it: finray rig calibrate-cell"
+)
+ONE_STEP: Final = (
+    "no move towards the pad is longer than one step, so that this shows only that no further step was begun, not that "
+    "a force stops a move"
+)
 DENT_MOVED_PX: Final = 5.0
+MINUTE_S: Final = 60.0
+FEWEST_STOPS: Final = 3
+"""Below it a stage that stops now and then passes by chance."""
 FEWEST_TOUCHES: Final = 4
 FEWEST_RETURNS: Final = 10
 """Below it the standard deviation of the returns is known too badly."""
@@ -251,17 +270,20 @@ def _calibration(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettin
         f"loading and unloading, up to {heaviest_n:.3g} N",
         limits=ToleranceInterval(None, 100 * limits.linearity_rel),
     )  # fmt: skip
+    factor = unmeasured(
+        "load cell", "calibration holds", "force of a known mass by the calibration", "UNDECIDED", NO_MASS
+    )
     _, _, address = calibration.cell.rpartition(", ")[2].partition(" ")
     if address != cell.address:
         other = f"the cell was calibrated at '{address}' and is at '{cell.address}' now; calibrate it if it is another"
-        return not_proven(first, other), not_proven(second, other)
+        return not_proven(first, other), not_proven(second, other), factor
     if cell.force_limit_n > heaviest_n:
         beyond = (
             f"force_limit_n = {cell.force_limit_n:g} N of the rig file exceeds the heaviest mass, {heaviest_n:.3g} N; "
             "calibrate with heavier masses, or lower it"
         )
-        return first, not_proven(second, beyond)
-    return first, second
+        return first, not_proven(second, beyond), factor
+    return first, second, factor
 
 
 def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) -> tuple[CheckResult, ...]:
@@ -273,6 +295,15 @@ def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     spent = f"{rest.readings} readings within {rest.span_s:.3g} s"
     drift_n, drift_sd_n = rest_drift_n(rest)
     most = 100 * limits.cell_drift_rel
+    per_minute = MINUTE_S / max(rest.span_s, 1e-9)
+    zero = measured(
+        "load cell", "load cell keeps its zero", "change of the zero in a minute while nothing touched, of "
+        "force_limit_n of the rig file",
+        100 * drift_n * per_minute / full_n, 100 * drift_sd_n * per_minute / full_n, "%",
+        f"{1e3 * drift_n:+.2g} mN within {rest.span_s:.3g} s", limits=ToleranceInterval(-most, most),
+    )  # fmt: skip
+    if plan.rest_s < MINUTE_S:
+        zero = not_proven(zero, f"{plan.rest_s:g} s show too little of a minute; set rest_s = {MINUTE_S:g} or more")
     rate_hz = (rest.readings - 1) / max(rest.span_s, 1e-9)
     low_hz, high_hz = (cell.rate_hz * (1.0 + sign * limits.cell_rate_rel) for sign in (-1.0, 1.0))
     return (
@@ -281,11 +312,7 @@ def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
             100 * rest.noise_n / full_n, 100 * rest.noise_n / full_n / math.sqrt(2.0 * free), "%",
             f"{1e3 * rest.noise_n:.3g} mN in {spent}", limits=ToleranceInterval(None, 100 * limits.cell_noise_rel),
         ),
-        measured(
-            "load cell", "load cell keeps its zero", "change of the zero while nothing touched, of force_limit_n "
-            "of the rig file", 100 * drift_n / full_n, 100 * drift_sd_n / full_n, "%",
-            f"{1e3 * drift_n:+.2g} mN within {rest.span_s:.3g} s", limits=ToleranceInterval(-most, most),
-        ),
+        zero,
         measured(
             "load cell", "readings a second", "mean number of readings a second", rate_hz,
             rate_hz * CLOCK_SD_S / max(rest.span_s, CLOCK_SD_S), "1/s",
@@ -335,11 +362,13 @@ def _moves_of(
         ),
     )  # fmt: skip
     if axis != stage.pad_axis:
-        return rows
+        return rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
+    rows = rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
     dents = facts.dents_px
     if len(dents) == 2 and abs(dents[1] - dents[0]) > DENT_MOVED_PX:
         seen = f"; the camera saw the contact move by {abs(dents[1] - dents[0]):.3g} px over {2 * plan.beside_mm:g} mm"
-        return tuple(row.model_copy(update={"evidence": row.evidence + seen}) for row in rows)
+        seen += ", which a shadow that moved would show too"
+        return tuple(not_proven(row, seen.removeprefix("; ")) for row in rows)
     why = (
         f"nobody saw that {axis} moves: the camera did not see the contact at two positions; light the pad, check "
         "exposure_s, or raise beside_mm"
@@ -360,7 +389,8 @@ def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
         spread_sd_mm, "mm", f"{number} returns from either side in turn; the sides differ by {between:.2g} mm",
         limits=ToleranceInterval(None, limits.touch_repeat_mm),
     )  # fmt: skip
-    lost_mm, lost_sd_mm, relaxed_mm = backlash_mm(touches)
+    repeats = _by_chi_square(repeats, number, limits.touch_repeat_mm)
+    lost_mm, lost_sd_mm, relaxed_mm = backlash_mm(touches) or (math.nan, math.nan, math.nan)
     turn = measured(
         "touch", "press axis turns without play",
         "how much deeper the stage stands where it comes out of the pad, by the force there over the stiffness",
@@ -369,6 +399,9 @@ def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
         "in the uncertainty",
         limits=ToleranceInterval(-limits.backlash_mm, limits.backlash_mm),
     )  # fmt: skip
+    turn = not_proven(
+        turn, "a pad that gives less force on the way out hides play, and its hysteresis was not measured"
+    )
     if min(one.deeper_mm for one in touches) < TURNED_WIDTHS * limits.backlash_mm:
         turn = not_proven(
             turn, "the turns were too short to show a play at the limit; raise force_limit_n or deepest_mm of the plan"
@@ -388,6 +421,20 @@ def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     return repeats, turn, zero
 
 
+def _by_chi_square(found: CheckResult, number: int, most: float) -> CheckResult:
+    r"""Let a standard deviation pass only where its 95 % upper confidence limit is inside.
+
+    :math:`s \sqrt{(n-1) / \chi^2_{0.05}}` for n normal values: at the limit it passes in 5 % of all checks.
+    """
+    if found.value is None or found.verdict != "PASS":
+        return found
+    upper = found.value * math.sqrt((number - 1) / float(chi2.ppf(0.05, number - 1)))
+    p_conform = float(chi2.sf((number - 1) * (found.value / most) ** 2, number - 1))
+    found = found.model_copy(update={"p_conform": p_conform})
+    why = f"its 95 % upper confidence limit, {upper:.2g} {found.unit}, is beyond {most:g} {found.unit}"
+    return found if upper <= most else not_proven(found, why)
+
+
 def _spread_mm(touches: tuple[CheckedTouch, ...]) -> tuple[float, float]:
     """Return the standard deviation of the touches (mm), and its standard uncertainty: few touches, and their steps."""
     spread_mm = float(np.std([one.touch_mm for one in touches], ddof=1))
@@ -395,7 +442,7 @@ def _spread_mm(touches: tuple[CheckedTouch, ...]) -> tuple[float, float]:
     return spread_mm, math.hypot(spread_mm / math.sqrt(2.0 * (len(touches) - 1)), one_mm)
 
 
-def backlash_mm(touches: tuple[CheckedTouch, ...]) -> tuple[float, float, float]:
+def backlash_mm(touches: tuple[CheckedTouch, ...]) -> tuple[float, float, float] | None:
     r"""Return the play of the press axis (mm), its standard uncertainty, and by how much the pad gave way (mm).
 
     The force at one commanded position is larger when the position is reached out of the pad, because a stage with play
@@ -404,13 +451,13 @@ def backlash_mm(touches: tuple[CheckedTouch, ...]) -> tuple[float, float, float]
     .. math:: b = (F_\text{below} - F_\text{above}) / k, \quad k = (F_\text{deeper} - F_\text{above}) / d.
 
     A pad that relaxes presses less after the turn, which hides play: what it lost while the stage stood, and once more
-    for the step that was deeper, counts in full as a standard uncertainty.
+    for the step that was deeper, counts in full as a standard uncertainty. None where the force did not grow.
     """
     play, relaxed, noise = [], [], []
     for one in touches:
         stiffness = (one.deeper_n - one.from_above_n) / one.deeper_mm
         if stiffness <= 0.0:
-            return 0.0, math.inf, math.inf
+            return None
         play.append((one.from_below_n - one.from_above_n) / stiffness)
         relaxed.append(2.0 * abs(one.relaxed_n) / stiffness)
         noise.append(math.sqrt(2.0) * one.noise_n / stiffness)
@@ -426,7 +473,7 @@ def _force_limit(facts: PressFacts) -> tuple[CheckResult, ...]:
         return ()
     worst = max(facts.force_stops, key=lambda one: one.peak_n - one.limit_n - one.stiffness_n_per_mm * one.step_mm)
     most_n = worst.stiffness_n_per_mm * worst.step_mm
-    return (
+    found = (
         measured(
             "force limit", "force stops the stage", "largest force beyond a limit at which the stage was stopped",
             worst.peak_n - worst.limit_n, 2.0 * worst.noise_n, "N",
@@ -435,6 +482,7 @@ def _force_limit(facts: PressFacts) -> tuple[CheckResult, ...]:
             limits=ToleranceInterval(None, most_n),
         ),
     )  # fmt: skip
+    return tuple(not_proven(one, ONE_STEP) for one in found)
 
 
 _REASONS: Final[dict[Literal["request", "silent cell"], tuple[str, str]]] = {
@@ -473,7 +521,12 @@ def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
     slowest_s = max(one.stood_after_s for one in stops)
     found = measured("stops", name, what, slowest_s, CLOCK_SD_S, "s", evidence, limits=ToleranceInterval(None, most_s))
     lost = sum(one.stood_mm is None for one in stops)
-    return found if not lost else not_proven(found, f"after {lost} of them its position was unknown")
+    why = [ONLY_COUNTED]
+    if lost:
+        why.append(f"after {lost} of them its position was unknown")
+    if len(stops) < FEWEST_STOPS:
+        why.append(f"{len(stops)} stops are too few; set stops = {FEWEST_STOPS} or more")
+    return not_proven(found, "; ".join(why))
 
 
 def _after_stops(facts: PressFacts, plan: TactileCheckPlan) -> tuple[CheckResult, ...]:

@@ -44,7 +44,7 @@ from rigs.capture._check_session import HANDSHAKES, Progress
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
 from rigs.capture._force_gauge import SETTLING_READINGS, STEP_READINGS, Force, at_rest, read_cell_calibration
 from rigs.capture._plan import require_named
-from rigs.capture._stage_press import PRESS_LESS, OpenTactileRig, StagePress, open_tactile_rig
+from rigs.capture._stage_press import PRESS_LESS, NotAllowedError, OpenTactileRig, StagePress, open_tactile_rig
 
 T = TypeVar("T")
 SECTIONS: Final[tuple[Section, ...]] = ("handshake", "load cell", "stage", "touch", "force limit", "stops")
@@ -131,7 +131,7 @@ class _Recorder:
         self._facts = PressFacts(calibration=calibration, calibration_age_days=age_days(calibration.calibrated_utc))
         self._errors: dict[Section, str] = {}
         self._ended: str | None = None
-        self._done = 0
+        self._begun: list[Section] = []
         self._presser: StagePress | None = None
         self._told: list[str] = []
 
@@ -168,23 +168,20 @@ class _Recorder:
             return
         timed, tapped = TimedStage(stage, opened.clock), TappedCell(cell, opened.clock)
         checked = replace(opened, stage=timed, load_cell=tapped)
-        presser = self._presser = StagePress(checked, self._rig, self._calibration, self._note)
+        limit_n = force_limit_n(self._plan, self._rig)
+        presser = StagePress(checked, self._rig, self._calibration, self._note, limit_n)
         checks = PressRounds(checked, presser, timed, tapped, self._plan, self._rig)
-        self._attempt("stage", lambda: self._allowed_to_move(opened, checks))
+        # whatever ends the question, nothing has moved and nothing moves
+        self._attempt("stage", lambda: _require_allowed(opened, checks.question()))
+        if "stage" not in self._errors:
+            self._presser = presser
+            self._attempt("stage", checks.along_the_pad)
         self._ended = self._ended or ("the stage could not be made ready" if "stage" in self._errors else None)
         self._attempt("touch", lambda: checks.touch(self._keep))
         self._ended = self._ended or ("the pad was not touched as it should" if "touch" in self._errors else None)
         self._attempt("force limit", lambda: checks.force_stops(self._keep))
         self._attempt("stops", lambda: checks.stops(self._keep))
         self._keep(moves=timed.moves())
-
-    def _allowed_to_move(self, opened: OpenTactileRig, checks: "PressRounds") -> None:
-        """Ask a person before anything moves, then home and move along the pad."""
-        if not opened.operator.allows(checks.question()):
-            raise RefusedError(
-                "stage: nobody has allowed it to move; run the check in a terminal, look at the rig, and type yes"
-            )
-        checks.along_the_pad()
 
     def _rest(self, opened: OpenTactileRig) -> CellAtRest:
         """Read the cell while nothing moves."""
@@ -210,8 +207,9 @@ class _Recorder:
         if self._ended is not None and not also_when_ended:
             self._errors.setdefault(section, f"not tried: {self._ended}")
             return None
-        self._progress(self._done, STEPS, section)
-        self._done = min(self._done + 1, STEPS)
+        if section not in self._begun:
+            self._progress(len(self._begun), STEPS, section)
+            self._begun.append(section)
         self._told.clear()
         try:
             if self._presser is None:
@@ -234,6 +232,20 @@ class _Recorder:
     def _keep(self, **what: object) -> None:
         """Add facts."""
         self._facts = self._facts.model_copy(update=what)
+
+
+def _require_allowed(opened: OpenTactileRig, question: str) -> None:
+    """Ask a person before anything moves.
+
+    Raises
+    ------
+    NotAllowedError
+        The person said no, or nobody is there.
+    """
+    if not opened.operator.allows(question):
+        raise NotAllowedError(
+            "stage: nobody has allowed it to move; run the check in a terminal, look at the rig, and type yes"
+        )
 
 
 def age_days(calibrated_utc: str) -> float | None:
@@ -309,6 +321,12 @@ DENT_CELLS: Final = 32
 DENT_SD: Final = 6.0
 
 
+def force_limit_n(plan: TactileCheckPlan, rig: TactileRig) -> float:
+    """Return the force (N) at which the stage stops in this check: that of its plan, or half of the rig file's."""
+    most_n = math.inf if rig.load_cell is None else rig.load_cell.force_limit_n
+    return min(plan.force_limit_n or LIMIT_SHARE * most_n, most_n)
+
+
 class _StopRequestedError(Exception):
     """Stands for a person who wants the stage to stop."""
 
@@ -362,6 +380,10 @@ class TimedStage:
         """Find the zero."""
         self._stage.home(deadline_s, watch)
 
+    def counted_mm(self) -> dict[str, float]:
+        """Ask for the count."""
+        return self._stage.counted_mm()
+
     def trust_places(self) -> dict[str, float]:
         """Take the count for true."""
         return self._stage.trust_places()
@@ -410,7 +432,7 @@ class PressRounds:
             raise RefusedError(f"rig '{rig.name}': has no stage with a load cell")
         self._opened, self._presser, self._stage, self._cell, self._plan = opened, presser, stage, cell, plan
         self._settings, self._silent_s = rig.stage, rig.load_cell.silent_s
-        self._limit_n = plan.force_limit_n or LIMIT_SHARE * rig.load_cell.force_limit_n
+        self._limit_n = force_limit_n(plan, rig)
         self._numbers = itertools.count(1)
 
     def question(self) -> str:
@@ -418,8 +440,8 @@ class PressRounds:
         stage, plan = self._settings, self._plan
         homes = "homes all axes, then " if stage.homing == "switches" else ""
         return (
-            f"The check {homes}moves the stage along the pad and presses {plan.returns + 2 * plan.stops + 3} times and "
-            f"more at {plan.position_mm:g} mm from the base and {plan.beside_mm:g} mm beside it, with up to "
+            f"The check {homes}moves the stage along the pad and presses {plan.returns + 3 * plan.stops + 4} times "
+            f"at {plan.position_mm:g} mm from the base and {plan.beside_mm:g} mm beside it, with up to "
             f"{self._limit_n:g} N and {plan.deepest_mm:g} mm deep. Is the way free, are all hands away, and is the "
             "switch of the motors within reach?"
         )

@@ -303,6 +303,11 @@ def check_filters(plan: CheckPlan, rig: RigFile) -> list[BandPassFilter]:
     if plan.photodiode is not None and rig.is_simulated != (plan.photodiode == "simulated"):
         allowed = "'simulated', as the rig is" if rig.is_simulated else "a serial port or pyserial URL on a real rig"
         raise CaptureError(f"plan.photodiode = '{plan.photodiode}': must be {allowed}; correct it, or leave it out")
+    if plan.photodiode is not None and not rig.is_simulated and plan.photodiode == rig.laser.address:
+        raise CaptureError(
+            f"plan.photodiode = '{plan.photodiode}': is the address of the laser, which opening it would reset; "
+            "give the port of the photodiode's own board"
+        )
     return planned_filters(plan.filters, rig)
 
 

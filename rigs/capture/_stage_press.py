@@ -213,6 +213,10 @@ def _guard(gauge: ForceGauge, limit_n: float, advice: str) -> Callable[[], None]
     return watch
 
 
+class NotAllowedError(RefusedError):
+    """A person did not allow the stage to move: it stays where it is."""
+
+
 class StagePress:
     """Presses the contacts of one session, and leaves the pad whatever goes wrong.
 
@@ -224,6 +228,8 @@ class StagePress:
         Of the load cell.
     note
         Writes a line of the journal: event, and what it says.
+    limit_n
+        Force (N) at which the stage stops, where it is less than that of the rig file.
 
     Raises
     ------
@@ -237,6 +243,7 @@ class StagePress:
         rig: TactileRig,
         calibration: LoadCellCalibration,
         note: Callable[..., None],
+        limit_n: float = math.inf,
     ) -> None:
         if rig.stage is None or rig.load_cell is None or opened.stage is None or opened.load_cell is None:
             raise RefusedError(f"rig '{rig.name}': has no stage with a load cell; nothing can press by itself")
@@ -246,7 +253,7 @@ class StagePress:
         self._is_ready = False
         self._now: _Touched | None = None
         self.touches: dict[float, tuple[float, float]] = {}
-        self.limit_n = rig.load_cell.force_limit_n
+        self.limit_n = min(limit_n, rig.load_cell.force_limit_n)
         self.measured: dict[int, MeasuredPress] = {}
 
     def guard(self, limit_n: float, advice: str = PRESS_LESS) -> Callable[[], None]:
@@ -255,9 +262,14 @@ class StagePress:
 
     @contextmanager
     def standing_by(self) -> Iterator[None]:
-        """Stop and leave the pad when anything ends a ``with`` block early, and say so in the journal."""
+        """Stop and leave the pad when anything ends a ``with`` block early, and say so in the journal.
+
+        Where a person does not allow a move, nothing moves.
+        """
         try:
             yield
+        except NotAllowedError:
+            raise
         except BaseException as error:
             with suppress(CaptureError):
                 self._note("stage stopped", why=f"{type(error).__name__}: {error}")
@@ -306,13 +318,14 @@ class StagePress:
 
     def _trust_by_hand(self) -> None:
         """Have a person say that the stage stands at the zero that the rig file counts from."""
-        places = self._stage.trust_places()
+        places = self._stage.counted_mm()
         where = ", ".join(f"{axis} {at_mm:.3f} mm" for axis, at_mm in sorted(places.items()))
         if not self._operator.allows(
             f"The stage reports its position as {where}. Have you brought it to the zero from which the rig "
             "file counts positions, and is the way to clear_mm free?"
         ):
-            raise RefusedError("stage: nobody has confirmed that it stands at its zero; bring it there, then resume")
+            raise NotAllowedError("stage: nobody has confirmed that it stands at its zero; bring it there, then resume")
+        self._stage.trust_places()
 
     def away(self, watch: Callable[[], None]) -> None:
         """Move the press axis to where nothing touches: step by step where that is towards the pad, as after homing."""

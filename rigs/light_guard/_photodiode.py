@@ -92,6 +92,11 @@ class Photodiode:
             match = _LINE.fullmatch(line)
             if match is not None and check_byte(match[1]) == int(match[5], 16):
                 return LightLevel(int(match[4]), now_s - self._clock.waited_s(int(match[3]), now_s))
+            if now_s >= end_s:
+                raise TimedOutError(
+                    f"{self._name}: only damaged lines came for {deadline_s:.2g} s (such as {line[:32]!r}); check its "
+                    "cable, and keep it away from the motors' wires"
+                )
 
     def _greet(self) -> None:
         """Wait for the firmware's name, also when opening the port has restarted the board."""

@@ -74,7 +74,12 @@ class Hx711Cell:
             is_backlog &= now_s - began_s < BACKLOG_S
             match = _LINE.fullmatch(line)
             if match is None or check_byte(match[1]) != int(match[6], 16):
-                continue  # damaged on the way, or a greeting: the next one comes soon, or the deadline tells
+                if now_s >= end_s:
+                    raise TimedOutError(
+                        f"{self._name}: only damaged lines came for {deadline_s:.2g} s (such as {line[:32]!r}); check "
+                        "its cable, and keep it away from the motors' wires"
+                    )
+                continue  # damaged on the way, or a greeting: the next one comes soon
             counts, status = int(match[4]), int(match[5])
             if status == 2:
                 raise LostError(

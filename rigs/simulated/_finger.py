@@ -155,6 +155,10 @@ class SimulatedStage:
         self.state.counted_mm = {stage.press_axis: stage.clear_mm, stage.pad_axis: stage.base_mm}
         self.is_known = True
 
+    def counted_mm(self) -> dict[str, float]:
+        """Return the count."""
+        return dict(self.state.counted_mm)
+
     def trust_places(self) -> dict[str, float]:
         """Take the count for true."""
         self.is_known = True

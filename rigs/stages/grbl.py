@@ -128,13 +128,18 @@ class GrblStage:
             self._is_known = False
         return report.places_mm if self._is_known else None
 
-    def trust_places(self) -> dict[str, float]:
-        """Take the controller's count for true."""
+    def counted_mm(self) -> dict[str, float]:
+        """Ask for the controller's count, whether or not it is true."""
         report = self._report(time.monotonic() + ANSWER_WITHIN_S)
         if report.state != "Idle":
             raise RefusedError(f"{self._name}: is in state {report.state}; home it, or unlock it by hand ($X)")
-        self._is_known = True
         return report.places_mm
+
+    def trust_places(self) -> dict[str, float]:
+        """Take the controller's count for true."""
+        places = self.counted_mm()
+        self._is_known = True
+        return places
 
     def home(self, deadline_s: float, watch: Callable[[], None]) -> None:
         """Run the controller's homing cycle; it answers no question meanwhile."""

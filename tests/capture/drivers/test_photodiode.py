@@ -38,7 +38,7 @@ class DiodeBoard:
     """The side of the board: a reading every 10 ms of what `light` says, on a clock of its own."""
 
     def __init__(self, port: Port, light: Callable[[], bool]) -> None:
-        self.port, self.light, self.is_unplugged, self.is_silent = port, light, False, False
+        self.port, self.light, self.is_unplugged, self.is_silent, self.is_damaged = port, light, False, False, False
         self.greets = b"LIGHT 1.0\n"
         self._end, self._heard = threading.Event(), b""
         self._thread = threading.Thread(target=self._work, daemon=True)
@@ -61,7 +61,7 @@ class DiodeBoard:
             text = f"L {number % 65536} {at_ms} {level + number % 3}".encode()
             number += 1
             if not self.is_silent:
-                self.port.say(text + b" %02X\n" % crc8(text))
+                self.port.say(text + b" %02X\n" % (crc8(text) ^ (0x55 if self.is_damaged else 0)))
 
 
 @contextmanager
@@ -156,6 +156,26 @@ def test_a_silent_one_is_an_error(tmp_path: Path) -> None:
         emptied(diode)
         with pytest.raises(TimedOutError, match=r"no reading for 0\.3 s; check its cable and supply"):
             watch.look()
+
+
+def test_damaged_lines_for_ever_are_told_in_time(tmp_path: Path) -> None:
+    with diode_board(tmp_path, lambda: True) as board, open_photodiode(str(board.port.path)) as diode:
+        diode.read(0.5)
+        board.is_damaged = True
+        told: list[str] = []
+
+        def read() -> None:
+            try:
+                for _ in range(1000):
+                    diode.read(0.3)
+            except TimedOutError as error:
+                told.append(str(error))
+
+        reader = threading.Thread(target=read, daemon=True)
+        reader.start()
+        reader.join(3.0)
+        assert told, "still waiting after 3 s"
+        assert "only damaged lines came for 0.3 s" in told[0]
 
 
 def test_the_practice_rig_has_one(tmp_path: Path) -> None:

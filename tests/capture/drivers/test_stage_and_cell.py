@@ -77,6 +77,14 @@ def test_place_is_unknown_until_homed(stage, bench):
     assert stage.places_mm() == {"X": 0.0, "Y": 0.0, "Z": 0.0}
 
 
+def test_a_count_that_is_asked_for_is_not_trusted(stage, bench):
+    bench.controller.state = "Idle"
+    assert set(stage.counted_mm()) == set("XYZ")
+    assert stage.places_mm() is None
+    stage.trust_places()
+    assert stage.places_mm() is not None
+
+
 def test_moves_are_absolute_and_arrive(homed, bench):
     for to_mm in (-1.0, -1.05, -0.4, -0.4):
         homed.move("Z", to_mm, FAST_MM_PER_S, nothing)
@@ -318,6 +326,29 @@ def test_silent_cell_is_told_in_time(cell, bench):
     assert time.monotonic() - began_s < 0.8
 
 
+def test_damaged_lines_for_ever_are_told_in_time(cell, bench):
+    cell.read(0.5)
+    # what it damages is a 1, and from here on every number of a line begins with one
+    bench.amplifier._sequence, bench.amplifier.damaged_share = 10_000, 1.0  # noqa: SLF001
+    ended: list[float | str] = []
+
+    def read() -> None:
+        began_s = time.monotonic()
+        try:
+            for _ in range(1000):  # what came whole before is read first
+                began_s = time.monotonic()
+                cell.read(0.3)
+        except TimedOutError as error:
+            ended.extend([time.monotonic() - began_s, str(error)])
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    reader.join(3.0)
+    assert ended, "still waiting after 3 s"
+    assert ended[0] < 0.8
+    assert "only damaged lines came for 0.3 s" in ended[1]
+
+
 def read_on(cell: Hx711Cell, readings: int) -> None:
     """Read what is told only after what was said before it."""
     for _ in range(readings):
@@ -404,6 +435,8 @@ def test_grblhal_simulator(tmp_path, monkeypatch):
 
 def drive_grblhal(settings: StageSettings) -> None:
     with open_stage(settings) as stage:
+        assert stage.places_mm() is None
+        assert stage.counted_mm() == {"X": 0.0, "Y": 0.0, "Z": 0.0}
         assert stage.places_mm() is None
         assert stage.trust_places() == {"X": 0.0, "Y": 0.0, "Z": 0.0}
         for to_mm in (-0.05, -0.1, -0.5, 0.0):
