@@ -32,7 +32,7 @@ GPU_NOTE = "the GPU variants need an NVIDIA driver with CUDA and OptiX; use 'aut
 INSTALL_NOTE = "install LLVM 17 or newer to render faster and with less noise (Debian: apt-get install libllvm19)"
 
 ABSENT = "needs a library that this system lacks: "
-"""Between "the proof picture" and the library's name, where a proof failed without it."""
+"""Between "the test picture" and the library's name, where a proof failed without it."""
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _PROOF = "sim.optics._renderer:render_proof_picture"
 _PROOF_TIMEOUT_S = 120.0

@@ -57,7 +57,7 @@ def test_a_machine_without_llvm_renders_by_the_scalar_variant(monkeypatch):
     found = finding("renderer")
     assert found.state == "note"
     assert re.search(
-        r"without compiler, scalar_rgb: fewer paths, more noise; /nowhere/libLLVM\.so: the proof", found.found
+        r"without compiler, scalar_rgb: fewer paths, more noise; /nowhere/libLLVM\.so: the test picture", found.found
     )
     assert "apt-get install libllvm19" in found.mend
 

@@ -82,12 +82,12 @@ def test_a_gpu_is_proven_before_it_is_opened(monkeypatch):
     assert variants.choose_variant("cuda").variant == "cuda_ad_rgb"
     assert variants.choose_variant("cuda", spectral=True).variant == "cuda_ad_spectral"
     assert asked == [("cuda_ad_rgb", None), ("cuda_ad_spectral", None)]
-    monkeypatch.setattr(variants, "prove_variant", lambda variant: "the proof picture ended with status -6")
-    with pytest.raises(MissingExtraError, match=r"on the GPU was requested, but the proof .* status -6; .*NVIDIA"):
+    monkeypatch.setattr(variants, "prove_variant", lambda variant: "the test picture ended with status -6")
+    with pytest.raises(MissingExtraError, match=r"on the GPU was requested, but the test .* status -6; .*NVIDIA"):
         variants.choose_variant("cuda")
 
 
 def test_without_a_gpu_its_proof_fails_in_the_child_only():
     """On a machine with a GPU the proof passes instead; either way this process goes on."""
     failure = variants.prove_variant("cuda_ad_rgb")
-    assert failure is None or failure.startswith("the proof picture ")
+    assert failure is None or failure.startswith("the test picture ")

@@ -43,9 +43,9 @@ def test_the_proof_refuses_a_bogus_library(tmp_path):
     bogus.write_bytes(b"not a library")
     choice = variants.choose_variant("auto", libraries=[str(bogus)])
     assert choice.variant == "scalar_rgb"
-    assert "libLLVM-19.so: the proof picture failed (ImportError: " in choice.note
+    assert "libLLVM-19.so: the test picture failed (ImportError: " in choice.note
     with pytest.raises(
-        MissingExtraError, match=r"with LLVM was requested, but .*libLLVM-19\.so: the proof picture failed"
+        MissingExtraError, match=r"with LLVM was requested, but .*libLLVM-19\.so: the test picture failed"
     ):
         variants.choose_variant("llvm", libraries=[str(bogus)])
 
@@ -62,15 +62,15 @@ def test_a_library_that_the_system_lacks_is_named_with_its_package(monkeypatch):
     monkeypatch.setattr(variants.importlib, "import_module", import_without_libatomic)
     with pytest.raises(SimulateError) as failed:
         variants.render_proof_picture("scalar_rgb")
-    failure = f"the proof picture {failed.value}"
-    assert failure == "the proof picture needs a library that this system lacks: libatomic.so.1"
+    failure = f"the test picture {failed.value}"
+    assert failure == "the test picture needs a library that this system lacks: libatomic.so.1"
     monkeypatch.setattr(variants, "prove_variant", lambda variant: failure)
     with pytest.raises(MissingExtraError, match=r"lacks libatomic\.so\.1; .* \(sudo apt-get install libatomic1\)"):
         variants.choose_variant("scalar")
 
 
 def test_the_doctor_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(variants, "prove_variant", lambda variant: f"the proof picture {variants.ABSENT}libatomic.so.1")
+    monkeypatch.setattr(variants, "prove_variant", lambda variant: f"the test picture {variants.ABSENT}libatomic.so.1")
     found = check_renderer()
     assert (found["state"], found["mend"]) == ("bad", "sudo apt-get install libatomic1")
     assert "lacks: libatomic.so.1" in found["found"]
