@@ -408,7 +408,7 @@ def press_to_teach(
 
     def count(pressed: PressedFinger) -> None:
         nonlocal sound
-        sound += not pressed.crossing
+        sound += not (pressed.crossing or pressed.unstable)
 
     def tell(done: int, total: int, what: str) -> None:
         if progress is not None:

@@ -27,7 +27,7 @@ from sim.mechanics._increments import with_own_modes
 from sim.mechanics._indenters import rigid_indenter
 from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
 from sim.mechanics._mesh import FingerMesh
-from sim.mechanics._newton import Supports, find_equilibrium
+from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
 from sim.mechanics._penalty_contact import PenaltyContact, PenaltyPress, penalty_mpa_per_mm
 from sim.mechanics._press import PressedFinger, PressSettings
 
@@ -299,7 +299,8 @@ class _Base:
         state = State(u, pressed.modes_mm if last else self._assembly.elasticity.no_modes)
         if not last:
             state = with_own_modes(self._assembly, state)
-        reached = find_equilibrium(self._assembly, state, supports, self._solver)
+        # the equilibrium of the press itself, also where it is a saddle, which StableEquilibrium refuses
+        reached = find_equilibrium(self._assembly, state, supports, self._solver, NewtonOptions(stable=False))
         if reached.failure:
             raise NoEquilibriumError(
                 f"increment {increment + 1} is not an equilibrium of this design: {reached.failure}"

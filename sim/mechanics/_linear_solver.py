@@ -120,8 +120,9 @@ def refined(
 
 
 def stays_definite(times: Callable[[FloatArray], FloatArray], solver: SymmetricSolver, size: int) -> bool:
-    """Tell whether a matrix near the last factorised one, which is positive definite, is so too; no when in doubt.
+    """Tell whether a matrix near the last factorised one, which is positive definite, is so too.
 
+    Valid only where few shapes have changed by much: the matrix must belong to a state close by.
     A few of Lanczos' steps on K x = c P x with the factorised P, from a random vector in which soft shapes prevail. All
     c are near 1 but those of shapes that have become soft, which such steps find first.
 

@@ -39,8 +39,9 @@ _REMOVED, _REMOVED_LESS, _LEAST_REMOVED = (0.3, 1.0), 1.0 / 3.0, 0.1
 # share of the first one: below it, something soft goes a long way, and a smaller increment leads there too
 _WANDERS_AFTER, _NEARER, _FAR = 8, 0.5, 1e-3
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
-# an exact tangent that was positive definite so near is not factorised again at the equilibrium
-_CLOSE_BY_MM = 1e-3
+# an exact tangent that was positive definite so near is not factorised again at the equilibrium; or, up to the second
+# way, where a few of Lanczos' steps see no soft shape: further off, shapes change by too much for so few
+_CLOSE_BY_MM, _NEAR_MM = 1e-3, 0.05
 # a saddle is left along its negative curvature: by the first of these that lowers the energy, doubled while it falls
 _FIRST_WAYS_MM = (1e-2, 1e-3, 1e-4, 1e-5)
 _MOST_SADDLES = 10  # that one search leaves
@@ -48,6 +49,7 @@ _UNSTABLE = (
     "the search could not leave an unstable equilibrium (a shape has a stiffness of {:.2g} times what it has without "
     "negative curvature): a rib or a film may buckle there, and the force may change"
 )
+_UNTESTED = "it could not be tested whether an equilibrium is stable: a rib or a film may buckle there"
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +147,7 @@ class _Search:
         self.removed = 0.0  # of each point's negative curvature, the share that the tangent at hand does without
         self.factors = -1  # version of the pattern whose factors the solver holds
         self.definite_within_mm = math.inf  # way from where the exact tangent was last found positive definite
-        self.saddles = 0  # that were left
+        self.saddles, self.since = 0, 0  # that were left, and what was solved for until the last of them
         self.unstable = ""
         self._least_damping = 0.0  # below which damping ends
         self.damping_n_per_mm = 0.0  # added to each unknown's own stiffness
@@ -223,7 +225,7 @@ class _Search:
 
     def given_up(self) -> str:
         """Return why the search is not gone on with, or nothing."""
-        if self.solved >= self.options.iterations:
+        if self.solved - self.since >= self.options.iterations:
             return f"no equilibrium after {self.solved} iterations"
         last = self.shares[-self.options.stalled_after :] if self.options.stalled_after else []
         if last and len(last) == self.options.stalled_after and sum(last) < 1.0:
@@ -299,12 +301,11 @@ class _Search:
             return False
         if self.removed == 0.0:
             self.factors = matrix.version
-            if self.damping_n_per_mm == 0.0:
-                self.definite_within_mm = 0.0
+            self.definite_within_mm = 0.0 if self.damping_n_per_mm == 0.0 else math.inf
         return True
 
     def _off_a_saddle(self, state: State) -> tuple[State, float] | None:
-        """Return a state of lower energy and that, where an equilibrium is none of least energy; else nothing.
+        """Return a state beside an equilibrium that is none of least energy, and its energy; else nothing.
 
         Positive definite is the tangent by u alone, with the modes and pressures eliminated and, of friction, the
         forces that hold the contact as they are.
@@ -334,24 +335,26 @@ class _Search:
         found = None
         if way is not None and self.saddles < _MOST_SADDLES:
             found = self._downwards(state, np.where(self.supports.fixed, 0.0, way.reshape(-1, 3)))
-        self.saddles += 1
+        self.saddles, self.since = self.saddles + 1, self.solved
         self.shares.clear()
         self.removals = [1.0] * len(self.residuals)
-        self.unstable = "" if found is not None else _UNSTABLE.format(curvature)
+        if found is None:
+            self.unstable = _UNTESTED if way is None else _UNSTABLE.format(curvature)
         return found
 
     def _stays_definite(self) -> bool:
         """Tell whether the tangent at hand is exact and still as positive definite as when it was last factorised."""
         matrix = self.assembly.matrix
-        if self.removed > 0.0 or self.factors != matrix.version or self.definite_within_mm == math.inf:
+        if self.removed > 0.0 or self.factors != matrix.version or self.definite_within_mm > _NEAR_MM:
             return False
         matrix.constrain(self.supports.fixed.ravel())
         return stays_definite(matrix.times, self.solver, len(matrix.indptr) - 1)
 
     def _downwards(self, state: State, way: FloatArray) -> tuple[State, float] | None:
-        """Return the state of least energy along a way (n, 3) or back, and its energy, or nothing.
+        """Return the state of least merit M, at held pressures, along a way (n, 3) or back, and its energy, or nothing.
 
-        The energy falls with the square of what is gone: both senses are tried, and the better one is followed.
+        M falls with the square of what is gone: both senses are tried, the better one is followed. The energy itself
+        falls in the search that follows, when the pressures do.
         """
         elasticity = self.assembly.elasticity
         self.assembly.assemble(state)
