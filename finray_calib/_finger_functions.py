@@ -403,7 +403,7 @@ def fit_sensor(
     seed = whole_seed(seed)
     _require_options(options, _OF_A_FIT)
     read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
-    if paints is not None and not (isinstance(paints, Mapping) and set(paints) == {"red", "green"}):
+    if paints is not None and not (isinstance(paints, Mapping) and set(paints) in (set(), {"red", "green"})):
         raise SimulateError("paints: give a paint of each wall, such as {'red': PAINT, 'green': PAINT}, or none")
     scene, files = _layered(design, dict(paints or {}), seed, options)
     with naming(SimulateError, *files[:1]):
