@@ -243,8 +243,12 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
     told = ", ".join(f"{name} {score.probability:.2f}" for name, score in scores.items())
     if best == DEFAULT_FAMILY:
         return best, f"{best}: the default, and the most probable given these bands ({told})"
-    if scores[DEFAULT_FAMILY].probability < RULED_OUT_PROBABILITY and not clear:
-        return best, f"{best}: the bands rule out the default, {DEFAULT_FAMILY} (probabilities {told})"
+    against = gain < -CLEAR_SCORE_SD * scores[best].difference_sd
+    if scores[DEFAULT_FAMILY].probability < RULED_OUT_PROBABILITY and not clear and not against:
+        return best, (
+            f"{best}: the bands rule out the default, {DEFAULT_FAMILY} (probabilities {told}; left-out bands "
+            f"{gain:+.1f} +- {scores[best].difference_sd:.1f} nats)"
+        )
     if clear:
         return best, (
             f"{best}: the bands speak clearly against the default, {DEFAULT_FAMILY} (probabilities {told}; left-out "

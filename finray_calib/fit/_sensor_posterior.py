@@ -51,6 +51,8 @@ _LEAST_LEFT = 0.1
 # of the noise of blocks: rounds of covariance and sizes by turns; least excess of the sizes' scatter
 _NOISE_ROUNDS = 5
 _LEAST_EXCESS = 0.01
+# of the usual block, the least noise that a block is taken to have
+_LEAST_OF_USUAL = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,13 +250,17 @@ def _variances_by_block(squares: Floats, freedom: int) -> Floats:
     """
     from scipy.special import digamma, polygamma
 
-    logs, half = np.log(np.maximum(squares, np.finfo(float).tiny)), 0.5 * freedom
+    usual = float(np.median(squares))
+    if len(squares) < 2 or usual <= 0.0:
+        return np.ones_like(squares)
+    # a block whose halves agree to the last digit is one that no path found, and tells nothing of its noise
+    logs, half = np.log(np.maximum(squares, _LEAST_OF_USUAL * usual)), 0.5 * freedom
     excess = max(float(logs.var(ddof=1) - polygamma(1, half)), _LEAST_EXCESS)
     # psi'(x) is 1 / x + 1 / (2 x^2) to 5 % above 1
     own = max((1.0 + np.sqrt(1.0 + 2.0 * excess)) / (2.0 * excess), 0.5)
-    usual = np.exp(logs.mean() - digamma(half) + np.log(half) + digamma(own) - np.log(own))
-    found = (own * usual + half * squares) / (own + half)
-    return np.asarray(found / found.mean())
+    centre = np.exp(logs.mean() - digamma(half) + np.log(half) + digamma(own) - np.log(own))
+    found = (own * centre + half * squares) / (own + half)
+    return np.asarray(np.maximum(found / found.mean(), _LEAST_OF_USUAL))
 
 
 def _correlation(covariance: Floats) -> Floats:

@@ -63,6 +63,7 @@ def scores(probability, gain, sd):
         (0.99, 2.1, 1.0, "zheng2014", "predicted better by 2.1 .- 1.0 nats"),
         (0.9998, 43.0, 27.0, DEFAULT_FAMILY, "although it is improbable given these bands"),
         (0.99999, 43.0, 27.0, "zheng2014", "the bands rule out the default"),
+        (0.99999, -43.0, 5.0, DEFAULT_FAMILY, "zheng2014 -43.0"),
     ],
 )
 def test_another_family_needs_probability_and_prediction(probability, gain, sd, expected, words):
