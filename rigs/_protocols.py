@@ -215,7 +215,8 @@ class CellReading(NamedTuple):
     counts
         As the amplifier gives it, signed.
     at_s
-        When it was made, on the clock of the session.
+        When it came, on the monotonic clock. It was made at most as long before as the driver lets readings wait
+        (HX711: 0.2 s).
     """
 
     counts: int

@@ -196,7 +196,7 @@ class Amplifier:
         self.port, self.rate_hz = port, rate_hz
         self.is_stuck = self.is_silent = False
         self.damaged_share, self.status, self.noise_counts = 0.0, 0, 40
-        self.last_line = b""
+        self.lines: list[bytes] = []
         self._conversions: deque[float] = deque(maxlen=4)
         self._next_s = self._began_s = time.monotonic()
         self._sequence, self._counts, self._rx, self._random = 0, 0, b"", random.Random(3)
@@ -220,8 +220,8 @@ class Amplifier:
             return
         text = f"R {self._sequence} {int(1e3 * (now_s - self._began_s))} {self._counts} {self.status}".encode()
         self._sequence = (self._sequence + 1) % 65536
-        self.last_line = text + b" %02X\n" % crc8(text)
-        line = self.last_line
+        line = text + b" %02X\n" % crc8(text)
+        self.lines.append(line)
         if self._random.random() < self.damaged_share:
             line = line.replace(b"1", b"7")
         self.port.say(line)
