@@ -7,7 +7,7 @@ import numpy as np
 from data_schemas import BandPassFilter, BandSignals, Optics
 from data_schemas.storage import assumed_camera_response, halogen_lamp
 from finray_calib.fit import Discrepancy, EmissionPrior
-from finray_calib.fit._band_data import BAND_CALIBRATION_REL, CHANNEL_RESPONSE_REL, STRAY_LIGHT_REL, band_values
+from finray_calib.fit._band_data import band_values
 from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
 from finray_calib.spectra import WAVELENGTH_NM, EmissionFamily, weights_of
 from rigs import simulated_rig
@@ -35,6 +35,7 @@ def nominal_optics() -> Optics:
         laser=rig.laser,
         lamp=halogen_lamp(),
         white_reference=rig.white_reference,
+        band_uncertainty=rig.band_uncertainty,
         camera_response=assumed_camera_response(),
     )
 
@@ -44,8 +45,8 @@ def drawn_paint(
 ) -> DrawnPaint:
     """Draw a paint and measure it.
 
-    Every filter is off its stated centre, width and blocking within its uncertainty; 1 % calibration error per band,
-    0.3 % channel response, 0.3 % stray light, 0.2 % noise.
+    Every filter is off its stated centre, width and blocking within its uncertainty; calibration, channel response and
+    stray light are off as the rig states them; 0.2 % noise.
     """
     nominal = nominal_optics()
     count = len(nominal.filters)
@@ -56,9 +57,10 @@ def drawn_paint(
     signed = _with_discrepancy(family, theta, discrepancy, rng) * (weights.laser_nm <= WAVELENGTH_NM)
     reflected, blocking = np.exp(theta[-2:])
     mu = band_values(signed[None], np.array([reflected]), weights, blocking)[0]
-    stray = STRAY_LIGHT_REL * mu[~weights.is_excitation].max() * rng.standard_normal(mu.size)
-    calibration = 1 + BAND_CALIBRATION_REL * imperfections[0, weights.band_index]
-    response, noise = (1 + rel * rng.standard_normal(mu.size) for rel in (CHANNEL_RESPONSE_REL, NOISE_REL))
+    stated = nominal.band_uncertainty
+    stray = stated.stray_light_rel * mu[~weights.is_excitation].max() * rng.standard_normal(mu.size)
+    calibration = 1 + stated.calibration_rel * imperfections[0, weights.band_index]
+    response, noise = (1 + rel * rng.standard_normal(mu.size) for rel in (stated.response_rel, NOISE_REL))
     y = mu * calibration * response * noise + stray
     bands = BandSignals(
         paint_name="prior draw",

@@ -88,6 +88,7 @@ class Rig:
             laser=rig.laser,
             lamp=halogen_lamp(),
             white_reference=rig.white_reference,
+            band_uncertainty=rig.band_uncertainty,
             camera_response=response,
         )
 

@@ -156,7 +156,7 @@ class FilterProof(Model):
 class CaptureSession(Record):
     """A finished paint session: plan, rig, response curves and the list of frames (a folder on disk)."""
 
-    schema_version: ClassVar[int] = 6
+    schema_version: ClassVar[int] = 7
     written_by: ClassVar[str] = "'finray capture'"
 
     plan: PaintPlan

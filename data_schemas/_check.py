@@ -504,7 +504,7 @@ class CheckResult(Model):
 class AcceptanceReport(Record):
     """The outcome of an acceptance check of a rig: one result for each check, and the facts they follow from."""
 
-    schema_version: ClassVar[int] = 9
+    schema_version: ClassVar[int] = 10
     written_by: ClassVar[str] = "'finray check run'"
     plan: CheckPlan | TactileCheckPlan = Field(discriminator="kind")
     rig: RigFile | TactileRig

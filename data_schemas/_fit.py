@@ -255,7 +255,7 @@ class EmissionDetection(Model):
 class PaintWithoutEmission(Record):
     """A sample in whose band signals no emission was found: a limit of its yield in place of a spectrum."""
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray fit'"
 
     paint_name: str
@@ -420,7 +420,7 @@ class PaintCalibration(Record):
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 
-    schema_version: ClassVar[int] = 8
+    schema_version: ClassVar[int] = 9
     written_by: ClassVar[str] = "'finray fit'"
     other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
     shown: ClassVar[tuple[str, ...]] = (

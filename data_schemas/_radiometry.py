@@ -15,7 +15,15 @@ from data_schemas._arrays import ArraySpec, check_dimensions
 from data_schemas._capture import Frame, RegionOfInterest
 from data_schemas._curves import SpectralCurve, check_named_curves
 from data_schemas._model import Estimate, Model, Record
-from data_schemas._rig import BandPassFilter, CameraSettings, DeviceIdentity, LaserSettings, RigFile, WhiteReference
+from data_schemas._rig import (
+    BandPassFilter,
+    BandUncertainty,
+    CameraSettings,
+    DeviceIdentity,
+    LaserSettings,
+    RigFile,
+    WhiteReference,
+)
 from data_schemas._units import AngleDeg, EnergyJ, ExposureS, RelativeUncertainty
 
 Floats = NDArray[np.float64]
@@ -42,6 +50,11 @@ class Optics(Model):
         description="standard uncertainty of the lamp's temperature; 50 K where an older version did not state it",
     )
     white_reference: WhiteReference
+    band_uncertainty: BandUncertainty = Field(
+        default=BandUncertainty(),
+        description="of each band value beside the noise of its frames; the usual ones where an older version did not "
+        "state them",
+    )
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
     filter_curves: dict[str, SpectralCurve] = Field(
         default={}, description="measured transmission of the filters that name one, by the filter's name"
@@ -102,7 +115,7 @@ class BandSignals(Record):
     The covariances are over the flattened (filter, channel) index, filter-major; :attr:`notes` list what they hold.
     """
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray radiometry'"
 
     paint_name: str
@@ -189,7 +202,7 @@ class PixelSignals(Record):
         Laser over lamp irradiance relative to the region's mean, smoothed.
     """
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray radiometry --pixels'"
 
     paint_name: str
@@ -259,7 +272,7 @@ class CameraSession(Record):
     exposure time form a stack of two or more.
     """
 
-    schema_version: ClassVar[int] = 6
+    schema_version: ClassVar[int] = 7
     written_by: ClassVar[str] = "'finray capture'"
 
     plan: CameraPlan

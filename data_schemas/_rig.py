@@ -50,6 +50,9 @@ def _uncertainty_text(catalogue_nm: float) -> str:
 FilterUncertaintyNm = Annotated[float, Field(ge=0.0, le=10.0, json_schema_extra={"unit": "nm"})]
 
 
+TypeBRel = Annotated[float, Field(ge=1e-4, le=0.2, json_schema_extra={"unit": "1"})]
+
+
 class BandPassFilter(Model):
     """One filter of the wheel; slots count from 1.
 
@@ -324,6 +327,27 @@ class WhiteReference(Model):
 
     reflectance: Fraction = 0.98
     uncertainty_rel: RelativeUncertainty = 0.005
+
+
+class BandUncertainty(Model):
+    """What a band value is uncertain by beside the noise of its frames: standard uncertainties, relative.
+
+    The fit counts them for every paint. State smaller ones only where they were measured: the interval of the emission
+    rests on them.
+    """
+
+    calibration_rel: TypeBRel = Field(
+        default=0.01, description="calibration of each filter, common to the three channels, relative to its value"
+    )
+    response_rel: TypeBRel = Field(
+        default=0.003,
+        description="shape of each channel's spectral response inside a filter's band, relative to its value",
+    )
+    stray_light_rel: TypeBRel = Field(
+        default=0.003,
+        description="light that reaches a channel past its filter, by camera or enclosure, relative to the brightest "
+        "filter but that of the laser",
+    )
 
 
 class HiddenPaint(Model):
@@ -606,7 +630,7 @@ class SimulatedFinger(Model):
 class RigFile(Record):
     """A whole rig."""
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 6
 
     name: str
     camera: CameraSettings = CameraSettings()
@@ -614,6 +638,7 @@ class RigFile(Record):
     laser: LaserSettings = LaserSettings()
     lamp: LampSettings = LampSettings()
     white_reference: WhiteReference = WhiteReference()
+    band_uncertainty: BandUncertainty = BandUncertainty()
     simulated: SimulatedBench | None = None
 
     @model_validator(mode="after")

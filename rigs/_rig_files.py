@@ -287,6 +287,11 @@ _WHITE: Final = {
     "reflectance": "of the white tile, 0 to 1, from its certificate",
     "uncertainty_rel": "its standard uncertainty, relative",
 }
+_BANDS: Final = {
+    "calibration_rel": "of each filter, common to the three channels",
+    "response_rel": "of each channel inside a filter's band",
+    "stray_light_rel": "light past the filter, of the brightest filter but that of the laser",
+}
 
 
 def write_rig(rig: RigFile, path: Path) -> Path:
@@ -331,7 +336,10 @@ schema_version = {rig.schema_version}  # of rig files, so that later versions of
 [lamp]
 {_fields(rig.lamp.model_dump(), _LAMP | {"driver": of_lamps})}
 [white_reference]
-{_fields(rig.white_reference.model_dump(), _WHITE)}{"" if rig.simulated is None else _bench_toml(rig.simulated)}"""
+{_fields(rig.white_reference.model_dump(), _WHITE)}
+[band_uncertainty]
+# What frames do not show, as relative standard uncertainties; smaller ones only where they were measured.
+{_fields(rig.band_uncertainty.model_dump(), _BANDS)}{"" if rig.simulated is None else _bench_toml(rig.simulated)}"""
 
 
 def _driver_names(kind: Kind, but: str = "") -> str:

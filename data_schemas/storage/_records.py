@@ -398,6 +398,15 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # a photodiode as a witness, and rigs whose stage presses beside those with a wheel and lights; none: not there
     ("CheckPlan", 3): _as_it_is,
     ("AcceptanceReport", 8): _as_it_is,
+    # uncertainty of band values beside the noise of their frames; before, the same values for every rig
+    ("RigFile", 5): _as_it_is,
+    ("CaptureSession", 6): _as_it_is,
+    ("CameraSession", 6): _as_it_is,
+    ("BandSignals", 5): _as_it_is,
+    ("PixelSignals", 5): _as_it_is,
+    ("PaintCalibration", 8): _as_it_is,
+    ("PaintWithoutEmission", 4): _as_it_is,
+    ("AcceptanceReport", 9): _as_it_is,
     # whole rows and columns in the fixed pattern; none: not separated
     ("CameraCharacterisation", 3): _as_it_is,
     # a fitted tone curve and the gains far from the contact; none: not known

@@ -269,6 +269,7 @@ def _optics_of(rig: "RigFile", folder: Path) -> "Optics":
         lamp_temperature_k=rig.lamp.temperature_k,
         lamp_temperature_uncertainty_k=rig.lamp.temperature_uncertainty_k,
         white_reference=rig.white_reference,
+        band_uncertainty=rig.band_uncertainty,
         camera_response=camera_response(rig.camera.response, folder),
         filter_curves=read_filter_curves(filters, folder),
     )

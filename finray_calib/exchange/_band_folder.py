@@ -18,6 +18,7 @@ from pydantic import Field, ValidationError, model_validator
 from data_schemas import (
     BandPassFilter,
     BandSignals,
+    BandUncertainty,
     CameraSettings,
     CaptureSession,
     ChargeE,
@@ -159,6 +160,7 @@ class BandFolder(Record):
         default="planck-2856K", description="or a CSV file (wavelength_nm,power_rel) of its relative spectral power"
     )
     white_reference: WhiteReference = WhiteReference()
+    band_uncertainty: BandUncertainty = BandUncertainty()
     filters: Annotated[tuple[ImportedFilter, ...], Field(min_length=1)]
     files: ImageFiles
     exposure_s: Exposures
@@ -464,6 +466,7 @@ def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -
         laser=description.laser,
         lamp=LampSettings(),
         white_reference=description.white_reference,
+        band_uncertainty=description.band_uncertainty,
         simulated=None,
         provenance=None,
     )

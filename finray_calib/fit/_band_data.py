@@ -301,11 +301,6 @@ def _is_symmetric(covariance: FloatArray) -> bool:
     return bool((np.abs(covariance - covariance.T) <= _ASYMMETRY_REL * np.outer(sd, sd)).all())
 
 
-BAND_CALIBRATION_REL: Final = 0.01
-# What a region's photon noise does not know: the shape of each channel's response inside a band, and stray light in
-# camera and enclosure. Without them a tail of a thousandth of the peak would be trusted to a hundredth of itself.
-CHANNEL_RESPONSE_REL: Final = 0.003
-STRAY_LIGHT_REL: Final = 0.003
 # Where more of a channel's white signal is leak, the channel measures the filter's blocking and not its band: a floor
 # that is nowhere as flat as its optical density says.
 LARGEST_LEAK_OF_WHITE: Final = 0.1
@@ -326,7 +321,7 @@ def band_data(bands: BandSignals) -> BandData:
         covariance=bands.fluorescence_covariance + _channel_covariance(bands),
         usable=bands.usable() & in_band,
         weights=weights,
-        band_calibration_rel=BAND_CALIBRATION_REL,
+        band_calibration_rel=bands.optics.band_uncertainty.calibration_rel,
         tolerances=tolerances_of(bands.optics, bands.channel_weights),
         lamp_response_rel=lamp_response(bands.optics, bands.channel_weights),
         tile_uncertainty_rel=bands.optics.white_reference.uncertainty_rel,
@@ -342,5 +337,6 @@ def _channel_covariance(bands: BandSignals) -> FloatArray:
     y, usable = bands.fluorescence, bands.usable()
     emission = usable & ~bands.at_excitation()[:, None]
     brightest = float(np.abs(y[emission]).max()) if emission.any() else 0.0
-    relative = np.hypot(CHANNEL_RESPONSE_REL, HELD_UNCERTAINTY_REL * held_shares(bands.optics))
-    return np.diag(((relative * y) ** 2 + (STRAY_LIGHT_REL * brightest) ** 2).ravel())
+    stated = bands.optics.band_uncertainty
+    relative = np.hypot(stated.response_rel, HELD_UNCERTAINTY_REL * held_shares(bands.optics))
+    return np.diag(((relative * y) ** 2 + (stated.stray_light_rel * brightest) ** 2).ravel())

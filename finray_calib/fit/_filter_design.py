@@ -26,15 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from data_schemas import BandPassFilter, FitError, Optics, PaintCalibration, SpectralCurve
-from finray_calib.fit._band_data import (
-    BAND_CALIBRATION_REL,
-    CHANNEL_RESPONSE_REL,
-    LARGEST_LEAK_OF_WHITE,
-    STRAY_LIGHT_REL,
-    BandData,
-    band_values,
-)
+from data_schemas import BandPassFilter, BandUncertainty, FitError, Optics, PaintCalibration, SpectralCurve
+from finray_calib.fit._band_data import LARGEST_LEAK_OF_WHITE, BandData, band_values
 from finray_calib.fit._measured_spectra import (
     band_errors,
     components_of,
@@ -267,7 +260,7 @@ def next_filters(paint: PaintCalibration, catalogue: Sequence[CatalogueFilter]) 
     found = []
     for candidate, values in zip(offered, seen.T, strict=True):
         own = values - values.mean()
-        noise = _noise_variance(values.mean(), brightest)
+        noise = _noise_variance(values.mean(), brightest, paint.optics.band_uncertainty)
         gain = apart.T @ own / len(own)
         reduction = float(gain @ gain / (own @ own / len(own) + noise) / max(total, 1e-300))
         found.append(NextFilter(candidate, min(reduction, 1.0)))
@@ -291,7 +284,7 @@ def fitted_errors(
         Called with (done, total, text).
     """
     spectra, sd = learned_spectra(), EmissionPrior().ln_blocking_sd
-    known = [_known_rig(optics) for optics in rigs]
+    known = [(*_known_rig(optics), optics.band_uncertainty) for optics in rigs]
     weights, judged = known[0][0], _judged()
     curves = drawn_paints(components_of(spectra, weights.wavelength_nm, weights.laser_nm), paints, rng)
     found: list[list[float]] = [[] for _ in rigs]
@@ -386,10 +379,10 @@ def _best_rows(optics: Optics, filters: Sequence[BandPassFilter]) -> Floats:
     return np.asarray(rows[np.arange(1, len(every)), leak[1:].argmin(axis=1)])
 
 
-def _noise_variance(values: Floats | float, brightest: Floats | float) -> Floats:
+def _noise_variance(values: Floats | float, brightest: Floats | float, stated: BandUncertainty) -> Floats:
     """Return the variance of band values: calibration and response of each, and stray light of the brightest."""
-    relative = np.hypot(BAND_CALIBRATION_REL, CHANNEL_RESPONSE_REL)
-    return np.asarray((relative * np.asarray(values)) ** 2 + (STRAY_LIGHT_REL * np.asarray(brightest)) ** 2)
+    relative = np.hypot(stated.calibration_rel, stated.response_rel)
+    return np.asarray((relative * np.asarray(values)) ** 2 + (stated.stray_light_rel * np.asarray(brightest)) ** 2)
 
 
 def _judged() -> NDArray[np.bool_]:
@@ -406,6 +399,7 @@ class _Screen:
     seen: Floats  # (n, H)
     full: Floats  # (n, full L)
     kept: int
+    stated: BandUncertainty
 
     @classmethod
     def of(
@@ -421,7 +415,7 @@ class _Screen:
         full = curves / np.linalg.norm(curves[:, judged], axis=1, keepdims=True)
         stay = [f for f in kept if f.center_nm > optics.laser.wavelength_nm + _LASER_APART_NM]
         rows = _best_rows(optics, (*stay, *(_as_filter(f, optics, 1) for f in offered)))
-        return cls(full[:, judged][:, ::_GRID_STEP], rows, full @ rows.T, full, len(stay))
+        return cls(full[:, judged][:, ::_GRID_STEP], rows, full @ rows.T, full, len(stay), optics.band_uncertainty)
 
     def error(self, chosen: Sequence[int]) -> float:
         """Return the mean relative error of a set of offered filters, with those that stay."""
@@ -437,7 +431,7 @@ class _Screen:
     def moments(self) -> tuple[Floats, Floats]:
         """Second moments (H, H) of what all filters see, with noise, and of what they tell about the curves."""
         y, f = self.seen - self.seen.mean(axis=0), self.curves - self.curves.mean(axis=0)
-        noise = _noise_variance(self.seen, self.seen.max(axis=1, keepdims=True)).mean(axis=0)
+        noise = _noise_variance(self.seen, self.seen.max(axis=1, keepdims=True), self.stated).mean(axis=0)
         told = y.T @ f / len(y)
         return y.T @ y / len(y) + np.diag(noise), told @ told.T
 
@@ -449,7 +443,7 @@ class _Screen:
 
     def _error(self, seen: Floats) -> float:
         y, f = seen - seen.mean(axis=0), self.curves - self.curves.mean(axis=0)
-        noise = _noise_variance(seen, seen.max(axis=1, keepdims=True)).mean(axis=0)
+        noise = _noise_variance(seen, seen.max(axis=1, keepdims=True), self.stated).mean(axis=0)
         gain = np.linalg.solve(y.T @ y / len(y) + np.diag(noise), y.T @ f / len(y))
         # noise of the bands adds its own, equal for all paints
         error = ((f - y @ gain) ** 2).sum(axis=1) + float(noise @ (gain**2).sum(axis=1))
@@ -490,7 +484,7 @@ def _known_rig(optics: Optics) -> tuple[EmissionWeights, BandData]:
         covariance=np.eye(rows),
         usable=usable,
         weights=weights,
-        band_calibration_rel=BAND_CALIBRATION_REL,
+        band_calibration_rel=optics.band_uncertainty.calibration_rel,
         tolerances=tolerances_of(optics, channels),
         lamp_response_rel=lamp_response(optics, channels),
     )
@@ -498,14 +492,14 @@ def _known_rig(optics: Optics) -> tuple[EmissionWeights, BandData]:
 
 
 def _measured(
-    rig: tuple[EmissionWeights, BandData], curve: Floats, reflectance: float, rng: np.random.Generator
+    rig: tuple[EmissionWeights, BandData, BandUncertainty], curve: Floats, reflectance: float, rng: np.random.Generator
 ) -> BandData:
     """Return what a rig that is as uncertain as stated measures of a paint."""
-    weights, empty = rig
+    weights, empty, stated = rig
     mu = band_values(curve[None], np.array([reflectance]), weights, empty.leak_mean[None])[0]
     emission = ~weights.is_excitation & empty.usable.ravel()
-    relative = np.hypot(_NOISE_REL, CHANNEL_RESPONSE_REL) * mu
-    variance = relative**2 + (STRAY_LIGHT_REL * float(mu[emission].max())) ** 2
+    relative = np.hypot(_NOISE_REL, stated.response_rel) * mu
+    variance = relative**2 + (stated.stray_light_rel * float(mu[emission].max())) ** 2
     exact = replace(empty, y=mu.reshape(empty.y.shape), covariance=np.diag(variance))
     y = mu.copy()
     y[empty.kept] += band_errors(exact, curve, reflectance, EmissionPrior().ln_blocking_sd, rng)

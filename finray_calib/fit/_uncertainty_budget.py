@@ -36,12 +36,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from data_schemas import HELD_UNCERTAINTY_REL, BandSignals, FitError, PaintCalibration
-from finray_calib.fit._band_data import (
-    CHANNEL_RESPONSE_REL,
-    STRAY_LIGHT_REL,
-    BandData,
-    band_data,
-)
+from finray_calib.fit._band_data import BandData, band_data
 from finray_calib.fit._measured_spectra import (
     ScoredSpectra,
     SpectrumPosterior,
@@ -200,14 +195,14 @@ def budget_sources(bands: BandSignals, data: BandData, fitted: ScoredSpectra) ->
     fitted
         The posterior, which knows the filters' columns.
     """
-    kept, optics = data.kept, bands.optics
+    kept, optics, stated = data.kept, bands.optics, bands.optics.band_uncertainty
     y, filters = data.y.ravel()[kept], bands.optics.filters
     usual = bands.fluorescence_covariance[np.ix_(kept, kept)]
     beside = data.covariance[np.ix_(kept, kept)] - usual  # channel response, ends of curves, stray light: diagonal
     most = 1 / float(y @ np.linalg.solve(usual, y))  # more of y y^T would leave no positive semidefinite covariance
     tile = min(data.tile_uncertainty_rel**2, most) * np.outer(y, y)
     common = most * np.outer(y, y) - tile
-    relative = np.hypot(CHANNEL_RESPONSE_REL, HELD_UNCERTAINTY_REL * held_shares(optics)).ravel()[kept]
+    relative = np.hypot(stated.response_rel, HELD_UNCERTAINTY_REL * held_shares(optics)).ravel()[kept]
     response = np.minimum((relative * y) ** 2, np.diag(beside))
     count, lamp = data.weights.bands, data.lamp_response_rel is not None
     calibration, rest = np.split(fitted.columns, [count], axis=1)
@@ -226,13 +221,13 @@ def budget_sources(bands: BandSignals, data: BandData, fitted: ScoredSpectra) ->
                           _root(usual - tile - common)),
         UncertaintySource(SHARED_BY_ALL, f"{100 * shared:.1f} %", "A", _root(common)),
         UncertaintySource("white reference", f"{100 * white:.1f} %", "B", _root(tile)),
-        UncertaintySource("calibration of each filter", f"{100 * data.band_calibration_rel:.1f} %", "B", calibration),
+        UncertaintySource("calibration of each filter", f"{100 * data.band_calibration_rel:.2g} %", "B", calibration),
         UncertaintySource("centres of the filters", f"at most {largest('center_uncertainty_nm'):g} nm", "B", centre),
         UncertaintySource("widths of the filters", f"at most {largest('fwhm_uncertainty_nm'):g} nm", "B", width),
         UncertaintySource("leak of the filters", f"at most {largest('blocking_uncertainty_od'):g} OD", "B", leak),
-        UncertaintySource("camera response", f"{100 * CHANNEL_RESPONSE_REL:.1f} % of each channel", "B",
+        UncertaintySource("camera response", f"{100 * stated.response_rel:.2g} % of each channel", "B",
                           _diagonal(response)),
-        UncertaintySource("stray light", f"{100 * STRAY_LIGHT_REL:.1f} % of the brightest filter", "B",
+        UncertaintySource("stray light", f"{100 * stated.stray_light_rel:.2g} % of the brightest filter", "B",
                           _diagonal(np.diag(beside) - response)),
         UncertaintySource("colour temperature of the lamp", f"{optics.lamp_temperature_uncertainty_k:g} K", "B", lit),
     )  # fmt: skip

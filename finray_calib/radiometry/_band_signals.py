@@ -154,6 +154,7 @@ def optics_of(session: CaptureSession) -> Optics:
         lamp_temperature_k=session.rig.lamp.temperature_k,
         lamp_temperature_uncertainty_k=session.rig.lamp.temperature_uncertainty_k,
         white_reference=session.rig.white_reference,
+        band_uncertainty=session.rig.band_uncertainty,
         camera_response=session.camera_response,
         filter_curves={f.name: session.filter_curves[f.name] for f in filters if f.curve is not None},
     )

@@ -75,14 +75,16 @@ def fit_methods(paint: FittedPaint) -> tuple[str, ...]:
     fit, bands = paint.fit, paint.bands
     optics = fit.optics
     centres = ", ".join(f"{band.center_nm:g}" for band in optics.filters)
-    white = optics.white_reference
+    white, stated = optics.white_reference, optics.band_uncertainty
     measured = (
         f"The sample \u201c{fit.paint_name}\u201d was photographed raw under a laser at "
         f"{optics.laser.wavelength_nm:g} nm through {len(optics.filters)} band-pass filters (centres {centres} nm), "
         f"beside a white reference of reflectance {white.reflectance:g} (standard uncertainty "
         f"{percent(white.uncertainty_rel)}). Dark-subtracted frames were averaged over {bands.region_pixels} pixels; "
         f"{fit.usable_values} of {bands.usable().size} ratios of filter and channel to the white reference entered the "
-        "fit."
+        f"fit, with relative standard uncertainties of {percent(stated.calibration_rel)} for the calibration of each "
+        f"filter, {percent(stated.response_rel)} for each channel's response and {percent(stated.stray_light_rel)} of "
+        "the brightest filter for stray light."
     )
     model = _emission_model(paint)
     rank = "" if fit.diagnostics.chain is None else " Convergence was judged by R-hat (Vehtari et al., 2021)."

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas import BandPassFilter, CurveError, PaintPlan, RigFile, SpectralCurve, half_maximum_nm
+from data_schemas import BandPassFilter, BandUncertainty, CurveError, PaintPlan, RigFile, SpectralCurve, half_maximum_nm
 from data_schemas.storage import sha256_of
 from finray_calib.radiometry import optics_of
 from rigs import open_rig
@@ -24,6 +24,7 @@ def with_curve(rig: RigFile, name: str, curve: str) -> RigFile:
 def test_session_stores_the_curve_and_hands_it_to_the_band_signals(rig: RigFile, plan: PaintPlan, tmp_path: Path):
     (tmp_path / "f600.csv").write_text(CSV)
     few = plan.model_copy(update={"filters": ("450", "600"), "bracket": (1.0,), "darks_per_exposure": 1})
+    rig = rig.model_copy(update={"band_uncertainty": BandUncertainty(stray_light_rel=0.001)})
     capture_paint_session(
         with_curve(rig, "600", "f600.csv"), few, SessionRequest(tmp_path / "out", "finray capture", rig_folder=tmp_path)
     )
@@ -36,6 +37,7 @@ def test_session_stores_the_curve_and_hands_it_to_the_band_signals(rig: RigFile,
     optics = optics_of(session)
     assert [f.curve for f in optics.filters] == [None, "f600.csv"]
     assert optics.filter_curves["600"]([598.0]) == pytest.approx([0.8])
+    assert optics.band_uncertainty.stray_light_rel == 0.001
     # a filter that was not captured takes its curve with it
     assert (
         optics_of(session.model_copy(update={"plan": plan.model_copy(update={"filters": ("450",)})})).filter_curves

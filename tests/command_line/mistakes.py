@@ -299,7 +299,7 @@ CASES = (
         "newer session",
         "radiometry {tmp}/session",
         rf"session\.json: schema_version 9 was written by a newer finray; this one reads up to \d: update with {NEW}",
-        session(lambda folder: edit(folder / "session.json", '"schema_version": 6', '"schema_version": 9')),
+        session(lambda folder: edit(folder / "session.json", '"schema_version": 7', '"schema_version": 9')),
     ),
     # stored records
     Case(
@@ -382,6 +382,12 @@ CASES = (
         BAD_RIG,
         r"'white_reference\.reflectance': must be at most 1, got 98\.0$",
         edited("rig.toml", "\nreflectance = 0.98", "\nreflectance = 98.0"),
+    ),
+    Case(
+        "stray light in per cent",
+        BAD_RIG,
+        r"'band_uncertainty\.stray_light_rel': must be at most 0\.2, got 0\.3$",
+        edited("rig.toml", "stray_light_rel = 0.003", "stray_light_rel = 0.3"),
     ),
     Case(
         "record with the name of a table",
