@@ -49,7 +49,7 @@ wide for the most and too narrow for the few. Chosen on half of the fluorophores
 _SECOND_DYE: Final = ((0.0, 0.8), (0.3, 0.2))
 _EDGE_SD = 0.25
 _SECOND_RANK = 14
-_KEPT = 160
+_KEPT = 600
 _HEIGHT_AT_YIELD, _HEIGHT_SD_REL = 0.15, 1.5
 _REFLECTANCE, _REFLECTANCE_SD = 0.2, 0.5
 _FIRST_PASS_SIZE = 0.15
