@@ -61,7 +61,9 @@ class Model(BaseModel):
 
     def __eq__(self, other: object) -> bool:
         """Return whether all fields are equal; pydantic's own comparison fails on arrays."""
-        return self is other or (type(self) is type(other) and _equal(self.__dict__, other.__dict__))
+        if type(self) is not type(other):
+            return NotImplemented
+        return self is other or _equal(self.__dict__, other.__dict__)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -88,14 +90,17 @@ class Model(BaseModel):
 
 
 def _equal(one: object, other: object) -> bool:
-    """Return whether two values are equal, arrays among them in shape and every value (NaN equals NaN there)."""
+    """Return whether two values are equal, arrays among them in shape and every value; NaN equals NaN."""
+    if type(one) is float and type(other) is float:
+        return one == other or (one != one and other != other)
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
         return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc" and other.dtype.kind in "fc")
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(_equal(value, other[key]) for key, value in one.items())
     if isinstance(one, tuple | list) and type(one) is type(other):
         return len(one) == len(other) and all(map(_equal, one, other))
-    return bool(np.all(one == other))
+    same = one == other
+    return same if isinstance(same, bool) else bool(np.all(same))
 
 
 class Record(Model):

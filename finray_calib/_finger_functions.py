@@ -5,12 +5,11 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from math import isfinite
 from numbers import Real
 from operator import index
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple, SupportsIndex, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, SupportsIndex, TypedDict, TypeVar
 
 from pydantic import ValidationError
 
@@ -30,7 +29,17 @@ from data_schemas import (
     naming,
     narrow_sweep_text,
 )
-from finray_calib._library import PathLike, digest_of, given, given_list, made, path_of, whole_seed
+from finray_calib._library import (
+    PathLike,
+    digest_of,
+    given,
+    given_list,
+    made,
+    numbers_of,
+    path_of,
+    require_truths,
+    whole_seed,
+)
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -41,6 +50,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, str], None]
 Paint = PaintCalibration | PathLike
+D = TypeVar("D", FingerDesign, PlainSensor)
 DEFAULT_SAMPLES_PER_PIXEL = 128
 DEFAULT_SAMPLES_PER_PROBE = 4000
 SWEEP_REPEATS = 6
@@ -51,6 +61,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "engine": ("auto", "llvm", "scalar", "cuda"),
     "contact": ("auto", "penalty", "barrier"),
 }
+_TRUTHS = frozenset({"paints_as_given", "pose_response", "shared_light", "all_objectives", "narrow_sweep"})
 _OF_ALL = frozenset({"samples", "engine", "paints_as_given"})
 _OF_A_PRESS = _OF_ALL | {"level", "pose_response", "shared_light", "position_mm"}
 _OF_A_FIT = _OF_ALL | {"shared_light"}
@@ -137,8 +148,8 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
     return _Design(design, path.parent, design_inputs(design, path))
 
 
-def _valid(design: FingerDesign) -> FingerDesign:
-    """Return a design whose numbers are checked again: ``model_copy(update=...)`` takes any.
+def _valid(design: D) -> D:
+    """Return a finger or sensor whose numbers are checked again: ``model_copy(update=...)`` takes any.
 
     Raises
     ------
@@ -146,9 +157,9 @@ def _valid(design: FingerDesign) -> FingerDesign:
         A number is not allowed; the message names it.
     """
     try:
-        FingerDesign.model_validate(design.model_dump(warnings=False))
+        type(design).model_validate(design.model_dump(warnings=False))
     except ValidationError as refused:
-        raise SimulateError(f"the design {design.name!r}: {explain(refused, FingerDesign)}") from None
+        raise SimulateError(f"the design {design.name!r}: {explain(refused, type(design))}") from None
     return design
 
 
@@ -167,6 +178,8 @@ def _require_options(options: Mapping[str, object], known: frozenset[str]) -> No
             raise SimulateError(f"{name}={value!r} is unknown; it is one of {', '.join(_CHOICES[name])}")
         if name == "samples":
             _whole("samples", value, 1)
+        if name in _TRUTHS:
+            require_truths(**{name: value})
 
 
 def _whole(name: str, value: object, least: int) -> None:
@@ -443,7 +456,7 @@ def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainS
     from sim import SENSORS, preset_sensor, read_sensor, sensor_inputs
 
     if isinstance(sensor, PlainSensor):
-        return sensor, Path(), []
+        return _valid(sensor), Path(), []
     if isinstance(sensor, FingerDesign):
         raise SimulateError(f"{sensor.name} is a painted finger, and this function takes a classic sensor")
     path = path_of(sensor, "sensor")
@@ -505,14 +518,7 @@ def sweep_light_angle(
 
 def _angles(angles_deg: Sequence[float]) -> list[float]:
     """Return the angles of a sweep as floats."""
-    try:
-        angles = [float(angle) for angle in angles_deg]
-    except (TypeError, ValueError):
-        angles = []
-    if not angles or not all(isfinite(angle) for angle in angles):
-        raise SimulateError(
-            f"angles_deg={angles_deg!r}: a list of finite angles in deg is needed, such as [0, 30, 60, 90]"
-        )
+    angles = numbers_of(angles_deg, "angles_deg", "a list of finite angles in deg is needed, such as [0, 30, 60, 90]")
     for before, angle in pairwise(angles):
         if before >= angle:
             raise SimulateError(f"angles_deg: {angle:g} deg stands after {before:g} deg; give angles that increase")

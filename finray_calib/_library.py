@@ -7,8 +7,9 @@ names it with its SHA-256, so that a stored result can be traced.
 import hashlib
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from contextlib import contextmanager, suppress
+from math import isfinite
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -100,7 +101,7 @@ def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
     RecordError
         It is no list, such as a record or a path alone.
     """
-    if isinstance(what, Record | str | os.PathLike | bytes) or not isinstance(what, Iterable):
+    if isinstance(what, Record | str | os.PathLike | bytes | Mapping | Set) or not isinstance(what, Iterable):
         raise RecordError(
             f"{argument}: a list is needed, each a {kind.__name__} or the path of a stored one; a "
             f"{type(what).__name__} was given"
@@ -123,6 +124,36 @@ def whole_seed(seed: int) -> int:
     if not 0 <= number < 2**63:
         raise RecordError(f"seed={seed!r}: a seed is a whole number from 0 to 2^63 - 1; give one, such as 1")
     return number
+
+
+def require_truths(**values: object) -> None:
+    """Refuse what is neither True nor False: any text, "no" too, would count as true.
+
+    Raises
+    ------
+    RecordError
+        A value is of another type; the message names its argument.
+    """
+    for name, value in values.items():
+        if type(value).__name__ not in {"bool", "bool_"}:
+            raise RecordError(f"{name}={value!r}: True or False is needed")
+
+
+def numbers_of(values: object, argument: str, needed: str) -> list[float]:
+    """Return a list of finite numbers that the user gave; a text would be read by its characters.
+
+    Raises
+    ------
+    RecordError
+        It is no list, or one without or with other values.
+    """
+    found: list[float] = []
+    if isinstance(values, Iterable) and not isinstance(values, str | bytes | Mapping | Set):
+        with suppress(TypeError, ValueError):
+            found = [float("nan") if isinstance(value, str | bytes | bool) else float(value) for value in values]
+    if not found or not all(map(isfinite, found)):
+        raise RecordError(f"{argument}={values!r}: {needed}")
+    return found
 
 
 def made(record: R, call: str, inputs: Iterable[Path], seed: int | None = None) -> R:
@@ -303,6 +334,7 @@ def reduce_session(
     from finray_calib.radiometry import characterise_camera
     from rigs.capture import SESSION_NAME, read_camera_session, read_frame_of, session_kind
 
+    require_truths(accept_repeat=accept_repeat)
     folder = path_of(session, "session")
     if session_kind(folder) == "paint":
         return _reduced(folder, camera, accept_repeat, None)[0]
@@ -332,6 +364,7 @@ def reduce_pixels(
     whole_frame
         Whether to take every pixel of the frame.
     """
+    require_truths(accept_repeat=accept_repeat, whole_frame=whole_frame)
     pixels = _reduced(path_of(session, "session"), camera, accept_repeat, whole_frame)[1]
     if pixels is None:
         raise RadiometryError(f"{session}: gave no signals of pixels, which is a fault of finray; report it")
@@ -412,6 +445,7 @@ def fit_paint(
     """
     from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint, departing_warnings
 
+    require_truths(discrepancy=discrepancy, check=check)
     seed = whole_seed(seed)
     signals, files, scatter = _of_sessions(bands)
     others = [given(other, BandSignals) for other in given_list(other_lights, BandSignals, "other_lights")]
@@ -506,6 +540,7 @@ def compare_press(
     """
     from finray_calib.compare import CheckOptions, compare_checked
 
+    require_truths(register=register, despite_mismatch=despite_mismatch)
     seed = whole_seed(seed)
     press, files = given(simulated, SimulatedPress)
     captured, read = given(capture, TactileCapture)
@@ -550,6 +585,7 @@ def compare_force(
     from finray_calib.exchange import read_force_csv
     from finray_calib.force import compare_force as compare
 
+    require_truths(known_first_touch=known_first_touch)
     seed = whole_seed(seed)
     mechanics, files = given(press, PressMechanics)
     other, read = (None, []) if other_mesh is None else given(other_mesh, PressMechanics)
@@ -596,6 +632,9 @@ def decide_light_angle(
     """
     from finray_calib.decide import decide
 
+    require_truths(narrow_sweep=narrow_sweep)
+    if weights is not None:
+        weights = numbers_of(weights, "weights", "a list of numbers is needed, one for each touch, such as [1, 2, 1]")
     seed = whole_seed(seed)
     alone = isinstance(sweeps, LightAngleSweep | str | os.PathLike)
     several = [sweeps] if alone else given_list(sweeps, LightAngleSweep, "sweeps")

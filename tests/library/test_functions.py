@@ -16,6 +16,7 @@ from data_schemas import (
 )
 from data_schemas.storage import read_record, sha256_of
 from finray_calib.lineage import findings
+from sim import preset_sensor
 from sim.mechanics import STEPS
 from sim.mechanics._finger_mesh import MeshSteps
 from tests.command_line.running import succeed
@@ -304,9 +305,11 @@ def test_options_of_a_press_are_checked(lab, paint):
         finray.fit_sensor(lab / "finger.toml", [lab / "capture.json"], paints={"rde": paint, "green": paint})
 
 
-@pytest.mark.parametrize("angles_deg", [None, 7, [], "0:90:30", [0, 30, 60, np.nan]])
+@pytest.mark.parametrize(
+    "angles_deg", [None, 7, [], "0:90:30", "036", {0: 1, 30: 2}, {0, 30, 60, 90}, [0, 30, 60, np.nan], ["0", "30"]]
+)
 def test_angles_are_a_list_of_finite_numbers(lab, paint, angles_deg):
-    with pytest.raises(SimulateError, match="a list of finite angles in deg is needed"):
+    with pytest.raises(RecordError, match="a list of finite angles in deg is needed"):
         finray.sweep_light_angle(lab / "finger.toml", angles_deg, red=paint, green=paint)
 
 
@@ -326,6 +329,29 @@ def test_a_design_changed_in_python_is_checked_again(paint):
     metres = design.indenter.model_copy(update={"depth_mm": -1.5})
     with pytest.raises(SimulateError, match=r"the design 'flat-70x35': 'indenter\.depth_mm' \(in mm\): must be"):
         finray.render_press(design.model_copy(update={"indenter": metres}), red=paint, green=paint)
+
+
+def test_a_sensor_changed_in_python_is_checked_again():
+    sensor = preset_sensor("gelsight-flat")
+    far = sensor.camera.model_copy(update={"distance_mm": -4.0})
+    with pytest.raises(SimulateError, match=r"the design 'gelsight-flat': 'camera\.distance_mm' \(in mm\): must be"):
+        finray.render_sensor(sensor.model_copy(update={"camera": far}))
+
+
+def test_a_word_is_no_truth_value(lab, paint):
+    """ "no" would count as true."""
+    with pytest.raises(RecordError, match="narrow_sweep='no': True or False is needed"):
+        finray.sweep_light_angle(lab / "finger.toml", [0, 30, 60, 90], red=paint, green=paint, narrow_sweep="no")
+    with pytest.raises(RecordError, match="check='no': True or False is needed"):
+        finray.fit_paint(lab / "bands.json", check="no")
+    with pytest.raises(RecordError, match="register=0: True or False is needed"):
+        finray.compare_press(lab / "press.json", lab / "capture.json", register=0)
+
+
+@pytest.mark.parametrize("weights", ["121", {"a": 1}, [], [1, "2"], [1, np.inf]])
+def test_weights_are_a_list_of_numbers(lab, weights):
+    with pytest.raises(RecordError, match="a list of numbers is needed, one for each touch"):
+        finray.decide_light_angle([lab / "a.json", lab / "b.json"], weights=weights)
 
 
 @pytest.mark.parametrize("angles_deg", [[0, 20, 10, 30], [0, 10, 10, 20]])
