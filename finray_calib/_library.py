@@ -633,8 +633,6 @@ def decide_light_angle(
     from finray_calib.decide import decide
 
     require_truths(narrow_sweep=narrow_sweep)
-    if weights is not None:
-        weights = numbers_of(weights, "weights", "a list of numbers is needed, one for each touch, such as [1, 2, 1]")
     seed = whole_seed(seed)
     alone = isinstance(sweeps, LightAngleSweep | str | os.PathLike)
     several = [sweeps] if alone else given_list(sweeps, LightAngleSweep, "sweeps")

@@ -7,7 +7,7 @@ draw of the paints can be put on the bands of every repeat, which takes the two 
 normal this cannot be told, and the whole scatter is kept.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -182,6 +182,7 @@ def _weights(weights: Sequence[float], sweeps: int) -> list[float]:
     try:
         numbers = [float(weight) for weight in weights]
         fit = len(numbers) == sweeps and all(0.0 < number < np.inf for number in numbers)
+        fit &= not isinstance(weights, str | bytes | Mapping | Set)  # of a text its characters would be read
     except (TypeError, ValueError):
         fit = False
     if not fit:

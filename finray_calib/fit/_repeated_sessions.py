@@ -24,6 +24,7 @@ Patterson, Thompson, Recovery of inter-block information when block sizes are un
 """
 
 from collections.abc import Sequence
+from pathlib import PurePosixPath
 from typing import Final
 
 import numpy as np
@@ -38,6 +39,7 @@ Floats = NDArray[np.float64]
 LEVEL_SCALE, FILTER_SCALE = 0.03, 0.01
 """Scales of the half-Cauchy priors of the relative standard deviations between sessions: of the level, of a filter."""
 DEPARTS_P: Final = 0.001
+_SESSION_FILE: Final = "session.json"
 _LEVELS, _FILTERS = np.geomspace(3e-4, 1.0, 28), np.geomspace(3e-4, 0.3, 20)
 
 
@@ -124,14 +126,27 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
 
 
 def _refuse_twice(sessions: Sequence[BandSignals]) -> None:
-    """Refuse the same session given twice: two sessions never agree in every bit of their noise."""
+    """Refuse the same session given twice, also where it was reduced in two ways.
+
+    Two sessions never agree in every bit of their noise, and their files have other digests.
+    """
     values = [one.fluorescence.tobytes() + one.reflectance.tobytes() for one in sessions]
-    for number, value in enumerate(values):
-        if value in values[:number]:
+    digests = [_session_digest(one) for one in sessions]
+    for number, (value, digest) in enumerate(zip(values, digests, strict=True)):
+        of_one = digest is not None and digest in digests[:number]
+        if value in values[:number] or of_one:
+            sooner = digests.index(digest) if of_one else values.index(value)
+            what = "was reduced from the same frames as session" if of_one else "holds the same values as session"
             raise FitError(
-                f"session {number + 1} holds the same values as session {values.index(value) + 1}: it would count "
-                "twice, and the intervals would be too narrow. Give each session once"
+                f"session {number + 1} {what} {sooner + 1}: it would count twice, and the intervals would be too "
+                "narrow. Give each session once"
             )
+
+
+def _session_digest(bands: BandSignals) -> str | None:
+    """Return the SHA-256 of the session that band signals were reduced from, where their origin tells it."""
+    read = {} if bands.provenance is None else bands.provenance.input_sha256
+    return next((digest for name, digest in read.items() if PurePosixPath(name).name == _SESSION_FILE), None)
 
 
 def _as_text(part: object) -> str:

@@ -11,6 +11,7 @@ from finray_calib import fit_paint
 from finray_calib.fit import combine_sessions, departing_warnings
 from rigs import simulated_rig
 from rigs.simulated import bench_truth
+from tests.schemas.freeze import ORIGIN
 
 LEVEL, FILTER, NOISE, TILE = 0.03, 0.01, 0.003, 0.005
 
@@ -110,6 +111,20 @@ def test_a_value_that_one_session_lost_rests_on_the_others(session, red_bands):
     assert together.flags[4][0] == "ok"
     assert together.fluorescence[4, 0] == pytest.approx(red_bands.fluorescence[4, 0], rel=0.15)
     assert abs(scatter.session_levels_rel[0]) < 0.2
+
+
+def test_one_session_reduced_in_two_ways_is_refused(session):
+    """Other values, as by another characterisation of the camera, of the same frames."""
+    rng = np.random.default_rng(1)
+
+    def reduced_from(bands, digest):
+        inputs = {"lab/session/session.json": digest, "lab/camera.json": "c" * 64}
+        return bands.model_copy(update={"provenance": ORIGIN.model_copy(update={"input_sha256": inputs})})
+
+    one, two = session(rng), session(rng)
+    combine_sessions([reduced_from(one, "a" * 64), reduced_from(two, "b" * 64)])
+    with pytest.raises(FitError, match="session 2 was reduced from the same frames as session 1: it would count twice"):
+        combine_sessions([reduced_from(one, "a" * 64), reduced_from(two, "a" * 64)])
 
 
 def test_sessions_that_are_no_repeats_are_refused(session):
