@@ -398,6 +398,11 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # a photodiode as a witness, and rigs whose stage presses beside those with a wheel and lights; none: not there
     ("CheckPlan", 3): _as_it_is,
     ("AcceptanceReport", 8): _as_it_is,
+    # a known mass, a gauge block, the picture's scale and the cell as witnesses of a stage; none: not there.
+    # Limits are above 0, and at most 1 where they are relative
+    ("CheckPlan", 4): _as_it_is,
+    ("TactileCheckPlan", 1): _as_it_is,
+    ("AcceptanceReport", 9): _as_it_is,
     # whole rows and columns in the fixed pattern; none: not separated
     ("CameraCharacterisation", 3): _as_it_is,
     # a fitted tone curve and the gains far from the contact; none: not known

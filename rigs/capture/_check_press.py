@@ -17,6 +17,7 @@ from data_schemas import (
     CaptureError,
     CellAtRest,
     Handshake,
+    LaidMass,
     LoadCellCalibration,
     PressFacts,
     RefusedError,
@@ -28,13 +29,14 @@ from data_schemas import (
 from rigs import Operator, TerminalOperator
 from rigs.capture._check_recorder import HANDSHAKES, CheckRecorder, Progress, ask, come_back
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
-from rigs.capture._force_gauge import at_rest, read_cell_calibration
+from rigs.capture._force_gauge import at_rest, read_cell_calibration, weigh
 from rigs.capture._plan import require_named
 from rigs.capture._press_rounds import PressRounds, TappedCell, TimedStage, force_limit_n
 from rigs.capture._stage_press import NotAllowedError, OpenTactileRig, StagePress, open_tactile_rig
 
 T = TypeVar("T")
 SECTIONS: Final[tuple[Section, ...]] = ("handshake", "load cell", "stage", "touch", "force limit", "stops")
+HEAVIEST_GRAVITY_M_PER_S2: Final = 9.9
 STEPS: Final = len(SECTIONS) + 3
 """Opening, these, closing, opening once more."""
 
@@ -65,6 +67,11 @@ def check_press_plan(plan: TactileCheckPlan, rig: TactileRig, folder: Path) -> L
     if plan.force_limit_n is not None and plan.force_limit_n > most_n:
         raise CaptureError(
             f"plan.force_limit_n = {plan.force_limit_n:g} N must not exceed the {most_n:g} N of the rig file"
+        )
+    if plan.known_mass is not None and plan.known_mass.mass_kg * HEAVIEST_GRAVITY_M_PER_S2 > rig.load_cell.capacity_n:
+        raise CaptureError(
+            f"plan.known_mass.mass_kg = {plan.known_mass.mass_kg:g} kg weighs more than the "
+            f"{rig.load_cell.capacity_n:g} N that the cell can bear (capacity_n of the rig file); give a lighter one"
         )
     return read_cell_calibration(rig.load_cell, folder)
 
@@ -145,6 +152,7 @@ class _Recorder(CheckRecorder[PressFacts]):
                 self._ended = f"the {hand.role} does not answer"
         self._attempt("handshake", lambda: self._keep(frame_overheads_s=frame_overheads_s(opened, self._plan)))
         self._attempt("load cell", lambda: self._keep(at_rest=self._rest(opened)))
+        self._attempt("load cell", lambda: self._keep(laid=self._laid(opened)))
         if "load cell" in self._errors:
             self._ended = self._ended or "the load cell does not work, so nothing would stop the stage"
         stage, cell = opened.stage, opened.load_cell
@@ -173,6 +181,13 @@ class _Recorder(CheckRecorder[PressFacts]):
         if settings is None or cell is None:
             raise RefusedError("load cell: there is none")
         return at_rest(cell, settings, self._calibration, opened.clock, self._plan.rest_s)
+
+    def _laid(self, opened: OpenTactileRig) -> LaidMass | None:
+        """Have the known mass of the plan laid on the cell, before anything moves; None: there is none at hand."""
+        settings, cell, known = self._rig.load_cell, opened.load_cell, self._plan.known_mass
+        if settings is None or cell is None or known is None:
+            return None
+        return weigh(cell, settings, self._calibration, opened.lay, known.mass_kg)
 
     def _reconnect(self, operator: Operator) -> None:
         """Open the closed rig once more, and note what the devices say of themselves; nothing moves."""
