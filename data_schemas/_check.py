@@ -217,7 +217,7 @@ class PressLimits(AnswerLimits):
         default=0.02, description="force of a known mass by the calibration apart from its weight, relative to it"
     )
     scale_rel: LimitRel = Field(
-        default=0.02,
+        default=0.01,
         description="way of an axis, by camera or gauge block, apart from the way that it was sent, relative to it",
     )
 

@@ -55,12 +55,21 @@ AGE_SD_DAYS: Final = 0.5
 FELT_SD: Final = 5.0
 FELT_SHARE: Final = 0.25
 """Of the force of a press: a zero that moved by more could have been the force."""
-NO_SCALE: Final = (
-    "that is what the controller counts: whether {axis} moves as many millimetres, without play and the right way "
-    "round, only a dial gauge shows"
+NO_SCALE: Final = "that is what the controller counts, and nobody has proven that {axis} goes as far as it was sent"
+NO_BLOCK: Final = (
+    "only the controller counts its way: no block of known thickness was laid on the pad; name one in the plan "
+    "([gauge_block])"
 )
+NO_PICTURE_SCALE: Final = "how many millimetres that is, nobody said; give mm_per_px and mm_per_px_u_rel in the plan"
+NO_DENT: Final = (
+    "the camera did not see the contact move with {axis}; light the pad, check exposure_s, or raise beside_mm"
+)
+FEWEST_DENTS: Final = 6
+DENT_LIGHT_PX: Final = 0.25
+"""Standard uncertainty of the centre of a contact by light that falls unevenly: stated, an eighth of a Bayer cell."""
 ONLY_COUNTED: Final = (
-    "only the controller says that the stage stood: nobody saw whether it drove on; watch it with a dial gauge"
+    "only the controller says that the stage stood: the cell could not feel whether it drove on; press harder, or "
+    "watch it with a dial gauge"
 )
 NO_MASS: Final = (
     "no known mass was laid on the cell in this check, so that a wrong factor would not show, and the true force can "
@@ -315,19 +324,76 @@ def _moves_of(
             limits=ToleranceInterval(None, plan.limits.stage_report_mm),
         ),
     )  # fmt: skip
-    if axis != stage.pad_axis:
-        return rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
-    rows = rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
-    dents = facts.dents_px
-    if len(dents) == 2 and abs(dents[1] - dents[0]) > DENT_MOVED_PX:
-        seen = f"; the camera saw the contact move by {abs(dents[1] - dents[0]):.3g} px over {2 * plan.beside_mm:g} mm"
-        seen += ", which a shadow that moved would show too"
-        return tuple(not_proven(row, seen.removeprefix("; ")) for row in rows)
-    why = (
-        f"nobody saw that {axis} moves: the camera did not see the contact at two positions; light the pad, check "
-        "exposure_s, or raise beside_mm"
+    scale = _by_camera(axis, facts, plan) if axis == stage.pad_axis else _by_block(axis, facts, plan)
+    if scale.verdict != "PASS":
+        rows = rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
+        if axis == stage.pad_axis:
+            rows = not_proven(rows[0], f"nobody saw that {axis} goes as far as it was sent"), rows[1]
+    return *rows, scale
+
+
+def _by_camera(axis: str, facts: PressFacts, plan: TactileCheckPlan) -> CheckResult:
+    """Judge the way of the pad axis by the contact in the camera's picture.
+
+    The standard uncertainty holds the scatter of the contacts on either side, what uneven light may shift each, and the
+    scale's. Light and scale are stated, not measured.
+    """
+    name, what, most, way_mm = *_names(axis, "the contact in the camera's picture"), _most(plan), 2.0 * plan.beside_mm
+    dents = np.array(facts.dents_px)
+    base_px, tip_px = dents[0::2], dents[1::2]
+    words = limit_text(-most, most, "%")
+    if dents.size < 2 or abs(moved_px := float(tip_px.mean() - base_px.mean())) <= DENT_MOVED_PX:
+        return unmeasured("stage", name, what, "UNDECIDED", NO_DENT.format(axis=axis), words)
+    seen = f"the camera saw the contact move by {abs(moved_px):.4g} px while {axis} was sent {way_mm:g} mm"
+    if plan.mm_per_px is None or plan.mm_per_px_u_rel is None:
+        return unmeasured("stage", name, what, "UNDECIDED", f"{seen}; {NO_PICTURE_SCALE}", words)
+    if dents.size < FEWEST_DENTS:
+        return unmeasured("stage", name, what, "UNDECIDED", f"{seen}, too seldom to tell its scatter", words)
+    number = base_px.size
+    scatter_px = math.sqrt(0.5 * (base_px.var(ddof=1) + tip_px.var(ddof=1)))
+    free = 2 * (number - 1)
+    scatter_px *= math.sqrt(free / (free - 2)) * math.sqrt(2.0 / number)
+    sd_px = math.hypot(scatter_px, math.sqrt(2.0) * DENT_LIGHT_PX)
+    ratio = abs(moved_px) * plan.mm_per_px / way_mm
+    sd = ratio * math.hypot(sd_px / moved_px, plan.mm_per_px_u_rel)
+    evidence = f"{seen}, {number} times on either side of the position; not which way round"
+    return measured(
+        "stage", name, what, 100 * (ratio - 1.0), 100 * sd, "%", evidence, limits=ToleranceInterval(-most, most)
     )
-    return tuple(not_proven(row, why) for row in rows)
+
+
+def _by_block(axis: str, facts: PressFacts, plan: TactileCheckPlan) -> CheckResult:
+    """Judge the way of the press axis by a block of known thickness between two touches."""
+    name, what, most = *_names(axis, "a gauge block between two touches"), _most(plan)
+    known, block, words = plan.gauge_block, facts.block, limit_text(-most, most, "%")
+    if known is None or block is None:
+        return unmeasured("stage", name, what, "UNDECIDED", NO_BLOCK, words)
+    pad, on_block = np.array(block.pad_mm), np.array(block.block_mm)
+    way_mm = abs(float(on_block.mean() - pad.mean()))
+    evidence = (
+        f"a block of {known.thickness_mm:g} +- {known.uncertainty_mm:.2g} mm was touched {way_mm:.4g} mm from the pad, "
+        f"by {axis}, {pad.size} times each"
+    )
+    if way_mm < LAID_SHARE * known.thickness_mm + 2.0 * block.touch_uncertainty_mm:
+        why = f"{evidence}; was it laid on the pad? Check again"
+        return unmeasured("stage", name, what, "UNDECIDED", why, words)
+    scatter_mm = math.sqrt((pad.var(ddof=1) + on_block.var(ddof=1)) / pad.size)
+    sd_mm = math.hypot(math.sqrt(2.0) * max(block.touch_uncertainty_mm, scatter_mm), known.uncertainty_mm)
+    thick_mm = known.thickness_mm
+    return measured(
+        "stage", name, what, 100 * (way_mm / thick_mm - 1.0), 100 * sd_mm / thick_mm, "%", evidence,
+        limits=ToleranceInterval(-most, most),
+    )  # fmt: skip
+
+
+def _names(axis: str, witness: str) -> tuple[str, str]:
+    """Return name and meaning of the row on how far an axis goes."""
+    return f"{axis} goes as far as sent", f"way of {axis} by {witness} less the way that it was sent, of that way"
+
+
+def _most(plan: TactileCheckPlan) -> float:
+    """Return the limit of an axis' scale (%)."""
+    return 100 * plan.limits.scale_rel
 
 
 def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) -> tuple[CheckResult, ...]:
@@ -469,18 +535,21 @@ def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
     if driven:
         reason = f"the stage went on to the end of its move in {len(driven)} of {len(stops)} tries"
         return unmeasured("stops", name, what, "FAIL", reason, words)
-    evidence = f"slowest of {len(stops)} stops on the way out of the pad, as the controller reports"
+    is_felt = all(one.still_after_s is not None for one in stops)
+    who = "and the cell felt no more motion" if is_felt else "as the controller reports"
+    evidence = f"slowest of {len(stops)} stops on the way out of the pad, {who}"
     if stops[0].reason == "silent cell":
         evidence += "; readings were withheld from the stage, the cell's cable was not pulled"
-    slowest_s = max(one.stood_after_s for one in stops)
-    found = measured("stops", name, what, slowest_s, CLOCK_SD_S, "s", evidence, limits=ToleranceInterval(None, most_s))
+    slowest_s = max(max(one.stood_after_s, one.still_after_s or 0.0) for one in stops)
+    sd_s = max(CLOCK_SD_S, *(one.still_sd_s or 0.0 for one in stops))
+    found = measured("stops", name, what, slowest_s, sd_s, "s", evidence, limits=ToleranceInterval(None, most_s))
     lost = sum(one.stood_mm is None for one in stops)
-    why = [ONLY_COUNTED]
+    why = [] if is_felt else [ONLY_COUNTED]
     if lost:
         why.append(f"after {lost} of them its position was unknown")
     if len(stops) < FEWEST_STOPS:
         why.append(f"{len(stops)} stops are too few; set stops = {FEWEST_STOPS} or more")
-    return not_proven(found, "; ".join(why))
+    return not_proven(found, "; ".join(why)) if why else found
 
 
 def _after_stops(facts: PressFacts, plan: TactileCheckPlan) -> tuple[CheckResult, ...]:

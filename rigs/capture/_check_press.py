@@ -173,6 +173,7 @@ class _Recorder(CheckRecorder[PressFacts]):
         self._ended = self._ended or ("the pad was not touched as it should" if "touch" in self._errors else None)
         self._attempt("force limit", lambda: checks.force_stops(self._keep))
         self._attempt("stops", lambda: checks.stops(self._keep))
+        self._attempt("touch", lambda: self._keep(block=checks.block(opened.lay_block)))
         self._keep(moves=timed.moves())
 
     def _rest(self, opened: OpenTactileRig) -> CellAtRest:

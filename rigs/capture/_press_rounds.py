@@ -6,6 +6,7 @@ Towards the pad the stage goes in steps that the cell watches; it is stopped on 
 import itertools
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import (
+    BlockTouches,
     CheckedTouch,
     ForceStop,
     PlannedPress,
@@ -40,16 +42,33 @@ STEP_MARGIN: Final = 1.5
 STOP_WAY_S: Final = 2.0
 """How long a move takes that is stopped on its way, beside the time that the cell may be silent."""
 STOP_AT_SHARE: Final = 0.3
+LISTEN_S: Final = 0.5
+"""Beyond the longest allowed time: how long the cell feels whether a stage stands that was stopped."""
+STILL_SHARE: Final = 0.1
+STILL_SD: Final = 7.0
+"""Of one reading: two differ by more once in 10^6."""
+CLEAR_SD: Final = 50.0
+CONTACT_SHARE: Final = 0.1
+LATE_S: Final = 0.2
+"""So old may a reading be by the drivers' promise (FRESH_S of rigs/load_cells/hx711.py)."""
+BLOCK_TOUCHES: Final = 3
+ROOM_STEPS: Final = 12
+"""The search of a touch goes back by nine steps from the first force, and needs some before clear_mm."""
+DENT_ROUNDS: Final = 3
 DENT_FRAMES: Final = 4
 DENT_CELLS: Final = 32
 """Columns in which a picture is looked at, so that noise averages out."""
 DENT_SD: Final = 6.0
+DENT_TURNS: Final = 20
 
 
 def force_limit_n(plan: TactileCheckPlan, rig: TactileRig) -> float:
     """Return the force (N) at which the stage stops in this check: that of its plan, or half of the rig file's."""
     most_n = math.inf if rig.load_cell is None else rig.load_cell.force_limit_n
     return min(plan.force_limit_n or LIMIT_SHARE * most_n, most_n)
+
+
+Floats = NDArray[np.float64]
 
 
 class _StopRequestedError(Exception):
@@ -62,13 +81,14 @@ class _SilencedError(TimedOutError):
 
 @dataclass(slots=True)
 class TappedCell:
-    """A load cell whose readings are remembered, and which can be made silent."""
+    """A load cell whose readings are remembered, and which can be made silent: it then feels on, and tells nobody."""
 
     cell: LoadCell
     clock: Clock
     is_silent: bool = False
     last_s: float = 0.0
     heard: list[int] | None = None
+    felt: list[tuple[float, int]] | None = None
 
     def identity(self) -> PressDevice:
         """Return what the cell says it is."""
@@ -77,12 +97,26 @@ class TappedCell:
     def read(self, deadline_s: float) -> CellReading:
         """Return the next reading, unless the cell was made silent."""
         if self.is_silent:
-            self.clock.sleep(deadline_s)
+            self.feel(deadline_s)
             raise _SilencedError(f"load cell: made silent by the check; no reading came within {deadline_s:g} s")
-        reading = self.cell.read(deadline_s)
+        reading = self._read(deadline_s)
         self.last_s = self.clock.monotonic_s()
         if self.heard is not None:
             self.heard.append(reading.counts)
+        return reading
+
+    def feel(self, duration_s: float) -> None:
+        """Remember what is felt for so long, and pass nothing on."""
+        end_s = self.clock.monotonic_s() + duration_s
+        while (left_s := end_s - self.clock.monotonic_s()) > 0.0:
+            with suppress(TimedOutError):
+                self._read(left_s)
+
+    def _read(self, deadline_s: float) -> CellReading:
+        """Return the next reading, and remember it with its time."""
+        reading = self.cell.read(deadline_s)
+        if self.felt is not None:
+            self.felt.append((self.clock.monotonic_s(), reading.counts))
         return reading
 
 
@@ -157,15 +191,17 @@ class PressRounds:
             raise RefusedError(f"rig '{rig.name}': has no stage with a load cell")
         self._opened, self._presser, self._stage, self._cell, self._plan = opened, presser, stage, cell, plan
         self._settings, self._silent_s = rig.stage, rig.load_cell.silent_s
-        self._limit_n = force_limit_n(plan, rig)
+        self._limit_n, self._rate_hz = force_limit_n(plan, rig), rig.load_cell.rate_hz
         self._numbers = itertools.count(1)
 
     def question(self) -> str:
         """Return what a person is asked before anything moves."""
         stage, plan = self._settings, self._plan
+        blocks = 0 if plan.gauge_block is None else 2 * BLOCK_TOUCHES
+        presses = plan.returns + 3 * plan.stops + 2 * DENT_ROUNDS + 2 + blocks
         homes = "homes all axes, then " if stage.homing == "switches" else ""
         return (
-            f"The check {homes}moves the stage along the pad and presses {plan.returns + 3 * plan.stops + 4} times "
+            f"The check {homes}moves the stage along the pad and presses {presses} times "
             f"at {plan.position_mm:g} mm from the base and {plan.beside_mm:g} mm beside it, with up to "
             f"{self._limit_n:g} N and {plan.deepest_mm:g} mm deep. Is the way free, are all hands away, and is the "
             "switch of the motors within reach?"
@@ -193,8 +229,9 @@ class PressRounds:
 
     def touch(self, keep: Callable[..., None]) -> None:
         """Return to the position from both sides, touch, press, turn and leave."""
-        dents = [self._dent(away_mm) for away_mm in (-self._plan.beside_mm, self._plan.beside_mm)]
-        keep(dents_px=tuple(dent for dent in dents if dent is not None))
+        sides_mm = (-self._plan.beside_mm, self._plan.beside_mm) * DENT_ROUNDS
+        dents = [dent for away_mm in sides_mm if (dent := self._dent(away_mm)) is not None]
+        keep(dents_px=tuple(dents) if len(dents) == len(sides_mm) else ())
         found: list[CheckedTouch] = []
         for turn in range(self._plan.returns):
             found.append(self._round(turn))
@@ -355,13 +392,44 @@ class PressRounds:
             touches.append(self._round(turn))
         keep(after_stops=tuple(touches))
 
+    def block(self, lay_block: Callable[[float], bool]) -> BlockTouches | None:
+        """Touch the pad, have a block laid on it, and touch that; None: there is none, or nobody laid it."""
+        known, stage = self._plan.gauge_block, self._settings
+        if known is None:
+            return None
+        pad = [self._touch() for _ in range(BLOCK_TOUCHES)]
+        room_mm = stage.into_pad * (pad[0][0] - stage.clear_mm) - known.thickness_mm
+        if room_mm < ROOM_STEPS * stage.step_mm:
+            raise RefusedError(
+                f"stage: a block of {known.thickness_mm:g} mm leaves {room_mm:.3g} mm below clear_mm = "
+                f"{stage.clear_mm:g} mm, but {ROOM_STEPS * stage.step_mm:g} mm are needed; take a thinner one"
+            )
+        if not lay_block(known.thickness_mm):
+            return None
+        on_block = [self._touch() for _ in range(BLOCK_TOUCHES)]
+        lay_block(0.0)
+        return BlockTouches(
+            pad_mm=tuple(at_mm for at_mm, _ in pad),
+            block_mm=tuple(at_mm for at_mm, _ in on_block),
+            touch_uncertainty_mm=max(sd_mm for _, sd_mm in (*pad, *on_block)),
+        )
+
+    def _touch(self) -> tuple[float, float]:
+        """Touch what lies at the position, leave it, and return where it was touched, with the uncertainty (mm)."""
+        touched = self._presser.measured[self._press()]
+        self._presser.leave()
+        return touched.touch_mm, touched.touch_uncertainty_mm
+
     def _stopped_round(self, turn: int, reason: Literal["request", "silent cell"]) -> StageStop:
         """Press, and stop the stage on its way out."""
         self._beside(turn)
         self._press()
         stage, clock, start_mm = self._settings, self._opened.clock, self._at_mm()
+        # so slow that it still presses when it should stand: the cell feels whether it does
         lasts_s = STOP_WAY_S + (self._silent_s if reason == "silent cell" else 0.0)
-        speed_mm_per_s = min(abs(stage.clear_mm - start_mm) / lasts_s, stage.travel_speed_mm_per_s)
+        depth_mm = abs(start_mm - self._presser.touches[self._plan.position_mm][0])
+        speed_mm_per_s = min(depth_mm / lasts_s, stage.travel_speed_mm_per_s)
+        self._cell.felt = []
         began_s, guard = clock.monotonic_s(), self._presser.guard(self._limit_n)
         asked: list[float] = []
 
@@ -379,14 +447,57 @@ class PressRounds:
             pass
         finally:
             stood_s, self._cell.is_silent = clock.monotonic_s(), False
+        self._cell.feel(self._plan.limits.halt_s + LISTEN_S)
+        felt, self._cell.felt = self._cell.felt, None
+        asked_s = asked[0] if asked else self._cell.last_s
+        times_s = np.array([at_s for at_s, _ in felt])
+        forces_n = np.array([self._presser.gauge.force_n(counts) for _, counts in felt])
+        still = still_after(times_s, forces_n, asked_s, self._presser.gauge.noise_n, self._rate_hz)
         places = self._stage.places_mm()
         return StageStop(
             reason=reason,
-            stood_after_s=max(stood_s - (asked[0] if asked else self._cell.last_s), 0.0),
+            stood_after_s=max(stood_s - asked_s, 0.0),
             start_mm=start_mm,
             end_mm=stage.clear_mm,
             stood_mm=None if places is None else places[stage.press_axis],
+            still_after_s=None if still is None else still[0],
+            still_sd_s=None if still is None else still[1],
         )
+
+
+def still_after(
+    times_s: Floats, forces_n: Floats, asked_s: float, noise_n: float, rate_hz: float
+) -> tuple[float, float] | None:
+    """Return how long after `asked_s` the force of a stage that leaves the pad fell no more, with its uncertainty (s).
+
+    The stage stands from the first reading after which the force falls by less than a tenth of its fall until then, or
+    than noise. A pad that recovers presses more; a stage that goes on presses less. None where the cell cannot tell:
+    the force did not fall clearly before, or was gone in the end, so that nothing touched any more.
+
+    Parameters
+    ----------
+    times_s, forces_n
+        Readings from the beginning of the move until well after the stop, shape (n,).
+    asked_s
+        When the stage was asked to stop, or when the last reading was passed on.
+    noise_n
+        Standard deviation of one reading.
+    rate_hz
+        Readings a second.
+    """
+    before, after = times_s <= asked_s, times_s > asked_s
+    if before.sum() < SETTLING_READINGS or after.sum() < SETTLING_READINGS:
+        return None
+    fell_n = float(forces_n[before][0] - forces_n[before][-1])
+    if fell_n < CLEAR_SD * noise_n or float(forces_n[-SETTLING_READINGS:].mean()) < CONTACT_SHARE * forces_n[0]:
+        return None
+    threshold_n = max(STILL_SHARE * fell_n, STILL_SD * noise_n)
+    lowest_to_come = np.minimum.accumulate(forces_n[::-1])[::-1]
+    falls_no_more = after & (forces_n - lowest_to_come <= threshold_n)
+    at_s = float(times_s[falls_no_more][0])
+    speed_n_per_s = fell_n / max(asked_s - float(times_s[0]), 1.0 / rate_hz)
+    sd_s = math.hypot(threshold_n / speed_n_per_s, SETTLING_READINGS / rate_hz, LATE_S / math.sqrt(12.0))
+    return at_s - asked_s, sd_s
 
 
 def dent_column_px(before: NDArray[np.float64], during: NDArray[np.float64]) -> float | None:
@@ -404,5 +515,31 @@ def dent_column_px(before: NDArray[np.float64], during: NDArray[np.float64]) -> 
     seen = np.clip(np.asarray(change) - DENT_SD**2 * float(np.mean(noise)), 0.0, None)
     if seen.sum() == 0.0:
         return None
-    middle = float(np.average(np.arange(DENT_CELLS) + 0.5, weights=seen))
-    return float(middle * width / DENT_CELLS)
+    noisiest = min(float(np.var(frames, axis=0).mean()) for frames in cut)
+    if noisiest == 0.0:  # a camera that repeats a frame
+        return None
+    column_px = float(np.average(np.arange(DENT_CELLS) + 0.5, weights=seen)) * width / DENT_CELLS
+    return _centered_px(before, during, column_px)
+
+
+def _centered_px(before: NDArray[np.float64], during: NDArray[np.float64], column_px: float) -> float:
+    """Return the centre of gravity of the change about a column, over a window that is symmetric about it (px)."""
+    change = np.zeros(before.shape[2] // 2)
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        a, b = (frames[:, i::2, j::2][:, :, : change.size].mean(axis=0) for frames in (before, during))
+        change += ((b - a) ** 2).mean(axis=0)
+    change = np.clip(change - np.median(change), 0.0, None)
+    columns_px = 2.0 * np.arange(change.size) + 1.0
+    for _ in range(DENT_TURNS):
+        away_px = columns_px - column_px
+        half_px = min(
+            2.0 * math.sqrt(float(np.average(away_px**2, weights=change + 1e-12))),
+            column_px,
+            2.0 * change.size - column_px,
+        )
+        # a soft window: a hard one jumps by whole cells
+        weights = change * np.clip(1.0 - (away_px / max(half_px, 4.0)) ** 2, 0.0, None)
+        if weights.sum() == 0.0:
+            return column_px
+        column_px = float(np.average(columns_px, weights=weights))
+    return column_px
