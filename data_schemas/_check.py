@@ -20,7 +20,6 @@ from data_schemas._units import (
     ExposureS,
     Fraction,
     PositionMm,
-    RelativeUncertainty,
     Seed,
     SignalDn,
 )
@@ -48,58 +47,66 @@ Section = Literal[
     "stops",
     "force limit",
 ]
-RateDnPerS = Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "DN/s"})]
+RateDnPerS = Annotated[float, Field(gt=0.0, le=65535.0, json_schema_extra={"unit": "DN/s"})]
+LimitDn = Annotated[float, Field(gt=0.0, le=65535.0, json_schema_extra={"unit": "DN"})]
+LimitRel = Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "1"})]
+"""No rig keeps a limit of 0, and every rig one above 1."""
 PixelShift = Annotated[float, Field(gt=0.0, le=100.0, json_schema_extra={"unit": "px"})]
 StageMm = Annotated[float, Field(gt=0.0, le=10.0, json_schema_extra={"unit": "mm"})]
 SettlingS = Annotated[float, Field(gt=0.0, le=7200.0, json_schema_extra={"unit": "s"})]
 PositiveS = Annotated[float, Field(gt=0.0, le=60.0, json_schema_extra={"unit": "s"})]
 
 
-class CheckLimits(Model):
-    """Largest allowed values; a check passes when its value is inside with 95 % confidence."""
+class AnswerLimits(Model):
+    """Largest allowed times of answers, of any rig."""
 
     handshake_s: PositiveS = Field(
         default=2.0, description="longest time for one answer of a device about its identity and state"
     )
+    frame_overhead_s: PositiveS = Field(
+        default=1.0, description="longest time until a frame is there, beyond its exposure"
+    )
+    reconnect_s: PositiveS = Field(
+        default=45.0, description="time until all devices answer again after they were closed"
+    )
+
+
+class CheckLimits(AnswerLimits):
+    """Largest allowed values; a check passes when its value is inside with 95 % confidence."""
+
     move_s: PositiveS = Field(default=5.0, description="longest of the moves of the wheel")
-    revisit_rel: RelativeUncertainty = Field(
+    revisit_rel: LimitRel = Field(
         default=0.01, description="RMS change of the white signal after the wheel has left the filter and come back"
     )
     pixel_shift_px: PixelShift = Field(
         default=0.5, description="RMS shift of the picture after the wheel has left the filter and come back"
     )
-    black_level_dn: SignalDn = Field(
+    black_level_dn: LimitDn = Field(
         default=2.0, description="largest difference of the dark level from black_level_dn of the rig file"
     )
-    read_noise_rel: RelativeUncertainty = Field(
+    read_noise_rel: LimitRel = Field(
         default=0.25,
         description="largest difference of the read noise from read_noise_e of the rig file, relative to it",
     )
     dark_rate_dn_per_s: RateDnPerS = Field(
         default=2.0, description="growth of the dark level with the exposure: dark current and leaking light"
     )
-    exposure_ratio_rel: RelativeUncertainty = Field(
+    exposure_ratio_rel: LimitRel = Field(
         default=0.01,
         description="largest difference of the signals at 2 t and 4 t from 2 and 4 times that at t, relative to them",
     )
-    frame_overhead_s: PositiveS = Field(
-        default=1.0, description="longest time until a checked frame is stored, beyond its exposure"
-    )
-    lamp_drift_rel: RelativeUncertainty = Field(
+    lamp_drift_rel: LimitRel = Field(
         default=0.01, description="change of the lamp from the first to the last round of white frames"
     )
     lamp_settles_s: SettlingS = Field(
         default=60.0, description="time after switching on from which the lamp stays within lamp_drift_rel"
     )
-    stray_light_rel: RelativeUncertainty = Field(
+    stray_light_rel: LimitRel = Field(
         default=0.001, description="laser light on the white tile behind a filter that blocks it, relative to the "
         "filter that passes it"
     )  # fmt: skip
     latency_s: PositiveS = Field(
         default=0.5, description="time from the request of an exposure until light is collected"
-    )
-    reconnect_s: PositiveS = Field(
-        default=45.0, description="time until all devices answer again after they were closed"
     )
     light_off_s: PositiveS = Field(
         default=1.0, description="time from the mishap until the laser is off, for each layer"
@@ -109,7 +116,7 @@ class CheckLimits(Model):
 class CheckPlan(Record):
     """Plan of an acceptance check (TOML): where to look, how often, and what is allowed."""
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
 
     kind: Literal["check"] = "check"
     check_name: str = Field(description="name of the check, and of the report's folder")
@@ -162,39 +169,33 @@ class CheckPlan(Record):
         return self
 
 
-class PressLimits(Model):
+class PressLimits(AnswerLimits):
     """Largest allowed values of a rig that presses; a check passes when its value is inside with 95 % confidence."""
 
-    handshake_s: PositiveS = Field(
-        default=2.0, description="longest time for one answer of a device about its identity and state"
-    )
-    frame_overhead_s: PositiveS = Field(
-        default=1.0, description="longest time that a frame of the camera takes beyond its exposure"
-    )
     calibration_age_days: Annotated[float, Field(gt=0.0, le=3660.0, json_schema_extra={"unit": "d"})] = Field(
         default=365.0, description="age of the load cell's calibration: a year, as laboratories usually set it"
     )
-    linearity_rel: RelativeUncertainty = Field(
+    linearity_rel: LimitRel = Field(
         default=0.01,
         description="largest distance of the calibration from its straight line, relative to its heaviest mass",
     )
-    cell_noise_rel: RelativeUncertainty = Field(
+    cell_noise_rel: LimitRel = Field(
         default=0.0125,
         description="noise of one reading, relative to force_limit_n of the rig file; a session refuses more than this",
     )
-    cell_drift_rel: RelativeUncertainty = Field(
+    cell_drift_rel: LimitRel = Field(
         default=0.02,
         description="change of the zero while the cell rests, relative to force_limit_n of the rig file: a fifth of "
         "what ends a session",
     )
-    zero_return_rel: RelativeUncertainty = Field(
+    zero_return_rel: LimitRel = Field(
         default=0.02,
         description="zero of the cell after a press less that before, relative to force_limit_n of the rig file",
     )
     cell_gap_s: PositiveS = Field(
         default=0.25, description="longest time between two readings: half of the usual silent_s of a rig file"
     )
-    cell_rate_rel: RelativeUncertainty = Field(
+    cell_rate_rel: LimitRel = Field(
         default=0.2, description="readings a second apart from rate_hz of the rig file, relative to it"
     )
     stage_overhead_s: PositiveS = Field(
@@ -212,15 +213,38 @@ class PressLimits(Model):
         description="difference between a position in the pad reached from above and from below, by the force there",
     )
     halt_s: PositiveS = Field(default=1.0, description="time from a request to stop until the stage is seen to stand")
-    reconnect_s: PositiveS = Field(
-        default=45.0, description="time until all devices answer again after they were closed"
+    factor_rel: LimitRel = Field(
+        default=0.02, description="force of a known mass by the calibration apart from its weight, relative to it"
+    )
+    scale_rel: LimitRel = Field(
+        default=0.01,
+        description="way of an axis, by camera or gauge block, apart from the way that it was sent, relative to it",
+    )
+
+
+class KnownMass(Model):
+    """A mass that a person lays on the load cell during the check; best none of those that calibrated it."""
+
+    mass_kg: Annotated[float, Field(gt=0.0, le=100.0, json_schema_extra={"unit": "kg"})]
+    uncertainty_kg: Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "kg"})] = Field(
+        description="standard uncertainty of the mass"
+    )
+    certificate: str | None = Field(default=None, description="certificate of the mass; none: not recorded")
+
+
+class GaugeBlock(Model):
+    """A flat block that a person lays on the pad between two touches."""
+
+    thickness_mm: Annotated[float, Field(gt=0.0, le=50.0, json_schema_extra={"unit": "mm"})]
+    uncertainty_mm: Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "mm"})] = Field(
+        description="standard uncertainty of the thickness, with how much the block sinks into the pad by its weight"
     )
 
 
 class TactileCheckPlan(Record):
     """Plan of an acceptance check (TOML) of a rig whose stage presses: where, how hard, how often, what is allowed."""
 
-    schema_version: ClassVar[int] = 1
+    schema_version: ClassVar[int] = 2
 
     kind: Literal["tactile check"] = "tactile check"
     check_name: str = Field(description="name of the check, and of the report's folder")
@@ -246,7 +270,28 @@ class TactileCheckPlan(Record):
         default=60.0, description="how long the load cell is read while nothing touches it"
     )
     exposure_s: ExposureS = Field(default=0.01, description="exposure of the camera's frames")
+    known_mass: KnownMass | None = Field(
+        default=None, description="mass to lay on the load cell; left out: none at hand, and its factor stays undecided"
+    )
+    gauge_block: GaugeBlock | None = Field(
+        default=None,
+        description="block to lay on the pad; left out: none at hand, and the press axis' millimetres stay undecided",
+    )
+    mm_per_px: Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "mm/px"})] | None = Field(
+        default=None,
+        description="size of a raw pixel on the pad, by a scale or grid that was laid on it; left out: not known, and "
+        "the pad axis' millimetres stay undecided",
+    )
+    mm_per_px_u_rel: LimitRel | None = Field(
+        default=None, description="relative standard uncertainty of mm_per_px; goes with it"
+    )
     limits: PressLimits = PressLimits()
+
+    @model_validator(mode="after")
+    def _scale_has_an_uncertainty(self) -> "TactileCheckPlan":
+        if (self.mm_per_px is None) != (self.mm_per_px_u_rel is None):
+            raise ValueError("mm_per_px and mm_per_px_u_rel: give both, or leave both out")
+        return self
 
 
 class Handshake(Model):
@@ -408,6 +453,24 @@ class CellAtRest(Model):
     )
 
 
+class LaidMass(Model):
+    """A known mass on the load cell, by its calibration; empty before, between and after."""
+
+    forces_n: tuple[float, ...] = Field(min_length=2, description="mean with the mass on the cell, above no force")
+    zeros_n: tuple[float, ...] = Field(
+        min_length=3, description="mean with the cell empty, above the empty cell of the calibration"
+    )
+    noise_n: UncertaintyN = Field(description="standard uncertainty of each mean by noise")
+
+
+class BlockTouches(Model):
+    """Touches of the pad, and of a block that lies on it, at one position along the pad."""
+
+    pad_mm: tuple[float, ...] = Field(min_length=2, description="position of the press axis at each touch of the pad")
+    block_mm: tuple[float, ...] = Field(min_length=2, description="the same on the block")
+    touch_uncertainty_mm: UncertaintyMm = Field(description="largest standard uncertainty of a touch")
+
+
 class StageMoves(Model):
     """All moves of one axis that ended where they should, by what the controller reports."""
 
@@ -444,6 +507,10 @@ class StageStop(Model):
     start_mm: float
     end_mm: float = Field(description="where the move would have ended")
     stood_mm: float | None = Field(description="where it was reported to stand; None: its position was unknown then")
+    still_after_s: DurationS | None = Field(
+        default=None, description="time until the cell felt no more motion; None: it could not tell, or was not asked"
+    )
+    still_sd_s: DurationS | None = Field(default=None, description="standard uncertainty of that time")
 
 
 class ForceStop(Model):
@@ -464,11 +531,13 @@ class PressFacts(Model):
     calibration: LoadCellCalibration | None = None
     calibration_age_days: float | None = Field(default=None, description="on the day of the check")
     at_rest: CellAtRest | None = None
+    laid: LaidMass | None = None
+    block: BlockTouches | None = None
     moves: tuple[StageMoves, ...] = ()
     touches: tuple[CheckedTouch, ...] = ()
     dents_px: tuple[float, ...] = Field(
         default=(),
-        description="column of the contact in the camera's picture at two positions along the pad; empty: not seen",
+        description="column of the contact in the camera's picture, towards base and tip in turn; empty: not seen",
     )
     stops: tuple[StageStop, ...] = ()
     after_stops: tuple[CheckedTouch, ...] = Field(default=(), description="touches when all stops were over")

@@ -406,6 +406,10 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PixelSignals", 5): _as_it_is,
     ("PaintCalibration", 8): _as_it_is,
     ("PaintWithoutEmission", 4): _as_it_is,
+    # a known mass, a gauge block, the picture's scale and the cell as witnesses of a stage; none: not there.
+    # Limits are above 0, and at most 1 where they are relative
+    ("CheckPlan", 4): _as_it_is,
+    ("TactileCheckPlan", 1): _as_it_is,
     ("AcceptanceReport", 9): _as_it_is,
     # whole rows and columns in the fixed pattern; none: not separated
     ("CameraCharacterisation", 3): _as_it_is,

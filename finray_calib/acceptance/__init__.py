@@ -22,9 +22,9 @@ if TYPE_CHECKING:
         result_line,
         value_text,
     )
-    from finray_calib.acceptance._device_checks import PRESS_SECTIONS, judge_pressing
     from finray_calib.acceptance._equivalence import Compared, Equivalence, tins_are_equivalent
     from finray_calib.acceptance._gauge_study import GaugeStudy, balanced_values, gauge_study
+    from finray_calib.acceptance._press_checks import PRESS_SECTIONS, judge_pressing
     from finray_calib.acceptance._session_history import (
         Alarm,
         Chart,

@@ -40,10 +40,10 @@ from finray_calib.acceptance._conformity import (
 )
 from finray_calib.acceptance._device_checks import (
     CLOCK_SD_S,
-    SIMULATED_NOTE,
     judge_frames,
     judge_handshakes,
     judge_reconnect,
+    report_of,
     results_of,
 )
 
@@ -96,11 +96,7 @@ def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ..
         "light off": judge_light_off(facts, plan),
         "reconnect": judge_reconnect(facts, limits.reconnect_s),
     }
-    results = results_of(SECTIONS, judged, facts.errors)
-    more = (SIMULATED_NOTE,) if rig.is_simulated else ()
-    return AcceptanceReport(
-        plan=plan, rig=rig, facts=facts, results=results, verdict=overall(results), notes=(*notes, *more)
-    )
+    return report_of(facts, plan, rig, results_of(SECTIONS, judged, facts.errors), notes)
 
 
 _LAYERS: Final[dict[LightLayer, tuple[str, str]]] = {

@@ -1,40 +1,25 @@
-"""Results on devices: what every rig has (they answer, are in time, come back), and stage with load cell.
+"""Results on devices that every rig has: they answer, are in time, come back; and the report of a check."""
 
-No device is its own witness. What a controller reports of its press axis counts where the load cell felt the pad, what
-it reports of its pad axis where the camera saw the dent move, and what the cell says where it felt the stage press.
-Without the witness a result may fail or be undecided, and never passes.
-"""
-
-import math
 from collections.abc import Mapping, Sequence
-from typing import Final, Literal
-
-import numpy as np
-from scipy.stats import chi2
+from typing import Final
 
 from data_schemas import (
     AcceptanceReport,
-    CellAtRest,
-    CheckedTouch,
     CheckFacts,
+    CheckPlan,
     CheckResult,
     DeviceIdentity,
     Handshake,
-    LoadCellSettings,
     PressDevice,
     PressFacts,
+    RigFile,
     Section,
-    StageMoves,
-    StageSettings,
-    StageStop,
     TactileCheckPlan,
     TactileRig,
 )
 from finray_calib.acceptance._conformity import (
     ToleranceInterval,
-    limit_text,
     measured,
-    not_proven,
     overall,
     unmeasured,
 )
@@ -62,6 +47,20 @@ def results_of(
             what = "the error that ended this part of the check"
             results.append(unmeasured(section, title, what, "ERROR", errors[section]))
     return tuple(results)
+
+
+def report_of(
+    facts: CheckFacts | PressFacts,
+    plan: CheckPlan | TactileCheckPlan,
+    rig: RigFile | TactileRig,
+    results: tuple[CheckResult, ...],
+    notes: tuple[str, ...],
+) -> AcceptanceReport:
+    """Return the report with its verdict, and with a note where the rig is simulated."""
+    more = (SIMULATED_NOTE,) if rig.is_simulated else ()
+    return AcceptanceReport(
+        plan=plan, rig=rig, facts=facts, results=results, verdict=overall(results), notes=(*notes, *more)
+    )
 
 
 def judge_handshakes(handshakes: Sequence[Handshake], most_s: float) -> tuple[CheckResult, ...]:
@@ -126,421 +125,3 @@ def judge_reconnect(facts: CheckFacts | PressFacts, most_s: float) -> tuple[Chec
 def _words_of(said: DeviceIdentity | PressDevice) -> tuple[str, ...]:
     """Return what a device says of itself."""
     return tuple(getattr(said, key, "") for key in ("vendor", "model", "serial", "firmware"))
-
-
-PRESS_SECTIONS: Final[dict[Section, str]] = {
-    "opening": "rig opens",
-    "handshake": "devices answer",
-    "load cell": "load cell",
-    "stage": "stage moves",
-    "touch": "touches",
-    "force limit": "force limit holds",
-    "stops": "stops",
-    "closing": "rig closes",
-    "reconnect": "devices come back",
-}
-REPORT_SD_MM: Final = 0.001 / math.sqrt(12.0)
-"""Rounding of a reported position to 0.001 mm."""
-AGE_SD_DAYS: Final = 0.5
-"""Of a day's date."""
-FELT_SD: Final = 5.0
-FELT_SHARE: Final = 0.25
-"""Of the force of a press: a zero that moved by more could have been the force."""
-NO_SCALE: Final = (
-    "that is what the controller counts: whether {axis} moves as many millimetres, without play and the right way "
-    "round, only a dial gauge shows"
-)
-ONLY_COUNTED: Final = (
-    "only the controller says that the stage stood: nobody saw whether it drove on; watch it with a dial gauge"
-)
-NO_MASS: Final = (
-    "no known mass was laid on the cell in this check, so that a wrong factor would not show, and the true force can "
-    "exceed the plan's limit; lay one on it: finray rig calibrate-cell"
-)
-ONE_STEP: Final = (
-    "no move towards the pad is longer than one step, so that this shows only that no further step was begun, not that "
-    "a force stops a move"
-)
-DENT_MOVED_PX: Final = 5.0
-MINUTE_S: Final = 60.0
-FEWEST_STOPS: Final = 3
-"""Below it a stage that stops now and then passes by chance."""
-FEWEST_TOUCHES: Final = 4
-FEWEST_RETURNS: Final = 10
-"""Below it the standard deviation of the returns is known too badly."""
-TURNED_WIDTHS: Final = 1.5
-"""Of the limit of the backlash: a turn that is shorter cannot show a backlash at the limit."""
-READINGS_OF_A_BLOCK: Final = 4.0
-"""Readings of an HX711 that share conversions: its filter has four."""
-
-
-def judge_pressing(
-    facts: PressFacts, plan: TactileCheckPlan, rig: TactileRig, notes: tuple[str, ...] = ()
-) -> AcceptanceReport:
-    """Return the report of an acceptance check of a rig whose stage presses.
-
-    Parameters
-    ----------
-    facts
-        What the devices did.
-    plan, rig
-        The limits, and what the rig file claims.
-    notes
-        What the user should know about the rig.
-    """
-    limits, judged = plan.limits, _of_stage_and_cell(facts, plan, rig)
-    judged["handshake"] = (
-        *judge_handshakes(facts.handshakes, limits.handshake_s),
-        *judge_frames("handshake", facts.frame_overheads_s, limits.frame_overhead_s),
-    )
-    judged["reconnect"] = judge_reconnect(facts, limits.reconnect_s)
-    results = results_of(PRESS_SECTIONS, judged, facts.errors)
-    more = (SIMULATED_NOTE,) if rig.is_simulated else ()
-    return AcceptanceReport(
-        plan=plan, rig=rig, facts=facts, results=results, verdict=overall(results), notes=(*notes, *more)
-    )
-
-
-def _of_stage_and_cell(
-    facts: PressFacts, plan: TactileCheckPlan, rig: TactileRig
-) -> dict[Section, tuple[CheckResult, ...]]:
-    """Return the results of each part that stage and cell witness for each other."""
-    stage, cell = rig.stage, rig.load_cell
-    if stage is None or cell is None:
-        return {}
-    found: dict[Section, tuple[CheckResult, ...]] = {
-        "load cell": _at_rest(facts, plan, cell),
-        "stage": _moves(facts, plan, stage),
-        "touch": _touches(facts, plan, cell),
-        "force limit": _force_limit(facts),
-        "stops": _stops(facts, plan, cell),
-    }
-    if (lacking := unfelt(facts)) is not None:
-        found = {section: tuple(not_proven(one, lacking) for one in results) for section, results in found.items()}
-    found["load cell"] = (*_calibration(facts, plan, cell), *found["load cell"])
-    return found
-
-
-def unfelt(facts: PressFacts) -> str | None:
-    """Return why the cell is no witness of the stage, nor the stage one of the cell; None where they are.
-
-    At every touch the force must grow by five standard deviations where the stage goes deeper, be positive, and be gone
-    afterwards: a drift grows too, but it stays.
-    """
-    touches = (*facts.touches, *facts.after_stops)
-    if not touches:
-        return "no touch was felt, so nobody saw that the stage moves or that the cell feels"
-    for one in touches:
-        grew = one.deeper_n - one.from_above_n > FELT_SD * math.sqrt(2.0) * one.noise_n
-        gone = abs(one.zero_shift_n) < FELT_SHARE * one.from_above_n
-        if not (grew and gone and one.from_above_n > FELT_SD * one.noise_n):
-            return (
-                f"a touch gave {one.from_above_n:.3g} N, {one.deeper_n:.3g} N deeper and {one.zero_shift_n:.3g} N "
-                "after the stage had left, which is not how a pad presses: stage and cell are no witness of each other"
-            )
-    return None
-
-
-def _calibration(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) -> tuple[CheckResult, ...]:
-    """Judge age and straightness of the calibration."""
-    if (calibration := facts.calibration) is None:
-        return ()
-    age, straight = "calibration is recent", "load cell is straight"
-    what_age = "age of the load cell's calibration"
-    limits = plan.limits
-    if facts.calibration_age_days is None:
-        reason = f"its date '{calibration.calibrated_utc}' cannot be read or lies ahead; calibrate the cell again"
-        first = unmeasured(
-            "load cell", age, what_age, "UNDECIDED", reason, limit_text(None, limits.calibration_age_days, "d")
-        )
-    else:
-        first = measured(
-            "load cell", age, what_age, max(facts.calibration_age_days, 0.0), AGE_SD_DAYS, "d",
-            f"calibrated {calibration.calibrated_utc}; {calibration.traceability}",
-            limits=ToleranceInterval(None, limits.calibration_age_days),
-        )  # fmt: skip
-    heaviest_n = max(calibration.masses_kg) * calibration.gravity_m_per_s2
-    sd_n = max(calibration.counts_uncertainties) * abs(calibration.slope_n_per_count)
-    worst_n = math.hypot(calibration.linearity_n, 0.5 * calibration.hysteresis_n)
-    second = measured(
-        "load cell", straight,
-        "largest distance of the calibration from its straight line, with half the hysteresis, of its heaviest mass",
-        100 * worst_n / heaviest_n, 100 * sd_n / heaviest_n, "%",
-        f"{1e3 * calibration.linearity_n:.2g} mN from the line, {1e3 * calibration.hysteresis_n:.2g} mN between "
-        f"loading and unloading, up to {heaviest_n:.3g} N",
-        limits=ToleranceInterval(None, 100 * limits.linearity_rel),
-    )  # fmt: skip
-    factor = unmeasured(
-        "load cell", "calibration holds", "force of a known mass by the calibration", "UNDECIDED", NO_MASS
-    )
-    _, _, address = calibration.cell.rpartition(", ")[2].partition(" ")
-    if address != cell.address:
-        other = f"the cell was calibrated at '{address}' and is at '{cell.address}' now; calibrate it if it is another"
-        return not_proven(first, other), not_proven(second, other), factor
-    if cell.force_limit_n > heaviest_n:
-        beyond = (
-            f"force_limit_n = {cell.force_limit_n:g} N of the rig file exceeds the heaviest mass, {heaviest_n:.3g} N; "
-            "calibrate with heavier masses, or lower it"
-        )
-        return first, not_proven(second, beyond), factor
-    return first, second, factor
-
-
-def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) -> tuple[CheckResult, ...]:
-    """Judge noise, drift, rate and gaps of the cell while nothing moved."""
-    if (rest := facts.at_rest) is None:
-        return ()
-    limits, full_n = plan.limits, cell.force_limit_n
-    free = max(rest.readings / READINGS_OF_A_BLOCK - len(rest.means_n), 1.0)
-    spent = f"{rest.readings} readings within {rest.span_s:.3g} s"
-    drift_n, drift_sd_n = rest_drift_n(rest)
-    most = 100 * limits.cell_drift_rel
-    per_minute = MINUTE_S / max(rest.span_s, 1e-9)
-    zero = measured(
-        "load cell", "load cell keeps its zero", "change of the zero in a minute while nothing touched, of "
-        "force_limit_n of the rig file",
-        100 * drift_n * per_minute / full_n, 100 * drift_sd_n * per_minute / full_n, "%",
-        f"{1e3 * drift_n:+.2g} mN within {rest.span_s:.3g} s", limits=ToleranceInterval(-most, most),
-    )  # fmt: skip
-    if plan.rest_s < MINUTE_S:
-        zero = not_proven(zero, f"{plan.rest_s:g} s show too little of a minute; set rest_s = {MINUTE_S:g} or more")
-    rate_hz = (rest.readings - 1) / max(rest.span_s, 1e-9)
-    low_hz, high_hz = (cell.rate_hz * (1.0 + sign * limits.cell_rate_rel) for sign in (-1.0, 1.0))
-    return (
-        measured(
-            "load cell", "load cell is quiet", "noise of one reading, of force_limit_n of the rig file",
-            100 * rest.noise_n / full_n, 100 * rest.noise_n / full_n / math.sqrt(2.0 * free), "%",
-            f"{1e3 * rest.noise_n:.3g} mN in {spent}", limits=ToleranceInterval(None, 100 * limits.cell_noise_rel),
-        ),
-        zero,
-        measured(
-            "load cell", "readings a second", "mean number of readings a second", rate_hz,
-            rate_hz * CLOCK_SD_S / max(rest.span_s, CLOCK_SD_S), "1/s",
-            f"{spent}; the rig file says {cell.rate_hz}", limits=ToleranceInterval(low_hz, high_hz),
-        ),
-        measured(
-            "load cell", "readings in time", "longest time between two readings", rest.longest_gap_s, CLOCK_SD_S, "s",
-            spent, limits=ToleranceInterval(None, limits.cell_gap_s),
-        ),
-    )  # fmt: skip
-
-
-def rest_drift_n(rest: CellAtRest) -> tuple[float, float]:
-    """Return by how much the zero changed from the first to the last reading (N), with its standard uncertainty.
-
-    A line through the means of equal parts of the time; its uncertainty is that of the scatter about it, enlarged for
-    few parts (GUM Supplement 1, 6.4.9), so that a wandering zero counts as much as noise.
-    """
-    means = np.array(rest.means_n)
-    place = (np.arange(means.size) + 0.5) / means.size - 0.5
-    spread = float(place @ place)
-    slope = float(place @ means) / spread
-    left, free = means - means.mean() - slope * place, means.size - 2
-    return slope, math.sqrt(float(left @ left) / free / spread * free / (free - 2))
-
-
-def _moves(facts: PressFacts, plan: TactileCheckPlan, stage: StageSettings) -> tuple[CheckResult, ...]:
-    """Judge the moves of each axis by what the controller reports."""
-    return tuple(row for moves in facts.moves for row in _moves_of(moves, facts, plan, stage))
-
-
-def _moves_of(
-    moves: StageMoves, facts: PressFacts, plan: TactileCheckPlan, stage: StageSettings
-) -> tuple[CheckResult, ...]:
-    """Judge one axis."""
-    axis, told = moves.axis, f"{moves.moves} moves, by what the controller counts"
-    most_s = plan.limits.stage_overhead_s
-    rows = (
-        measured(
-            "stage", f"{axis} moves in time", f"longest time that a move of {axis} takes beyond its way over its speed",
-            moves.longest_overhead_s, CLOCK_SD_S, "s", told, limits=ToleranceInterval(None, most_s),
-        ),
-        measured(
-            "stage", f"{axis} reports its position", f"largest distance of the reported {axis} from where it was sent",
-            moves.furthest_off_mm, REPORT_SD_MM, "mm", told,
-            limits=ToleranceInterval(None, plan.limits.stage_report_mm),
-        ),
-    )  # fmt: skip
-    if axis != stage.pad_axis:
-        return rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
-    rows = rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
-    dents = facts.dents_px
-    if len(dents) == 2 and abs(dents[1] - dents[0]) > DENT_MOVED_PX:
-        seen = f"; the camera saw the contact move by {abs(dents[1] - dents[0]):.3g} px over {2 * plan.beside_mm:g} mm"
-        seen += ", which a shadow that moved would show too"
-        return tuple(not_proven(row, seen.removeprefix("; ")) for row in rows)
-    why = (
-        f"nobody saw that {axis} moves: the camera did not see the contact at two positions; light the pad, check "
-        "exposure_s, or raise beside_mm"
-    )
-    return tuple(not_proven(row, why) for row in rows)
-
-
-def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) -> tuple[CheckResult, ...]:
-    """Judge how well the touch repeats, what is lost on turning, and whether the cell returns to its zero."""
-    if len(touches := facts.touches) < FEWEST_TOUCHES:  # an error ended them, and has a row of its own
-        return ()
-    limits, number = plan.limits, len(touches)
-    spread_mm, spread_sd_mm = _spread_mm(touches)
-    sides = {side: [one.touch_mm for one in touches if one.side == side] for side in ("base", "tip")}
-    between = abs(float(np.mean(sides["base"]) - np.mean(sides["tip"]))) if all(sides.values()) else math.nan
-    repeats = measured(
-        "touch", "touch repeats", "standard deviation of the position at which the cell feels the pad", spread_mm,
-        spread_sd_mm, "mm", f"{number} returns from either side in turn; the sides differ by {between:.2g} mm",
-        limits=ToleranceInterval(None, limits.touch_repeat_mm),
-    )  # fmt: skip
-    repeats = _by_chi_square(repeats, number, limits.touch_repeat_mm)
-    lost_mm, lost_sd_mm, relaxed_mm = backlash_mm(touches) or (math.nan, math.nan, math.nan)
-    turn = measured(
-        "touch", "press axis turns without play",
-        "how much deeper the stage stands where it comes out of the pad, by the force there over the stiffness",
-        lost_mm, lost_sd_mm, "mm",
-        f"{number} turns of {touches[0].deeper_mm:.3g} mm; the pad gave way by {relaxed_mm:.2g} mm meanwhile, which is "
-        "in the uncertainty",
-        limits=ToleranceInterval(-limits.backlash_mm, limits.backlash_mm),
-    )  # fmt: skip
-    turn = not_proven(
-        turn, "a pad that gives less force on the way out hides play, and its hysteresis was not measured"
-    )
-    if min(one.deeper_mm for one in touches) < TURNED_WIDTHS * limits.backlash_mm:
-        turn = not_proven(
-            turn, "the turns were too short to show a play at the limit; raise force_limit_n or deepest_mm of the plan"
-        )
-    shifts = [one.zero_shift_n for one in touches]
-    worst_n, most = max(shifts, key=abs), 100 * limits.zero_return_rel
-    zero_sd_n = float(np.std(shifts, ddof=1))
-    zero = measured(
-        "touch", "load cell returns to zero", "largest change of the zero by a press, of force_limit_n of the rig file",
-        100 * worst_n / cell.force_limit_n, 100 * zero_sd_n / cell.force_limit_n, "%",
-        f"{1e3 * worst_n:+.2g} mN after presses of {max(one.deeper_n for one in touches):.3g} N",
-        limits=ToleranceInterval(-most, most),
-    )  # fmt: skip
-    if number < FEWEST_RETURNS:
-        few = f"{number} returns are too few to pass; set returns = {FEWEST_RETURNS} or more"
-        return not_proven(repeats, few), not_proven(turn, few), not_proven(zero, few)
-    return repeats, turn, zero
-
-
-def _by_chi_square(found: CheckResult, number: int, most: float) -> CheckResult:
-    r"""Let a standard deviation pass only where its 95 % upper confidence limit is inside.
-
-    :math:`s \sqrt{(n-1) / \chi^2_{0.05}}` for n normal values: at the limit it passes in 5 % of all checks.
-    """
-    if found.value is None or found.verdict != "PASS":
-        return found
-    upper = found.value * math.sqrt((number - 1) / float(chi2.ppf(0.05, number - 1)))
-    p_conform = float(chi2.sf((number - 1) * (found.value / most) ** 2, number - 1))
-    found = found.model_copy(update={"p_conform": p_conform})
-    why = f"its 95 % upper confidence limit, {upper:.2g} {found.unit}, is beyond {most:g} {found.unit}"
-    return found if upper <= most else not_proven(found, why)
-
-
-def _spread_mm(touches: tuple[CheckedTouch, ...]) -> tuple[float, float]:
-    """Return the standard deviation of the touches (mm), and its standard uncertainty: few touches, and their steps."""
-    spread_mm = float(np.std([one.touch_mm for one in touches], ddof=1))
-    one_mm = max(one.touch_uncertainty_mm for one in touches)
-    return spread_mm, math.hypot(spread_mm / math.sqrt(2.0 * (len(touches) - 1)), one_mm)
-
-
-def backlash_mm(touches: tuple[CheckedTouch, ...]) -> tuple[float, float, float] | None:
-    r"""Return the play of the press axis (mm), its standard uncertainty, and by how much the pad gave way (mm).
-
-    The force at one commanded position is larger when the position is reached out of the pad, because a stage with play
-    stands deeper then. With the stiffness of the turn
-
-    .. math:: b = (F_\text{below} - F_\text{above}) / k, \quad k = (F_\text{deeper} - F_\text{above}) / d.
-
-    A pad that relaxes presses less after the turn, which hides play: what it lost while the stage stood, and once more
-    for the step that was deeper, counts in full as a standard uncertainty. None where the force did not grow.
-    """
-    play, relaxed, noise = [], [], []
-    for one in touches:
-        stiffness = (one.deeper_n - one.from_above_n) / one.deeper_mm
-        if stiffness <= 0.0:
-            return None
-        play.append((one.from_below_n - one.from_above_n) / stiffness)
-        relaxed.append(2.0 * abs(one.relaxed_n) / stiffness)
-        noise.append(math.sqrt(2.0) * one.noise_n / stiffness)
-    number = len(play)
-    scatter = float(np.std(play, ddof=1)) / math.sqrt(number) * math.sqrt((number - 1) / (number - 3))
-    gave_mm = float(np.mean(relaxed))
-    return float(np.mean(play)), math.hypot(scatter, gave_mm, float(np.mean(noise)) / math.sqrt(number)), gave_mm
-
-
-def _force_limit(facts: PressFacts) -> tuple[CheckResult, ...]:
-    """Judge the force beyond a limit at which the stage stopped: one more step of the pad's stiffness is allowed."""
-    if not facts.force_stops:
-        return ()
-    worst = max(facts.force_stops, key=lambda one: one.peak_n - one.limit_n - one.stiffness_n_per_mm * one.step_mm)
-    most_n = worst.stiffness_n_per_mm * worst.step_mm
-    found = (
-        measured(
-            "force limit", "force stops the stage", "largest force beyond a limit at which the stage was stopped",
-            worst.peak_n - worst.limit_n, 2.0 * worst.noise_n, "N",
-            f"worst of {len(facts.force_stops)} stops at {worst.limit_n:.3g} N; allowed is one step of "
-            f"{worst.step_mm:g} mm at {worst.stiffness_n_per_mm:.3g} N/mm",
-            limits=ToleranceInterval(None, most_n),
-        ),
-    )  # fmt: skip
-    return tuple(not_proven(one, ONE_STEP) for one in found)
-
-
-_REASONS: Final[dict[Literal["request", "silent cell"], tuple[str, str]]] = {
-    "request": ("stage stops on request", "longest time from a request until the stage was seen to stand"),
-    "silent cell": (
-        "stage stops at a silent cell",
-        "longest time from the cell's last reading until the stage was seen to stand",
-    ),
-}
-
-
-def _stops(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) -> tuple[CheckResult, ...]:
-    """Judge stops on the way out of the pad, and whether the touch is where it was afterwards."""
-    if not facts.stops:
-        return ()
-    rows = []
-    for reason in _REASONS:
-        stops = [one for one in facts.stops if one.reason == reason]
-        silent_s = cell.silent_s if reason == "silent cell" else 0.0
-        if stops:
-            rows.append(_stop(stops, silent_s + plan.limits.halt_s))
-    return (*rows, *_after_stops(facts, plan))
-
-
-def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
-    """Judge the stops for one reason."""
-    name, what = _REASONS[stops[0].reason]
-    words = limit_text(None, most_s, "s")
-    driven = [one for one in stops if one.stood_mm is not None and abs(one.stood_mm - one.end_mm) < 1e-2]
-    if driven:
-        reason = f"the stage went on to the end of its move in {len(driven)} of {len(stops)} tries"
-        return unmeasured("stops", name, what, "FAIL", reason, words)
-    evidence = f"slowest of {len(stops)} stops on the way out of the pad, as the controller reports"
-    if stops[0].reason == "silent cell":
-        evidence += "; readings were withheld from the stage, the cell's cable was not pulled"
-    slowest_s = max(one.stood_after_s for one in stops)
-    found = measured("stops", name, what, slowest_s, CLOCK_SD_S, "s", evidence, limits=ToleranceInterval(None, most_s))
-    lost = sum(one.stood_mm is None for one in stops)
-    why = [ONLY_COUNTED]
-    if lost:
-        why.append(f"after {lost} of them its position was unknown")
-    if len(stops) < FEWEST_STOPS:
-        why.append(f"{len(stops)} stops are too few; set stops = {FEWEST_STOPS} or more")
-    return not_proven(found, "; ".join(why))
-
-
-def _after_stops(facts: PressFacts, plan: TactileCheckPlan) -> tuple[CheckResult, ...]:
-    """Judge whether the touch after all stops is where it was before."""
-    name, what = "position survives stops", "position of the touch after all stops less the mean of those before"
-    most_mm = plan.limits.touch_repeat_mm
-    if not facts.after_stops or not facts.touches:
-        reason = "no touch was made after the stops"
-        return (unmeasured("stops", name, what, "UNDECIDED", reason, limit_text(-most_mm, most_mm, "mm")),)
-    before = float(np.mean([one.touch_mm for one in facts.touches]))
-    moved_mm = float(np.mean([one.touch_mm for one in facts.after_stops])) - before
-    sd_mm = max(one.touch_uncertainty_mm for one in (*facts.touches, *facts.after_stops)) * math.sqrt(2.0)
-    evidence = (
-        f"{len(facts.after_stops)} touches after {len(facts.stops)} stops; steps that a stop loses would show here"
-    )
-    limits = ToleranceInterval(-most_mm, most_mm)
-    return (measured("stops", name, what, moved_mm, sd_mm, "mm", evidence, limits=limits),)

@@ -4,12 +4,11 @@ Who the devices say they are, where the wheel goes, what the frames show, and ho
 reduced at once to what is judged: dark level, white rates, revisits, ratios.
 """
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal, Protocol, TypeVar
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,6 @@ from data_schemas import (
     CheckFacts,
     CheckPlan,
     DarkFrames,
-    DeviceIdentity,
     ExposureLevel,
     FilterProof,
     Handshake,
@@ -35,6 +33,7 @@ from data_schemas import (
 )
 from rigs import OpenRig, Operator, TerminalOperator, open_rig, rig_locked
 from rigs.capture._check_light import CameraInUseError, require_white, stray_light, trigger_latency, watch_warm_up
+from rigs.capture._check_recorder import HANDSHAKES, CheckRecorder, Progress, ask, come_back
 from rigs.capture._exposure import WHEEL_DEADLINE_S, CheckedCamera, exposure_ladder, meter_exposure, shine
 from rigs.capture._filter_proof import judge_filters, predicted_rates, signal_floor
 from rigs.capture._picture_shift import cells_of, picture_shift
@@ -276,9 +275,6 @@ class CheckFrames:
         return float(red) / exposure_s, float(green) / exposure_s, float(blue) / exposure_s
 
 
-Progress = Callable[[int, int, str], None]
-T = TypeVar("T")
-
 QUIET_SHARE: Final = 0.95
 """Of the limit: when a dead-man is asked whether it has acted. Earlier questions would keep it from acting."""
 WITH_OPEN_RIG: Final[tuple[Section, ...]] = (
@@ -345,17 +341,14 @@ def record_facts(
         return _Recorder(rig, plan, rig_folder, filters, progress).record(operator or TerminalOperator())
 
 
-class _Recorder:
+class _Recorder(CheckRecorder[CheckFacts]):
     """Walks through the sections of one check."""
 
     def __init__(
         self, rig: RigFile, plan: CheckPlan, rig_folder: Path, filters: list[BandPassFilter], progress: Progress
     ) -> None:
-        self._rig, self._plan, self._folder, self._filters, self._progress = rig, plan, rig_folder, filters, progress
-        self._facts = CheckFacts()
-        self._errors: dict[Section, str] = {}
-        self._ended: str | None = None
-        self._done = 0
+        super().__init__(CheckFacts(), STEPS, progress)
+        self._rig, self._plan, self._folder, self._filters = rig, plan, rig_folder, filters
         self._has_dead_man: bool | None = None  # of a laser that has a guard
         self._sight: Sight | None = None
         self._contrast: Contrast | None = None
@@ -388,7 +381,7 @@ class _Recorder:
             self._rig,
             self._plan,
             self._filters,
-            lambda text: self._progress(self._done - 1, STEPS, text),
+            lambda text: self._progress(len(self._begun) - 1, STEPS, text),
         )
         self._keep(handshakes=self._attempt("handshake", lambda: handshakes(opened, self._rig)) or ())
         moves: list[WheelMove] = []
@@ -424,34 +417,18 @@ class _Recorder:
 
     def _reconnect(self, operator: Operator) -> None:
         """Open the closed rig once more, and note what the devices say of themselves."""
-        start_s = time.monotonic()
-        with open_rig(self._rig, self._folder, operator) as opened:
-            again = handshakes(opened, self._rig, asked=1)
-            took_s = time.monotonic() - start_s
-        for hand in again:
-            if hand.error is not None:
-                raise CaptureError(hand.error)
-        after = tuple(hand.identity for hand in again if hand.identity is not None)
-        self._keep(reconnect_s=took_s, reconnected=after)
+        opening = open_rig(self._rig, self._folder, operator)
+        self._keep(**come_back(opening, lambda opened: handshakes(opened, self._rig, asked=1)))
 
-    def _attempt(self, section: Section, act: Callable[[], T], *, also_when_ended: bool = False) -> T | None:
-        """Return what `act` returns; note its error and return None."""
-        if self._ended is not None and not also_when_ended:
-            self._errors.setdefault(section, f"not tried: {self._ended}")
-            return None
-        self._progress(self._done, STEPS, section)
-        self._done = min(self._done + 1, STEPS)
-        try:
-            return act()
-        except CaptureError as error:
-            self._errors.setdefault(section, str(error))
-            if isinstance(error, UnsafeError):
-                self._ended = "a light is not confirmed off"
-            elif isinstance(error, CameraInUseError):
-                self._ended = "the camera is still in use by an exposure that has not ended"
-            elif isinstance(error, LightLostError) and section in WITH_LASER and is_hazardous(self._rig.laser):
-                self._ended = "the laser went out, and is not lit again until a person has found out why"
-            return None
+    def _why_it_ends(self, error: CaptureError, section: Section) -> str | None:
+        """Return why an error ends all that follows."""
+        if isinstance(error, UnsafeError):
+            return "a light is not confirmed off"
+        if isinstance(error, CameraInUseError):
+            return "the camera is still in use by an exposure that has not ended"
+        if isinstance(error, LightLostError) and section in WITH_LASER and is_hazardous(self._rig.laser):
+            return "the laser went out, and is not lit again until a person has found out why"
+        return None
 
     def _lights_are_off(self, opened: OpenRig, section: Section) -> None:
         """End the check when a light is on, or cannot be asked, between two sections."""
@@ -466,10 +443,6 @@ class _Recorder:
         if on:
             self._errors[section] = f"{on[0]}: is reported on after this section; pull its plug before you open the box"
             self._ended = f"the {on[0]} is on"
-
-    def _keep(self, **what: object) -> None:
-        """Add facts."""
-        self._facts = self._facts.model_copy(update=what)
 
     def _block_layer(self, opened: OpenRig) -> None:
         """Try the block that lights the laser, and see whether the camera sees it."""
@@ -535,44 +508,13 @@ def _not_lit(why: str) -> str:
     return f"not tried: the laser is not lit again until a person has found out why: {why}"
 
 
-HANDSHAKES: Final = 3
-
-
-class _Named(Protocol):
-    """What every device of a rig is."""
-
-    def identity(self) -> DeviceIdentity:
-        """Return what it says it is."""
-        ...
-
-
 def handshakes(opened: OpenRig, rig: RigFile, asked: int = HANDSHAKES) -> tuple[Handshake, ...]:
     """Ask every device who it is and how it stands, so many times."""
     return (
-        _handshake(opened, ("camera", rig.camera.driver), opened.camera, lambda: None, asked),
-        _handshake(opened, ("filter wheel", rig.filter_wheel.driver), opened.wheel, opened.wheel.position, asked),
-        _handshake(opened, ("laser", rig.laser.driver), opened.laser, opened.laser.state, asked),
-        _handshake(opened, ("lamp", rig.lamp.driver), opened.lamp, opened.lamp.state, asked),
-    )
-
-
-def _handshake(
-    opened: OpenRig, role_and_driver: tuple[str, str], device: _Named, state: Callable[[], object], asked: int
-) -> Handshake:
-    """Ask one device so many times."""
-    role, driver = role_and_driver
-    durations_s: list[float] = []
-    identity, error = None, None
-    try:
-        for _ in range(asked):
-            start_s = opened.clock.monotonic_s()
-            identity = device.identity()
-            state()
-            durations_s.append(opened.clock.monotonic_s() - start_s)
-    except CaptureError as raised:
-        error = str(raised)
-    return Handshake.model_validate(
-        {"role": role, "driver": driver, "identity": identity, "durations_s": durations_s, "error": error}
+        ask(opened.clock, ("camera", rig.camera.driver), opened.camera, lambda: None, asked),
+        ask(opened.clock, ("filter wheel", rig.filter_wheel.driver), opened.wheel, opened.wheel.position, asked),
+        ask(opened.clock, ("laser", rig.laser.driver), opened.laser, opened.laser.state, asked),
+        ask(opened.clock, ("lamp", rig.lamp.driver), opened.lamp, opened.lamp.state, asked),
     )
 
 

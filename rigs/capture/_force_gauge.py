@@ -7,6 +7,7 @@ that no drift, and no pad that is taken for one, can lift the force limit unseen
 import math
 from collections import deque
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -15,6 +16,7 @@ import numpy as np
 from data_schemas import (
     CaptureError,
     CellAtRest,
+    LaidMass,
     LoadCellCalibration,
     LoadCellSettings,
     LostError,
@@ -262,4 +264,54 @@ def at_rest(
         longest_gap_s=float(np.diff(times_s).max()),
         noise_n=within,
         means_n=tuple(float(block.mean()) for block in blocks),
+    )
+
+
+LAYINGS: Final = 2
+"""How often a known mass is laid: off its middle it reads otherwise, which one laying would not show."""
+LAID_SETTLES_S: Final = 3.0
+LAID_S: Final = 4.0
+"""How long the cell is read then; shorter than what creeps, longer than noise."""
+
+
+def weigh(
+    cell: LoadCell,
+    settings: LoadCellSettings,
+    calibration: LoadCellCalibration,
+    lay: Callable[[float], None],
+    mass_kg: float,
+) -> LaidMass:
+    """Have a mass laid on the cell and taken off, again and again, and return what the calibration makes of it.
+
+    Raises
+    ------
+    CaptureError
+        The cell fell silent, is stuck or overloaded, or does not return to its zero: something still lies on it.
+    """
+    gauge = ForceGauge(cell, settings, calibration)
+
+    def mean_n() -> tuple[float, float]:
+        for _ in range(math.ceil(LAID_SETTLES_S * settings.rate_hz)):
+            gauge.reading_above_empty_n()
+        forces = [gauge.reading_above_empty_n() for _ in range(math.ceil(LAID_S * settings.rate_hz))]
+        return float(np.mean(forces)), float(np.std(forces, ddof=1)) / math.sqrt(len(forces) / SETTLING_READINGS)
+
+    lay(0.0)
+    zeros, loaded = [mean_n()], []
+    for _ in range(LAYINGS):
+        lay(mass_kg)
+        loaded.append(mean_n())
+        lay(0.0)
+        zeros.append(mean_n())
+        moved_n = zeros[-1][0] - zeros[0][0]
+        if abs(moved_n) > ZERO_MOVED_SHARE * settings.force_limit_n:
+            raise CaptureError(
+                f"load cell: reads {moved_n:+.3g} N after the mass was taken off, where it read 0 before; take "
+                "everything off it, and fasten it, then check again"
+            )
+    empty = [0.5 * (before[0] + after[0]) for before, after in pairwise(zeros)]
+    return LaidMass(
+        forces_n=tuple(on[0] - off for on, off in zip(loaded, empty, strict=True)),
+        zeros_n=tuple(zero for zero, _ in zeros),
+        noise_n=max(noise for _, noise in (*zeros, *loaded)),
     )

@@ -85,6 +85,8 @@ class OpenTactileRig:
         None where a person presses.
     lay
         Lays a mass (kg) on the cell: the simulated one at once, on a real one a person is asked.
+    lay_block
+        Lays a block of a thickness (mm) on the pad, or takes it off (0), and returns whether that was done.
     """
 
     camera: Camera | None
@@ -93,6 +95,7 @@ class OpenTactileRig:
     operator: Operator
     clock: Clock
     lay: Callable[[float], None] = lambda mass_kg: None
+    lay_block: Callable[[float], bool] = lambda thickness_mm: False
 
     def camera_there(self) -> Camera:
         """Return the camera, which was opened."""
@@ -138,6 +141,11 @@ def open_tactile_rig(
     def lay(mass_kg: float) -> None:
         hands.do(f"Lay {1e3 * mass_kg:g} g on the load cell, gently." if mass_kg else "Take everything off the cell.")
 
+    def lay_block(thickness_mm: float) -> bool:
+        what = f"Lay the block of {thickness_mm:g} mm flat on the pad under the indenter"
+        what = what if thickness_mm else "Take the block off the pad"
+        return hands.allows(f"The stage stands. {what}, and take your hands away. Is that done?")
+
     with ExitStack() as stack:
         parts = {"camera": rig.camera, "stage": rig.stage, "load cell": rig.load_cell}
         wanted = {role: part for role, part in parts.items() if part is not None and (only is None or role in only)}
@@ -147,7 +155,7 @@ def open_tactile_rig(
         cell = stack.enter_context(open_load_cell(rig.load_cell)) if rig.load_cell and "load cell" in wanted else None
         camera = stack.enter_context(open_camera(rig.camera, folder)) if "camera" in wanted else None
         stage = stack.enter_context(open_stage(rig.stage)) if rig.stage and "stage" in wanted else None
-        yield OpenTactileRig(camera, stage, cell, hands, SystemClock(), lay)
+        yield OpenTactileRig(camera, stage, cell, hands, SystemClock(), lay, lay_block)
 
 
 def _open_finger(rig: TactileRig) -> OpenTactileRig:
@@ -162,6 +170,10 @@ def _open_finger(rig: TactileRig) -> OpenTactileRig:
     def lay(mass_kg: float) -> None:
         state.load_kg = mass_kg
 
+    def lay_block(thickness_mm: float) -> bool:
+        state.block_mm = thickness_mm
+        return True
+
     return OpenTactileRig(
         FingerCamera(state, rig.camera, np.random.default_rng([seed, 2])),
         SimulatedStage(state),
@@ -169,6 +181,7 @@ def _open_finger(rig: TactileRig) -> OpenTactileRig:
         FingerOperator(state),
         state.clock,
         lay,
+        lay_block,
     )
 
 

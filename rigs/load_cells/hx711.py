@@ -103,7 +103,7 @@ class Hx711Cell:
             end_s = time.monotonic() + wait_s
             self._link.write(b"\nI\n", end_s)
             with contextlib.suppress(TimedOutError):
-                while True:
+                while time.monotonic() < end_s:  # readings that come all the while never let a read time out
                     heard.append(self._link.read_until(b"\n", end_s))
                     if match := _BANNER.fullmatch(heard[-1]):
                         if int(match[1]) != FIRMWARE_MAJOR:

@@ -55,6 +55,8 @@ class FingerState:
         Where the controller counts the axes.
     load_kg
         Mass on the cell while it is calibrated.
+    block_mm
+        Thickness of what lies on the pad.
     moving
         Brings the stage to where it is now, while it moves.
     """
@@ -63,6 +65,7 @@ class FingerState:
     clock: SimulatedClock = field(default_factory=SimulatedClock)
     counted_mm: dict[str, float] = field(default_factory=dict)
     load_kg: float = 0.0
+    block_mm: float = 0.0
     moving: Callable[[], None] | None = None
     _lost_mm: float = 0.0
     _relaxing_n: float = 0.0
@@ -113,8 +116,8 @@ class FingerState:
         finger, stage = self.rig.simulated, self.stage
         if finger is None:
             return 0.0
-        beyond_mm = stage.into_pad * (self.counted_mm[stage.press_axis] - finger.surface_mm) - self._lost_mm
-        return max(beyond_mm, 0.0)
+        beyond_mm = stage.into_pad * (self.counted_mm[stage.press_axis] - finger.surface_mm)
+        return max(beyond_mm + self.block_mm - self._lost_mm, 0.0)
 
     def force_n(self) -> float:
         """Return the force on the cell now."""

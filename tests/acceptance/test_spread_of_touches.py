@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from data_schemas import CheckedTouch
-from finray_calib.acceptance import _device_checks as device_checks
+from finray_calib.acceptance import _press_checks as device_checks
 from finray_calib.acceptance._conformity import ToleranceInterval, measured
 
 LIMIT_MM = 0.05

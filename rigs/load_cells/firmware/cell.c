@@ -11,8 +11,7 @@
    sent with interrupts off: 0.2 ms, less than one byte of the line takes.
 
    Build and flash: README.md */
-#include <avr/interrupt.h>
-#include <avr/io.h>
+#include "../../transports/firmware/board_line.h"
 
 #define CLOCK_UP() (PORTD |= 1 << PD2)
 #define CLOCK_DOWN() (PORTD &= ~(1 << PD2))
@@ -20,42 +19,6 @@
 #define BITS 24
 #define GAIN_PULSES 1
 #define PACE_MS 10 /* of an amplifier that is always ready: it is none */
-
-static volatile unsigned long milliseconds;
-static volatile unsigned char asked; /* "I" has come; a line feed makes it a question */
-static volatile unsigned char question;
-static unsigned char crc;
-
-ISR(TIMER1_COMPA_vect) { milliseconds++; }
-
-ISR(USART_RX_vect) {
-    unsigned char byte = UDR0;
-    if (byte == '\n') { question |= asked; asked = 0; }
-    else if (byte != '\r') asked = byte == 'I';
-}
-
-static void put(char byte) {
-    while (!(UCSR0A & (1 << UDRE0))) {}
-    UDR0 = byte;
-    crc ^= byte;
-    for (unsigned char bit = 0; bit < 8; bit++) crc = crc & 0x80 ? crc << 1 ^ 0x07 : crc << 1;
-}
-
-static void say(const char *text) { for (; *text; text++) put(*text); }
-
-static void say_number(unsigned long number) {
-    char digits[10];
-    unsigned char length = 0;
-    do digits[length++] = '0' + number % 10; while (number /= 10);
-    while (length) put(digits[--length]);
-}
-
-static unsigned long now(void) {
-    cli();
-    unsigned long at = milliseconds;
-    sei();
-    return at;
-}
 
 static void pause(void) { __builtin_avr_delay_cycles(32); } /* 2 us; the data sheet wants 0.2 us at least */
 
@@ -80,11 +43,7 @@ static void say_reading(unsigned int sequence, unsigned long at, unsigned long r
     else say_number(raw);
     put(' ');
     put('0' + status);
-    unsigned char check = crc;
-    put(' ');
-    put("0123456789ABCDEF"[check >> 4]);
-    put("0123456789ABCDEF"[check & 15]);
-    put('\n');
+    say_check();
 }
 
 int main(void) {
@@ -93,20 +52,10 @@ int main(void) {
     CLOCK_DOWN();
     DDRD |= 1 << PD2;
     PORTD |= 1 << PD3; /* pulled up: a broken wire is never ready, and the host misses its readings */
-    UCSR0A = 1 << U2X0;
-    UBRR0 = 34; /* 57143 baud, 0.8 % slow */
-    UCSR0B = (1 << RXEN0) | (1 << TXEN0) | (1 << RXCIE0);
-    UCSR0C = 3 << UCSZ00;
-    TCCR1B = (1 << WGM12) | (1 << CS11) | (1 << CS10); /* clear on match, clock / 64 */
-    OCR1A = 249;                                       /* 1 kHz */
-    TIMSK1 = 1 << OCIE1A;
-    sei();
+    begin();
     say("CELL 1.0\n");
     for (;;) {
-        if (question) {
-            question = 0;
-            say("CELL 1.0\n");
-        }
+        if (was_asked()) say("CELL 1.0\n");
         if (DATA() || now() - last < PACE_MS) continue;
         unsigned long at = last = now(), raw = 0;
         cli();
