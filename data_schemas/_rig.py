@@ -18,6 +18,7 @@ from data_schemas._model import Model, Record
 from data_schemas._units import (
     ChargeE,
     ExposureS,
+    FilterUncertaintyNm,
     Fraction,
     OpticalDensity,
     PositionMm,
@@ -25,6 +26,7 @@ from data_schemas._units import (
     RelativeUncertainty,
     Seed,
     SignalDn,
+    TypeBUncertainty,
     WavelengthNm,
     WidthNm,
 )
@@ -42,15 +44,9 @@ def _where_none_is_given(catalogue_nm: float) -> Callable[[dict[str, Any]], floa
 def _uncertainty_text(catalogue_nm: float) -> str:
     """Say which standard uncertainty holds where none is given."""
     return (
-        f"standard uncertainty; if it is left out, {catalogue_nm:g} nm for a filter known from a catalogue only, "
-        f"{MEASURED_CURVE_NM:g} nm with a measured curve. Give the value of a certificate"
+        f"standard uncertainty, of a certificate; left out, {catalogue_nm:g} nm with a catalogue's data only, "
+        f"{MEASURED_CURVE_NM:g} nm with a measured curve"
     )
-
-
-FilterUncertaintyNm = Annotated[float, Field(ge=0.0, le=10.0, json_schema_extra={"unit": "nm"})]
-
-
-TypeBRel = Annotated[float, Field(ge=1e-4, le=0.2, json_schema_extra={"unit": "1"})]
 
 
 class BandPassFilter(Model):
@@ -330,23 +326,12 @@ class WhiteReference(Model):
 
 
 class BandUncertainty(Model):
-    """What a band value is uncertain by beside the noise of its frames: standard uncertainties, relative.
+    """Relative standard uncertainties of band values beside the noise of frames; smaller only where measured."""
 
-    The fit counts them for every paint. State smaller ones only where they were measured: the interval of the emission
-    rests on them.
-    """
-
-    calibration_rel: TypeBRel = Field(
-        default=0.01, description="calibration of each filter, common to the three channels, relative to its value"
-    )
-    response_rel: TypeBRel = Field(
-        default=0.003,
-        description="shape of each channel's spectral response inside a filter's band, relative to its value",
-    )
-    stray_light_rel: TypeBRel = Field(
-        default=0.003,
-        description="light that reaches a channel past its filter, by camera or enclosure, relative to the brightest "
-        "filter but that of the laser",
+    calibration_rel: TypeBUncertainty = Field(default=0.01, description="of each filter, common to its three channels")
+    response_rel: TypeBUncertainty = Field(default=0.003, description="of each channel inside a filter's band")
+    stray_light_rel: TypeBUncertainty = Field(
+        default=0.003, description="light past it, of the brightest but the laser's"
     )
 
 
@@ -669,15 +654,13 @@ class RigFile(Record):
         laser, lamp = ((light.driver, light.address) for light in (self.laser, self.lamp))
         if laser == lamp and self.laser.address:
             raise ValueError(
-                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot serve both; correct the "
-                "address of one of them"
+                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot serve both; correct one"
             )
         wheel = self.filter_wheel
         for role, light in (("laser", self.laser), ("lamp", self.lamp)):
             if (wheel.driver, light.driver) == ("thorlabs", "arduino") and wheel.address == light.address:
                 raise ValueError(
-                    f"filter_wheel and {role} are both at {wheel.address}: a serial port holds one device; correct the "
-                    "address of one of them"
+                    f"filter_wheel and {role} are both at {wheel.address}: a serial port holds one device; correct one"
                 )
         return self
 

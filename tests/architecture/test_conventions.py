@@ -20,7 +20,7 @@ LONGEST_MODULE = 670
 DUMPING_GROUNDS = {"util", "utils", "helper", "helpers", "common", "misc", "core", "base", "tools"}
 UNIT = re.compile(
     r"_(nm|mm|mm2|mm3|px|s|deg|mpa|n|kg|dn|e|mw|ma|rel|od|db|dn2|k|j|per_j|per_nm|per_s|e_per_dn|e_per_s|dn_per_s|per_px|mm_per_px"
-    r"|m_per_s2|n_per_mm|n_per_mm2|n_per_count|days)$"
+    r"|m_per_s2|n_per_mm|n_per_mm2|n_per_count|days|hz)$"
 )
 # Dimensionless by their nature: a name is allowed when one of these is a whole word of it.
 DIMENSIONLESS_WORDS = frozenset(
