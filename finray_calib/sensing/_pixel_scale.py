@@ -1,7 +1,7 @@
 """Millimetres per pixel where a calibrated camera sees a plane, and how well they are known.
 
 The plane of the pad lies behind a board whose place is known. Scales are given at one place, as a range, over the board
-and as a coarse map; how far they scatter is told by drawing the pictures of the board with replacement.
+and as a coarse map; their scatter is estimated by drawing the pictures of the board with replacement.
 """
 
 from collections.abc import Sequence
@@ -308,7 +308,7 @@ def resampled_scatter_rel(
 ) -> float:
     """Return the relative scatter of the mean scale over pictures drawn with replacement.
 
-    The picture of the pad is one of a kind: its corners get the residuals of its own corners, drawn with replacement.
+    There is only one picture of the pad: its corners get the residuals of its own corners, drawn with replacement.
 
     Parameters
     ----------
