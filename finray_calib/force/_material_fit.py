@@ -372,7 +372,7 @@ def _maxima(problem: _Problem) -> Maxima:
                 f"{curve.name}: no modulus explains this curve; the nearest fit differs by {100 * off:.0f} % of its "
                 f"largest "
                 f"force (rms, {100 * _UNEXPLAINED_REL:.0f} % allowed). Are displacements in mm and forces in N, and "
-                f"was this the specimen?"
+                f"was this specimen pressed?"
             )
     # the components share what K/mu leaves open between them
     apart = float(bulks[1] - bulks[0])

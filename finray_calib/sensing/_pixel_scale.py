@@ -377,8 +377,8 @@ def widened_factor(resampled_u_rel: float, at_middle: ScaleDraws) -> float:
     ratio = resampled_u_rel / of_covariance if of_covariance > 0.0 else 1.0
     if ratio > LARGEST_WIDENED_FACTOR:
         raise CompareError(
-            f"resampling the pictures gives {ratio:.0f} times the scatter of the scale that independent "
-            f"corners would give, and at most {LARGEST_WIDENED_FACTOR:g} times is allowed: one or two of the "
+            f"over resampled pictures the scale scatters {ratio:.0f} times as much as with independent corners, and "
+            f"at most {LARGEST_WIDENED_FACTOR:g} times is allowed: one or two of the "
             "pictures alone determine the lens, or the board was not rigid. Take more pictures"
         )
     return ratio if ratio > _SCATTER_FACTOR else 1.0

@@ -399,14 +399,14 @@ def least_resistance(stiffness: FloatArray) -> float:
     stiffness : ndarray, shape (6, 6)
         Resistance to moves and turns, jaws held, turns scaled to be alike. What is below 1e-4 of it counts as zero.
     """
-    least_told = _FREE_REL * float(np.abs(stiffness).max())
+    least_resolved = _FREE_REL * float(np.abs(stiffness).max())
     tips = float(np.linalg.eigvalsh((stiffness[3:, 3:] + stiffness[3:, 3:].T) / 2.0).min())
-    if tips < -least_told:
+    if tips < -least_resolved:
         return tips
     turns = np.linalg.pinv(stiffness[3:, 3:], rcond=_FREE_REL)
     moves = stiffness[:3, :3] - stiffness[:3, 3:] @ turns @ stiffness[3:, :3]
     least = float(np.linalg.eigvalsh((moves + moves.T) / 2.0).min())
-    return least if abs(least) > least_told else 0.0
+    return least if abs(least) > least_resolved else 0.0
 
 
 class _Way:
