@@ -217,7 +217,7 @@ def test_light_that_is_too_bright_or_too_dim(rig: RigFile, tmp_path: Path) -> No
 
     with pytest.raises(
         CaptureError,
-        match=r"saturates in 0\.00\d+ s; the shortest exposure must be at most 0\.00\d+ s, but is 0\.003 s .* filter in the",
+        match=r"saturates in 0\.00\d+ s; the shortest exposure must be at most 0\.00\d+ s, but is 0\.003 s",
     ):
         capture_camera_session(
             with_camera(shortest_exposure_s=0.003), PLAN, SessionRequest(tmp_path / "a", "finray capture")
