@@ -420,7 +420,7 @@ class FingerTolerances(Record):
 class LightPowerRow(Model):
     """One light and the power that lights the coat most evenly."""
 
-    field: str = Field(description="field of its power in the design")
+    field: str = Field(description="design field that holds its power")
     light: str = Field(description="the light in words")
     now_rel: Annotated[float, Field(gt=0.0)] = Field(description="power_rel of the design")
     least_rel: Annotated[float, Field(ge=0.0)]

@@ -257,7 +257,8 @@ class PlainSensor(Record):
         default={}, description="where a number comes from (lights.width_mm: that of all lights); assumed if not listed"
     )
     uncertainty_rel: dict[str, RelativeUncertainty] = Field(
-        default={}, description="standard uncertainty of a number over its value; stated, not computed with"
+        default={},
+        description="standard uncertainty of a number over its value; it is shown, but no computation uses it",
     )
 
     @field_validator("origin", "uncertainty_rel")

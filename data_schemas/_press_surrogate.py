@@ -34,7 +34,7 @@ class PressFamily(Model):
             f'shape = "{indenter.shape}"; it was taught "cylinder" and "ball"': indenter.shape in ("cylinder", "ball"),
             f"friction = {indenter.friction:g}; it was taught presses without friction": indenter.friction == 0.0,
             "path; it was taught presses along the pad's normal": not indenter.path,
-            f"rotation_deg = {list(indenter.rotation_deg)} deg; it was taught cylinders that lie flat": flat,
+            f"rotation_deg = {list(indenter.rotation_deg)} deg; it was taught with cylinders that lie flat": flat,
         }
         sizes = [name for name in type(self).model_fields if name != "turn_deg"]
         numbers = {name: (getattr(indenter, name), getattr(self, name), "mm") for name in sizes}

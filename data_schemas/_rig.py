@@ -103,6 +103,9 @@ DriverName = Annotated[
 ]
 NO_ADDRESS = ("simulated", "manual")
 """Drivers without a device of their own."""
+_OF_CAMERAS = ("aravis", "folder", "gentl", "indi", "micro-manager", "mjpeg", "picamera2")
+_WITH_ADDRESS = (*_OF_CAMERAS, "alpaca", "arduino", "grbl", "hx711", "thorlabs")
+"""The other drivers of finray-calib; a package may bring more."""
 
 BayerPattern = Literal["RGGB"]
 
@@ -111,8 +114,13 @@ def _require_address(driver: str, address: str) -> None:
     """Refuse a driver without an address, and an address that nothing would use."""
     if driver in NO_ADDRESS and address:
         raise ValueError(f"address: driver '{driver}' has no address; leave it out")
-    if driver not in NO_ADDRESS and not address:
+    if driver in NO_ADDRESS or address:
+        return
+    if driver in _WITH_ADDRESS:
         raise ValueError(f"address: driver '{driver}' needs an address; 'finray rig detect' prints it")
+    near = difflib.get_close_matches(driver, (*NO_ADDRESS, *_WITH_ADDRESS), 1, cutoff=0.6)
+    hint = f"did you mean '{near[0]}'? If" if near else "if"
+    raise ValueError(f"driver: finray has no driver '{driver}'; {hint} a package brings it, state its address as well")
 
 
 class CameraSettings(Model):
@@ -251,8 +259,7 @@ class LaserSettings(Model):
         if self.driver == "manual":
             raise ValueError(
                 "driver: a laser cannot be switched by hand, because nothing would switch it off when the capture "
-                "stops; "
-                "name the driver of a controller, such as 'arduino'"
+                "stops; name the driver of a controller, such as 'arduino'"
             )
         missing = {"wavelength_nm", "power_mw", "laser_class"} - self.model_fields_set
         if self.driver != "simulated" and missing:

@@ -324,8 +324,9 @@ class SensorFit(Record):
         description="rms of the residuals, relative to the picture's mean"
     )
     emulator_rel: Annotated[float, Field(ge=0.0)] | None = Field(
-        description="rms by which a render at the fitted numbers differs from the emulator that was fitted; it is "
-        "taken out before the last fit; none: no number needs a render of its own"
+        description="rms by which a render at the fitted numbers differs from the emulator that was fitted; this "
+        "difference is subtracted before the last fit; none where no number is checked by a render of "
+        "its own"
     )
     blocks: Annotated[int, Field(ge=1)] = Field(description="number of blocks of each picture and channel")
     trusted: bool = Field(description="the search has converged, and no number lies far outside its prior")

@@ -12,6 +12,7 @@ A camera's module has ``open_camera(settings, folder)``, a filter wheel's ``open
 ``found()`` can look for its devices; the search asks every such driver, each with a deadline.
 """
 
+import difflib
 import math
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -146,8 +147,10 @@ def find_driver(kind: Kind, name: str) -> Driver:
     table = offered(kind)
     if name not in table:
         known = ", ".join(sorted(found[0].label for found in table.values()))
+        near = difflib.get_close_matches(name, table, 1, cutoff=0.6)
+        hint = f"did you mean '{near[0]}'? There" if near else "there"
         raise RefusedError(
-            f"{kind}: no driver '{name}' is installed; there are {known}: correct driver in the rig file, or install "
+            f"{kind}: no driver '{name}' is installed; {hint} are {known}: correct driver in the rig file, or install "
             f"the package that brings it ({HOW_TO})"
         )
     if len(table[name]) > 1:

@@ -257,6 +257,12 @@ _NO_PATH: Final = """\
 """
 
 
+_NO_SURFACE: Final = """
+# [surface] gives the shape of the pressed coat in place of [indenter]: the two tables exclude each other, so leave out
+# [indenter] when you take this one.
+"""
+
+
 _OF_PACKAGES: Final = ("parameters", "package")
 
 
@@ -606,7 +612,7 @@ def sensor_toml(sensor: PlainSensor) -> str:
         tables.append(lines)
     example = CoatSurface(file="coat.npy", step_mm=0.05)
     tables.append(
-        _commented_out("surface", example)
+        f"{_NO_SURFACE}{_commented_out('surface', example).lstrip()}"
         if sensor.surface is None
         else "".join(_table_lines("surface", sensor.surface, idle))
     )

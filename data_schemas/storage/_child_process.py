@@ -48,8 +48,8 @@ _START: Final = (
 )
 _IN_PLAIN_WORDS: Final = {
     signal.SIGSEGV: "it used memory that does not belong to it, which is a fault of a compiled library",
-    signal.SIGBUS: "it used memory that does not exist, because of a fault of a compiled library or a full "
-    "disk or /dev/shm",
+    signal.SIGBUS: "it accessed invalid memory, because a compiled library has a fault, or the disk or /dev/shm is "
+    "full",
     signal.SIGILL: "a compiled library uses instructions that this processor does not have",
     signal.SIGFPE: "a compiled library divided by zero",
     signal.SIGABRT: "a compiled library aborted",

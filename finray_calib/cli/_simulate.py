@@ -237,9 +237,9 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
         help=(
-                "only the brightness beside the indenter (default), or also how well normals can be measured (Fisher "
-                "information, held-out error), evenness, colours, clipping and room for the panel, which takes 15 s "
-                "more, once, at the first of --positions"
+                "intensity: the brightness beside the indenter only (default); all: also how well normals can be "
+                "measured (Fisher information, held-out error), evenness, colours, clipping and room for the panel. "
+                "These are computed at the first of --positions only, and take 15 s more"
             ),
     )  # fmt: skip
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""What a machine needs to run the demo, each looked at in a process of its own: a check that dies is an answer, too.
+"""What a machine needs to run the demo, each checked in a process of its own, so that a crash is a result as well.
 
 Every ``check_*`` function runs in such a process and returns what it found as JSON: "good"; "note" where the demo runs
 without it, slower or with less; "bad" where it does not run; and the command that mends it.
@@ -84,12 +84,12 @@ CHECKS: Final = (
 
 
 def check_machine(limit_s: float = LIMIT_S, checks: tuple[Check, ...] = CHECKS) -> Iterator[Finding]:
-    """Look at everything, some at the same time, and yield what was found in the order of the checks.
+    """Run all checks, some of them at the same time, and yield their findings in the order of the checks.
 
     Parameters
     ----------
     limit_s
-        For all of it; what has not answered by then is told as such.
+        For all checks; one that has not answered by then is reported so.
     checks
         What to look at.
     """
@@ -320,7 +320,7 @@ def check_serial_ports() -> Found:
     if closed:
         return _note(f"your user has no permission to open {', '.join(closed)}", _way_in(Path(closed[0])))
     if not ports:
-        return _good("none behind USB (needed for a real rig only)")
+        return _good("no serial port on USB (needed for a real rig only)")
     return _good(", ".join(port.address for port in ports))
 
 

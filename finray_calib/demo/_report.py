@@ -242,7 +242,8 @@ def _fit(results: DemoResults) -> Content:
     paints = [results.paints[colour].fitted for colour in COLOURS]
     return Content(
         lead="The emission spectrum of each paint was inferred from its band signals. Several families of curves were "
-        "fitted, each with a smooth random deviation (discrepancy) for what a real paint does beyond its family, with "
+        "fitted, each with a smooth random deviation (discrepancy) by which a real paint may differ from its family, "
+        "with "
         "the reflected laser and the imperfections of the filters as further unknowns.",
         parts=fit_parts(paints),
     )

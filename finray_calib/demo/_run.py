@@ -1,6 +1,7 @@
-"""Run the whole way on a simulated rig, each stage in a process of its own, from where an earlier run was stopped.
+"""Run all stages on a simulated rig, each in a process of its own, from where an earlier run was stopped.
 
-Whose folder it is, which stages are whole in it as records and checksums prove, and how an interrupted demo goes on.
+To which demo a folder belongs, which stages are complete in it as records and checksums prove, and how an interrupted
+demo continues.
 """
 
 import contextlib
@@ -96,7 +97,7 @@ class Stage:
 
 
 def identity(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what must be the same for a demo to go on: version, seed, materials, camera, renderer and its effort.
+    """Return what must be the same for a demo to continue: version, seed, materials, camera, renderer and its effort.
 
     Parameters
     ----------
@@ -354,7 +355,7 @@ def run_demo(
 ) -> dict[str, Any]:
     """Run capture, radiometry, fit, simulate, compare and decide; write all products, summary and report.
 
-    A folder that holds an interrupted demo with the same settings is gone on with: what is whole there, as records and
+    In a folder with an interrupted demo of the same settings the run continues: what is complete there, as records and
     checksums prove, is not computed again.
 
     Parameters
@@ -364,7 +365,7 @@ def run_demo(
     open_bar
         Opens a progress bar for a stage.
     say
-        Tells the user where the demo goes on.
+        Tells the user where the demo continues.
     stages, report
         What to run.
 

@@ -171,7 +171,7 @@ DEFAULT_FAMILY: Final = "log_normal_wavenumber"
 
 SMALLEST_DEFAULT_PROBABILITY: Final = 0.1
 CLEAR_SCORE_SD: Final = 2.0
-"""Another family replaces the default only when the evidence and the left-out bands both speak clearly against it."""
+"""Another family replaces the default only when the evidence and the left-out bands both clearly contradict it."""
 
 RULED_OUT_PROBABILITY: Final = 1e-4
 """Below it the evidence alone decides: priors of four numbers twice as wide change a probability by a factor of 16."""
@@ -251,7 +251,7 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
         )
     if clear:
         return best, (
-            f"{best}: the bands speak clearly against the default, {DEFAULT_FAMILY} (probabilities {told}; left-out "
+            f"{best}: the bands clearly contradict the default, {DEFAULT_FAMILY} (probabilities {told}; left-out "
             f"bands predicted better by {gain:.1f} +- {scores[best].difference_sd:.1f} nats)"
         )
     left_out = f"left-out bands: {best} {gain:+.1f} +- {scores[best].difference_sd:.1f} nats"

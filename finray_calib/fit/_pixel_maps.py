@@ -219,7 +219,7 @@ def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> 
         converged=read_only(status == CONVERGED),
         region=region.quantities,
         prior_sd=dict(zip((*region.family.parameter_names, "reflectance_at_laser"), prior_sd, strict=True)),
-        prior_in_words="normal distribution around the fit of the region, to which noisy pixels are drawn",
+        prior_in_words="normal distribution around the fit of the region, towards which noisy pixels are shrunk",
         band_factor=factor,
         fitted_pixels=fitted,
         unusable_pixels=int(status.size) - fitted,

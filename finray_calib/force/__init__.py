@@ -1,10 +1,10 @@
 """Compare measured and simulated force over displacement: error, its uncertainty, and a validation statement.
 
-The error E = F(d - d_0) - F_measured(d), d_0 the displacement of first touch, is judged against
-u_val^2 = u_numerical^2 + u_input^2 + u_data^2 (ASME V&V 20): mesh, constants and dimensions of the design, and the
-measurement. Where nothing is known of them, errors are given without verdicts. `fit_material` turns the question round:
-which moduli make the computed force the measured one, and which a curve cannot tell. `calibrate_cell` says from known
-masses how the counts of a load cell become newtons.
+The error E = F(d - d_0) - F_measured(d), d_0 the displacement of first touch, is judged against u_val^2 = u_numerical^2
++ u_input^2 + u_data^2 (ASME V&V 20): mesh, constants and dimensions of the design, and the measurement. Where nothing
+is known of them, errors are given without verdicts. `fit_material` solves the inverse problem: with which moduli the
+computed force is the measured one, and which moduli a curve does not determine. `calibrate_cell` determines from known
+masses how many newtons a count of a load cell is.
 """
 
 from typing import TYPE_CHECKING

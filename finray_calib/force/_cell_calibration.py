@@ -1,4 +1,4 @@
-"""Calibration of a load cell: from counts under known masses to newtons per count, with what is uncertain of them."""
+"""Calibration of a load cell: from counts under known masses to newtons per count, with their uncertainty."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -22,7 +22,7 @@ class Gravity(NamedTuple):
 
 
 class Loads(NamedTuple):
-    """What lay on the cell, and what it said.
+    """Masses that lay on the cell, and its readings.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ def calibrate_cell(
     if abs(line.slope) < LEAST_SLOPE_SD * line.slope_uncertainty:
         raise CurveError(
             f"load cell: its counts do not follow the masses ({line.slope:.4g} +- {line.slope_uncertainty:.2g} counts "
-            "per newton); check that they lay on the cell, in the order that was asked for"
+            "per newton); check that each mass lay on the cell when the command asked for it"
         )
     slope = 1.0 / line.slope
     slope_rel = np.sqrt(

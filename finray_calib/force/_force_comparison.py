@@ -3,8 +3,8 @@
 The one nuisance is the displacement at which the indenter first touches. Where no uncertainty is known, errors are
 given without intervals and verdicts.
 
-What the simulated force may be off by comes from uncertain inputs of the design and from the mesh. Constants and
-dimensions are uncertain as stated or by named defaults; the mesh's share is known from the 70 x 35 finger's
+The error of the simulated force comes from uncertain inputs of the design and from the mesh. Constants and dimensions
+have the uncertainty that the design states, or a named default; the mesh's share is known from the 70 x 35 finger's
 convergence, or from another mesh.
 """
 
@@ -84,7 +84,7 @@ class ForceInputs:
 
 
 def force_inputs(press: PressMechanics, depth_mm: Floats) -> ForceInputs:
-    """Return the uncertain inputs of a press at pushes (n,): those whose effect it tells."""
+    """Return the uncertain inputs of a press at pushes (n,): those whose effect the press holds."""
     again = press.sensitivities
     varied = again.varied if again is not None else ()
     known: list[ForceSlope | VariedPress] = list(again.slopes if again is not None else ())
@@ -126,7 +126,7 @@ def input_uncertainty(design: FingerDesign, field: str) -> tuple[float, str]:
 
 @dataclass(frozen=True, slots=True)
 class MeshError:
-    """What the mesh may make a force wrong by.
+    """The error that the mesh may cause in a force.
 
     Attributes
     ----------
@@ -170,7 +170,9 @@ def _curve_on_other_mesh(press: PressMechanics, other: PressMechanics) -> ForceC
     """Return the curve of the same finger on another mesh."""
     own = press.design.model_dump(exclude={"mesh", "provenance", "uncertainty_rel"})
     if own != other.design.model_dump(exclude={"mesh", "provenance", "uncertainty_rel"}):
-        raise CompareError(f"{other.name}: is a press of another design; give the same one on another mesh")
+        raise CompareError(
+            f"{other.name}: is a press of another design; give a press of the same design on another mesh"
+        )
     if other.preset == press.preset:
         raise CompareError(f"{other.name}: is on the {other.preset} mesh too; give a press on another one")
     return ForceCurve(other.name, other.depth_mm, other.force_n[:, 1])
@@ -532,8 +534,8 @@ def error_size(error: Floats, systematic: Floats, noise: Floats) -> Interval:
 
 
 UNKNOWN_UNCERTAINTY = (
-    "intervals and verdicts: the design's inputs have no sensitivities and the CSV states no uncertainty, so u_val "
-    "includes the numerics at most. Simulate with 'press --sensitivities', and give the columns "
+    "intervals and verdicts: the design's inputs have no sensitivities and the CSV states no uncertainty, so that "
+    "u_val holds the numerical error at most. Simulate with 'press --sensitivities', and give the columns "
     "force_uncertainty_n and displacement_uncertainty_mm"
 )
 

@@ -1,15 +1,15 @@
-r"""Moduli by which a bench's force over push is what finite elements say, with their posterior.
+r"""Moduli with which finite elements give the force over push that a bench measured, with their posterior.
 
 .. math:: F_i = e^{s} F(d_i - d_0; \theta) + b_0 + b_1 t_i + \epsilon_i, \qquad \epsilon_i \sim N(0, \sigma^2 + u_i^2)
 
 theta are logarithms of moduli. Nuisances of each curve: the first touch d_0, the zero of the load cell b_0, its drift
 b_1 over the curve (t from 0 to 1), the noise sigma, and a factor e^s by which the computed force may be wrong (mesh,
-dimensions). b_0 and b_1 are integrated in closed form; the rest by importance sampling, which tells whether it can be
-trusted. F is tabulated by the elements with its derivatives; between the tabulated moduli cubics meet both.
+dimensions). b_0 and b_1 are integrated in closed form; the rest by importance sampling, whose diagnostics show whether
+to trust it. F is tabulated by the elements with its derivatives; between the tabulated moduli cubics meet both.
 
-The prior of the gel's C10 is even in its logarithm over all gels, and so is that of K/mu: what of it is left in the
-posterior says how much the curve has measured. The law is neo-Hooke's; a gel of another law has a C10 that depends on
-how far it is pressed.
+The prior of the gel's C10 is even in its logarithm over all gels, and so is that of K/mu: how much narrower the
+posterior is shows how much the curve has measured. The law is neo-Hooke's; a gel of another law has a C10 that depends
+on how far it is pressed.
 """
 
 import math
@@ -369,9 +369,10 @@ def _maxima(problem: _Problem) -> Maxima:
         off = float(np.sqrt(((problem.with_drift_n(k, best)[0] - curve.force_n) ** 2).mean()) / curve.force_n.max())
         if not (kept.any() and off < _UNEXPLAINED_REL):
             raise CompareError(
-                f"{curve.name}: no modulus explains this curve; the nearest is off by {100 * off:.0f} % of its largest "
-                f"force (rms, {100 * _UNEXPLAINED_REL:.0f} % allowed). Are displacements in mm, forces in N, and the "
-                "specimen as given?"
+                f"{curve.name}: no modulus explains this curve; the nearest fit differs by {100 * off:.0f} % of its "
+                f"largest "
+                f"force (rms, {100 * _UNEXPLAINED_REL:.0f} % allowed). Are displacements in mm and forces in N, and "
+                f"was this specimen pressed?"
             )
     # the components share what K/mu leaves open between them
     apart = float(bulks[1] - bulks[0])

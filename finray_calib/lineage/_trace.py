@@ -1,13 +1,13 @@
-"""The tree from a record down to what was captured, every file of it hashed again, and a record computed again.
+"""Trace a record to what was captured, hash every file on the way again, and compute a record again.
 
 An input is looked for by its recorded name, relative to the record, to the folders above it and to the working
 directory, and then by its SHA-256 among the files beside the record. What is found is compared with the SHA-256 that
-the record holds; records are checked against their seals as well, sessions frame by frame. So is told whether a folder
-is whole.
+the record holds; records are checked against their seals as well, sessions frame by frame. All files of a folder are
+checked in the same way.
 
 To compute a record again its command is run into a temporary folder, and the numbers are compared. The command is
 taken apart into words and run without a shell. Names of inputs become the files that were found for them, names of
-outputs lead into the temporary folder. Nothing beside it is written.
+outputs lead into the temporary folder. Nothing is written anywhere else.
 """
 
 import math
@@ -63,7 +63,7 @@ class Traced:
     faults
         What is wrong with it, with its own files (arrays, pages, frames) and with its name.
     notes
-        What cannot be told of it, or does no harm.
+        What cannot be checked, or does no harm.
     inputs
         What it was made from.
     frames
@@ -315,9 +315,9 @@ class FolderCheck:
     records
         The records, with what they were made from.
     faults
-        What is not as it was written; empty for a whole folder.
+        What has changed since it was written; empty where nothing has.
     notes
-        What cannot be told, or does no harm.
+        What cannot be checked, or does no harm.
     hashed
         Number of files of the folder that were hashed.
     """

@@ -16,9 +16,9 @@ The covariance is :math:`J C J^T` with the Jacobian J of these formulas and the 
 (:func:`~finray_calib.radiometry._session_steps.signal_covariance`), plus what is common to all bands: the white
 reference, the texture of paint and tile, and bleaching. A wrong gain of the camera cancels in every ratio.
 
-Texture is seen through the laser spot, which weighs the region unevenly, and weighs another texture on the white tile
-than on the sample, so that the ratio of the two means depends on where the spot lies. Over K blocks with light shares
-e_k and deviations d_k (averaged over the bands, because texture is common to them)
+The laser spot weighs the region unevenly, and the white tile has another texture than the sample, so that the ratio of
+the two means depends on where the spot lies. Over K blocks with light shares e_k and deviations d_k (averaged over the
+bands, because texture is common to them)
 
 .. math:: \mathrm{var} = \frac{K}{K - 1} \sum_k e_k^2 \Bigl[(d_k - \bar d)^2 - n\Bigr]
 
@@ -101,7 +101,7 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps, accept_repeat: 
     session, steps
         A finished paint session and its merged steps.
     accept_repeat
-        Whether a repeat that disagrees with its filter as no fading does is taken all the same.
+        Whether to use a repeat that differs from its filter in a way that fading cannot explain.
 
     Raises
     ------
@@ -350,7 +350,9 @@ def _tilt_ratio(steps: SessionSteps, flat: StepSignal, tilted: StepSignal, trend
 
 def tilt_note(ratio: TiltRatio) -> str:
     """Say in one sentence whether a filter agrees with a diffuse paint."""
-    verdict = "agrees with a diffuse paint" if ratio.diffuse else "the paint is not diffuse, as the model assumes"
+    verdict = (
+        "agrees with a diffuse paint" if ratio.diffuse else "the paint is not diffuse, but the model assumes that it is"
+    )
     return (
         f"sample tilted by {ratio.tilt_deg:g} deg, filter {ratio.filter_name}: {ratio.cosine_factor:.3f} +- "
         f"{ratio.sd:.3f} of the cosine law; {verdict}"

@@ -263,7 +263,8 @@ def characterise_channel(
     levels
         Its stacks.
     light_repeatability_rel
-        Relative standard deviation of the light from frame to frame; the linearity error cannot be told from it.
+        Relative standard deviation of the light from frame to frame; the linearity error is not distinguishable from
+        it.
 
     Raises
     ------
@@ -383,7 +384,7 @@ def _saturation(levels: ChannelLevels, peak: int, black_level_dn: float, transfe
 
 
 def sensitivity_threshold_e(gain_e_per_dn: Estimate, read_noise_dn: Estimate) -> Estimate:
-    r"""Return the charge that a pixel tells from none (e): the absolute sensitivity threshold of EMVA 1288.
+    r"""Return the least charge that a pixel detects (e): the absolute sensitivity threshold of EMVA 1288.
 
     .. math:: \mu_{e,\min} = \sqrt{\sigma_d^2 + \sigma_q^2} / K + 1/2, \quad \sigma_q^2 = 1/12
 

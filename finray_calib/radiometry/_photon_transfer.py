@@ -58,7 +58,7 @@ class SpatialVariance:
 
 @dataclass(frozen=True, slots=True)
 class RowsAndColumns:
-    r"""What whole rows, whole columns and single pixels of a mean image have each: variances (DN^2).
+    r"""Variances (DN^2) of a mean image, split into those of whole rows, whole columns and single pixels.
 
     With the mean image :math:`y_{mn} = \mu + r_m + c_n + p_{mn}` of M rows and N columns, :math:`p` with variance
 
@@ -563,7 +563,7 @@ def non_negative(mean: float, sd: float, low: float = 0.0) -> Resolvable:
     Parameters
     ----------
     mean, sd
-        Measured value, negative by noise perhaps, and its standard deviation.
+        Measured value, which noise may have made negative, and its standard deviation.
     low
         What noise alone would give on average; the lower ends of the intervals are lowered by it.
     """

@@ -13,7 +13,7 @@ The profile of the laser spot comes from the white reference: laser over lamp th
 The pixels' sensitivity and the tile's texture cancel in q, so that only noise is left to remove. The quadratic p_2
 is an ideal (Gaussian) spot; without it a kernel would be one-sided, and biased by the spot's slope, where the tile
 ends. What a real spot has besides (a clipped edge, rings, a second lobe) the Gaussian kernel G follows, as long as
-it is wide against the kernel. All channels tell the same profile, each with its own constant and weight.
+it is wide against the kernel. All channels show the same profile, each with its own constant and weight.
 """
 
 from collections.abc import Callable

@@ -151,7 +151,7 @@ class DarkLevel:
 
 
 def dark_levels(session: CaptureSession, read: ReadFrame) -> dict[float, DarkLevel]:
-    """Return the dark level for each exposure time asked for (what is read back may jitter).
+    """Return the dark level for each requested exposure time (the one that is read back may differ slightly).
 
     Raises
     ------

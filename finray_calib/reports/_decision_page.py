@@ -498,8 +498,8 @@ def mounting_sentence(decision: LightAngleDecision) -> str:
             f"than {percent(decision.tolerance_rel)} with 95 % probability."
         )
     return (
-        f"On the drawing: {angle:.0f} deg, {tolerance_text(claim, angle)}. Inside this tolerance at most "
-        f"{percent(decision.tolerance_rel)} of the signal is lost, at each angle with 95 % probability."
+        f"On the drawing: {angle:.0f} deg, {tolerance_text(claim, angle)}. At each angle inside this tolerance at "
+        f"most {percent(decision.tolerance_rel)} of the signal is lost, with 95 % probability."
     )
 
 

@@ -1,8 +1,9 @@
 """Sense with a tactile camera: its lens, the scale of its pixels on the pad, and its map from colour to normals.
 
 A ChArUco board gives lens and millimetres per pixel; presses of a ball teach the normal map n(dR, dG, dB, x, y), which
-turns the change of colour into slopes, and slopes into depth. Every result says how well it is known, or why it is
-refused. Also here: how well a camera can determine normals from one light angle. Arithmetic only: no files, no devices.
+turns the change of colour into slopes, and slopes into depth. Every result has its uncertainty; a result that the
+images do not determine is refused with the reason. Also here: how well a camera can determine normals from one light
+angle. Arithmetic only: no files, no devices.
 """
 
 from typing import TYPE_CHECKING

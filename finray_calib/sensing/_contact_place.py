@@ -1,7 +1,8 @@
-"""Where the contact is in an image: distances from a circle or an outline, and the search for what nobody drew.
+"""Where the contact is in an image: distances from a circle or an outline, and a search.
 
-A ball tilts the gel, which turns one side of the contact bright and the other dark: an odd signal, of coloured lights.
-Sensors that darken with depth show an even one. The search takes whichever is the stronger.
+Where nobody has drawn the contact, the search finds it. Under coloured lights a ball tilts the gel, so that one side of
+the contact turns bright and the other dark: an odd signal. Sensors that darken with depth show an even one. The search
+uses the stronger of the two.
 """
 
 from dataclasses import dataclass
@@ -62,7 +63,7 @@ def contact_distance(capture: TactileCapture) -> Floats | None:
     Returns
     -------
     ndarray, shape (H, W), or None
-        A Bayer cell is one pixel. None where the capture does not tell where the contact is.
+        A Bayer cell is one pixel. None where the capture has neither a circle nor an outline.
 
     Raises
     ------
@@ -101,7 +102,8 @@ class FoundCircle:
     is_even
         Whether the contact was seen as a disc that is darker or brighter, not as two opposite sides.
     scatter_px
-        Standard deviation of the rim's radius over the three channels; it tells of a doubtful circle, not its error.
+        Standard deviation of the rim's radius over the three channels; a large one marks a doubtful circle; it is not
+        the circle's error.
     """
 
     circle: ContactCircle
@@ -112,9 +114,10 @@ class FoundCircle:
 def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None = None) -> FoundCircle:
     """Find the circle of a ball's contact in a picture.
 
-    The logarithm of contact over no contact, less a plane that follows most pixels (drift), is filtered with discs of
-    opposite sides and with discs, each against its surround: the centre. The radius is that of the ring within which
-    the gel is curved (odd signal), or where the mean signal over rings changes its sign (even).
+    The logarithm of contact over no contact, less a plane that follows most pixels (drift), is filtered with discs
+    whose halves have opposite signs and with uniform discs, each against its surround. The centre is where a filter
+    responds most. The radius is that of the ring within which the gel is curved (odd signal), or where the mean signal
+    over rings changes its sign (even).
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Calibrate a lens from views of a flat board: its corners, then a bundle adjustment that says how well all is known.
+"""Calibrate a lens from views of a flat board: its corners, then a bundle adjustment with uncertainties.
 
-The corners of a ChArUco board are found in a picture, directly or through a mirror, or the reason is said why they
-are not. With a first calibration they are found again in the plane of the board, where the lens bends no edge.
+The corners of a ChArUco board are found in a picture, directly or through a mirror; otherwise the error gives the
+reason. With a first calibration they are located again in the plane of the board, where the lens does not bend edges.
 """
 
 from collections.abc import Mapping, Sequence
@@ -207,7 +207,8 @@ def calibrate_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: 
     Raises
     ------
     CompareError
-        There are too few views, the fit fails or leaves more than 3 px, or the boards leave the focal length open.
+        There are too few views, the fit fails or leaves more than 3 px, or the pictures do not determine the focal
+        length.
 
     References
     ----------

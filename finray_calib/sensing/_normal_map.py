@@ -1,13 +1,13 @@
-"""From the image of a tactile sensor to surface normals and depth, and how well one light angle serves that.
+"""From the image of a tactile sensor to surface normals and depth, and how well one light angle suits this.
 
 Captured counts become one RGB value per pixel with the black level removed. A map turns the change of colour against
 the no-contact image, and the place in the picture, into the slope of the gel; slopes are integrated to a depth, the
-least-squares solution of Poisson's equation by cosine transforms. Applied to a simulated and a captured press, the
-same map tells how far apart they are for a sensor. :func:`finray_calib.sensing.fit_normal_map` teaches the map with
+least-squares solution of Poisson's equation by cosine transforms. Applied to a simulated and a captured press, the same
+map shows how much the sensor would see them differ. :func:`finray_calib.sensing.fit_normal_map` teaches the map with
 presses of a ball.
 
-How well a light angle does is arithmetic on tables of colours: a facet with slopes g = (g_x, g_z) over the pad's
-plane has the normal n ~ (-g_x, 1, -g_z); signals are electrons per pixel, and whoever calls brings the exposure.
+How well a light angle suits the sensor is computed from tables of colours: a facet with slopes g = (g_x, g_z) over the
+pad's plane has the normal n ~ (-g_x, 1, -g_z); signals are electrons per pixel, and the caller sets the exposure.
 """
 
 from collections.abc import Iterator
@@ -244,7 +244,7 @@ def poisson_depth_mm(slopes: Floats, mm_per_px: float) -> Floats:
 
     Returns
     -------
-    (H, W), mm, of mean zero: slopes do not tell a constant.
+    (H, W), mm, of mean zero: slopes do not determine a constant.
     """
     rows, columns = slopes.shape[:2]
     divergence = np.zeros((rows, columns))
@@ -265,7 +265,7 @@ def poisson_depth_mm(slopes: Floats, mm_per_px: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class SensingError:
-    """How far what is sensed in a render is from what is sensed in the capture.
+    """Difference between what the sensor senses in a render and in the capture.
 
     Attributes
     ----------
@@ -274,8 +274,8 @@ class SensingError:
     depth_rms_mm
         Difference of both integrated depths over the region, its median removed.
     outside_share_simulated, outside_share_captured
-        Share of the region's pixels whose change of colour no calibration press showed; there the map is held at its
-        last value, and above some per cent the other figures say little.
+        Share of the region's pixels whose change of colour no calibration press showed; there the map keeps its last
+        value, and above a few per cent the other figures are not meaningful.
     pixels
         Of the region that could be used.
     angle_deg
@@ -353,8 +353,8 @@ def normal_sigma_deg(jacobian_e: Floats, variance_e2: Floats) -> Floats:
 
     .. math:: F = J^T \mathrm{diag}(1 / v) J, \qquad \sigma = \sqrt{\mathrm{tr} F^{-1} / 2}
 
-    Valid for independent normal noise of the channels and a facet near the plane, where a slope is an angle. It holds
-    brightness and the separation of colours together: three channels that change alike tell nothing.
+    Valid for independent normal noise of the channels and a facet near the plane, where a slope is an angle. It
+    combines brightness and the separation of colours: three channels that change alike determine no direction.
 
     Parameters
     ----------

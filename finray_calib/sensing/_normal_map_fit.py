@@ -72,8 +72,8 @@ class HeldOutScore:
     Attributes
     ----------
     explained
-        1 - squared error of the slopes relative to that of a flat gel, inside the contact circles; 0 is knowing
-        nothing.
+        1 - squared error of the slopes relative to that of a flat gel, inside the contact circles; 0 is no better than
+        a flat gel.
     angle_deg
         Mean angle between sensed and true normal inside the circles.
     """
@@ -147,7 +147,7 @@ def ball_slopes(rows_px: Floats, columns_px: Floats, press: CalibrationPress) ->
 
 @dataclass(frozen=True, slots=True)
 class DepthErrors:
-    """Errors of the depth of each press by maps that it did not teach, (presses,); levels where a ring is in view."""
+    """Depth errors of each press, by maps taught without it, (presses,); levels where a ring is in view."""
 
     rms_mm: Floats
     height_rel: Floats
@@ -165,9 +165,10 @@ _RIM_REL = (0.9, 1.0)
 def depth_errors(presses: Sequence[CalibrationPress], mm_per_px: float, seed: int) -> DepthErrors:
     """Sense each press by a map of five sixths of the others, and compare its depth to that of the ball.
 
-    The depth is integrated over a window of three radii. Inside the circle it is that of the ball's cap but for a
-    constant, which is taken out: the rms of what is left; and the height from the rim to the middle, relative. The
-    level is the mean depth 2.5 to 3.5 radii away, where the gel is taken as flat, counted from the picture's frame.
+    The depth is integrated over a window of three radii. Inside the circle the true depth is that of the ball's cap.
+    The errors are the rms difference after a constant is taken out, and the relative error of the height from the rim
+    to the middle. The level is the mean depth 2.5 to 3.5 radii away, where the gel is taken as flat, counted from the
+    picture's frame.
 
     Parameters
     ----------
@@ -385,8 +386,8 @@ def check_senses(record: NormalMapRecord, capture: TactileCapture) -> None:
     """
     if record.encoding != capture.encoding:
         raise CompareError(
-            f"{capture.name} holds {capture.encoding} values, the normal map '{record.name}' was taught by "
-            f"{record.encoding} ones: fit it to presses of the same camera settings"
+            f"{capture.name} holds {capture.encoding} values, but the normal map '{record.name}' was taught by "
+            f"{record.encoding} ones: fit a map to presses with the same camera settings"
         )
     if capture.mm_per_px is not None:
         scale_mm = capture.mm_per_px * _cell_px(capture)
@@ -429,7 +430,8 @@ def require_ball_press(capture: TactileCapture) -> tuple[ContactCircle, float]:
     circle = capture.contact_circle
     if capture.indenter.shape != "ball" or circle is None:
         raise CompareError(
-            f"{capture.name}: a normal map is taught by presses of a ball with a known contact circle; this is a "
+            f"{capture.name}: a normal map is taught by presses of a ball with a known contact circle; this press is "
+            f"by a "
             f"{capture.indenter.shape} {'without' if circle is None else 'with'} one"
         )
     if capture.indenter.radius_mm is None:
@@ -625,8 +627,9 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
         notes.append("an older version made the map: whether this press taught it is not known; teach it again")
     if record.held_out_level_mm is None and record.held_out_depth_rms_mm is not None:
         notes.append(
-            "the error of the depth's zero level around a contact is not known: its uncertainty holds only the "
-            "scatter at the border of the picture; teach again, with contacts that leave 3.5 radii in view"
+            "the error of the depth's zero level around a contact is not known: the stated uncertainty holds only "
+            "the scatter at the border of the picture; teach the map again, with contacts around which 3.5 radii are "
+            "in view"
         )
     if record.held_out_depth_rms_mm is None:
         notes.append("an older version made the map: the uncertainty of the depth is not known; teach it again")
@@ -646,7 +649,7 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
     )
     if capture.no_contact_from != "image":
         notes.append(
-            f"the image without contact is a substitute ({capture.no_contact_from}): its errors are in the depth"
+            f"the image without contact is a substitute ({capture.no_contact_from}): its errors also change the depth"
         )
     return tuple(notes)
 

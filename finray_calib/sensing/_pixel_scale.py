@@ -1,7 +1,7 @@
 """Millimetres per pixel where a calibrated camera sees a plane, and how well they are known.
 
 The plane of the pad lies behind a board whose place is known. Scales are given at one place, as a range, over the board
-and as a coarse map; how far they scatter is told by drawing the pictures of the board with replacement.
+and as a coarse map; their scatter is estimated by drawing the pictures of the board with replacement.
 """
 
 from collections.abc import Sequence
@@ -308,7 +308,7 @@ def resampled_scatter_rel(
 ) -> float:
     """Return the relative scatter of the mean scale over pictures drawn with replacement.
 
-    The picture of the pad is one of a kind: its corners get the residuals of its own corners, drawn with replacement.
+    There is only one picture of the pad: its corners get the residuals of its own corners, drawn with replacement.
 
     Parameters
     ----------
@@ -377,8 +377,8 @@ def widened_factor(resampled_u_rel: float, at_middle: ScaleDraws) -> float:
     ratio = resampled_u_rel / of_covariance if of_covariance > 0.0 else 1.0
     if ratio > LARGEST_WIDENED_FACTOR:
         raise CompareError(
-            f"resampling the pictures gives {ratio:.0f} times the scatter of the scale that independent "
-            f"corners would give, and at most {LARGEST_WIDENED_FACTOR:g} times is allowed: one or two of the "
+            f"over resampled pictures the scale scatters {ratio:.0f} times as much as with independent corners, and "
+            f"at most {LARGEST_WIDENED_FACTOR:g} times is allowed: one or two of the "
             "pictures alone determine the lens, or the board was not rigid. Take more pictures"
         )
     return ratio if ratio > _SCATTER_FACTOR else 1.0

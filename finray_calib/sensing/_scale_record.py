@@ -1,7 +1,7 @@
 """The scale on the pad as a record: made from pictures of a ChArUco board, read at a contact patch.
 
-Of the pictures one shows the board on the pad. For a comparison the record tells the millimetres per pixel at the
-contact patch, and how large its regions are.
+Of the pictures one shows the board on the pad. For a comparison the record gives the millimetres per pixel at the
+contact patch, and the sizes of its regions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -66,8 +66,8 @@ def pixel_scale(
 ) -> PixelScale:
     """Calibrate the lens and the place of the board together, and state the scale on the pad.
 
-    Uncertainties are first order from the joint covariance; pictures drawn with replacement check it, and where they
-    scatter by half as much again, they decide.
+    Uncertainties are first order from the joint covariance; pictures drawn with replacement check it, and where their
+    scatter is more than 1.5 times as large, it is stated instead.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def pixel_scale(
     Raises
     ------
     CompareError
-        The board cannot be what it is said to be, the lens is not determined, the board on the pad is seen too
+        The squares of the board cannot be right, the lens is not determined, the board on the pad is seen too
         obliquely, or the scale is known to worse than 5 %.
     """
     require_plausible(board)
@@ -277,8 +277,8 @@ def patch_scale(
         raise CompareError(
             f"{capture.name}: at column {middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, "
             f"the pixel scale is not known to {100 * LARGEST_U_REL:.0f} %: the camera does not see the plane "
-            "of the pad there, or no picture shows the board near it. If it belongs to this camera, lay the "
-            "board where the patch is and measure again"
+            "of the pad there, or no picture shows the board near it. If the pixel scale belongs to this camera, lay "
+            "the board where the patch is and measure again"
         )
     along = _along_picture(plane_places_mm(plane, middle_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
     side_mm, u_rel = cell * at_middle.mm_per_px[0, :2], at_middle.u_rel[0, :2]
@@ -323,7 +323,7 @@ def with_measured_scale(capture: TactileCapture, record: PixelScale) -> TactileC
 
 
 def scale_finding(found: PatchScale, capture: TactileCapture) -> str | None:
-    """Say that the capture's own scale is another one; None where it has none, or agrees."""
+    """Report that the capture states another scale; None where it states none, or one that agrees."""
     if capture.mm_per_px is None:
         return None
     measured, u_rel = found.middle.mean_mm_per_px, found.middle.mean_u_rel

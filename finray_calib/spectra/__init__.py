@@ -6,7 +6,7 @@ A paint that reflects rho of the laser and emits f per nm has in band b of chann
 
 with weights w and l from the curves of filters, camera, lamp, white reference and laser. Here are these weights, their
 quadrature of few nodes and their tolerances, the four families of f, and the re-radiation (Donaldson) matrix that
-emission and absorption make together. Compiled functions enter by `compiled`, the only door to Numba. No files, no
+emission and absorption make together. Functions are compiled by `compiled`; no other module imports Numba. No files, no
 devices.
 """
 

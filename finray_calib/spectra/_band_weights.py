@@ -309,8 +309,8 @@ def band_quadrature(weights: EmissionWeights) -> BandQuadrature:
     """Return the two-part rule of a rig.
 
     Valid for curves that a polynomial of degree 2 Q - 1 describes inside a pass band and a cubic spline with knots
-    every 10 nm outside. For smooth emission 30 nm wide or wider the error is below 1e-3 of the band value; strong
-    skews are kinked, and light that only leaks in is then right to a few per cent.
+    every 10 nm outside. For smooth emission 30 nm wide or wider the error is below 1e-3 of the band value; a strongly
+    skewed curve has a kink, and its light from outside the pass band is then right to a few per cent only.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""The four families of emission curves behind one interface, the paper's skew-Cauchy, and what every curve has.
+"""The four families of emission curves behind one interface, the paper's skew-Cauchy, and quantities of any curve.
 
 Whatever its family, a curve has a mode, a width, a skew, a peak and an area.
 
 The skew-Cauchy curve is that of Zheng, Sato and Sato (2014). Its published "peak wavelength" l0 is *not* the peak: for
-a skewed curve the maximum lies up to 0.349 scale lengths away. Everything here therefore speaks of a location (l0) and
-of a mode (the real maximum), and the fit samples mode, ln FWHM, kappa = asinh(skewness) and ln peak, which bands
+a skewed curve the maximum lies up to 0.349 scale lengths away. This module therefore distinguishes the location (l0)
+from the mode (the real maximum), and the fit samples mode, ln FWHM, kappa = asinh(skewness) and ln peak, which bands
 determine far more directly.
 """
 

@@ -1,10 +1,10 @@
-"""The only door to Numba, and compiled emission curves: for the likelihood, and with slopes for many pixels.
+"""The only import of Numba, and compiled emission curves: for the likelihood, and with slopes for many pixels.
 
 Functions are compiled to machine code and cached on disk. Every call inside is inlined. Left to itself, Numba inlines
 in the copy that it stores and not in the one that it runs after compiling, so that reordered sums differ in their
 last digits between the first run and all later ones. Numba renews a cached function when its own file changes, not
 when a function that it calls does. The cache therefore lies in a folder named after the sources of all compiled
-functions: old machine code never meets new sources.
+functions: old machine code is never used with new sources.
 
 The elementary functions are made of arithmetic only, so that compiled loops compute several values in one
 instruction; a call of the mathematical library keeps the compiler from doing so. All are exact to rounding or nearly
@@ -13,10 +13,10 @@ so where an emission curve is larger than 1e-9 of its peak.
 Every family takes its parameters in the order mode, ln FWHM, ln peak, then its own. :func:`constants` turns them into
 the numbers that :func:`fill` needs at each wavelength.
 
-:func:`curve_constants` and :func:`curve_slopes` do the same for the families of four parameters, at one wavelength
-and many parameter vectors. A lane is one pixel of a block. The loops over lanes hold arithmetic only, so that the
-compiler computes several pixels in one instruction; rows of lanes lie one behind the other in flat arrays, which
-tells it that they are apart.
+:func:`curve_constants` and :func:`curve_slopes` do the same for the families of four parameters, at one wavelength and
+many parameter vectors. A lane is one pixel of a block. The loops over lanes hold arithmetic only, so that the compiler
+computes several pixels in one instruction; rows of lanes lie one behind the other in flat arrays, so that it knows that
+they do not overlap.
 """
 
 import hashlib

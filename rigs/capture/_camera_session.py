@@ -299,9 +299,9 @@ def level_exposures_s(saturation_s: dict[str, float], plan: CameraPlan, camera: 
     first_s = min(saturation_s.values())
     if camera.shortest_exposure_s > LARGEST_FIRST_FRACTION * first_s:
         raise CaptureError(
-            f"camera: the white tile saturates in {first_s:.3g} s, but the shortest exposure is "
-            f"{camera.shortest_exposure_s:g} s and may be at most {LARGEST_FIRST_FRACTION:g} of that: dim the "
-            "lamp, close the aperture or put a filter in the beam (plan.filter_name)"
+            f"camera: the white tile saturates in {first_s:.3g} s; the shortest exposure must be at most "
+            f"{LARGEST_FIRST_FRACTION * first_s:.3g} s, but is {camera.shortest_exposure_s:g} s: dim the lamp, close "
+            f"the aperture or put a filter in the beam (plan.filter_name)"
         )
     if BEYOND_SATURATION * first_s > longest_s:
         raise CaptureError(

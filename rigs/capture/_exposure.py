@@ -246,8 +246,8 @@ class CheckedCamera:
             return
         before = f"as at slot {slot}" if slot != step.slot else f"where it stated '{name}' before"
         raise RefusedError(
-            f"camera: the frame's FILTER header states '{header}' at slot {step.slot}, {before}; it follows "
-            f"the wheel '{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to "
+            f"camera: the frame's FILTER header states '{header}' at slot {step.slot}, {before}; the camera takes it "
+            f"from the wheel '{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to "
             "the wheel in use and give each slot a name of its own"
         )
 

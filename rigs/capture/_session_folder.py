@@ -429,7 +429,7 @@ def _ending_faults(lines: list[LinkedLine], session_sha256: str | None) -> Itera
     """Yield what is wrong with the last lines of a finished session's journal."""
     last = lines[-1].entry if lines else {}
     if last.get("event") != "stop" or last.get("outcome") != "done":
-        yield "does not end with the end of the session: lines are missing"
+        yield "its last line is not the end of the session, so that lines are missing"
     noted = next((line.entry for line in reversed(lines) if line.entry["event"] == SESSION_EVENT), None)
     if noted is None:
         yield f"lacks the line that holds the checksum of {SESSION_NAME}"

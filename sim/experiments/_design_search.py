@@ -54,7 +54,7 @@ _LIGHT: Final = {
     ),
     "evenness": DesignObjective(
         name="evenness", unit="1", larger_is_better=True,
-        meaning="5 % over 95 % quantile, over the pad, of the luminance without contact",
+        meaning="luminance without contact: its 5 % quantile over the pad, divided by its 95 % quantile",
     ),
     "brightness": DesignObjective(
         name="brightness", unit="1", larger_is_better=True,

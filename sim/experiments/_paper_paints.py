@@ -535,7 +535,8 @@ def _band(paints: Sequence[PaintStandIn]) -> PaperStatement:
         measure="radiance factor in the brightest of the eight bands",
         ours=_each(paints, lambda p: f"{_percent(brightest[p.material][1], 1)} at {brightest[p.material][0]} nm"),
         verdict=_verdict([low <= value <= high for _, value in brightest.values()]),
-        why="the brightest filter band of measured materials holds a few per cent; strong paints hold more",
+        why="in their brightest filter band measured materials return a few per cent of the light; strong paints "
+        "return more",
     )
 
 

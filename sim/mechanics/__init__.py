@@ -4,15 +4,16 @@ A press is a sequence of equilibria. At each, the sum of the elastic energy of t
 is least under the supports: Pi(u) = sum_e W_e(u) + sum_t E_t(u), found by Newton's method with an energy line search.
 
 `press_finger` pushes the indenter of a design to a depth, `press_to_force` to a force; both return a `PressedFinger`.
-`press_along` moves it along a path of poses (press, slide, twist, roll, release) with friction that remembers where the
-coat sticks; `press_as_designed` does what the design says. `grasp_object` closes two fingers on a free object. Contact
-is a penalty on exact distances (fast) or a barrier that never lets surfaces cross, both with friction. `LoadedFinger`
-bends and twists a finger without an indenter, `compress_block` presses a block of gel between plates.
-`press_derivatives` computes how the force changes with each number of the design. Lengths in mm, forces in N,
-stresses in MPa. There is no light here: mechanics and optics meet in the studies.
+`press_along` moves it along a path of poses (press, slide, twist, roll, release) with friction that depends on where
+the coat has stuck so far; `press_as_designed` presses to the depth or along the path of the design. `grasp_object`
+closes two fingers on a free object. Contact is a penalty on exact distances (fast) or a barrier that never lets
+surfaces cross, both with friction. `LoadedFinger` bends and twists a finger without an indenter, `compress_block`
+presses a block of gel between plates. `press_derivatives` computes how the force changes with each number of the
+design. Lengths in mm, forces in N, stresses in MPa. There is no light here: mechanics and optics meet in the studies.
 
 The design decides: the shape of the pad and the constants of the materials are those of `FingerDesign` (`GelPad`,
-`MechanicalMaterials`). A rigid shape that presses is a distance with its derivatives, in `_rigid_bodies.py`.
+`MechanicalMaterials`). A rigid indenter is described by its distance function and the derivatives of it, in
+`_rigid_bodies.py`.
 """
 
 from typing import TYPE_CHECKING

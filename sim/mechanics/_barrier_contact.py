@@ -60,7 +60,7 @@ class BarrierContact:
     r"""A :class:`~sim.mechanics._assembly.Term`: Pi = sum_c w_c kappa d b(d_c / d) + sum_c mu N_c f0(|slip_c|).
 
     b(t) = -(t - 1)^2 ln t for t < 1 in the physical scaling of the IPC Toolkit, w the area of a pair; N and the
-    directions of slip are lagged. Which pairs c count is told by :class:`CollidingSurfaces`.
+    directions of slip are lagged. :class:`CollidingSurfaces` decides which pairs c count.
 
     Parameters
     ----------

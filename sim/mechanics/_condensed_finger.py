@@ -1,8 +1,9 @@
 """A finger condensed to the forces on its coat: contact is found in milliseconds, exactly on a linear finger.
 
-One factorisation at rest tells how every node moves under a force on each node of the coat. Online only the contact is
-left to be found, with the sampling points, penalty and distances of the finite elements. What large strains of the gel
-and bending of the ribs add is not in it: :class:`~sim.experiments.SurrogateFinger` learns that and tells its error.
+One factorisation at rest gives the displacement of every node under a force on each node of the coat. After that only
+the contact has to be found, with the sampling points, penalty and distances of the finite elements. The effect of large
+strains of the gel and of bent ribs is not included: :class:`~sim.experiments.SurrogateFinger` learns it and states its
+error.
 """
 
 from collections.abc import Callable

@@ -10,7 +10,7 @@ the partial derivatives; a whole press is never differenced. Only the blocks who
 evaluated. Forward mode: one solution for each number gives force and surface alike.
 
 Exact where the energy is smooth. It is not where a point of the coat begins to touch (the penalty's second derivative
-jumps), where friction remembers, and where ribs snap: an equilibrium that is not stable is refused.
+jumps), where friction depends on earlier increments, and where ribs snap: an equilibrium that is not stable is refused.
 """
 
 from collections.abc import Mapping

@@ -277,7 +277,7 @@ def finger_materials(design: FingerDesign) -> dict[str, Material]:
     Raises
     ------
     SimulateError
-        When a rubber's constants make it unstable, or a law of another package cannot be had.
+        When a rubber's constants make it unstable, or the law of another package cannot be loaded.
     """
     parts = {name: getattr(design.mechanics, name) for name in type(design.mechanics).model_fields}
     return {name: material_of(solid, f"mechanics.{name}") for name, solid in parts.items()}

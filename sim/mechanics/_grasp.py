@@ -76,7 +76,7 @@ class Grasp:
         Size of the force that is left over on the object, (k,).
     stiffness_n_per_mm
         Least resistance to a move of the object at the last increment, turns left free, or to a turn at half the pad's
-        width: below nought it is squeezed out or tips over at the least touch, nought where a direction is free. How
+        width: below zero it is squeezed out or tips over at the least touch, zero where a direction is free. How
         its weight's torque turns with it is left out.
     lost
         Why the fingers do not close or carry as asked; empty when they do.
@@ -96,7 +96,7 @@ class Grasp:
 
 @dataclass(frozen=True, slots=True)
 class GraspTask:
-    """What two fingers shall do.
+    """The force and the weight that two fingers have to hold.
 
     Attributes
     ----------
@@ -392,21 +392,21 @@ class _Gripper:
 
 
 def least_resistance(stiffness: FloatArray) -> float:
-    """Return the least that resists a move of the object, its turns free, or a turn where that is below nought.
+    """Return the least that resists a move of the object, its turns free, or a turn where that is below zero.
 
     Parameters
     ----------
     stiffness : ndarray, shape (6, 6)
-        Resistance to moves and turns, jaws held, turns scaled to be alike. What is below 1e-4 of it counts as nought.
+        Resistance to moves and turns, jaws held, turns scaled to be alike. What is below 1e-4 of it counts as zero.
     """
-    least_told = _FREE_REL * float(np.abs(stiffness).max())
+    least_resolved = _FREE_REL * float(np.abs(stiffness).max())
     tips = float(np.linalg.eigvalsh((stiffness[3:, 3:] + stiffness[3:, 3:].T) / 2.0).min())
-    if tips < -least_told:
+    if tips < -least_resolved:
         return tips
     turns = np.linalg.pinv(stiffness[3:, 3:], rcond=_FREE_REL)
     moves = stiffness[:3, :3] - stiffness[:3, 3:] @ turns @ stiffness[3:, :3]
     least = float(np.linalg.eigvalsh((moves + moves.T) / 2.0).min())
-    return least if abs(least) > least_told else 0.0
+    return least if abs(least) > least_resolved else 0.0
 
 
 class _Way:
@@ -503,15 +503,15 @@ def grasp_object(
     """Close two fingers on the design's indenter as a free object, and let them carry its weight.
 
     The fingers close from where both touch the object, until they push with the wanted force, and hold that force while
-    the weight grows from nought: until then something else carries it. Contact is the penalty with Coulomb friction
-    that remembers, see :class:`~sim.mechanics.SlidingContact`.
+    the weight grows from zero: until then something else carries it. Contact is the penalty with Coulomb friction and a
+    history of stick and slip, see :class:`~sim.mechanics.SlidingContact`.
 
     Parameters
     ----------
     design
         Both fingers, and the object: ``indenter`` without its ``depth_mm``.
     task
-        What the fingers shall do.
+        The force and the weight that they have to hold.
     settings
         How it is computed; ``increments`` and ``contact`` are not used.
     folder

@@ -226,10 +226,10 @@ def press_along(
     folder: Path = Path(),
     progress: Callable[[int, int, str], None] | None = None,
 ) -> PressedFinger:
-    """Move the design's indenter along a path from first touch, with Coulomb friction that remembers.
+    """Move the design's indenter along a path from first touch, with Coulomb friction that follows stick and slip.
 
-    Contact is the penalty on exact distances, see :class:`SlidingContact`; ribs do not see each other, and the result
-    tells from which increment on parts of the finger pass through each other.
+    Contact is the penalty on exact distances, see :class:`SlidingContact`; contact between ribs is not computed, and
+    the result states from which increment on parts of the finger pass through each other.
 
     Parameters
     ----------

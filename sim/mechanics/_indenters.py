@@ -100,7 +100,7 @@ class RigidIndenter:
             )
 
     def exact_body(self) -> Body:
-        """Return what tells exact distances: a mesh of the user is its facets."""
+        """Return the body that gives exact distances: for a mesh of the user, its facets."""
         return FacetedBody(self.surface) if self.body is None else self.body
 
     def pose(self, depth_mm: float) -> Pose:
@@ -204,7 +204,7 @@ class PackagedBody:
         self.surface, self.surface_off_mm = self._facets()
 
     def distances(self, points_mm: FloatArray) -> Distances:
-        """Return distance and gradient; the second derivative, which no press uses, is given as nought."""
+        """Return distance and gradient; the second derivative, which no press uses, is given as zero."""
         distance, gradient = self._given(points_mm)
         return distance, gradient, np.zeros((len(points_mm), 3, 3))
 
@@ -510,7 +510,7 @@ def least_over_triangles(
 
     with the heights h_i of a triangle's corners, the face's curvature kappa, the radius r of the smallest circle around
     the triangle in plan and its longest edge l (Jung). Triangles that cannot hold the least height are left out, the
-    others divided by four; no more where over 250 000 are left, if that tells the height to 0.004 mm.
+    others divided by four; the search ends where over 250 000 are left and the height is then known to 0.004 mm.
 
     Parameters
     ----------

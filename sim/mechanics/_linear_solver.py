@@ -1,4 +1,4 @@
-"""Direct solvers of the symmetric systems of equilibrium: MKL PARDISO, or SuperLU where that is not there."""
+"""Direct solvers of the symmetric systems of equilibrium: MKL PARDISO, or SuperLU where that is not installed."""
 
 import importlib
 import math

@@ -111,7 +111,7 @@ class TwistedFinger:
     torque_n_mm
         Torque about the middle of the tip end that it takes, (k,).
     side_force_n
-        Force across the finger (x, y) that holds the axis in its place, (k, 2): nought only if the finger would twist
+        Force across the finger (x, y) that holds the axis in its place, (k, 2): zero only if the finger would twist
         about this axis by itself.
     displacement_mm
         Of all nodes at the whole angle, (n, 3).
@@ -134,7 +134,7 @@ class TwistedFinger:
 class LoadedFinger:
     """A finger held at its base; one mesh, and one analysis of its matrix, for all its loads.
 
-    Ribs do not see each other.
+    Contact between ribs is not computed.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class LoadedFinger:
         Raises
         ------
         SimulateError
-            When the force is nought, or no equilibrium is found.
+            When the force is zero, or no equilibrium is found.
         """
         whole = np.array(force_n, dtype=np.float64)
         if not np.isfinite(whole).all() or not whole.any():
@@ -208,7 +208,7 @@ class LoadedFinger:
         Raises
         ------
         SimulateError
-            When the angle is nought or beyond 90 deg, or no equilibrium is found.
+            When the angle is zero or beyond 90 deg, or no equilibrium is found.
         """
         if not 0.0 < abs(angle_deg) <= 90.0:
             raise SimulateError(

@@ -1,8 +1,8 @@
 """Finite-element meshes: blocks of hexahedra, sets of nodes, surfaces and ties (mm); structured grids to make them of.
 
-Edges shrink towards sharp inner corners, where stress and the error of a mesh gather. Ribs fold onto ribs and fins, and
-the pad's film onto the skeleton, without a word from a contact that knows the indenter alone: :class:`OwnSurfaces`
-tests edges against triangles, so that surfaces that pass through each other are found however thin they are.
+Edges shrink towards sharp inner corners, where stress and the error of a mesh gather. A contact between coat and
+indenter alone lets ribs fold into ribs and fins, and the pad's film into the skeleton. :class:`OwnSurfaces` therefore
+tests edges against triangles: it finds surfaces that pass through each other, however thin they are.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,7 @@
 """Contact with a rigid body by a penalty on its signed distance: the fast path, of the coat alone.
 
-Without friction, or with Coulomb friction that remembers, for a body that is pressed straight in or moves freely.
+Without friction, or with Coulomb friction that follows stick and slip, for a body that is pressed straight in or moves
+freely.
 """
 
 import math
@@ -297,7 +298,7 @@ _LEAST_MM = 1e-300  # keeps a stretch of nothing from dividing by nothing
 
 @dataclass(frozen=True, slots=True)
 class _Memory:
-    """What the m points of the faces remember of the last increment, in the body's axes."""
+    """What is kept of the last increment at the m points of the faces, in the body's axes."""
 
     anchors_mm: FloatArray  # (m, 3), where they hold on to the body; NaN where they do not touch
     places_mm: FloatArray  # (m, 3)
@@ -309,7 +310,7 @@ class _Memory:
 class _Lag:
     """What friction takes as given while an equilibrium is sought, of the m points, in space."""
 
-    anchors_mm: FloatArray  # (m, 3), of any value where the limit is nought
+    anchors_mm: FloatArray  # (m, 3), of any value where the limit is zero
     limits_mpa: FloatArray  # (m,), mu p
     normals: FloatArray  # (m, 3)
 
@@ -427,7 +428,7 @@ class SlidingContact(PenaltyContact):
         self._end = _Memory(anchors, places, gaps, normals)
 
     def _stretch(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return t of the points (m, 3) and its length (m,), nought where nothing holds."""
+        """Return t of the points (m, 3) and its length (m,), zero where nothing holds."""
         way = np.where((self._lag.limits_mpa > 0.0)[:, None], self._points(u) - self._lag.anchors_mm, 0.0)
         along = np.einsum("mi,mi->m", way, self._lag.normals)
         stretch = way - along[:, None] * self._lag.normals
@@ -564,7 +565,7 @@ class SlidingTouch(PenaltyTouch):
     def note(self) -> str:
         """How the surfaces touch."""
         ratio = self.sliding.friction_ratio
-        how = f"Coulomb friction {ratio:g} that remembers where the coat sticks" if ratio > 0.0 else "frictionless"
+        how = f"Coulomb friction {ratio:g}, which follows stick and slip" if ratio > 0.0 else "frictionless"
         return f"contact by penalty: {how}; the indenter's distance is exact; contact between ribs is not computed"
 
     def energy_n_mm(self, u: FloatArray) -> float:

@@ -76,7 +76,7 @@ class PressContact(Touch, Protocol):
 
     @property
     def settle(self) -> Callable[[State], bool] | None:
-        """What renews lagged forces at an equilibrium and tells whether it still is one; None: nothing is lagged."""
+        """Renews lagged forces at an equilibrium and returns whether it still is one; None: nothing is lagged."""
         ...
 
     def accept(self, state: State) -> None:
@@ -174,7 +174,7 @@ class PressedFinger:
     energy_n_mm
         Energy that is stored, (k,): strain of the elements, ties and contact.
     displacement_mm
-        Of the nodes, (k, n, 3); of the last increments only, (l, n, 3), where a stored press was gone on with.
+        Of the nodes, (k, n, 3); of the last increments only, (l, n, 3), where a stored press was continued.
     iterations
         Newton iterations of each increment, (k,).
     modes_mm
@@ -187,7 +187,7 @@ class PressedFinger:
     contact
         In words: how the indenter and the parts touch.
     contact_energy_n_mm
-        Of the energy, what the contact stores, (k,); none where another program's results do not tell it.
+        Of the energy, what the contact stores, (k,); none where the results of another program do not hold it.
     friction_work_n_mm
         Work lost to friction from first touch on, (k,): each increment's force at its end, along its slip.
     kind
@@ -220,14 +220,14 @@ class PressedFinger:
 
 
 class PressHistory:
-    """The increments of a press so far, after those of a press that is gone on with.
+    """The increments of a press so far, after those of a press that is continued.
 
     Parameters
     ----------
     assembly, ties, touch
-        What is in equilibrium, and its parts whose energies are told apart.
+        What is in equilibrium, and its parts whose energies are stated separately.
     before
-        The press that is gone on with.
+        The press that is continued.
 
     Attributes
     ----------
@@ -456,9 +456,9 @@ def press_finger(
 ) -> PressedFinger:
     """Press the design's indenter in by its depth along the pad's normal, from first touch.
 
-    Contact by a penalty on exact distances, where ribs do not see each other, or by a barrier with contact of all
-    parts; with the design's friction. Each increment is looked at for surfaces of the finger that pass
-    through each other, which the result then tells. A push of 5 mm and more buckles ribs, which takes more increments.
+    Contact by a penalty on exact distances, without contact between ribs, or by a barrier with contact of all parts;
+    with the design's friction. Each increment is checked for surfaces of the finger that pass through each other, and
+    the result states it. A push of 5 mm and more buckles ribs, which takes more increments.
 
     Parameters
     ----------
@@ -571,7 +571,7 @@ def _prepared(
 def _take_up(touch: PressContact, share: float, state: State, depth_mm: float) -> None:
     """Let a contact go on from a stored state.
 
-    What friction remembers is not stored: the coat is taken to have come to touch and to slip on one straight way.
+    The history of friction is not stored: the coat is taken to have come to touch and to slip on one straight way.
     """
     touch.push(share * depth_mm)
     if touch.settle is not None:

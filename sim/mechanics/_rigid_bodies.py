@@ -184,7 +184,7 @@ class FacetedBody:
     d = s |x - c| with the nearest point c of the facets. The sign s is that of (x - c) . n with the normal n of the
     face, edge or corner that c lies on, where those of edges and corners are the sum of their faces' normals, weighted
     by angle (Baerentzen and Aanaes 2005). Points over 2 mm outside the body's box get the distance from the box, which
-    is less. Facets have no curvature, so that the second derivative is given as nought: that of edges is left out.
+    is less. Facets have no curvature, so that the second derivative is given as zero: that of edges is left out.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class FacetedBody:
         self._last: tuple[FloatArray, Distances] | None = None
 
     def distances(self, points_mm: FloatArray) -> Distances:
-        """Return signed distance, gradient and nought."""
+        """Return signed distance, gradient and zero."""
         # energy, gradient and tangent ask at one state after the other
         if self._last is not None and np.array_equal(self._last[0], points_mm):
             return self._last[1]

@@ -216,7 +216,8 @@ def test_light_that_is_too_bright_or_too_dim(rig: RigFile, tmp_path: Path) -> No
         return rig.model_copy(update={"camera": rig.camera.model_copy(update=fields)})
 
     with pytest.raises(
-        CaptureError, match=r"saturates in 0\.00\d+ s, but the shortest exposure is 0\.003 s .* filter in the"
+        CaptureError,
+        match=r"saturates in 0\.00\d+ s; the shortest exposure must be at most 0\.00\d+ s, but is 0\.003 s",
     ):
         capture_camera_session(
             with_camera(shortest_exposure_s=0.003), PLAN, SessionRequest(tmp_path / "a", "finray capture")

@@ -1,4 +1,4 @@
-"""Friction that remembers: its law, its work, and half-spaces that a sphere shears and a flat punch twists.
+"""Friction with stick and slip: its law, its work, and half-spaces that a sphere shears and a flat punch twists.
 
 The closed forms are those of small strain and of an incompressible half-space, in which pressure and shear do not act
 on each other: C. Cattaneo (1938), R. D. Mindlin (1949) and the torsion of a rigid punch (K. L. Johnson, 1985, chapter

@@ -76,7 +76,7 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     assert early.unreached
     assert early.mesh_excess_rel == FORCE_EXCESS_REL["coarse"]
     assert early.depth_mm[-1] == pytest.approx(0.1)
-    assert any("Coulomb friction 0.3 that remembers" in note for note in early.notes)
+    assert any("Coulomb friction 0.3, which follows stick and slip" in note for note in early.notes)
     assert (tmp_path / "early.mechanics.png").read_bytes().startswith(b"\x89PNG")
     # what --surfaces restores for the optics
     _, shape = restore_shapes(read_record(tmp_path / "early.surfaces.json", FingerSurfaces))

@@ -139,7 +139,7 @@ def test_finite_elements_go_without(absent: Path, tmp_path: Path) -> None:
     done = run_plain(absent, tmp_path, "simulate press rough.toml --increments 1")
     assert done.returncode == 0, done.stderr
     stored = next(tmp_path.glob("*.mechanics.json")).read_text()
-    assert "Coulomb friction 0.3 that remembers" in stored
+    assert "Coulomb friction 0.3, which follows stick and slip" in stored
     done = run_plain(absent, tmp_path, "simulate press rough.toml --contact barrier --out other.press.json")
     assert done.returncode == 2
     assert "--contact barrier needs the contact by a barrier, and ipctk is not installed" in done.stderr

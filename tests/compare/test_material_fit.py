@@ -152,7 +152,7 @@ def test_forces_of_another_unit_are_not_explained(models):
     rng = np.random.default_rng(7)
     good = measured(rng, C10_MPA, BULK, "lubricated")
     wrong = MeasuredForce("mN.csv", good.displacement_mm, 1e6 * good.force_n)
-    with pytest.raises(CompareError, match=r"mN\.csv: no modulus explains this curve; the nearest is off by"):
+    with pytest.raises(CompareError, match=r"mN\.csv: no modulus explains this curve; the nearest fit differs by"):
         fit_material([wrong], [models["lubricated"]], rng)
 
 

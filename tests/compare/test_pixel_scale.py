@@ -292,5 +292,5 @@ def test_corners_without_error_leave_nothing_to_widen():
 
 
 def test_a_scatter_beyond_all_bounds_is_refused():
-    with pytest.raises(CompareError, match=r"gives 2000 times the scatter .* at most 1000 times is allowed"):
+    with pytest.raises(CompareError, match=r"scatters 2000 times as much .* at most 1000 times is allowed"):
         widened_factor(2e-3, draws_with(8e-7, 6e-7))

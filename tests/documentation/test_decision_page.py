@@ -49,7 +49,7 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
         "None better by more than 2 % 0.97 probability \u2713 good : a decision needs 0.95",
         "Another angle may be better by 0.3 % on average; by at most 1.4 % with 95 % probability",
         "0 deg along the pad towards the tip, 90 deg straight into it",
-        "On the drawing: 32 deg, -7 / +7 deg. Inside this tolerance at most 2 % of the signal is lost",
+        "On the drawing: 32 deg, -7 / +7 deg. At each angle inside this tolerance at most 2 % of the signal is lost",
         "on average 0.3 % of the signal is lost against the best possible angle, and in 19 of 20 cases not more than "
         "1.4 %",
         "The objectives disagree: surface normal is best at 62 deg and loses 21 % here",

@@ -272,7 +272,7 @@ def test_surfaces_are_those_of_the_records(design: FingerDesign, taught: PressSu
         ({"position_mm": 47.0}, "indenter.position_mm = 47 mm; it was taught 9.6 to 40.8 mm"),
         ({"depth_mm": 4.5}, "indenter.depth_mm = 4.5 mm; it was taught 0.5 to 4 mm"),
         ({"rotation_deg": (0.0, 45.0, 0.0)}, r"indenter.rotation_deg\[1\] = 45 deg; it was taught -30 to 30 deg"),
-        ({"rotation_deg": (0.0, 0.0, 5.0)}, "it was taught cylinders that lie flat"),
+        ({"rotation_deg": (0.0, 0.0, 5.0)}, "it was taught with cylinders that lie flat"),
     ],
 )
 def test_a_press_that_was_not_taught_is_refused(

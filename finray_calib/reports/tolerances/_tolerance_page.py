@@ -94,7 +94,8 @@ def tolerance_page(found: FingerTolerances, command: str, digests: Mapping[str, 
 
 def _verdict(found: FingerTolerances) -> str:
     """Return the conclusion."""
-    return f"{percent(found.within_given_share)} of fingers that vary as given stay within {percent(found.allowed_rel)}"
+    share, allowed = percent(found.within_given_share), percent(found.allowed_rel)
+    return f"The expected error grows by at most {allowed} in {share} of fingers that vary as given"
 
 
 def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:

@@ -2,7 +2,7 @@
 
 A deck holds the same mesh, materials and push as our own engine, so that the programs differ in contact and elements
 only. `finger_deck` writes one for Abaqus or CalculiX, `press_finger_calculix` runs CalculiX on it, and
-`pressed_by_abaqus` reads what a user's Abaqus made of it; both give the `PressedFinger` that our own press gives.
+`pressed_by_abaqus` reads the results of a user's Abaqus; both give the `PressedFinger` that our own press gives.
 """
 
 from typing import TYPE_CHECKING

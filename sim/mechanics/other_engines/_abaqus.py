@@ -106,8 +106,8 @@ def read_fil(path: Path) -> list[NodalField]:
     are its length and its key, then the attributes: integers as I, the number of digits in two columns, and the
     digits; numbers as D and 22 columns; texts as A and 8 columns. The times are those of the step.
 
-    Never tried on a whole file of Abaqus, none was at hand: record keys and attributes are those of the documentation,
-    the ASCII coding is that of the first line of a file of Abaqus 6.23.
+    Not tested on a complete file of Abaqus, because none was at hand: record keys and attributes are those of the
+    documentation, the ASCII coding is that of the first line of a file of Abaqus 6.23.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """CalculiX as a second engine: the same finger and mesh, pressed by a program of its own in a process of its own.
 
-The program is found, run on a deck and ended in time. Read is what it writes: displacements and contact pressures
+The program is found, run on a deck and ended in time. Of its results are read displacements and contact pressures
 (.frd), totals (.dat) and increments (.sta).
 """
 
@@ -181,7 +181,7 @@ def press_finger_calculix(
 ) -> PressedFinger:
     """Press the design's indenter in with CalculiX: see :func:`sim.mechanics.press_finger`.
 
-    Mesh, materials, ties and contact stiffness are those of the engine in process; elements, contact search, facets
+    Mesh, materials, ties and contact stiffness are those of our own engine; elements, contact search, facets
     of the indenter and solver are CalculiX' own. Rubber that is not neo-Hookean becomes a polynomial of the invariants
     (:func:`calculix_notes` says which). Pressures stand at the coat's nodes and are interpolated.
 

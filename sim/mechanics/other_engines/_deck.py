@@ -148,9 +148,9 @@ def deck_materials(materials: Mapping[str, Material], dialect: Dialect) -> DeckM
 
     Ogden's law is written in the 2 mu / alpha^2 convention, which both programs share, with D1 = 2/K. For CalculiX a
     rubber that is not neo-Hookean becomes a polynomial of the invariants: CalculiX 2.20 takes the stretches from the
-    roots of a cubic, whose rounding drowns the tangent at strains of some 1e-6 to 1e-5. A push of 1 mm in one increment
-    passes over these strains and converges with Ogden's law too; one of 0.05 mm does not. A law without stretches has
-    nothing to round.
+    roots of a cubic, whose rounding error exceeds the tangent at strains of some 1e-6 to 1e-5. A push of 1 mm in one
+    increment passes over these strains and converges with Ogden's law too; one of 0.05 mm does not. A law without
+    stretches has nothing to round.
 
     Raises
     ------

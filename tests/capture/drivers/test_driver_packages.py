@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from data_schemas import (
+    NO_ADDRESS,
     CameraSettings,
     CaptureError,
     CaptureSession,
@@ -28,6 +29,7 @@ from data_schemas import (
 from data_schemas.storage import read_toml
 from finray_calib.demo._machine_checks import check_drivers
 from rigs import (
+    Kind,
     RawFrame,
     detect,
     find_driver,
@@ -351,6 +353,24 @@ def test_a_driver_that_is_not_installed_is_refused_before_anything_opens(site: P
         open_rig(rig, tmp_path),
     ):
         pytest.fail("opened")
+
+
+def test_a_misspelt_driver_is_named_with_the_nearest_one() -> None:
+    """Also where the address is missing, which would otherwise be asked for first."""
+    for driver, hint in (("simulatd", "did you mean 'simulated'"), ("araviss", "'aravis'"), ("xyzzy", "if a package")):
+        with pytest.raises(ValueError, match=f"finray has no driver '{driver}'; .*{hint}"):
+            CameraSettings(driver=driver)
+    with pytest.raises(RefusedError, match="no driver 'thorlab' is installed; did you mean 'thorlabs'"):
+        find_driver("filter wheel", "thorlab")
+
+
+@pytest.mark.parametrize("kind", ["camera", "filter wheel", "light", "stage", "load cell"])
+def test_every_driver_of_finray_is_known_where_its_address_is_missing(kind: Kind) -> None:
+    ours = {name for name, found in offered(kind).items() if found[0].is_ours} - set(NO_ADDRESS)
+    assert ours
+    for name in ours:
+        with pytest.raises(ValueError, match=f"driver '{name}' needs an address"):
+            CameraSettings(driver=name)
 
 
 @pytest.mark.parametrize("name", ["finray_grbl_wheel:GrblWheel", "os.system", "GRBL", "", "x" * 41])
