@@ -10,7 +10,7 @@ from numbers import Real
 from operator import index
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple, SupportsIndex, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, SupportsIndex, TypedDict, TypeVar
 
 from pydantic import ValidationError
 
@@ -30,7 +30,17 @@ from data_schemas import (
     naming,
     narrow_sweep_text,
 )
-from finray_calib._library import PathLike, digest_of, given, given_list, made, path_of, whole_seed
+from finray_calib._library import (
+    NOT_IN_ORDER,
+    PathLike,
+    digest_of,
+    given,
+    given_list,
+    made,
+    path_of,
+    require_truths,
+    whole_seed,
+)
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -41,6 +51,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, str], None]
 Paint = PaintCalibration | PathLike
+D = TypeVar("D", FingerDesign, PlainSensor)
 DEFAULT_SAMPLES_PER_PIXEL = 128
 DEFAULT_SAMPLES_PER_PROBE = 4000
 SWEEP_REPEATS = 6
@@ -51,6 +62,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "engine": ("auto", "llvm", "scalar", "cuda"),
     "contact": ("auto", "penalty", "barrier"),
 }
+_TRUTHS = frozenset({"paints_as_given", "pose_response", "shared_light", "all_objectives", "narrow_sweep"})
 _OF_ALL = frozenset({"samples", "engine", "paints_as_given"})
 _OF_A_PRESS = _OF_ALL | {"level", "pose_response", "shared_light", "position_mm"}
 _OF_A_FIT = _OF_ALL | {"shared_light"}
@@ -137,7 +149,7 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
     return _Design(design, path.parent, design_inputs(design, path))
 
 
-def _valid(design: FingerDesign) -> FingerDesign:
+def _valid(design: D) -> D:
     """Return a design whose numbers are checked again: ``model_copy(update=...)`` takes any.
 
     Raises
@@ -146,9 +158,9 @@ def _valid(design: FingerDesign) -> FingerDesign:
         A number is not allowed; the message names it.
     """
     try:
-        FingerDesign.model_validate(design.model_dump(warnings=False))
+        type(design).model_validate(design.model_dump(warnings=False))
     except ValidationError as refused:
-        raise SimulateError(f"the design {design.name!r}: {explain(refused, FingerDesign)}") from None
+        raise SimulateError(f"the design {design.name!r}: {explain(refused, type(design))}") from None
     return design
 
 
@@ -167,6 +179,8 @@ def _require_options(options: Mapping[str, object], known: frozenset[str]) -> No
             raise SimulateError(f"{name}={value!r} is unknown; it is one of {', '.join(_CHOICES[name])}")
         if name == "samples":
             _whole("samples", value, 1)
+        if name in _TRUTHS:
+            require_truths(**{name: value})
 
 
 def _whole(name: str, value: object, least: int) -> None:
@@ -403,6 +417,10 @@ def fit_sensor(
     seed = whole_seed(seed)
     _require_options(options, _OF_A_FIT)
     read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
+    if isinstance(free, NOT_IN_ORDER):
+        raise SimulateError(
+            f"free={free!r}: a list of the design's numbers by dotted path is needed, such as ['pad.thickness_mm']"
+        )
     if paints is not None and not (isinstance(paints, Mapping) and set(paints) in (set(), {"red", "green"})):
         raise SimulateError("paints: give a paint of each wall, such as {'red': PAINT, 'green': PAINT}, or none")
     scene, files = _layered(design, dict(paints or {}), seed, options)
@@ -443,7 +461,7 @@ def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainS
     from sim import SENSORS, preset_sensor, read_sensor, sensor_inputs
 
     if isinstance(sensor, PlainSensor):
-        return sensor, Path(), []
+        return _valid(sensor), Path(), []
     if isinstance(sensor, FingerDesign):
         raise SimulateError(f"{sensor.name} is a painted finger, and this function takes a classic sensor")
     path = path_of(sensor, "sensor")
@@ -506,7 +524,7 @@ def sweep_light_angle(
 def _angles(angles_deg: Sequence[float]) -> list[float]:
     """Return the angles of a sweep as floats."""
     try:
-        angles = [float(angle) for angle in angles_deg]
+        angles = [] if isinstance(angles_deg, NOT_IN_ORDER) else [float(angle) for angle in angles_deg]
     except (TypeError, ValueError):
         angles = []
     if not angles or not all(isfinite(angle) for angle in angles):

@@ -7,11 +7,11 @@ names it with its SHA-256, so that a stored result can be traced.
 import hashlib
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from data_schemas import (
     BandSignals,
@@ -56,6 +56,8 @@ if TYPE_CHECKING:
 
 R = TypeVar("R", bound=Record)
 PathLike = str | os.PathLike[str]
+NOT_IN_ORDER: Final = (str, bytes, Mapping, Set)
+"""What Python can walk through, yet is no list: a text by its characters, a dict and a set in no order of the user."""
 
 
 def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
@@ -98,9 +100,9 @@ def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
     Raises
     ------
     RecordError
-        It is no list, such as a record or a path alone.
+        It is no list, such as a record or a path alone, a dict or a set.
     """
-    if isinstance(what, Record | str | os.PathLike | bytes) or not isinstance(what, Iterable):
+    if isinstance(what, (Record, os.PathLike, *NOT_IN_ORDER)) or not isinstance(what, Iterable):
         raise RecordError(
             f"{argument}: a list is needed, each a {kind.__name__} or the path of a stored one; a "
             f"{type(what).__name__} was given"
@@ -123,6 +125,19 @@ def whole_seed(seed: int) -> int:
     if not 0 <= number < 2**63:
         raise RecordError(f"seed={seed!r}: a seed is a whole number from 0 to 2^63 - 1; give one, such as 1")
     return number
+
+
+def require_truths(**options: object) -> None:
+    """Refuse options that are neither true nor false, before any work is done: the text "no" would count as true.
+
+    Raises
+    ------
+    RecordError
+        One is something else; the message names it.
+    """
+    for name, value in options.items():
+        if not isinstance(value, bool) and type(value).__name__ not in ("bool", "bool_"):  # numpy's, not imported here
+            raise RecordError(f"{name}={value!r}: this option is on or off; give True or False")
 
 
 def made(record: R, call: str, inputs: Iterable[Path], seed: int | None = None) -> R:
@@ -303,6 +318,7 @@ def reduce_session(
     from finray_calib.radiometry import characterise_camera
     from rigs.capture import SESSION_NAME, read_camera_session, read_frame_of, session_kind
 
+    require_truths(accept_repeat=accept_repeat)
     folder = path_of(session, "session")
     if session_kind(folder) == "paint":
         return _reduced(folder, camera, accept_repeat, None)[0]
@@ -332,6 +348,7 @@ def reduce_pixels(
     whole_frame
         Whether to take every pixel of the frame.
     """
+    require_truths(whole_frame=whole_frame, accept_repeat=accept_repeat)
     pixels = _reduced(path_of(session, "session"), camera, accept_repeat, whole_frame)[1]
     if pixels is None:
         raise RadiometryError(f"{session}: gave no signals of pixels, which is a fault of finray; report it")
@@ -413,6 +430,7 @@ def fit_paint(
     from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint, departing_warnings
 
     seed = whole_seed(seed)
+    require_truths(discrepancy=discrepancy, check=check)
     signals, files, scatter = _of_sessions(bands)
     others = [given(other, BandSignals) for other in given_list(other_lights, BandSignals, "other_lights")]
     files += [file for _, read in others for file in read]
@@ -507,6 +525,7 @@ def compare_press(
     from finray_calib.compare import CheckOptions, compare_checked
 
     seed = whole_seed(seed)
+    require_truths(register=register, despite_mismatch=despite_mismatch)
     press, files = given(simulated, SimulatedPress)
     captured, read = given(capture, TactileCapture)
     files += read
@@ -551,6 +570,7 @@ def compare_force(
     from finray_calib.force import compare_force as compare
 
     seed = whole_seed(seed)
+    require_truths(known_first_touch=known_first_touch)
     mechanics, files = given(press, PressMechanics)
     other, read = (None, []) if other_mesh is None else given(other_mesh, PressMechanics)
     measured = read_force_csv(path_of(force_csv, "force_csv"))
@@ -597,6 +617,7 @@ def decide_light_angle(
     from finray_calib.decide import decide
 
     seed = whole_seed(seed)
+    require_truths(narrow_sweep=narrow_sweep)
     alone = isinstance(sweeps, LightAngleSweep | str | os.PathLike)
     several = [sweeps] if alone else given_list(sweeps, LightAngleSweep, "sweeps")
     swept = [given(sweep, LightAngleSweep) for sweep in several]

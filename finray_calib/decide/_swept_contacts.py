@@ -7,7 +7,7 @@ draw of the paints can be put on the bands of every repeat, which takes the two 
 normal this cannot be told, and the whole scatter is kept.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -180,7 +180,7 @@ def swept_contacts(
 def _weights(weights: Sequence[float], sweeps: int) -> list[float]:
     """Return the weights of so many sweeps as floats."""
     try:
-        numbers = [float(weight) for weight in weights]
+        numbers = [] if isinstance(weights, str | bytes | Mapping | Set) else [float(weight) for weight in weights]
         fit = len(numbers) == sweeps and all(0.0 < number < np.inf for number in numbers)
     except (TypeError, ValueError):
         fit = False

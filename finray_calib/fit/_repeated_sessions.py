@@ -24,6 +24,7 @@ Patterson, Thompson, Recovery of inter-block information when block sizes are un
 """
 
 from collections.abc import Sequence
+from pathlib import PurePath
 from typing import Final
 
 import numpy as np
@@ -37,6 +38,8 @@ Floats = NDArray[np.float64]
 
 LEVEL_SCALE, FILTER_SCALE = 0.03, 0.01
 """Scales of the half-Cauchy priors of the relative standard deviations between sessions: of the level, of a filter."""
+_OF_A_SESSION: Final = ("session.json", "bands.toml")
+"""Names of the files that stand for one session in the origin of its band signals."""
 DEPARTS_P: Final = 0.001
 _LEVELS, _FILTERS = np.geomspace(3e-4, 1.0, 28), np.geomspace(3e-4, 0.3, 20)
 
@@ -124,7 +127,10 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
 
 
 def _refuse_twice(sessions: Sequence[BandSignals]) -> None:
-    """Refuse the same session given twice: two sessions never agree in every bit of their noise."""
+    """Refuse the same session given twice: two sessions never agree in every bit of their noise.
+
+    Reduced once more with other options, one session has other values; it is then known by the file of its session.
+    """
     values = [one.fluorescence.tobytes() + one.reflectance.tobytes() for one in sessions]
     for number, value in enumerate(values):
         if value in values[:number]:
@@ -132,6 +138,20 @@ def _refuse_twice(sessions: Sequence[BandSignals]) -> None:
                 f"session {number + 1} holds the same values as session {values.index(value) + 1}: it would count "
                 "twice, and the intervals would be too narrow. Give each session once"
             )
+    files = [_session_files(one) for one in sessions]
+    for number, file in enumerate(files):
+        earlier = next((other for other in range(number) if file & files[other]), None)
+        if earlier is not None:
+            raise FitError(
+                f"sessions {earlier + 1} and {number + 1} were reduced from the same captured session: it would count "
+                "twice, and the intervals would be too narrow. Give each session once, reduced one way"
+            )
+
+
+def _session_files(bands: BandSignals) -> set[str]:
+    """Return the SHA-256 of the files of sessions (session.json, of folders of band images bands.toml) behind them."""
+    inputs = {} if bands.provenance is None else bands.provenance.input_sha256
+    return {digest for name, digest in inputs.items() if PurePath(name).name in _OF_A_SESSION}
 
 
 def _as_text(part: object) -> str:

@@ -263,6 +263,61 @@ def test_the_same_session_does_not_count_twice(lab):
         finray.fit_paint([lab / "bands.json", lab / "bands.json"])
 
 
+def test_one_session_reduced_two_ways_does_not_count_twice(lab, tmp_path):
+    bands = finray.read_record(lab / "bands.json")
+    other = finray.reduce_session(lab / "session", accept_repeat=True)
+    other = other.model_copy(update={"fluorescence": 1.001 * other.fluorescence})  # as other options would make it
+    with pytest.raises(FitError, match="sessions 1 and 2 were reduced from the same captured session"):
+        finray.fit_paint([bands, other])
+
+
+def test_one_capture_under_two_names_does_not_count_twice(lab):
+    capture = finray.read_record(lab / "capture.json")
+    again = capture.model_copy(update={"name": "again"})
+    finger = finray.finger_design()
+    sensor = PlainSensor(pad=finger.pad, indenter=finger.indenter)
+    with pytest.raises(SimulateError, match=f"again holds the same picture as {capture.name}: it would count twice"):
+        finray.fit_sensor(sensor, [capture, again])
+
+
+@pytest.mark.parametrize("value", ["no", 0, None, np.array([True])])
+def test_what_is_neither_true_nor_false_is_no_option(lab, paint, value):
+    paints = {"red": paint, "green": paint}
+    calls = (
+        ("accept_repeat", lambda: finray.reduce_session(lab / "session", accept_repeat=value)),
+        ("whole_frame", lambda: finray.reduce_pixels(lab / "session", whole_frame=value)),
+        ("check", lambda: finray.fit_paint(lab / "bands.json", check=value)),
+        ("discrepancy", lambda: finray.fit_paint(lab / "bands.json", discrepancy=value)),
+        ("register", lambda: finray.compare_press(lab / "press.json", lab / "capture.json", register=value)),
+        ("known_first_touch", lambda: finray.compare_force(lab / "press.json", "f.csv", known_first_touch=value)),
+        ("narrow_sweep", lambda: finray.decide_light_angle(lab / "sweep.json", narrow_sweep=value)),
+        ("pose_response", lambda: finray.render_press(lab / "finger.toml", pose_response=value, **paints)),
+        ("all_objectives", lambda: finray.sweep_light_angle(lab / "finger.toml", [0, 90], all_objectives=value,
+                                                            **paints)),
+    )  # fmt: skip
+    for name, call in calls:
+        with pytest.raises(RecordError, match=rf"{name}=.*: this option is on or off; give True or False"):
+            call()
+
+
+def test_a_truth_of_numpy_is_one(lab):
+    assert finray.decide_light_angle(lab / "sweep.json", narrow_sweep=np.bool_(False))
+
+
+def test_texts_dicts_and_sets_are_no_lists_of_numbers(lab, paint):
+    for angles_deg in ("036", b"036", {0: 1, 30: 2, 60: 3}, {0, 30, 60, 90}):
+        with pytest.raises(SimulateError, match="a list of finite angles in deg is needed"):
+            finray.sweep_light_angle(lab / "finger.toml", angles_deg, red=paint, green=paint)
+    for weights in ("1", {1: "a"}, {1.0}):
+        with pytest.raises(DecideError, match="give one number above 0 for each sweep, in their order"):
+            finray.decide_light_angle(lab / "sweep.json", weights=weights)
+    for several in ({lab / "bands.json": 1}, {lab / "bands.json"}):
+        with pytest.raises(RecordError, match="bands: a list is needed"):
+            finray.fit_paint(several)
+    with pytest.raises(SimulateError, match=r"free='pad.thickness_mm': a list of the design's numbers"):
+        finray.fit_sensor("gelsight-flat", [lab / "capture.json"], free="pad.thickness_mm")
+
+
 def test_a_decision_without_sweeps_or_with_unknown_choices_is_refused(lab):
     with pytest.raises(DecideError, match="no sweep is given"):
         finray.decide_light_angle([])
@@ -326,6 +381,14 @@ def test_a_design_changed_in_python_is_checked_again(paint):
     metres = design.indenter.model_copy(update={"depth_mm": -1.5})
     with pytest.raises(SimulateError, match=r"the design 'flat-70x35': 'indenter\.depth_mm' \(in mm\): must be"):
         finray.render_press(design.model_copy(update={"indenter": metres}), red=paint, green=paint)
+
+
+def test_a_sensor_changed_in_python_is_checked_again(lab):
+    sensor = PlainSensor()
+    metres = sensor.model_copy(update={"camera": sensor.camera.model_copy(update={"distance_mm": -40.0})})
+    for call in (lambda: finray.render_sensor(metres), lambda: finray.fit_sensor(metres, [lab / "capture.json"])):
+        with pytest.raises(SimulateError, match=r"the design 'plain-20x20': 'camera\.distance_mm' \(in mm\): must be"):
+            call()
 
 
 @pytest.mark.parametrize("angles_deg", [[0, 20, 10, 30], [0, 10, 10, 20]])

@@ -2,13 +2,26 @@
 
 import subprocess
 import sys
+import time
 import xml.etree.ElementTree as ElementTree
+from typing import Annotated
+from unittest import mock
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import finray_calib as finray
-from data_schemas import Estimate, MissingExtraError, PaintPlan, Quantity, RecordError, RegionOfInterest
+from data_schemas import (
+    ArraySpec,
+    Estimate,
+    MissingExtraError,
+    Model,
+    PaintPlan,
+    Quantity,
+    RecordError,
+    RegionOfInterest,
+)
 from tests.command_line.records import capture_of, press, sweep
 from tests.documentation.example_records import example_decision, example_results
 
@@ -171,3 +184,33 @@ def test_records_with_arrays_are_compared(lab, paint):
     with_nan = paint.model_copy(update={"draws": np.where(other > 0, other, np.nan)})
     assert with_nan == with_nan.model_copy(update={"draws": with_nan.draws.copy()})
     assert len({MODE, MODE.model_copy()}) == 1  # what holds no arrays is still hashed
+
+
+def test_equality_is_that_of_values(paint):
+    class Numbers(Model):
+        values: tuple[float, ...] = ()
+        image: Annotated[NDArray[np.float64], ArraySpec("<f8", ("row", "column"))] | None = None
+
+    gap = Numbers(values=(1.0, float("nan")))
+    assert gap == Numbers(values=(1.0, float("nan")))
+    assert hash(gap) == hash(Numbers(values=(1.0, float("nan"))))
+    assert gap != Numbers(values=(float("nan"), 1.0))
+    assert Numbers(image=np.zeros((0, 3))) != Numbers()
+    assert Numbers(image=np.zeros((0, 3))) != Numbers(image=np.zeros((0, 2)))
+    assert paint == mock.ANY  # another type is asked too
+    assert paint.__eq__(1) is NotImplemented
+    assert {paint: "red"}[paint.model_copy()] == "red"
+
+
+def test_long_records_are_compared_at_the_speed_of_tuples():
+    """A million numbers: 4 times the interpreter's own comparison; entry by entry it was 200 times."""
+
+    class Numbers(Model):
+        values: tuple[float, ...]
+
+    long, again = (Numbers(values=tuple(map(float, range(1_000_000)))) for _ in range(2))
+    start = time.process_time()
+    assert long.values == again.values
+    alone = time.process_time() - start
+    assert long == again
+    assert time.process_time() - start < 31.0 * alone
