@@ -38,8 +38,8 @@ Floats = NDArray[np.float64]
 
 LEVEL_SCALE, FILTER_SCALE = 0.03, 0.01
 """Scales of the half-Cauchy priors of the relative standard deviations between sessions: of the level, of a filter."""
-_OF_A_SESSION: Final = ("session.json", "bands.toml")
-"""Names of the files that stand for one session in the origin of its band signals."""
+_SESSION_NAME: Final = "session.json"
+"""Name of the record of a captured session in the origin of its band signals (of imported images there is none)."""
 DEPARTS_P: Final = 0.001
 _LEVELS, _FILTERS = np.geomspace(3e-4, 1.0, 28), np.geomspace(3e-4, 0.3, 20)
 
@@ -149,9 +149,9 @@ def _refuse_twice(sessions: Sequence[BandSignals]) -> None:
 
 
 def _session_files(bands: BandSignals) -> set[str]:
-    """Return the SHA-256 of the files of sessions (session.json, of folders of band images bands.toml) behind them."""
+    """Return the SHA-256 of the records of captured sessions behind band signals."""
     inputs = {} if bands.provenance is None else bands.provenance.input_sha256
-    return {digest for name, digest in inputs.items() if PurePath(name).name in _OF_A_SESSION}
+    return {digest for name, digest in inputs.items() if PurePath(name).name == _SESSION_NAME}
 
 
 def _as_text(part: object) -> str:
