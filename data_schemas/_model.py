@@ -6,7 +6,7 @@ With the estimate, one number with its uncertainty, and plain-language explanati
 import difflib
 import re
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
@@ -16,6 +16,7 @@ from pydantic_core import CoreSchema, core_schema
 from data_schemas._lazy_exports import call_record_method
 from data_schemas._provenance import Provenance
 from data_schemas._record_text import array_text, interval_text, record_html, record_text
+from data_schemas.errors import RecordError
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -70,6 +71,30 @@ class Model(BaseModel):
         """Return a hash that equal models share; of an array its shape alone counts."""
         return _hash(self)
 
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with other values, which are not checked; a name that is no field is refused.
+
+        Raises
+        ------
+        RecordError
+            There is no field of a name in `update`.
+        """
+        if unknown := sorted(set(update or ()) - set(type(self).model_fields)):
+            raise RecordError(
+                f"{type(self).__name__}: has no field {unknown[0]!r}; its fields are "
+                f"{', '.join(sorted(type(self).model_fields))}"
+            )
+        return super().model_copy(update=update, deep=deep)
+
+    def __deepcopy__(self, memo: dict[int, Any] | None = None) -> Self:
+        copied = super().__deepcopy__(memo)
+        _make_read_only(copied.__dict__)
+        return copied
+
+    def __setstate__(self, state: dict[Any, Any]) -> None:
+        super().__setstate__(state)
+        _make_read_only(self.__dict__)
+
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Take truth values and texts for no numbers, and numbers and texts for no truth values."""
@@ -92,6 +117,18 @@ class Model(BaseModel):
             if isinstance(part := getattr(self, name), Model)
             for path, why in part.idle_fields().items()
         }
+
+
+def _make_read_only(value: object) -> None:
+    """Make the arrays of a copy read-only, as they are in every model."""
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, Mapping):
+        for entry in value.values():
+            _make_read_only(entry)
+    elif isinstance(value, tuple | list) and value and not isinstance(value[0], float | int | str):
+        for entry in value:
+            _make_read_only(entry)
 
 
 def _equal(one: object, other: object) -> bool:

@@ -417,6 +417,8 @@ def fit_sensor(
     seed = whole_seed(seed)
     _require_options(options, _OF_A_FIT)
     read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
+    if not read:
+        raise SimulateError("captures: none is given; give at least one capture of the sensor")
     if isinstance(free, NOT_IN_ORDER):
         raise SimulateError(
             f"free={free!r}: a list of the design's numbers by dotted path is needed, such as ['pad.thickness_mm']"
@@ -531,6 +533,9 @@ def _angles(angles_deg: Sequence[float]) -> list[float]:
         raise SimulateError(
             f"angles_deg={angles_deg!r}: a list of finite angles in deg is needed, such as [0, 30, 60, 90]"
         )
+    for angle in angles:
+        if not -180.0 <= angle <= 180.0:
+            raise SimulateError(f"angles_deg: {angle:g} deg; an angle of the light lies from -180 to 180 deg")
     for before, angle in pairwise(angles):
         if before >= angle:
             raise SimulateError(f"angles_deg: {angle:g} deg stands after {before:g} deg; give angles that increase")
@@ -613,7 +618,7 @@ def recolour_press(
         raise SimulateError("no change is given: give red and green, camera or white_balance")
     rendered, files = given(press, SimulatedPress)
     paints = {c: given(p, PaintCalibration) for c, p in (("red", red), ("green", green)) if p is not None}
-    response = None if camera is None else read_camera_response(Path(camera))
+    response = None if camera is None else read_camera_response(path_of(camera, "camera"))
     optics = {colour: paint_optics(paint) for colour, (paint, _) in paints.items()}
     digests = {colour: digest_of(paint, read) for colour, (paint, read) in paints.items()}
     with naming(SimulateError, *files):

@@ -13,6 +13,8 @@ from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
+from pydantic import ValidationError
+
 from data_schemas import (
     BandSignals,
     CameraCharacterisation,
@@ -41,6 +43,7 @@ from data_schemas import (
     RigFile,
     SimulatedPress,
     TactileCapture,
+    explain,
     naming,
     needed_kind,
     provenance,
@@ -200,12 +203,16 @@ def write_record(record: Record, path: PathLike) -> Path:
     Raises
     ------
     RecordError
-        The file exists already, and a stored record is never overwritten; or what was given is no record.
+        The file exists already, and a stored record is never overwritten; or what was given is no valid record.
     """
     if not isinstance(record, Record):
         raise RecordError(
             f"{path}: a record is stored here, such as fit_paint returns; a {type(record).__name__} was given"
         )
+    try:
+        type(record).model_validate(record.__dict__)  # model_copy(update=...) takes anything
+    except ValidationError as refused:
+        raise RecordError(f"{path}: not stored, the record is not valid: {explain(refused, type(record))}") from None
     origin = record.provenance
     if origin is None:
         origin = provenance("finray_calib.write_record, from Python")

@@ -318,6 +318,20 @@ def test_texts_dicts_and_sets_are_no_lists_of_numbers(lab, paint):
         finray.fit_sensor("gelsight-flat", [lab / "capture.json"], free="pad.thickness_mm")
 
 
+def test_a_fit_without_captures_is_refused():
+    with pytest.raises(SimulateError, match="captures: none is given; give at least one"):
+        finray.fit_sensor("gelsight-flat", [])
+
+
+def test_a_record_that_was_changed_to_what_cannot_be_is_not_stored(lab, tmp_path):
+    bands = finray.read_record(lab / "bands.json")
+    with pytest.raises(RecordError, match=r"x\.json: not stored, the record is not valid: fluorescence has shape"):
+        finray.write_record(bands.model_copy(update={"fluorescence": np.zeros((2, 3))}), tmp_path / "x.json")
+    with pytest.raises(RecordError, match="BandSignals: has no field 'flourescence'; its fields are bleaching"):
+        bands.model_copy(update={"flourescence": bands.fluorescence})
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_decision_without_sweeps_or_with_unknown_choices_is_refused(lab):
     with pytest.raises(DecideError, match="no sweep is given"):
         finray.decide_light_angle([])
@@ -389,6 +403,11 @@ def test_a_sensor_changed_in_python_is_checked_again(lab):
     for call in (lambda: finray.render_sensor(metres), lambda: finray.fit_sensor(metres, [lab / "capture.json"])):
         with pytest.raises(SimulateError, match=r"the design 'plain-20x20': 'camera\.distance_mm' \(in mm\): must be"):
             call()
+
+
+def test_angles_beyond_half_a_turn_are_refused(lab, paint):
+    with pytest.raises(SimulateError, match="300 deg; an angle of the light lies from -180 to 180 deg"):
+        finray.sweep_light_angle(lab / "finger.toml", [0, 100, 300, 500], red=paint, green=paint)
 
 
 @pytest.mark.parametrize("angles_deg", [[0, 20, 10, 30], [0, 10, 10, 20]])

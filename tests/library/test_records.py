@@ -1,5 +1,7 @@
 """What records say of themselves, and their methods: quantities, draws through a function, plots, data sets."""
 
+import copy
+import pickle
 import subprocess
 import sys
 import time
@@ -200,6 +202,13 @@ def test_equality_is_that_of_values(paint):
     assert paint == mock.ANY  # another type is asked too
     assert paint.__eq__(1) is NotImplemented
     assert {paint: "red"}[paint.model_copy()] == "red"
+
+
+def test_copies_and_what_another_process_sends_stay_as_they_are(paint):
+    for copied in (copy.deepcopy(paint), pickle.loads(pickle.dumps(paint)), paint.model_copy(deep=True)):
+        assert copied == paint
+        with pytest.raises(ValueError, match="read-only"):
+            copied.draws[0, 0] = 1.0
 
 
 def test_long_records_are_compared_at_the_speed_of_tuples():
