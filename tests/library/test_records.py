@@ -102,6 +102,8 @@ def test_draws_go_through_a_function_of_the_user(example):
 
 
 def test_a_function_that_gives_no_numbers_is_refused(example):
+    with pytest.raises(RecordError, match=r"a function of one emission is needed, .*; a int was given"):
+        example.propagate(3)
     with pytest.raises(RecordError, match="NaN or an infinite value for 40 of 40 draws"):
         example.propagate(lambda emission_per_nm: float("nan"))
     with pytest.raises(RecordError, match="array of one shape, for every draw"):
