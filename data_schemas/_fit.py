@@ -95,8 +95,13 @@ def propagate_draws(draws: Floats, function: Callable[[Floats], ArrayLike]) -> P
     Raises
     ------
     RecordError
-        The function returned different shapes, or what is not a finite number.
+        What was given is no function, or it returned different shapes, or what is not a finite number.
     """
+    if not callable(function):
+        raise RecordError(
+            f"a function of one emission is needed, such as lambda emission: emission.max(); a "
+            f"{type(function).__name__} was given"
+        )
     made = [np.asarray(function(draw)) for draw in draws]
     shapes = {one.shape for one in made}
     if len(shapes) != 1 or any(one.dtype.kind not in "fuib" for one in made):

@@ -6,7 +6,7 @@ With the estimate, one number with its uncertainty, and plain-language explanati
 import difflib
 import re
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
@@ -16,11 +16,13 @@ from pydantic_core import CoreSchema, core_schema
 from data_schemas._lazy_exports import call_record_method
 from data_schemas._provenance import Provenance
 from data_schemas._record_text import array_text, interval_text, record_html, record_text
+from data_schemas.errors import RecordError
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
 _NUMBERS: Final = {"float", "int"}
+_PLAIN_VALUES: Final = frozenset({float, int, bool, str, type(None)})
 # Where pydantic's schema of a type holds those of its parts.
 _PARTS: Final = ("schema", "fields", "items_schema", "choices", "keys_schema", "values_schema", "model_fields")
 
@@ -60,10 +62,38 @@ class Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether all fields are equal; pydantic's own comparison fails on arrays."""
+        """Return whether all fields are equal, NaN to NaN; pydantic's own comparison fails on arrays."""
         if type(self) is not type(other):
             return NotImplemented
         return self is other or _equal(self.__dict__, other.__dict__)
+
+    def __hash__(self) -> int:
+        """Return a hash that equal models share; of an array its shape alone counts."""
+        return _hash(self)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with other values, which are not checked; a name that is no field is refused.
+
+        Raises
+        ------
+        RecordError
+            There is no field of a name in `update`.
+        """
+        if unknown := sorted(set(update or ()) - set(type(self).model_fields)):
+            raise RecordError(
+                f"{type(self).__name__}: has no field {unknown[0]!r}; its fields are "
+                f"{', '.join(sorted(type(self).model_fields))}"
+            )
+        return super().model_copy(update=update, deep=deep)
+
+    def __deepcopy__(self, memo: dict[int, Any] | None = None) -> Self:
+        copied = super().__deepcopy__(memo)
+        _make_read_only(copied.__dict__)
+        return copied
+
+    def __setstate__(self, state: dict[Any, Any]) -> None:
+        super().__setstate__(state)
+        _make_read_only(self.__dict__)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -89,18 +119,48 @@ class Model(BaseModel):
         }
 
 
+def _make_read_only(value: object) -> None:
+    """Make the arrays of a copy read-only, as they are in every model."""
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, Mapping):
+        for entry in value.values():
+            _make_read_only(entry)
+    elif isinstance(value, tuple | list) and value and not isinstance(value[0], float | int | str):
+        for entry in value:
+            _make_read_only(entry)
+
+
 def _equal(one: object, other: object) -> bool:
-    """Return whether two values are equal, arrays among them in shape and every value; NaN equals NaN."""
-    if type(one) is float and type(other) is float:
-        return one == other or (one != one and other != other)
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+    """Return whether two values are equal: arrays in shape and every value, NaN to NaN, tuples by their entries."""
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        if not (isinstance(one, np.ndarray) and isinstance(other, np.ndarray)):
+            return False
         return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc" and other.dtype.kind in "fc")
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(_equal(value, other[key]) for key, value in one.items())
     if isinstance(one, tuple | list) and type(one) is type(other):
-        return len(one) == len(other) and all(map(_equal, one, other))
-    same = one == other
-    return same if isinstance(same, bool) else bool(np.all(same))
+        if len(one) != len(other):
+            return False
+        if _PLAIN_VALUES.issuperset(map(type, one)) and _PLAIN_VALUES.issuperset(map(type, other)) and one == other:
+            return True  # at the speed of the interpreter's own comparison; only NaN needs the next line too
+        return all(map(_equal, one, other))
+    return bool(one == other or (one != one and other != other))
+
+
+def _hash(value: object) -> int:
+    """Return a hash of a value of a model: the same for values that :func:`_equal` calls equal."""
+    if isinstance(value, np.ndarray):
+        return hash(value.shape)
+    if isinstance(value, Mapping):
+        return hash(frozenset((key, _hash(entry)) for key, entry in value.items()))
+    if isinstance(value, tuple | list):
+        return hash(tuple(map(_hash, value)))
+    if isinstance(value, BaseModel):  # the origin too, whose own hash fails on its dictionaries
+        return hash((type(value), _hash(value.__dict__)))
+    return 0 if value != value else hash(value)
 
 
 class Record(Model):

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from math import isfinite
 from numbers import Real
 from operator import index
 from pathlib import Path
@@ -30,12 +31,12 @@ from data_schemas import (
     narrow_sweep_text,
 )
 from finray_calib._library import (
+    NOT_IN_ORDER,
     PathLike,
     digest_of,
     given,
     given_list,
     made,
-    numbers_of,
     path_of,
     require_truths,
     whole_seed,
@@ -149,7 +150,7 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
 
 
 def _valid(design: D) -> D:
-    """Return a finger or sensor whose numbers are checked again: ``model_copy(update=...)`` takes any.
+    """Return a design whose numbers are checked again: ``model_copy(update=...)`` takes any.
 
     Raises
     ------
@@ -416,6 +417,12 @@ def fit_sensor(
     seed = whole_seed(seed)
     _require_options(options, _OF_A_FIT)
     read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
+    if not read:
+        raise SimulateError("captures: none is given; give at least one capture of the sensor")
+    if isinstance(free, NOT_IN_ORDER):
+        raise SimulateError(
+            f"free={free!r}: a list of the design's numbers by dotted path is needed, such as ['pad.thickness_mm']"
+        )
     if paints is not None and not (isinstance(paints, Mapping) and set(paints) in (set(), {"red", "green"})):
         raise SimulateError("paints: give a paint of each wall, such as {'red': PAINT, 'green': PAINT}, or none")
     scene, files = _layered(design, dict(paints or {}), seed, options)
@@ -518,7 +525,17 @@ def sweep_light_angle(
 
 def _angles(angles_deg: Sequence[float]) -> list[float]:
     """Return the angles of a sweep as floats."""
-    angles = numbers_of(angles_deg, "angles_deg", "a list of finite angles in deg is needed, such as [0, 30, 60, 90]")
+    try:
+        angles = [] if isinstance(angles_deg, NOT_IN_ORDER) else [float(angle) for angle in angles_deg]
+    except (TypeError, ValueError):
+        angles = []
+    if not angles or not all(isfinite(angle) for angle in angles):
+        raise SimulateError(
+            f"angles_deg={angles_deg!r}: a list of finite angles in deg is needed, such as [0, 30, 60, 90]"
+        )
+    for angle in angles:
+        if not -180.0 <= angle <= 180.0:
+            raise SimulateError(f"angles_deg: {angle:g} deg; an angle of the light lies from -180 to 180 deg")
     for before, angle in pairwise(angles):
         if before >= angle:
             raise SimulateError(f"angles_deg: {angle:g} deg stands after {before:g} deg; give angles that increase")
@@ -601,7 +618,7 @@ def recolour_press(
         raise SimulateError("no change is given: give red and green, camera or white_balance")
     rendered, files = given(press, SimulatedPress)
     paints = {c: given(p, PaintCalibration) for c, p in (("red", red), ("green", green)) if p is not None}
-    response = None if camera is None else read_camera_response(Path(camera))
+    response = None if camera is None else read_camera_response(path_of(camera, "camera"))
     optics = {colour: paint_optics(paint) for colour, (paint, _) in paints.items()}
     digests = {colour: digest_of(paint, read) for colour, (paint, read) in paints.items()}
     with naming(SimulateError, *files):

@@ -8,11 +8,12 @@ import hashlib
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from contextlib import contextmanager, suppress
-from math import isfinite
+from contextlib import contextmanager
 from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+
+from pydantic import ValidationError
 
 from data_schemas import (
     BandSignals,
@@ -42,6 +43,7 @@ from data_schemas import (
     RigFile,
     SimulatedPress,
     TactileCapture,
+    explain,
     naming,
     needed_kind,
     provenance,
@@ -57,6 +59,8 @@ if TYPE_CHECKING:
 
 R = TypeVar("R", bound=Record)
 PathLike = str | os.PathLike[str]
+NOT_IN_ORDER: Final = (str, bytes, Mapping, Set)
+"""What Python can walk through, yet is no list: a text by its characters, a dict and a set in no order of the user."""
 
 
 def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
@@ -99,9 +103,9 @@ def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
     Raises
     ------
     RecordError
-        It is no list, such as a record or a path alone.
+        It is no list, such as a record or a path alone, a dict or a set.
     """
-    if isinstance(what, Record | str | os.PathLike | bytes | Mapping | Set) or not isinstance(what, Iterable):
+    if isinstance(what, (Record, os.PathLike, *NOT_IN_ORDER)) or not isinstance(what, Iterable):
         raise RecordError(
             f"{argument}: a list is needed, each a {kind.__name__} or the path of a stored one; a "
             f"{type(what).__name__} was given"
@@ -126,34 +130,17 @@ def whole_seed(seed: int) -> int:
     return number
 
 
-def require_truths(**values: object) -> None:
-    """Refuse what is neither True nor False: any text, "no" too, would count as true.
+def require_truths(**options: object) -> None:
+    """Refuse options that are neither true nor false, before any work is done: the text "no" would count as true.
 
     Raises
     ------
     RecordError
-        A value is of another type; the message names its argument.
+        One is something else; the message names it.
     """
-    for name, value in values.items():
-        if type(value).__name__ not in {"bool", "bool_"}:
-            raise RecordError(f"{name}={value!r}: True or False is needed")
-
-
-def numbers_of(values: object, argument: str, needed: str) -> list[float]:
-    """Return a list of finite numbers that the user gave; a text would be read by its characters.
-
-    Raises
-    ------
-    RecordError
-        It is no list, or one without or with other values.
-    """
-    found: list[float] = []
-    if isinstance(values, Iterable) and not isinstance(values, str | bytes | Mapping | Set):
-        with suppress(TypeError, ValueError):
-            found = [float("nan") if isinstance(value, str | bytes | bool) else float(value) for value in values]
-    if not found or not all(map(isfinite, found)):
-        raise RecordError(f"{argument}={values!r}: {needed}")
-    return found
+    for name, value in options.items():
+        if not isinstance(value, bool) and type(value).__name__ not in ("bool", "bool_"):  # numpy's, not imported here
+            raise RecordError(f"{name}={value!r}: this option is on or off; give True or False")
 
 
 def made(record: R, call: str, inputs: Iterable[Path], seed: int | None = None) -> R:
@@ -216,12 +203,16 @@ def write_record(record: Record, path: PathLike) -> Path:
     Raises
     ------
     RecordError
-        The file exists already, and a stored record is never overwritten; or what was given is no record.
+        The file exists already, and a stored record is never overwritten; or what was given is no valid record.
     """
     if not isinstance(record, Record):
         raise RecordError(
             f"{path}: a record is stored here, such as fit_paint returns; a {type(record).__name__} was given"
         )
+    try:
+        type(record).model_validate(record.__dict__)  # model_copy(update=...) takes anything
+    except ValidationError as refused:
+        raise RecordError(f"{path}: not stored, the record is not valid: {explain(refused, type(record))}") from None
     origin = record.provenance
     if origin is None:
         origin = provenance("finray_calib.write_record, from Python")
@@ -364,7 +355,7 @@ def reduce_pixels(
     whole_frame
         Whether to take every pixel of the frame.
     """
-    require_truths(accept_repeat=accept_repeat, whole_frame=whole_frame)
+    require_truths(whole_frame=whole_frame, accept_repeat=accept_repeat)
     pixels = _reduced(path_of(session, "session"), camera, accept_repeat, whole_frame)[1]
     if pixels is None:
         raise RadiometryError(f"{session}: gave no signals of pixels, which is a fault of finray; report it")
@@ -445,8 +436,8 @@ def fit_paint(
     """
     from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint, departing_warnings
 
-    require_truths(discrepancy=discrepancy, check=check)
     seed = whole_seed(seed)
+    require_truths(discrepancy=discrepancy, check=check)
     signals, files, scatter = _of_sessions(bands)
     others = [given(other, BandSignals) for other in given_list(other_lights, BandSignals, "other_lights")]
     files += [file for _, read in others for file in read]
@@ -540,8 +531,8 @@ def compare_press(
     """
     from finray_calib.compare import CheckOptions, compare_checked
 
-    require_truths(register=register, despite_mismatch=despite_mismatch)
     seed = whole_seed(seed)
+    require_truths(register=register, despite_mismatch=despite_mismatch)
     press, files = given(simulated, SimulatedPress)
     captured, read = given(capture, TactileCapture)
     files += read
@@ -585,8 +576,8 @@ def compare_force(
     from finray_calib.exchange import read_force_csv
     from finray_calib.force import compare_force as compare
 
-    require_truths(known_first_touch=known_first_touch)
     seed = whole_seed(seed)
+    require_truths(known_first_touch=known_first_touch)
     mechanics, files = given(press, PressMechanics)
     other, read = (None, []) if other_mesh is None else given(other_mesh, PressMechanics)
     measured = read_force_csv(path_of(force_csv, "force_csv"))
@@ -632,8 +623,8 @@ def decide_light_angle(
     """
     from finray_calib.decide import decide
 
-    require_truths(narrow_sweep=narrow_sweep)
     seed = whole_seed(seed)
+    require_truths(narrow_sweep=narrow_sweep)
     alone = isinstance(sweeps, LightAngleSweep | str | os.PathLike)
     several = [sweeps] if alone else given_list(sweeps, LightAngleSweep, "sweeps")
     swept = [given(sweep, LightAngleSweep) for sweep in several]

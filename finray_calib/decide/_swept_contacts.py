@@ -180,9 +180,8 @@ def swept_contacts(
 def _weights(weights: Sequence[float], sweeps: int) -> list[float]:
     """Return the weights of so many sweeps as floats."""
     try:
-        numbers = [float(weight) for weight in weights]
+        numbers = [] if isinstance(weights, str | bytes | Mapping | Set) else [float(weight) for weight in weights]
         fit = len(numbers) == sweeps and all(0.0 < number < np.inf for number in numbers)
-        fit &= not isinstance(weights, str | bytes | Mapping | Set)  # of a text its characters would be read
     except (TypeError, ValueError):
         fit = False
     if not fit:

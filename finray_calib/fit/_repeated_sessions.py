@@ -24,7 +24,7 @@ Patterson, Thompson, Recovery of inter-block information when block sizes are un
 """
 
 from collections.abc import Sequence
-from pathlib import PurePosixPath
+from pathlib import PurePath
 from typing import Final
 
 import numpy as np
@@ -38,8 +38,9 @@ Floats = NDArray[np.float64]
 
 LEVEL_SCALE, FILTER_SCALE = 0.03, 0.01
 """Scales of the half-Cauchy priors of the relative standard deviations between sessions: of the level, of a filter."""
+_SESSION_NAME: Final = "session.json"
+"""Name of the record of a captured session in the origin of its band signals (of imported images there is none)."""
 DEPARTS_P: Final = 0.001
-_SESSION_FILE: Final = "session.json"
 _LEVELS, _FILTERS = np.geomspace(3e-4, 1.0, 28), np.geomspace(3e-4, 0.3, 20)
 
 
@@ -126,27 +127,31 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
 
 
 def _refuse_twice(sessions: Sequence[BandSignals]) -> None:
-    """Refuse the same session given twice, also where it was reduced in two ways.
+    """Refuse the same session given twice: two sessions never agree in every bit of their noise.
 
-    Two sessions never agree in every bit of their noise, and their files have other digests.
+    Reduced once more with other options, one session has other values; it is then known by the file of its session.
     """
     values = [one.fluorescence.tobytes() + one.reflectance.tobytes() for one in sessions]
-    digests = [_session_digest(one) for one in sessions]
-    for number, (value, digest) in enumerate(zip(values, digests, strict=True)):
-        of_one = digest is not None and digest in digests[:number]
-        if value in values[:number] or of_one:
-            sooner = digests.index(digest) if of_one else values.index(value)
-            what = "was reduced from the same frames as session" if of_one else "holds the same values as session"
+    for number, value in enumerate(values):
+        if value in values[:number]:
             raise FitError(
-                f"session {number + 1} {what} {sooner + 1}: it would count twice, and the intervals would be too "
-                "narrow. Give each session once"
+                f"session {number + 1} holds the same values as session {values.index(value) + 1}: it would count "
+                "twice, and the intervals would be too narrow. Give each session once"
+            )
+    files = [_session_files(one) for one in sessions]
+    for number, file in enumerate(files):
+        earlier = next((other for other in range(number) if file & files[other]), None)
+        if earlier is not None:
+            raise FitError(
+                f"sessions {earlier + 1} and {number + 1} were reduced from the same captured session: it would count "
+                "twice, and the intervals would be too narrow. Give each session once, reduced one way"
             )
 
 
-def _session_digest(bands: BandSignals) -> str | None:
-    """Return the SHA-256 of the session that band signals were reduced from, where their origin tells it."""
-    read = {} if bands.provenance is None else bands.provenance.input_sha256
-    return next((digest for name, digest in read.items() if PurePosixPath(name).name == _SESSION_FILE), None)
+def _session_files(bands: BandSignals) -> set[str]:
+    """Return the SHA-256 of the records of captured sessions behind band signals."""
+    inputs = {} if bands.provenance is None else bands.provenance.input_sha256
+    return {digest for name, digest in inputs.items() if PurePath(name).name == _SESSION_NAME}
 
 
 def _as_text(part: object) -> str:

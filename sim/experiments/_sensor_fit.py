@@ -88,6 +88,13 @@ def _require_alike(captures: Sequence[TactileCapture]) -> None:
     first = captures[0]
     if len({capture.name for capture in captures}) < len(captures):
         raise SimulateError("--captures: one capture is given twice; give each once")
+    pictures = [np.asarray(capture.contact).tobytes() for capture in captures]
+    for number, picture in enumerate(pictures):
+        if picture in pictures[:number]:
+            raise SimulateError(
+                f"--captures: {captures[number].name} holds the same picture as "
+                f"{captures[pictures.index(picture)].name}: it would count twice; give each capture once"
+            )
     for capture in captures:
         if capture.encoding != "linear":
             raise SimulateError(

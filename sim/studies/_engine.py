@@ -537,12 +537,12 @@ def _ended(
 
 
 _ENDED_HERE = (
-    "the worker processes of this machine ended before their work was done; what they finished is kept: give the "
-    "same command again, which computes the rest (with fewer --workers if memory was short)"
+    "the worker processes of this machine ended before their work was done; what was finished is kept: give the same "
+    "command again, which computes the rest (with fewer --workers if memory was short)"
 )
 _WENT_AWAY = (
-    "the Dask scheduler stopped answering before the work was done; what the workers finished is kept: start "
-    "the scheduler and its workers again, and give the same command again, which computes the rest"
+    "the Dask scheduler stopped answering before the work was done; what was finished is kept: start the scheduler "
+    "and its workers again, and give the same command again, which computes the rest"
 )
 
 

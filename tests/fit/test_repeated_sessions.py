@@ -123,7 +123,7 @@ def test_one_session_reduced_in_two_ways_is_refused(session):
 
     one, two = session(rng), session(rng)
     combine_sessions([reduced_from(one, "a" * 64), reduced_from(two, "b" * 64)])
-    with pytest.raises(FitError, match="session 2 was reduced from the same frames as session 1: it would count twice"):
+    with pytest.raises(FitError, match="sessions 1 and 2 were reduced from the same captured session: it would count"):
         combine_sessions([reduced_from(one, "a" * 64), reduced_from(two, "a" * 64)])
 
 

@@ -121,7 +121,7 @@ def test_a_scheduler_that_goes_away_loses_nothing_that_is_finished(tmp_path, mon
         ended = each_computed(slowly, str(folder), points, "point ", (None, server.address))
         next(ended)
         server.kill()
-        with pytest.raises(SimulateError, match="before the work was done; what the workers finished is kept"):
+        with pytest.raises(SimulateError, match="before the work was done; what was finished is kept"):
             list(ended)
         done = {path.name for path in folder.iterdir()}
         assert 1 <= len(done) < 6
