@@ -28,6 +28,14 @@ if TYPE_CHECKING:
         coat_of,
         condense_finger,
     )
+    from sim.mechanics._contact_patch import (
+        coat_areas_mm2,
+        contact_distance,
+        contact_forces_n,
+        contact_pressure_mpa,
+        frictionless_torque_n_mm,
+        slip_torque_n_mm,
+    )
     from sim.mechanics._derivatives import DesignChange, PressDerivatives, press_derivatives
     from sim.mechanics._elastic_layer import PressedLayer, layer_compliance, press_layer
     from sim.mechanics._finger_mesh import (
@@ -72,13 +80,7 @@ if TYPE_CHECKING:
         PressSettings,
         check_no_path,
         chosen_contact,
-        coat_areas_mm2,
-        contact_distance,
-        contact_forces_n,
-        contact_pressure_mpa,
-        frictionless_torque_n_mm,
         press_finger,
-        slip_torque_n_mm,
     )
     from sim.mechanics._printed_parts import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
     from sim.mechanics._rigid_bodies import Body, Cylinder, Pose, RoundedBox, Sphere, body_mesh, read_triangles

@@ -240,6 +240,11 @@ class Elasticity:
     threads
         Threads that evaluate elements; results do not depend on it.
 
+    Attributes
+    ----------
+    element_mm
+        Typical edge of an element, the length that searches go by.
+
     Raises
     ------
     SimulateError
@@ -268,6 +273,7 @@ class Elasticity:
             np.zeros((len(c), p, 24 + 3 * m)) for c, p, m in zip(self.cells, held, mode_counts, strict=True)
         ]
         self._volume_strain = [np.zeros((len(c), p, 2)) for c, p in zip(self.cells, held, strict=True)]
+        self.element_mm = _median_edge_mm(self._nodes, self.cells)
         # displacements and modes that the energies belong to
         self._evaluated: tuple[FloatArray, ...] = ()
         self.no_modes: Modes = tuple(np.zeros((len(c), m, 3)) for c, m in zip(self.cells, mode_counts, strict=True))
@@ -486,6 +492,13 @@ _SEARCH_BULK_OVER_SHEAR = 20.0
 _POINTS_UP_TO = 20.0  # K/mu up to which elements with modes have a pressure of each point
 _RELAXATIONS, _RELAXED_LESS = 3, 0.25  # steps of the modes alone, tries of each, and by what these are shortened
 _WORTH_RELAXING_REL = 1e-4  # of the most that an element may win
+
+
+def _median_edge_mm(nodes_mm: FloatArray, cells: Sequence[IntArray]) -> float:
+    """Return the median over all hexahedra of the geometric mean of three edges at one corner."""
+    corners = nodes_mm[np.concatenate([np.empty((0, 8), np.int64), *cells])]
+    edges = np.linalg.norm(corners[:, [1, 3, 4]] - corners[:, :1], axis=2)
+    return float(np.median(np.cbrt(edges.prod(axis=1)))) if len(edges) else 1.0
 
 
 def _volumetric_moduli_mpa(material: Material) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from sim.mechanics._indenters import rigid_indenter
 from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
 from sim.mechanics._materials import Ogden
 from sim.mechanics._mesh import Block, FingerMesh, graded, hexahedra_on_grid
-from sim.mechanics._newton import NewtonOptions, Supports, find_equilibrium
+from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports, find_equilibrium
 from sim.mechanics._penalty_contact import PenaltyContact, PenaltyTouch, penalty_mpa_per_mm
 from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, check_no_path
 
@@ -325,11 +325,13 @@ def press_to_force(
     ties = finger_ties(design, touch.mesh, STEPS[settings.preset or design.mesh.preset].skeleton_mm)
     assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), settings.threads), [*touch.terms, *ties])
     solver = linear_solver(threads=settings.threads)
-    touched = touch.first_touch(assembly, solver, options)
+    first = touch.first_touch(assembly, solver, options)
+    touched = first.state
     begin = float(touch.force_n(touched.u_mm)[1]) / force_n
     predict = Extrapolation()
     predict(assembly.at_rest(), 0.0, 0.0)
     history = PressHistory(assembly, ties, touch)
+    history.unstable = first.unstable and f"at first touch {first.unstable}"
     reached_n = 0.0
     try:
         load = Load(lambda share: touch.push_with(share * force_n))
@@ -392,7 +394,7 @@ class _DrivenIndenter(PenaltyTouch):
         """How the surfaces touch, and what drives the indenter."""
         return f"{super().note}; the indenter is driven by a force of {-self._force.force_n[1]:g} N"
 
-    def first_touch(self, assembly: Assembly, solver: SymmetricSolver, options: NewtonOptions) -> State:
+    def first_touch(self, assembly: Assembly, solver: SymmetricSolver, options: NewtonOptions) -> Equilibrium:
         """Return the equilibrium at a small push without the force.
 
         Raises
@@ -410,7 +412,7 @@ class _DrivenIndenter(PenaltyTouch):
                 f"the coat, whose elements are {self._step_mm:g} mm wide: press with a finer [mesh] preset, or to a "
                 "depth with --contact barrier"
             )
-        return touched.state
+        return touched
 
     def push_with(self, force_n: float) -> Supports:
         """Set the force and return the supports."""

@@ -39,11 +39,13 @@ _REMOVED, _REMOVED_LESS, _LEAST_REMOVED = (0.3, 1.0), 1.0 / 3.0, 0.1
 # share of the first one: below it, something soft goes a long way, and a smaller increment leads there too
 _WANDERS_AFTER, _NEARER, _FAR = 8, 0.5, 1e-3
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
-# an exact tangent that was positive definite so near is not factorised again at the equilibrium; or, up to the second
-# way, where a few of Lanczos' steps see no soft shape: further off, shapes change by too much for so few
-_CLOSE_BY_MM, _NEAR_MM = 1e-3, 0.05
-# a saddle is left along its negative curvature: by the first of these that lowers the energy, doubled while it falls
-_FIRST_WAYS_MM = (1e-2, 1e-3, 1e-4, 1e-5)
+# an exact tangent that was positive definite so near, in edges of an element, is not factorised again at the
+# equilibrium; or, up to the second way, where a few of Lanczos' steps see no soft shape: further off, shapes change by
+# too much for so few
+_CLOSE_BY, _NEAR = 1e-3, 0.05
+# a saddle is left along its negative curvature: by the first of these ways, in edges of an element, that lowers the
+# energy, doubled while it falls
+_FIRST_WAYS = (1e-2, 1e-3, 1e-4, 1e-5)
 _MOST_SADDLES = 10  # that one search leaves
 _UNSTABLE = (
     "the search could not leave an unstable equilibrium (a shape has a stiffness of {:.2g} times what it has without "
@@ -311,7 +313,7 @@ class _Search:
         forces that hold the contact as they are.
         """
         self.unstable = ""
-        if not self.options.stable or self.definite_within_mm <= _CLOSE_BY_MM or self._stays_definite():
+        if not self.options.stable or self._definite_within(_CLOSE_BY) or self._stays_definite():
             return None
         self.removed = self.damping_n_per_mm = 0.0
         matrix = self.assembly.matrix
@@ -342,10 +344,14 @@ class _Search:
             self.unstable = _UNTESTED if way is None else _UNSTABLE.format(curvature)
         return found
 
+    def _definite_within(self, elements: float) -> bool:
+        """Tell whether an exact tangent was positive definite nearer than some elements' edges."""
+        return self.definite_within_mm <= elements * self.assembly.elasticity.element_mm
+
     def _stays_definite(self) -> bool:
         """Tell whether the tangent at hand is exact and still as positive definite as when it was last factorised."""
         matrix = self.assembly.matrix
-        if self.removed > 0.0 or self.factors != matrix.version or self.definite_within_mm > _NEAR_MM:
+        if self.removed > 0.0 or self.factors != matrix.version or not self._definite_within(_NEAR):
             return False
         matrix.constrain(self.supports.fixed.ravel())
         return stays_definite(matrix.times, self.solver, len(matrix.indptr) - 1)
@@ -353,8 +359,9 @@ class _Search:
     def _downwards(self, state: State, way: FloatArray) -> tuple[State, float] | None:
         """Return the state of least merit M, at held pressures, along a way (n, 3) or back, and its energy, or nothing.
 
-        M falls with the square of what is gone: both senses are tried, the better one is followed. The energy itself
-        falls in the search that follows, when the pressures do.
+        M falls with the square of what is gone: both senses are tried, the better one is followed. Where the energy of
+        a nearly incompressible body falls too, it is followed no further than both do; where only M falls, the energy
+        does so in the search that follows, with the pressures.
         """
         elasticity = self.assembly.elasticity
         self.assembly.assemble(state)
@@ -371,18 +378,24 @@ class _Search:
             new = self.assembly.energy(there)
             return _Trial(size_mm, new + elasticity.excess_n_mm(held) if new < math.inf else new, there, new)
 
-        for first in _FIRST_WAYS_MM:
-            best = min(trial(first), trial(-first), key=lambda tried: tried.merit_n_mm)
+        falling = None
+        for first in _FIRST_WAYS:
+            size_mm = first * elasticity.element_mm
+            best = min(trial(size_mm), trial(-size_mm), key=lambda tried: tried.merit_n_mm)
             if best.merit_n_mm < merit - noise:
-                break
-        else:
+                falling = falling or best
+                if best.energy_n_mm < energy - noise:
+                    falling = best
+                    break
+        if falling is None:
             return None
-        while abs(2.0 * best.share) <= self.options.longest_step_mm:
-            further = trial(2.0 * best.share)
-            if not further.merit_n_mm < best.merit_n_mm:
+        highest = energy if falling.energy_n_mm < energy else math.inf
+        while abs(2.0 * falling.share) <= self.options.longest_step_mm:
+            further = trial(2.0 * falling.share)
+            if not (further.merit_n_mm < falling.merit_n_mm and further.energy_n_mm < highest):
                 break
-            best = further
-        return best.state, best.energy_n_mm
+            falling = further
+        return falling.state, falling.energy_n_mm
 
     def _with_old_factors(self, right: FloatArray) -> FloatArray | None:
         """Return the solution to what Newton's method needs, if the last step was nearly linear.

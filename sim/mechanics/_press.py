@@ -1,17 +1,17 @@
 """Press an indenter into a finger: increments of the push, from first touch or from a stored press.
 
-What a press found, increment by increment, and the torque that its contact can hold. Contact is the fast penalty on
-exact distances, or the barrier with contact of the ribs; both with friction.
+What a press found, increment by increment. Contact is the fast penalty on exact distances, or the barrier with contact
+of the ribs; both with friction.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from data_schemas import ContactKind, FingerDesign, MissingExtraError, NoEquilibriumError, Preset, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, Modes, State, Term
@@ -84,6 +84,15 @@ class PressContact(Touch, Protocol):
         ...
 
 
+@runtime_checkable
+class ContactBeside(Protocol):
+    """Contact that lets nothing meet, and can begin beside a finger that another contact has pressed."""
+
+    def beside(self, u: FloatArray, push_mm: float) -> tuple[float, FloatArray]:
+        """Return the greatest push up to one at which the indenter fits beside a finger displaced by u, and u then."""
+        ...
+
+
 def chosen_contact(wanted: ContactChoice = "auto") -> ContactKind:
     """Return the contact that a press begins with: the penalty, unless the barrier is asked for.
 
@@ -153,10 +162,6 @@ def press_contact(
     indenter.check_surface()
     chosen = barrier or Barrier(stiffness_mpa=material_of(design.mechanics.gel, "mechanics.gel").shear_modulus_mpa)
     return BarrierPress(design, mesh, indenter, replace(chosen, friction_ratio=design.indenter.friction), threads)
-
-
-# a patch that reaches over this share of the pad is a strip across it
-_WHOLE_WIDTH = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,15 +237,17 @@ class PressHistory:
     Attributes
     ----------
     crossing, unstable
-        See :class:`PressedFinger`; of these increments.
+        See :class:`PressedFinger`; crossing of these increments only.
     """
 
     def __init__(
         self, assembly: Assembly, ties: Sequence[TiedNodes], touch: Touch, before: PressedFinger | None = None
     ) -> None:
         self._assembly, self._ties, self._touch, self._before = assembly, ties, touch, before
+        # the first increment's slip and its work count from first touch, those of the increments before with them
+        self._from_rest = before is not None and _taken_over(before, touch)
         self._surfaces = OwnSurfaces(touch.mesh)
-        self.crossing, self.unstable = "", ""
+        self.crossing, self.unstable = "", "" if before is None else before.unstable
         self._states: list[State] = []
         self._iterations: list[int] = []
         self._rows: list[tuple[float, ...]] = []
@@ -281,7 +288,7 @@ class PressHistory:
             unreached=unreached,
             contact=self._touch.note,
             contact_energy_n_mm=self._after("contact_energy_n_mm", rows[:, 2]),
-            friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
+            friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=not self._from_rest),
             kind=self._touch.kind,
             crossing=self.crossing,
             unstable=self.unstable,
@@ -295,117 +302,6 @@ class PressHistory:
         if before is None:
             before = np.full(len(self._before.depth_mm), np.nan)
         return np.concatenate([before, now + before[-1] if goes_on else now])
-
-
-def coat_areas_mm2(mesh: FingerMesh) -> FloatArray:
-    """Return the areas at rest of the coat's f faces, (f,)."""
-    corners = mesh.nodes_mm[mesh.surfaces["coat"]]
-    return np.asarray(
-        np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2.0
-    )
-
-
-def contact_pressure_mpa(pressed: PressedFinger) -> FloatArray:
-    """Return the contact pressure of the last increment at the mesh's n nodes, (n,); 0 away from the coat.
-
-    p_a = sum_f A_f p_f / sum_f A_f over the faces f at node a, with p_f the mean of a face's points and A_f its area
-    at rest: pressure times the coat's area is the same at the nodes as on the faces.
-    """
-    faces, areas = pressed.mesh.surfaces["coat"], coat_areas_mm2(pressed.mesh)
-    count = len(pressed.mesh.nodes_mm)
-    held = np.bincount(faces.ravel(), np.repeat(areas * pressed.pressure_mpa.mean(axis=1), 4), count)
-    area = np.bincount(faces.ravel(), np.repeat(areas, 4), count)
-    return np.asarray(np.divide(held, area, out=np.zeros(count), where=area > 0.0))
-
-
-def contact_distance(pressed: PressedFinger, nodes: NDArray[np.int64]) -> FloatArray:
-    """Return the distance of coat nodes from the middle of the contact in units of its half-width; <= 1 in contact.
-
-    The patch is taken as an ellipse in the undeformed pad, or as a strip where it reaches across the pad. It ends half
-    the distance between sampling points beyond the outermost one that touches, and is known to about that. NaN without
-    contact.
-    """
-    touching = pressed.touch_mm[pressed.pressure_mpa > 0.0]
-    # two Gauss points lie 1/sqrt(3) of a face apart, on average half a face
-    margin = np.median(np.ptp(pressed.touch_mm, axis=1), axis=0) * np.sqrt(3.0) / 4.0
-    if not len(touching):
-        return np.full(len(nodes), np.nan)
-    places = pressed.mesh.nodes_mm[nodes]
-    squares = np.zeros(len(nodes))
-    for axis in (0, 2):
-        low, high = touching[:, axis].min() - margin[axis], touching[:, axis].max() + margin[axis]
-        pad_low, pad_high = places[:, axis].min(), places[:, axis].max()
-        if high - low < _WHOLE_WIDTH * (pad_high - pad_low):
-            squares += ((places[:, axis] - (low + high) / 2.0) / ((high - low) / 2.0)) ** 2
-    return np.asarray(np.sqrt(squares))
-
-
-def contact_forces_n(pressed: PressedFinger) -> tuple[FloatArray, FloatArray]:
-    """Return where a pressed contact pushes, places on the coat at rest (k, 3), and how hard, (k,) in N.
-
-    The pressures times their areas, made to add up to the size of the force on the indenter; places at rest: the
-    patch's own stretch, a few per cent, is left out.
-    """
-    pushes = pressed.pressure_mpa * coat_areas_mm2(pressed.mesh)[:, None]
-    touching = pushes > 0.0
-    whole = float(pushes.sum())
-    if whole <= 0.0:
-        raise SimulateError("nothing touches, and without pressure there is no torque to compute; press deeper")
-    return pressed.touch_mm[touching], pushes[touching] * float(np.linalg.norm(pressed.force_n[-1])) / whole
-
-
-def slip_torque_n_mm(places_mm: FloatArray, forces_n: FloatArray, friction: float) -> float:
-    r"""Return the torque about the pad's normal at which a pressed object begins to turn on the pad.
-
-    T = mu min_c sum_i N_i |r_i - c|, in the plane across the normal (x, z).
-
-    Coulomb's law with the frictionless normal forces N_i, taken to stay as they are while the object slides, on all
-    of the patch at once, as a rigid body about the centre c that holds least (limit analysis: with c the friction
-    forces add up to nothing, a pure torque). The pad's own shear before that, and the change of the pressures by
-    friction, are left out.
-
-    Parameters
-    ----------
-    places_mm, forces_n
-        Of the normal forces, (k, 3) and (k,): see :func:`contact_forces_n`.
-    friction
-        Coulomb's coefficient mu between object and coat.
-
-    Raises
-    ------
-    SimulateError
-        When the coefficient is negative.
-    """
-    if not 0.0 <= friction < np.inf:
-        raise SimulateError(f"friction = {friction:g}: Coulomb's coefficient must be finite and not negative")
-    flat = places_mm[:, [0, 2]]
-
-    def torque(centre: FloatArray) -> float:
-        return float(forces_n @ np.linalg.norm(flat - centre, axis=1))
-
-    start = forces_n @ flat / forces_n.sum()
-    return friction * float(minimize(torque, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9}).fun)
-
-
-def frictionless_torque_n_mm(places_mm: FloatArray, forces_n: FloatArray, width_mm: float) -> float:
-    """Return the torque about the finger's long axis that normal forces alone can hold: T = N (w / 2 - |x|).
-
-    x is where their resultant N acts across the finger. An object that turns about that axis shifts the resultant
-    towards the pad's edge and tips over it there; the finger's own twist (see
-    :meth:`sim.mechanics.LoadedFinger.twist`) is left out.
-
-    Parameters
-    ----------
-    places_mm, forces_n
-        Of the normal forces, (k, 3) and (k,).
-    width_mm
-        Of the pad.
-    """
-    whole = float(forces_n.sum())
-    return whole * (width_mm / 2.0 - abs(float(forces_n @ places_mm[:, 0]) / whole))
-
-
-IntArray = NDArray[np.int64]
 
 
 Progress = Callable[[int, int, str], None]
@@ -427,7 +323,8 @@ class PressSettings:
     threads
         Of elements and factorisation.
     contact
-        "auto": the penalty; a press whose parts pass through each other by it begins again with the barrier.
+        "auto": the penalty; a press whose parts pass through each other by it goes on with the barrier, from the
+        last increment where they do not.
     budget_s
         Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
     """
@@ -493,17 +390,18 @@ def press_finger(
         settings = replace(settings, contact="barrier")
     watch = Watch(progress, settings.increments, settings.budget_s)
     touch, history, path = _prepared(design, settings, folder, start, resume, watch)
+    clean, done = resume, 0
     try:
         for step in path:
             history.add(step.fraction * depth, step.equilibrium)
             if history.crossing and settings.contact == "auto" and _barrier_may_help(touch):
-                watch.reached(0, f"{history.crossing}; pressing again with contact of all parts")
+                watch.reached(done, f"{history.crossing}; going on with contact of all parts")
                 again = replace(settings, contact="barrier", budget_s=watch.left_s)
-                found = press_finger(design, again, folder=folder, store=store, progress=progress)
-                why = f"{found.contact}; by the penalty, which was tried first, {history.crossing}"
-                return replace(found, contact=why)
+                by_barrier = partial(press_finger, design, again, folder=folder, store=store, progress=progress)
+                return _gone_on_with(by_barrier, clean, history.crossing)
+            clean = history.pressed()
             if store is not None:
-                store(history.pressed())
+                store(clean)
             done = settings.increments - sum(step.fraction < stop for stop in settings.stops)
             watch.reached(done, f"pressed to {step.fraction * depth:.2f} mm")
     except NoEquilibriumError as stuck:
@@ -544,9 +442,7 @@ def _prepared(
     touch = press_contact(design, bare, steps.pad_mm, settings.contact, settings.threads, folder)
     ties = finger_ties(design, touch.mesh, steps.skeleton_mm)
     assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), settings.threads), [*touch.terms, *ties])
-    begin = None if resume is None else resumed(resume, touch.mesh, depth)
-    if begin is not None:
-        _take_up(touch, *begin, depth)
+    begin, done = _begun(resume, bare, touch, depth)
     if start is None and resume is None:
         predict = _path_from_coarse(_first_on_coarse(design, settings, watch), touch.mesh, depth)
     else:
@@ -560,12 +456,75 @@ def _prepared(
             refuse=lambda state, share: _passed_through(touch, state, share * depth, steps.pad_mm),
             accept=touch.accept,
         ),
-        [stop for stop in settings.stops if begin is None or stop > begin[0] + _SAME_SHARE],
+        [stop for stop in settings.stops if stop > done + _SAME_SHARE],
         begin,
         options=NewtonOptions(tell=watch.tell),
         predict=predict,
     )
-    return touch, PressHistory(assembly, ties, touch, resume), path
+    return touch, PressHistory(assembly, ties, touch, resume), _beyond(path, done)
+
+
+def _begun(
+    resume: PressedFinger | None, bare: FingerMesh, touch: PressContact, depth_mm: float
+) -> tuple[tuple[float, State] | None, float]:
+    """Return the share and the state that the search goes on from, if any, and the share that a press has done.
+
+    By the penalty the coat reaches into the indenter: the barrier begins with an indenter that is as far in as it
+    goes, or at rest where it does not come near. What friction then remembers is the straight way from first touch to
+    the first increment of the barrier.
+    """
+    if resume is None:
+        return None, 0.0
+    if not (_taken_over(resume, touch) and isinstance(touch, ContactBeside)):
+        share, state = resumed(resume, touch.mesh, depth_mm)
+        _take_up(touch, share, state, depth_mm)
+        return (share, state), share
+    share, state = resumed(resume, bare, depth_mm)
+    push_mm, beside = touch.beside(state.u_mm, share * depth_mm)
+    if push_mm <= 0.0:
+        return None, share
+    return (push_mm / depth_mm, State(beside, state.modes)), share
+
+
+def _taken_over(before: PressedFinger, touch: Touch) -> bool:
+    """Whether the barrier goes on with a press by the penalty."""
+    return before.kind == "penalty" and touch.kind == "barrier"
+
+
+def _beyond(path: Iterator[Increment], done: float) -> Iterator[Increment]:
+    """Yield the increments beyond a share that is done; the first one counts the iterations until there."""
+    spent = 0
+    for step in path:
+        spent += step.equilibrium.iterations
+        if step.fraction > done + _SAME_SHARE:
+            yield replace(step, equilibrium=replace(step.equilibrium, iterations=spent))
+            spent = 0
+
+
+def _gone_on_with(
+    by_barrier: Callable[..., PressedFinger], clean: PressedFinger | None, crossing: str
+) -> PressedFinger:
+    """Return a press whose parts cross by the penalty: by the barrier from its last increment without, if it has one.
+
+    What is clean stays where the barrier finds nothing further on.
+    """
+    try:
+        found = by_barrier(resume=clean)
+    except NoEquilibriumError as stuck:
+        if clean is None:
+            raise
+        return replace(clean, unreached=f"{stuck}; by the penalty, {crossing}")
+    if clean is None:
+        return replace(found, contact=f"{found.contact}; by the penalty, which was tried first, {crossing}")
+    until = float(clean.depth_mm[-1])
+    body = np.zeros((len(clean.displacement_mm), 1, 3))
+    body[:, 0, 1] = -clean.depth_mm[-len(body) :]
+    before = np.concatenate([clean.displacement_mm, body], axis=1)
+    return replace(
+        found,
+        displacement_mm=np.concatenate([before, found.displacement_mm]),
+        contact=f"{found.contact}; up to {until:.4g} mm by the penalty, by which, further on, {crossing}",
+    )
 
 
 def _take_up(touch: PressContact, share: float, state: State, depth_mm: float) -> None:

@@ -1,13 +1,14 @@
 """Results of a search are least energies: a column past Euler's load, against all eigenvalues of its tangent."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
 
-from sim.mechanics import LinearElastic
+from sim.mechanics import LinearElastic, Ogden
 from sim.mechanics import _newton as newton
 from sim.mechanics._increments import Load, State, load_increments
 from sim.mechanics._linear_solver import least_curvature, linear_solver, stays_definite
@@ -18,6 +19,7 @@ LENGTH_MM, HEIGHT_MM, WIDTH_MM = 24.0, 1.0, 1.2
 SHORTER_MM = 1.0
 # Euler's load shortens a clamped column by this before it buckles
 EULER_MM = math.pi**2 * HEIGHT_MM**2 / (3.0 * LENGTH_MM)
+STEEL = LinearElastic(1000.0, 0.3)
 CELLS = unit_cells(12, 2, 2, size=(LENGTH_MM, HEIGHT_MM, WIDTH_MM))
 both_solvers = pytest.mark.parametrize("solver", ["pardiso", "superlu"])
 
@@ -25,8 +27,10 @@ both_solvers = pytest.mark.parametrize("solver", ["pardiso", "superlu"])
 class Column:
     """A column between two clamps, one of which comes nearer, and to the side by a share of that."""
 
-    def __init__(self, sideways_share=0.0):
-        self.assembly = assemble(CELLS.mesh("incompatible_modes"), LinearElastic(1000.0, 0.3))
+    def __init__(self, sideways_share=0.0, material=STEEL, size=1.0):
+        mesh = CELLS.mesh("incompatible_modes")
+        self.size = size  # over that of the constants above
+        self.assembly = assemble(replace(mesh, nodes_mm=size * mesh.nodes_mm), material)
         self.fixed = Supports.at_rest(self.assembly.count, CELLS.numbers[[0, -1]].ravel()).fixed
         self.sideways_share = sideways_share
 
@@ -34,13 +38,13 @@ class Column:
         move = np.zeros((self.assembly.count, 3))
         end = CELLS.numbers[-1].ravel()
         move[end, 0], move[end, 1] = -SHORTER_MM * share, self.sideways_share * SHORTER_MM * share
-        return Supports(self.fixed, move)
+        return Supports(self.fixed, self.size * move)
 
     def bent(self, amplitude_mm, shortened_mm):
         x, u = CELLS.nodes_mm, np.zeros((self.assembly.count, 3))
         u[:, 0] = -x[:, 0] * shortened_mm / LENGTH_MM
         u[:, 1] = amplitude_mm * (1.0 - np.cos(2 * np.pi * x[:, 0] / LENGTH_MM)) * ~self.fixed[:, 1]
-        return State(u, self.assembly.elasticity.no_modes)
+        return State(self.size * u, self.assembly.elasticity.no_modes)
 
     def check(self, equilibrium, shortened_mm):
         """Check that all eigenvalues of the tangent are positive, and the height of the arch."""
@@ -50,7 +54,7 @@ class Column:
         self.assembly.matrix.constrain(self.fixed.ravel())
         upper = self.assembly.matrix.upper()
         assert np.linalg.eigvalsh((upper + sp.triu(upper, 1).T).toarray()).min() > 0.0
-        height = abs(equilibrium.state.u_mm[CELLS.numbers[6].ravel(), 1].mean())
+        height = abs(equilibrium.state.u_mm[CELLS.numbers[6].ravel(), 1].mean()) / self.size
         # of a cosine arch; a few per cent are of the curve's higher order. Below Euler's load it stays as it is
         arch = 2.0 * math.sqrt(LENGTH_MM * max(shortened_mm - EULER_MM, 0.0)) / math.pi
         assert height == pytest.approx(arch, rel=0.05, abs=0.01)
@@ -76,6 +80,34 @@ def test_a_column_bent_by_next_to_nothing_buckles(solver, amplitude_mm, moving):
     column = Column()
     start = column.bent(amplitude_mm, 0.0 if moving else SHORTER_MM)
     column.check(find_equilibrium(column.assembly, start, column.at(1.0), linear_solver(solver)), SHORTER_MM)
+
+
+@pytest.mark.parametrize("size", [2e-3, 500.0])
+def test_a_small_and_a_large_column_are_tested_like_any_other(size):
+    column = Column(size=size)
+    options = NewtonOptions(force_floor_n=1e-2 * size**2, longest_step_mm=8.0 * size)
+    stops = np.arange(1, 11) / 10
+    for step in load_increments(column.assembly, linear_solver(), Load(column.at), stops, options=options):
+        column.check(step.equilibrium, SHORTER_MM * step.fraction)
+
+
+@pytest.mark.parametrize("bulk_over_shear", [21.0, 2000.0, 10_000.0])
+def test_a_saddle_of_a_nearly_incompressible_column_is_left_downwards(monkeypatch, bulk_over_shear):
+    left = []
+    search = newton._Search  # noqa: SLF001
+    downwards = search._downwards  # noqa: SLF001
+
+    def watched(self, state, way):
+        found = downwards(self, state, way)
+        left.append(found[1] - self.assembly.energy(state))
+        return found
+
+    monkeypatch.setattr(search, "_downwards", watched)
+    column = Column(material=Ogden((300.0,), (2.0,), bulk_over_shear))
+    path = list(load_increments(column.assembly, linear_solver(), Load(column.at), np.arange(1, 5) / 4))
+    assert not any(step.equilibrium.unstable for step in path)
+    assert left
+    assert max(left) < 0.0
 
 
 @both_solvers
@@ -114,6 +146,44 @@ def test_a_shape_that_has_lost_its_stiffness_is_found(solver, local, kept):
     times = lambda x: whole @ x - (1.0 - kept) * image * (image @ x) / (shape @ image)  # noqa: E731
     # a twentieth is asked for
     assert stays_definite(times, opened, len(place)) == (kept >= 0.05)
+
+
+@both_solvers
+@pytest.mark.parametrize("kept", [0.5, 0.06, 0.04, 1e-3, -1e-3, -1.0])
+def test_several_shapes_that_have_lost_their_stiffness_are_found(solver, kept):
+    # twenty shapes of the chain at once, by different shares
+    upper, whole = chain()
+    opened = linear_solver(solver)
+    assert opened.factorise_definite(upper, 0)
+    place, numbers = np.arange(400) + 1.0, np.arange(1, 21)
+    shapes = np.sin(np.pi * np.outer(place, numbers) / 401.0)
+    images = whole @ shapes
+    lost = np.linspace(1.0, 0.5, 20) * (1.0 - kept) / (shapes * images).sum(axis=0)
+    assert stays_definite(lambda x: whole @ x - images @ (lost * (images.T @ x)), opened, 400) == (kept >= 0.05)
+
+
+@both_solvers
+@pytest.mark.parametrize(("pushed", "holds"), [(0.5, True), (0.93, True), (0.97, False), (1.01, False), (3.0, False)])
+def test_a_push_that_softens_every_shape_is_found(solver, pushed, holds):
+    # a chain on which an even load acts: all eigenvalues sink by the same, and the first one is zero at a share of 1
+    upper, whole = chain()
+    opened = linear_solver(solver)
+    assert opened.factorise_definite(upper, 0)
+    lowest = 2.0 - 2.0 * math.cos(math.pi / 401.0)
+    assert stays_definite(lambda x: whole @ x - pushed * lowest * x, opened, 400) == holds
+
+
+@both_solvers
+@pytest.mark.parametrize(("stiffness", "holds"), [(1.0, True), (0.2, True), (0.0, False), (-0.3, False)])
+def test_springs_that_lost_their_stiffness_are_found(solver, stiffness, holds):
+    # ten springs beside each other, as of ribs' elements that are pressed
+    upper, whole = chain()
+    opened = linear_solver(solver)
+    assert opened.factorise_definite(upper, 0)
+    ends = np.zeros((10, 400))
+    ends[np.arange(10), 150 + np.arange(10)], ends[np.arange(10), 151 + np.arange(10)] = -1.0, 1.0
+    times = lambda x: whole @ x - (1.0 - stiffness) * (ends.T @ (ends @ x))  # noqa: E731
+    assert stays_definite(times, opened, 400) == holds
 
 
 @both_solvers
