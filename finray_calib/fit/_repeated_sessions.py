@@ -28,8 +28,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtr, ndtri
 
 from data_schemas import BandSignals, Estimate, FitError, SessionScatter
 
@@ -257,7 +256,7 @@ class _Common:
         scatter = np.outer(mean, mean) * (rest._level.high95**2 + rest._filter.high95**2 * same)
         left = self._all[0][one][rows] - mean
         misfit = float(left @ np.linalg.solve(self._all[1][one][block] + rest.covariance[block] + scatter, left))
-        return bool(chi2.sf(misfit, rows.size) < DEPARTS_P)
+        return bool(chdtrc(rows.size, misfit) < DEPARTS_P)
 
 
 def _without_tile(covariance: Floats, mean: Floats, tile_rel: float, usable: NDArray[np.bool_]) -> Floats:
@@ -270,9 +269,11 @@ def _without_tile(covariance: Floats, mean: Floats, tile_rel: float, usable: NDA
 
 def _variance_of_interval(variances: Floats, weight: Floats) -> float:
     """Return the variance of the normal with the 95 % interval of a mixture of normals around 0."""
+    from scipy.optimize import brentq  # here, because every fit would load it, and most are of one session
+
     sd = np.sqrt(variances)
-    tail = brentq(lambda q: float(weight @ norm.sf(q / sd)) - 0.025, 0.0, 60 * sd.max())
-    return float(tail / norm.isf(0.025)) ** 2
+    tail = brentq(lambda q: float(weight @ ndtr(-q / sd)) - 0.025, 0.0, 60 * sd.max())
+    return float(tail / -ndtri(0.025)) ** 2
 
 
 def _of_grid(values: Floats, weight: Floats) -> Estimate:
