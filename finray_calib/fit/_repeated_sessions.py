@@ -28,7 +28,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, ndtr, ndtri
 
 from data_schemas import BandSignals, Estimate, FitError, SessionScatter
 
@@ -248,6 +247,8 @@ class _Common:
 
     def _departs(self, one: int) -> bool:
         """Whether a session lies outside of what the others predict of it, at the upper ends of their scatter."""
+        from scipy.special import chdtrc  # here, as every fit would load it
+
         others = [i for i in range(len(self._y)) if i != one]
         rest = _Common(self._all[0][others], self._all[1][others], self._all[2][others], *self._all[3:])
         rows = np.intersect1d(np.flatnonzero(self._all[2][one]), rest._kept)
@@ -269,7 +270,8 @@ def _without_tile(covariance: Floats, mean: Floats, tile_rel: float, usable: NDA
 
 def _variance_of_interval(variances: Floats, weight: Floats) -> float:
     """Return the variance of the normal with the 95 % interval of a mixture of normals around 0."""
-    from scipy.optimize import brentq  # here, because every fit would load it, and most are of one session
+    from scipy.optimize import brentq
+    from scipy.special import ndtr, ndtri  # both here, because every fit would load them, and most are of one session
 
     sd = np.sqrt(variances)
     tail = brentq(lambda q: float(weight @ ndtr(-q / sd)) - 0.025, 0.0, 60 * sd.max())
