@@ -2,7 +2,8 @@
 
     OMP_NUM_THREADS=1 python benchmarks/samplers.py --out bench-out/samplers.json
 
-The repetitions of all samplers are interleaved, so that a busy machine slows all of them; ratios are of medians.
+Times are of the processor, one thread each: by the clock a busy machine stretches the minutes of a chain otherwise
+than the tenth of a second of a fit. The repetitions of all samplers are interleaved, and ratios are of medians.
 Compilation of numba is excluded (it is cached on disk), NumPyro's is not: every run of its users pays it. Setting up
 the arrays of a problem is excluded for all. The fit makes as many draws as ``finray fit`` does: more draws spread the
 cost of finding the maxima, and make the ratio larger than users see (``--draws 128000``).

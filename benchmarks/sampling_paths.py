@@ -17,7 +17,7 @@ NUTS_WARMUP, NUTS_DRAWS = 500, 1000  # a chain
 
 @dataclass(frozen=True)
 class Run:
-    """One run of one sampler: wall seconds, effective draws, and the posterior's means and standard deviations."""
+    """One run of one sampler: processor seconds, effective draws, and the posterior's means and standard deviations."""
 
     seconds: float
     effective: float
@@ -32,10 +32,10 @@ class Run:
 
 def run_fit(posterior: LogPosterior, draws: int, seed: int) -> Run:
     """Time the fit's path: all maxima, importance sampling (adapted where it must be), resampling."""
-    rng, start = np.random.default_rng(seed), time.perf_counter()
+    rng, start = np.random.default_rng(seed), time.process_time()
     maxima = find_maxima(posterior, rng)
     _, kept, sampling = draw_posterior(posterior, maxima, FitSettings(draws, draws), rng)
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     if sampling.chain is not None:
         mean, sd, effective = kept.mean(axis=0), kept.std(axis=0), sampling.chain.bulk_ess.min()
     else:
@@ -73,9 +73,9 @@ def run_emcee(
     walkers_start = np.clip(walkers_start, prior.low + 1e-6, prior.high - 1e-6)
     sampler = emcee.EnsembleSampler(walkers, prior.size, density, vectorize=vectorize)
     sampler.random_state = np.random.RandomState(seed).get_state()
-    start = time.perf_counter()
+    start = time.process_time()
     sampler.run_mcmc(walkers_start, steps)
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     discarded = int(BURN_IN * steps)
     chain = sampler.get_chain(discard=discarded, flat=True)
     tau = float(sampler.get_autocorr_time(discard=discarded, tol=0).max())
@@ -96,7 +96,7 @@ def run_nuts(density: FiveParameterDensity, posterior: LogPosterior, seed: int, 
 
     maximum = find_maxima(posterior, np.random.default_rng(seed)).theta[0]
     start_values = dict(zip(posterior.prior.names, maximum.tolist(), strict=True))
-    start = time.perf_counter()
+    start = time.process_time()
     kernel = NUTS(_numpyro_model(density), dense_mass=True, init_strategy=init_to_value(values=start_values))
     mcmc = MCMC(
         kernel,
@@ -109,7 +109,7 @@ def run_nuts(density: FiveParameterDensity, posterior: LogPosterior, seed: int, 
     mcmc.run(jax.random.PRNGKey(seed))
     drawn = mcmc.get_samples(group_by_chain=True)
     samples = np.stack([np.asarray(drawn[name]) for name in posterior.prior.names], axis=-1)
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     effective = min(float(effective_sample_size(samples[..., i])) for i in range(samples.shape[-1]))
     flat = samples.reshape(-1, samples.shape[-1])
     divergences = int(np.sum(mcmc.get_extra_fields()["diverging"]))

@@ -13,10 +13,12 @@ not measured:
 import argparse
 import math
 import re
+import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -132,13 +134,25 @@ def bench_table(text: str, folder: Path | None) -> list[str]:
         command = number.command if " " in number.command else f"python benchmarks/{number.command}"
         command = "make bench-fit" if number.command == "pytest" else command
         value = math.nan if folder is None else number.measured(folder)
-        if math.isnan(value):
+        if folder is None or math.isnan(value):
             measured, _, met = before.get((what, against), ("not measured by this table yet", "", "not shown"))
         else:
             measured = f"{value:.3g}{number.unit}" if value < 1000 else f"{value:.0f}{number.unit}"
+            measured += f"; {measured_when(folder / number.file)}"
             met = "yes" if number.low <= value <= number.high else "no"
         lines.append(f"| {what} | {against} | `{command}` | {measured} | {number.bar} | {met} |")
     return lines
+
+
+def measured_when(result: Path) -> str:
+    """Return the day on which a result was written and the newest commit of that time; without git the day alone."""
+    written = datetime.fromtimestamp(result.stat().st_mtime, UTC)
+    command = ["git", "log", "-1", "--format=%h", f"--before={written.isoformat(timespec='seconds')}"]
+    try:
+        found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        found = ""
+    return f"{written:%Y-%m-%d}, {found}".removesuffix(", ")
 
 
 def _between(text: str) -> str:

@@ -29,8 +29,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.stats import chi2, norm
 
 from data_schemas import BandSignals, Estimate, FitError, SessionScatter
 
@@ -269,6 +267,8 @@ class _Common:
 
     def _departs(self, one: int) -> bool:
         """Whether a session lies outside of what the others predict of it, at the upper ends of their scatter."""
+        from scipy.special import chdtrc  # here, as every fit would load it
+
         others = [i for i in range(len(self._y)) if i != one]
         rest = _Common(self._all[0][others], self._all[1][others], self._all[2][others], *self._all[3:])
         rows = np.intersect1d(np.flatnonzero(self._all[2][one]), rest._kept)
@@ -277,7 +277,7 @@ class _Common:
         scatter = np.outer(mean, mean) * (rest._level.high95**2 + rest._filter.high95**2 * same)
         left = self._all[0][one][rows] - mean
         misfit = float(left @ np.linalg.solve(self._all[1][one][block] + rest.covariance[block] + scatter, left))
-        return bool(chi2.sf(misfit, rows.size) < DEPARTS_P)
+        return bool(chdtrc(rows.size, misfit) < DEPARTS_P)
 
 
 def _without_tile(covariance: Floats, mean: Floats, tile_rel: float, usable: NDArray[np.bool_]) -> Floats:
@@ -290,9 +290,12 @@ def _without_tile(covariance: Floats, mean: Floats, tile_rel: float, usable: NDA
 
 def _variance_of_interval(variances: Floats, weight: Floats) -> float:
     """Return the variance of the normal with the 95 % interval of a mixture of normals around 0."""
+    from scipy.optimize import brentq
+    from scipy.special import ndtr, ndtri  # both here, because every fit would load them, and most are of one session
+
     sd = np.sqrt(variances)
-    tail = brentq(lambda q: float(weight @ norm.sf(q / sd)) - 0.025, 0.0, 60 * sd.max())
-    return float(tail / norm.isf(0.025)) ** 2
+    tail = brentq(lambda q: float(weight @ ndtr(-q / sd)) - 0.025, 0.0, 60 * sd.max())
+    return float(tail / -ndtri(0.025)) ** 2
 
 
 def _of_grid(values: Floats, weight: Floats) -> Estimate:
