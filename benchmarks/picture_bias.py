@@ -199,7 +199,7 @@ def _one_round(gathers: Any, design: FingerDesign, mi: Any, seed: int) -> _Round
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, count)
     batch = cell_at(sampler.next_1d() * gathers.batches, gathers.batches)
-    towards, density = gathers.drawn(si, [sampler.next_1d() for _ in range(4)], sharing.GUIDE_CHANCE)
+    towards, density = gathers.drawn(si, [sampler.next_1d() for _ in range(4)], 0.0)
     drawn = here & (density > 0.0)
     arriving = sharing.arriving_light(gathers, scene, sampler, si.spawn_ray(towards), batch)
     value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(towards), here)

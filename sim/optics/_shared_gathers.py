@@ -31,7 +31,6 @@ from scipy.spatial import cKDTree
 
 from data_schemas import CameraCalibration, SimulateError
 from sim.optics._band_paths import BandPaths, LitWalls, band_paths, by_smooth_faces
-from sim.optics._mirror_guide import GUIDE_CHANCE
 from sim.optics._optical_layout import camera_pose
 from sim.optics._paint_bands import BAND_NAMES
 from sim.optics._painted_walls import WALLS, WallLight, last_band
@@ -203,7 +202,8 @@ class SharedGathers:
         shifts = LookupTable(rng.random((self.nodes.count * batches, 4)), mi).row(group)
         numbers = [_spread(shifts[k], lane - group * rays, step) for k, step in enumerate(_STEPS_4)]
         si = self.nodes.seen(self.finger.scene, group - batch * nodes)
-        direction, density = self.drawn(si, numbers, GUIDE_CHANCE)
+        # what the guide would find, the pixel finds
+        direction, density = self.drawn(si, numbers, 0.0)
         ray = si.spawn_ray(direction)
         found = arriving_light(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
         found = [dr.select(density > 0.0, value / density, 0.0) for value in found]
@@ -476,8 +476,7 @@ def arriving_light(gathers, scene, sampler, ray, batch, start=FROM_EYE):  # type
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
         front = mi.Frame3f.cos_theta(si.wi) > 0
-        lit = active & front & (state != FROM_EYE)
-        sums[2] += dr.select(lit, throughput.z * paths.panel_met(si, state), 0)
+        sums[2] += dr.select(active & front & (state != FROM_EYE), throughput.z * paths.panel_met(si, state), 0)
         is_green = si.shape == paths.green
         on_wall = active & front & (is_green | (si.shape == paths.red))
         glow = walls.at(si, is_green, batch, on_wall & ~straight)
