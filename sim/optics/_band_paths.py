@@ -9,6 +9,7 @@ written in Python do not run in scalar variants, which use Mitsuba's own ``path`
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from data_schemas import FingerDesign
 from sim.optics._fluorescent_paths import fluorescent_integrator, painted_bsdfs
 from sim.optics._mirror_guide import GUIDE_CHANCE, MirrorGuide, learn_guide
-from sim.optics._painted_walls import FIRST_CHAINS, TEXELS_ALONG, TEXELS_UP, WALLS, last_band
+from sim.optics._painted_walls import FIRST_CHAINS, TEXELS_ALONG, TEXELS_UP, WALLS, last_band, wall_map
 from sim.optics._panel_light import FROM_EYE, FROM_SURFACE, STRAIGHT_OUT, Panel, panel_point, panels_of, state_after
 from sim.optics._path_rules import (
     LARGEST_SURVIVAL,
@@ -34,12 +35,20 @@ from sim.optics._path_rules import (
     Tally,
     cell_at,
 )
+from sim.optics._position_map import PositionMap
 from sim.optics._refraction import GelFace, film_transmittance, inner_face, refract_through
 from sim.surface_meshes import FingerShape
 
 # texels are fetched in packets of this many chains
 _PACKET = 4
 _SMALLEST_COSINE = 1e-4
+# a wall's points, up and along: linear between them, a mesh bent by a press leaves them by micrometres
+_WALL_POINTS = (17, 141)
+# shadow rays stop before a wall by more than its mesh and these points differ
+_BEFORE_WALL_MM = 0.05
+# share of the points on a wall that are drawn evenly up it: weights stay bounded on facets that lean to the wall
+_EVENLY = 0.25
+_SMALLEST_MM = 1e-3
 
 
 class BandPaths:
@@ -265,6 +274,31 @@ class BandPaths:
         return dr.select(state == STRAIGHT_OUT, 0, radiance) if self.refractive else radiance
 
 
+@dr.syntax
+def by_smooth_faces(paths, scene, sampler, ray, carried):  # type: ignore[no-untyped-def]
+    """Return the panels' light along rays from the coat by smooth surfaces alone, but for what comes straight."""
+    context, ray, carried = mi.BSDFContext(), mi.Ray3f(ray), mi.Float(carried)
+    led, depth, state = mi.Float(0), mi.UInt32(0), mi.UInt32(FROM_SURFACE)
+    active = carried > 0.0
+    while dr.hint(active, max_iterations=MAX_DEPTH):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        front = mi.Frame3f.cos_theta(si.wi) > 0
+        led += dr.select(active & front, carried * paths.panel_met(si, state), 0)
+        chosen, weight = si.bsdf(ray).sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
+        smooth = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+        transmitted = smooth & mi.has_flag(chosen.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        carried *= weight.z
+        on_inner = si.shape == paths.inner
+        if dr.hint(paths.face.film is not None, mode="scalar"):
+            carried *= dr.select(on_inner & smooth, paths.film_factor(si, transmitted), 1)
+        state = state_after(state, smooth, transmitted & on_inner & ~front)
+        ray = si.spawn_ray(si.to_world(chosen.wo))
+        depth += 1
+        active &= smooth & (carried > 0.0) & (depth < MAX_DEPTH)
+    return led
+
+
 Floats = NDArray[np.float64]
 
 
@@ -278,6 +312,109 @@ def first_texel(si: Any, is_green: Any) -> tuple[Any, Any, Any]:
     i, j = cell_at(x, TEXELS_UP - 1), cell_at(y, TEXELS_ALONG - 1)
     first = (dr.select(is_green, mi.UInt32(TEXELS_ALONG), mi.UInt32(0)) + j) * TEXELS_UP + i
     return first, x - mi.Float(i), y - mi.Float(j)
+
+
+class LitWalls:
+    """The radiance of both walls in all channels, and points drawn on them by the light they send to a place.
+
+    Parameters
+    ----------
+    radiance
+        Shape (batch, wall, TEXELS_ALONG, TEXELS_UP, channel).
+    shape
+        Where the walls are.
+    thickness_mm, length_mm
+        Sizes of the pad: they shape the density of the points only.
+    """
+
+    def __init__(self, radiance: Floats, shape: FingerShape, thickness_mm: float, length_mm: float) -> None:
+        batches, _, _, _, self.channels = radiance.shape
+        self.packets = -(-self.channels // _PACKET)
+        texels = np.zeros((*radiance.shape[:-1], self.packets * _PACKET), dtype=np.float32)
+        texels[..., : self.channels] = radiance
+        self.texels = LookupTable(texels.reshape(-1, _PACKET), mi)
+        self.per_batch = dr.opaque(mi.UInt32, 2 * TEXELS_ALONG * TEXELS_UP if batches > 1 else 0)
+        self.height, self.length = mi.Float(thickness_mm), mi.Float(length_mm)
+        self.points = LookupTable(np.concatenate([_wall_points(wall_map(shape, wall)) for wall in WALLS]), mi)
+        dr.make_opaque(self.height, self.length)
+
+    def at(self, place: Any, is_green: Any, batch: Any, active: Any) -> list[Any]:
+        """Return the radiance of wall points (what has ``uv``), one value per channel."""
+        first, s, t = first_texel(place, is_green)
+        first += batch * self.per_batch
+        radiance: list[Any] = []
+        for packet in range(self.packets):
+            a, b, c, d = (
+                self.texels.row((first + (j * TEXELS_UP + i)) * self.packets + packet, active)
+                for j in (0, 1)
+                for i in (0, 1)
+            )
+            mixed = (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * c + s * d)
+            radiance += [mixed[k] for k in range(_PACKET)]
+        return radiance[: self.channels]
+
+    def place(self, wall: int, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return points of a wall and their derivatives by u (up) and v (along)."""
+        across, along = (count - 1 for count in _WALL_POINTS)
+        x, y = u * across, v * along
+        i, j = cell_at(x, across), cell_at(y, along)
+        s, t = x - mi.Float(i), y - mi.Float(j)
+        first = (wall * (along + 1) + j) * (across + 1) + i
+        a, b, c, d = (
+            mi.Vector3f(row.x, row.y, row.z)
+            for row in (
+                self.points.row(first + step, active) for step in (0, 1, across + 1, across + 2)
+            )
+        )  # fmt: skip
+        point = (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * c + s * d)
+        return point, ((1 - t) * (b - a) + t * (d - c)) * across, ((1 - s) * (c - a) + s * (d - b)) * along
+
+    def aim(self, scene: Any, si: Any, wall: int, sample: Sequence[Any], active: Any) -> tuple[Any, Any, Any, Any]:
+        r"""Return (seen, direction, solid angle per point, place) of a point drawn on a wall from points of the coat.
+
+        With the distance d from the wall at the coat, a depth t below it and a place z along, the light of an even wall
+        on an even coat is :math:`t d / (d^2 + t^2 + z^2)^2 dt dz`: t is drawn by :math:`t / (d^2 + t^2)` and z by
+        :math:`D / (D^2 + z^2)`, :math:`D^2 = d^2 + t^2`. Left over is the product of two cosines.
+        """
+        rim = self.place(wall, mi.Float(1), si.uv.y, active)[0]
+        d = dr.maximum(dr.norm(rim - si.p), _SMALLEST_MM)
+        reach = 0.5 * dr.log(1.0 + dr.square(self.height / d))
+        even = sample[2] < _EVENLY
+        t = d * dr.safe_sqrt(dr.exp(2.0 * reach * sample[0]) - 1.0)
+        t = dr.select(even, sample[0] * self.height, dr.minimum(t, self.height))
+        up_density = (1.0 - _EVENLY) * t / (d * d + t * t) / reach * self.height + _EVENLY
+        across = dr.sqrt(d * d + t * t)
+        from_end = si.uv.y * self.length
+        low, high = dr.atan(-from_end / across), dr.atan((self.length - from_end) / across)
+        z = across * dr.tan(low + (high - low) * sample[1])
+        along_density = across / (across * across + z * z) / (high - low) * self.length
+        u, v = 1.0 - t / self.height, dr.clip(si.uv.y + z / self.length, 0.0, 1.0)
+        point, du, dv = self.place(wall, u, v, active)
+        way = point - si.p
+        r2: Any = dr.maximum(dr.squared_norm(way), _SMALLEST_MM**2)
+        r = dr.sqrt(r2)
+        direction = way / r
+        # |n . direction| dA = |(du x dv) . direction| du dv
+        solid_angle = dr.abs(dr.dot(dr.cross(du, dv), direction)) / (r2 * up_density * along_density)
+        ray = si.spawn_ray(direction)
+        ray.maxt = dr.maximum(r - _BEFORE_WALL_MM, 0.0)
+        seen = active & (solid_angle > 0.0)
+        seen &= ~scene.ray_test(ray, seen & (r > 2.0 * _BEFORE_WALL_MM))
+        return seen, direction, solid_angle, _Place(mi.Point2f(u, v))
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Texture coordinates, as those of an interaction."""
+
+    uv: Any
+
+
+def _wall_points(where: PositionMap) -> Floats:
+    """Return points of a wall, (along * up, 4), the last number zero."""
+    u, v = (np.linspace(0.0, 1.0, count) for count in _WALL_POINTS)
+    points = where.positions_mm(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+    return np.column_stack([points, np.zeros(len(points))])
 
 
 class WallTexels:

@@ -4,12 +4,16 @@ A path tracer finds the light of each pixel anew, by chance, and most paths find
 the same light arrive. Here it is traced once, from nodes spread over the coat, along directions in which the coat
 sends light to the camera; each pixel weights it with the coat's reflection at its own point, towards its own ray, by
 its own normal. What changes within less than the nodes' distance is left out of that and found by the pixel: the
-light straight from the walls, by points drawn on them, and straight from the panels, by connections through the gel's
-face. So are the reflections on the way from the camera.
+light straight from the walls, by points drawn on them, straight from the panels, by connections through the gel's
+face, and from the panels by mirror and faces, whose image ends sharply. So are the reflections on the way from the
+camera.
 
 The walls are Lambertian: what they reflect is part of a map of their whole radiance, traced from the walls as their
 emission is, and every path ends where it meets one. Light between nodes is a local regression, and light within a bin
-of directions (10 deg around, 1/16 of the cosine) counts as even: that is the bias. All else is unbiased.
+of directions (10 deg around, 1/16 of the cosine) counts as even: that is a bias. It is measured in every picture: the
+same paths also tell, without it, what each node sends to the camera. The difference to what a node sends by the shared
+light is smoothed over the pad and added (what Tukey called twicing). What is left is that difference less its smooth
+part. All else is unbiased.
 
 Import this module only after a compiled variant has been set (see :func:`sim.optics.open_renderer`).
 """
@@ -22,26 +26,29 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from data_schemas import CameraCalibration, SimulateError
-from sim.optics._band_paths import BandPaths, band_paths, first_texel
-from sim.optics._mirror_guide import GUIDE_CHANCE
+from sim.optics._band_paths import BandPaths, LitWalls, band_paths, by_smooth_faces
 from sim.optics._optical_layout import camera_pose
 from sim.optics._paint_bands import BAND_NAMES
-from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP, WALLS, WallLight, last_band, wall_map
-from sim.optics._panel_light import FROM_SURFACE, state_after
+from sim.optics._painted_walls import WALLS, WallLight, last_band
+from sim.optics._panel_light import FROM_EYE, state_after
 from sim.optics._path_rules import LARGEST_SURVIVAL, MAX_DEPTH, ROULETTE_DEPTH, LookupTable, cell_at
 from sim.optics._pixel_maps import camera_rays
 from sim.optics._position_map import PositionMap
 from sim.optics._scene import LoadedScene
-from sim.surface_meshes import FingerShape
+from sim.optics._wall_spline import choose_smoother
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
 NODE_MM: Final = (1.0, 2.0)
 """Distance of the nodes across and along the pad: across it the light of the walls falls off."""
+
+PLACE_MM: Final = (1.5, 2.5)
+"""What arrives is known at places this far apart, across and along; linear between them."""
 
 RAYS: Final = 64
 """Paths of each node in one batch."""
@@ -50,21 +57,18 @@ _RIM_MM = 0.137
 # nodes start their paths from here below the coat's surface
 _BELOW_MM = 0.3
 _BESIDE_MM = 7e-3
-# what arrives is known at places this far apart, linear between them
-_PLACE_MM = (1.5, 2.5)
 # a place is served by the nodes around it, across and along the pad: the face blurs what it sends back over 12 mm
 _REACH_MM = np.array([7.0, 12.0])
 _HEIGHT_PRIOR = 1e-6
 # directions are told apart by their height over the coat, rows per unit of its cosine, and by their turn
 _ROWS, _TURNS = 16, 36
 _PACKET = 4
-# a wall's points, up and along: linear between them, a mesh bent by a press leaves them by micrometres
-_WALL_POINTS = (17, 141)
-# shadow rays stop before a wall by more than its mesh and these points differ
-_BEFORE_WALL_MM = 0.05
-# share of the points on a wall that are drawn evenly up it: weights stay bounded on facets that lean to the wall
-_EVENLY = 0.25
-_SMALLEST_MM = 1e-3
+# chance that paths to the panels by the mirror follow the guide
+_GUIDED = 0.8
+# places within a bin at which the coat's reflection is averaged, each way
+_WITHIN_BIN = 3
+# of the largest light at a node: what is missed is smoothed relative to it
+_LEAST_LIGHT_REL = 1e-3
 # the coat is seen through the inner face, and once more in what that reflects to the mirror
 _SIGHTS = 2
 _MOST_PATHS = 1 << 21
@@ -82,113 +86,13 @@ class GatherCounts:
         Directions, of some 600, from which it weights what arrives.
     points
         Points drawn on each wall, and on the panels.
+    mirrored
+        Paths to the panels by mirror and faces.
     """
 
     directions: int = 288
     points: int = 4
-
-
-class LitWalls:
-    """The radiance of both walls in all channels, and points drawn on them by the light they send to a place.
-
-    Parameters
-    ----------
-    radiance
-        Shape (batch, wall, TEXELS_ALONG, TEXELS_UP, channel).
-    shape
-        Where the walls are.
-    thickness_mm, length_mm
-        Sizes of the pad: they shape the density of the points only.
-    """
-
-    def __init__(self, radiance: Floats, shape: FingerShape, thickness_mm: float, length_mm: float) -> None:
-        batches, _, _, _, self.channels = radiance.shape
-        self.packets = -(-self.channels // _PACKET)
-        texels = np.zeros((*radiance.shape[:-1], self.packets * _PACKET), dtype=np.float32)
-        texels[..., : self.channels] = radiance
-        self.texels = LookupTable(texels.reshape(-1, _PACKET), mi)
-        self.per_batch = dr.opaque(mi.UInt32, 2 * TEXELS_ALONG * TEXELS_UP if batches > 1 else 0)
-        self.height, self.length = mi.Float(thickness_mm), mi.Float(length_mm)
-        self.points = LookupTable(np.concatenate([_wall_points(wall_map(shape, wall)) for wall in WALLS]), mi)
-        dr.make_opaque(self.height, self.length)
-
-    def at(self, place: Any, is_green: Any, batch: Any, active: Any) -> list[Any]:
-        """Return the radiance of wall points (what has ``uv``), one value per channel."""
-        first, s, t = first_texel(place, is_green)
-        first += batch * self.per_batch
-        radiance: list[Any] = []
-        for packet in range(self.packets):
-            a, b, c, d = (
-                self.texels.row((first + (j * TEXELS_UP + i)) * self.packets + packet, active)
-                for j in (0, 1)
-                for i in (0, 1)
-            )
-            mixed = (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * c + s * d)
-            radiance += [mixed[k] for k in range(_PACKET)]
-        return radiance[: self.channels]
-
-    def place(self, wall: int, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Return points of a wall and their derivatives by u (up) and v (along)."""
-        across, along = (count - 1 for count in _WALL_POINTS)
-        x, y = u * across, v * along
-        i, j = cell_at(x, across), cell_at(y, along)
-        s, t = x - mi.Float(i), y - mi.Float(j)
-        first = (wall * (along + 1) + j) * (across + 1) + i
-        a, b, c, d = (
-            mi.Vector3f(row.x, row.y, row.z)
-            for row in (
-                self.points.row(first + step, active) for step in (0, 1, across + 1, across + 2)
-            )
-        )  # fmt: skip
-        point = (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * c + s * d)
-        return point, ((1 - t) * (b - a) + t * (d - c)) * across, ((1 - s) * (c - a) + s * (d - b)) * along
-
-    def aim(self, scene: Any, si: Any, wall: int, sample: Sequence[Any], active: Any) -> tuple[Any, Any, Any, Any]:
-        r"""Return (seen, direction, solid angle per point, place) of a point drawn on a wall from points of the coat.
-
-        With the distance d from the wall at the coat, a depth t below it and a place z along, the light of an even wall
-        on an even coat is :math:`t d / (d^2 + t^2 + z^2)^2 dt dz`: t is drawn by :math:`t / (d^2 + t^2)` and z by
-        :math:`D / (D^2 + z^2)`, :math:`D^2 = d^2 + t^2`. Left over is the product of two cosines.
-        """
-        rim = self.place(wall, mi.Float(1), si.uv.y, active)[0]
-        d = dr.maximum(dr.norm(rim - si.p), _SMALLEST_MM)
-        reach = 0.5 * dr.log(1.0 + dr.square(self.height / d))
-        even = sample[2] < _EVENLY
-        t = d * dr.safe_sqrt(dr.exp(2.0 * reach * sample[0]) - 1.0)
-        t = dr.select(even, sample[0] * self.height, dr.minimum(t, self.height))
-        up_density = (1.0 - _EVENLY) * t / (d * d + t * t) / reach * self.height + _EVENLY
-        across = dr.sqrt(d * d + t * t)
-        from_end = si.uv.y * self.length
-        low, high = dr.atan(-from_end / across), dr.atan((self.length - from_end) / across)
-        z = across * dr.tan(low + (high - low) * sample[1])
-        along_density = across / (across * across + z * z) / (high - low) * self.length
-        u, v = 1.0 - t / self.height, dr.clip(si.uv.y + z / self.length, 0.0, 1.0)
-        point, du, dv = self.place(wall, u, v, active)
-        way = point - si.p
-        r2: Any = dr.maximum(dr.squared_norm(way), _SMALLEST_MM**2)
-        r = dr.sqrt(r2)
-        direction = way / r
-        # |n . direction| dA = |(du x dv) . direction| du dv
-        solid_angle = dr.abs(dr.dot(dr.cross(du, dv), direction)) / (r2 * up_density * along_density)
-        ray = si.spawn_ray(direction)
-        ray.maxt = dr.maximum(r - _BEFORE_WALL_MM, 0.0)
-        seen = active & (solid_angle > 0.0)
-        seen &= ~scene.ray_test(ray, seen & (r > 2.0 * _BEFORE_WALL_MM))
-        return seen, direction, solid_angle, _Place(mi.Point2f(u, v))
-
-
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Texture coordinates, as those of an interaction."""
-
-    uv: Any
-
-
-def _wall_points(where: PositionMap) -> Floats:
-    """Return points of a wall, (along * up, 4), the last number zero."""
-    u, v = (np.linspace(0.0, 1.0, count) for count in _WALL_POINTS)
-    points = where.positions_mm(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-    return np.column_stack([points, np.zeros(len(points))])
+    mirrored: int = 8
 
 
 class SharedGathers:
@@ -253,7 +157,7 @@ class SharedGathers:
         """Return texture coordinates (n, 2) and last legs (n, 3) of the camera's rays that meet the coat."""
         design, scene = self.finger.design, self.finger.scene
         directions = np.ascontiguousarray(camera_rays(design, calibration).reshape(-1, 3).T, dtype=np.float32)
-        sight = _Sight.along(
+        sight = Sight.along(
             self, scene, mi.Ray3f(mi.Point3f(camera_pose(design).centre_mm.tolist()), mi.Vector3f(directions))
         )
         uv, leg = sight.si.uv, -sight.si.to_world(sight.si.wi)
@@ -275,13 +179,19 @@ class SharedGathers:
         traced = [
             self._traced(start, min(together, self.batches - start), rng) for start in range(0, self.batches, together)
         ]
-        drawn, light = (np.concatenate([one[k] for one in traced]) for k in range(2))
+        drawn, light, sent = (np.concatenate([one[k] for one in traced]) for k in range(3))
         self.bins = DirectionBins.of(drawn)
         table = np.stack([self._arriving(*one) for one in zip(drawn, light, strict=True)])
         self.light = LookupTable(table.reshape(-1, _PACKET), mi)
+        missed = np.zeros((*sent.shape[:2], self.walls.packets * _PACKET), dtype=np.float32)
+        missed[..., : sent.shape[-1]] = self.missed_at_nodes(sent, table)
+        self.missed = LookupTable(missed.reshape(-1, _PACKET), mi)
 
-    def _traced(self, start: int, batches: int, rng: np.random.Generator) -> tuple[Floats32, Floats32]:
-        """Return directions of paths from the nodes, (batch, path, 3), and their light over their density."""
+    def _traced(self, start: int, batches: int, rng: np.random.Generator) -> tuple[Floats32, Floats32, Floats32]:
+        """Return directions of paths from the nodes, (batch, path, 3), and their light over their density.
+
+        Also what each node sends to the camera by its own paths, (batch, node, channel): without bias, and noisy.
+        """
         count = self.nodes.count * RAYS * batches
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(int(rng.integers(2**32)), count)
@@ -292,13 +202,48 @@ class SharedGathers:
         shifts = LookupTable(rng.random((self.nodes.count * batches, 4)), mi).row(group)
         numbers = [_spread(shifts[k], lane - group * rays, step) for k, step in enumerate(_STEPS_4)]
         si = self.nodes.seen(self.finger.scene, group - batch * nodes)
-        direction, density = self._drawn(si, numbers)
+        # what the guide would find, the pixel finds
+        direction, density = self.drawn(si, numbers, 0.0)
         ray = si.spawn_ray(direction)
-        found = _follow(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
+        found = arriving_light(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
         found = [dr.select(density > 0.0, value / density, 0.0) for value in found]
-        dr.eval(direction, found)
-        light = np.stack([np.array(value) for value in found], axis=-1)
-        return direction.numpy().T.reshape(batches, -1, 3), light.reshape(batches, -1, len(found))
+        value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(direction))
+        sent = [dr.block_sum(value[band] * one, RAYS) / RAYS for band, one in zip(self.band_of, found, strict=True)]
+        dr.eval(direction, found, sent)
+        light, sent = (np.stack([np.array(one) for one in channels], axis=-1) for channels in (found, sent))
+        return (
+            direction.numpy().T.reshape(batches, -1, 3),
+            light.reshape(batches, -1, len(found)),
+            sent.reshape(batches, -1, len(found)),
+        )
+
+    def missed_at_nodes(self, sent: Floats32, table: Floats32) -> Floats:
+        """Return what nodes send by their own paths but not by the shared light, smooth by place.
+
+        Both use the same paths, so that most of their noise cancels. Each half of the batches is smoothed as stiffly as
+        cross-validation finds for the other half: the mean is linear in the light, and passes show its noise.
+
+        Parameters
+        ----------
+        sent
+            By own paths, (batch, node, channel).
+        table
+            What arrives at the places, (batch, place, bin * channel).
+        """
+        shared = self.nodes.sent(self.bins, self.band_of, table)
+        along = self.nodes.nodes_along
+        usual = shared.mean(axis=0)
+        usual = np.maximum(usual, _LEAST_LIGHT_REL * usual.max(axis=0) + np.finfo(np.float32).tiny)
+        rest = (sent - shared) / usual
+        middle, smooth = len(rest) // 2, np.empty_like(rest)
+        for channel in range(rest.shape[-1]):
+            halves = [
+                half.reshape(len(half), along, -1) for half in (rest[:middle, :, channel], rest[middle:, :, channel])
+            ]
+            fits = [choose_smoother(half.mean(axis=0), half.var(axis=0, ddof=1) / middle) for half in halves]
+            for here, half, fit in zip((slice(middle), slice(middle, None)), halves, fits[::-1], strict=True):
+                smooth[here, :, channel] = fit(half).reshape(len(half), -1)
+        return np.asarray(smooth * usual)
 
     def _arriving(self, drawn: Floats32, light: Floats32) -> Floats32:
         """Return what arrives at the places in one batch, (place, bin, channel), padded to whole packets."""
@@ -309,8 +254,8 @@ class SharedGathers:
             channels[:, k] = np.bincount(cell, weights=light[:, k] / RAYS, minlength=size)
         return np.asarray(self.nodes.weights @ channels.reshape(self.nodes.count, -1))
 
-    def _drawn(self, si: Any, numbers: Sequence[Any]) -> tuple[Any, Any]:
-        """Return directions from nodes, drawn as the coat reflects and along the guide, and their density."""
+    def drawn(self, si: Any, numbers: Sequence[Any], guided: float) -> tuple[Any, Any]:
+        """Return directions from the coat, drawn as it reflects and, with a chance, by the guide; their density."""
         bsdf, context, guide = si.bsdf(), mi.BSDFContext(), self.paths.guide
         spot = mi.Point2f(numbers[0], numbers[1])
         sample, _ = bsdf.sample(context, si, numbers[2], spot)
@@ -318,7 +263,7 @@ class SharedGathers:
         if guide is None:
             return way, bsdf.pdf(context, si, si.to_local(way))
         lobes = guide.lobes(si, mi.Bool(True))
-        chance = dr.select(guide.known(lobes), GUIDE_CHANCE, 0.0)
+        chance = dr.select(guide.known(lobes), guided, 0.0)
         way = dr.select(numbers[3] < chance, guide.direction(lobes, numbers[2], spot), way)
         usual = bsdf.pdf(context, si, si.to_local(way))
         return way, usual + chance * (guide.density(lobes, way) - usual)
@@ -352,7 +297,7 @@ class Nodes:
     def __init__(self, finger: LoadedScene, seen_uv: Floats, legs: Floats) -> None:
         pad, coat = finger.design.pad, PositionMap.of(finger.shape.surfaces["coat"], "coat")
         self.sizes = np.array([pad.width_mm, pad.length_mm])
-        uv = self._grid(NODE_MM)
+        uv = self.grid(NODE_MM)
         normals, points = coat.normals(uv), coat.positions_mm(uv)
         self.count = len(uv)
         self.coat = mi.ShapePtr(next(shape for shape in finger.scene.shapes() if shape.id() == "coat"))
@@ -362,12 +307,14 @@ class Nodes:
         rows[:, 0, :3], rows[:, 0, 3] = points - _BELOW_MM * normals, uv[:, 0] > 0.5
         rows[:, 1, :3], rows[:, 2, :3] = normals, legs[nearest]
         self.table = LookupTable(rows.reshape(-1, 4), mi)
-        places = self._grid(_PLACE_MM)
+        places = self.grid(PLACE_MM)
         self.across, self.along = (len(np.unique(places[:, k])) for k in (0, 1))
+        self.nodes_across, self.nodes_along = (len(np.unique(uv[:, k])) for k in (0, 1))
+        self.scene, self.uv = finger.scene, uv
         depth = coat.positions_mm(places)[:, 1], points[:, 1]
         self.weights = regression_weights(places * self.sizes, uv * self.sizes, *depth)
 
-    def _grid(self, step_mm: tuple[float, float]) -> Floats:
+    def grid(self, step_mm: tuple[float, float]) -> Floats:
         """Return a grid over the coat (n, 2), across running first."""
         ends = [
             np.linspace(_RIM_MM / size, 1.0 - _RIM_MM / size, 2 * round(size / (2.0 * step)))
@@ -391,17 +338,57 @@ class Nodes:
         si.wi = si.to_local(-mi.Vector3f(look.x, look.y, look.z))
         return si
 
+    def sent(self, bins: "DirectionBins", band_of: Sequence[int], table: Floats32) -> Floats:
+        """Return what nodes send to the camera by the light at the places, (batch, node, channel)."""
+        lane: Any = dr.arange(mi.UInt32, self.count * bins.count)
+        node = lane // dr.opaque(mi.UInt32, bins.count)
+        si, spread = self.seen(self.scene, node), dr.opaque(mi.Float, 1.0 / _WITHIN_BIN)
+        chosen, value = lane - node * bins.count, mi.Color3f(0)
+        for x in range(_WITHIN_BIN):
+            for y in range(_WITHIN_BIN):
+                way = si.to_local(bins.direction(chosen, (x + 0.5) * spread, (y + 0.5) * spread))
+                value += si.bsdf().eval(mi.BSDFContext(), si, way) / _WITHIN_BIN**2
+        reflection = value.numpy().reshape(-1, self.count, bins.count)
+        between = self.between(self.uv)
+        sent = np.empty((len(table), self.count, len(band_of)))
+        for batch, one in enumerate(table):
+            light = one.reshape(len(one), bins.count, -1)
+            for channel, band in enumerate(band_of):
+                here = between @ np.ascontiguousarray(light[..., channel])
+                sent[batch, :, channel] = np.einsum("nb,nb->n", reflection[band], here)
+        return sent
+
+    def between(self, uv: Floats) -> csr_array:
+        """Return the bilinear weights of the places at points (n, 2), as :meth:`near` draws them, (n, place)."""
+        cell, share = [], []
+        for place, count, size in zip(uv.T, (self.across, self.along), self.sizes, strict=True):
+            rim = _RIM_MM / size
+            x = np.clip((place - rim) / (1.0 - 2.0 * rim), 0.0, 1.0) * (count - 1)
+            cell.append(np.minimum(x.astype(int), count - 2))
+            share.append(x - cell[-1])
+        corners = [(i, j) for j in (0, 1) for i in (0, 1)]
+        columns = np.stack([(cell[1] + j) * self.across + cell[0] + i for i, j in corners], axis=-1)
+        weights = np.stack([np.abs(1 - i - share[0]) * np.abs(1 - j - share[1]) for i, j in corners], axis=-1)
+        rows = np.repeat(np.arange(len(uv)), len(corners))
+        return csr_array((weights.ravel(), (rows, columns.ravel())), shape=(len(uv), self.across * self.along))
+
     def near(self, uv: Any, chances: Sequence[Any]) -> Any:
         """Return the number of one of the four places around points, drawn by its bilinear weight."""
+        return self._one_of_four(uv, chances, self.across, self.along)
+
+    def near_node(self, uv: Any, chances: Sequence[Any]) -> Any:
+        """Return the number of one of the four nodes around points, drawn by its bilinear weight."""
+        return self._one_of_four(uv, chances, self.nodes_across, self.nodes_along)
+
+    def _one_of_four(self, uv: Any, chances: Sequence[Any], across: int, along: int) -> Any:
+        """Return the number of a point of a grid over the coat, drawn among the four around."""
         picked = []
-        for place, count, size, chance in zip(
-            (uv.x, uv.y), (self.across, self.along), self.sizes.tolist(), chances, strict=True
-        ):
+        for place, count, size, chance in zip((uv.x, uv.y), (across, along), self.sizes.tolist(), chances, strict=True):
             rim = _RIM_MM / size
             x = dr.clip((place - rim) / (1.0 - 2.0 * rim), 0.0, 1.0) * (count - 1)
             i = cell_at(x, count - 1)
             picked.append(i + dr.select(chance < x - mi.Float(i), mi.UInt32(1), mi.UInt32(0)))
-        return picked[1] * self.across + picked[0]
+        return picked[1] * across + picked[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -473,19 +460,23 @@ def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, no
 
 
 @dr.syntax
-def _follow(gathers, scene, sampler, ray, batch):  # type: ignore[no-untyped-def]
-    """Return what arrives along rays from the coat, per channel, but for what comes straight from walls and panels."""
+def arriving_light(gathers, scene, sampler, ray, batch, start=FROM_EYE):  # type: ignore[no-untyped-def]
+    """Return the light that is shared, per channel, as it arrives along rays from the coat.
+
+    That is all but what comes straight from the walls, and from the panels by smooth faces alone.
+    """
     paths, walls, ray = gathers.paths, gathers.walls, mi.Ray3f(ray)
     throughput: Any = mi.Color3f(1)
     sums = [mi.Float(0) for _ in gathers.chains]
     depth, eta, active = mi.UInt32(0), mi.Float(1), mi.Bool(True)
-    state, straight = mi.UInt32(FROM_SURFACE), mi.Bool(True)
+    # paths that start FROM_EYE stay so until they meet a surface that is not smooth
+    state, straight = mi.UInt32(start), mi.Bool(True)
     gathers.batch_of_lane = batch
     while dr.hint(active, max_iterations=MAX_DEPTH):
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
         front = mi.Frame3f.cos_theta(si.wi) > 0
-        sums[2] += dr.select(active & front, throughput.z * paths.panel_met(si, state), 0)
+        sums[2] += dr.select(active & front & (state != FROM_EYE), throughput.z * paths.panel_met(si, state), 0)
         is_green = si.shape == paths.green
         on_wall = active & front & (is_green | (si.shape == paths.red))
         glow = walls.at(si, is_green, batch, on_wall & ~straight)
@@ -521,7 +512,17 @@ def _follow(gathers, scene, sampler, ray, batch):  # type: ignore[no-untyped-def
     return sums
 
 
-def _straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+def mirrored_light(
+    gathers: SharedGathers, scene: Any, sampler: Any, si: Any, shift: Sequence[Any], number: Any, active: Any
+) -> Any:
+    """Return what one path to the panels by mirror and faces, but not straight, brings to the camera."""
+    way, density = gathers.drawn(si, [_spread(shift[k + 3], number, _STEPS_4[k]) for k in range(4)], _GUIDED)
+    value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(way), active)
+    carried = dr.select(active & (density > 0.0), value.z / density, 0.0)
+    return by_smooth_faces(gathers.paths, scene, sampler, si.spawn_ray(way), carried)  # type: ignore[no-untyped-call]
+
+
+def straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
     """Return what one point on each wall and one on the panels bring to the camera, per channel."""
     bsdf = si.bsdf()
     x = [_spread(shift[k], number, _STEPS_4[k % 4]) for k in range(8)]
@@ -532,7 +533,7 @@ def _straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence
     return lit
 
 
-def _shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
     """Return what light from some of the directions brings to the camera, per channel: all together at each number."""
     bins, packets = gathers.bins, gathers.walls.packets
     # evenly spread over the bins, from a random start
@@ -547,20 +548,35 @@ def _shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number:
     return [value[band] * light[k // _PACKET][k % _PACKET] for k, band in enumerate(gathers.band_of)]
 
 
+def missed_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], active: Any) -> list[Any]:
+    """Return what the shared light misses of what comes to the camera, per channel."""
+    nodes, packets = gathers.nodes, gathers.walls.packets
+    row = (gathers.batch_of_lane * nodes.count + nodes.near_node(si.uv, (shift[2], shift[4]))) * packets
+    light = [gathers.missed.row(row + packet, active) for packet in range(packets)]
+    return [dr.select(active, light[k // _PACKET][k % _PACKET], 0.0) for k in range(len(gathers.chains))]
+
+
 @dr.syntax
-def _coat_radiance(gathers, scene, si, shift, active):  # type: ignore[no-untyped-def]
+def _coat_radiance(gathers, scene, sampler, si, shift, active):  # type: ignore[no-untyped-def]
     """Return the radiance of points of the coat, per channel."""
-    sums = [mi.Float(0) for _ in gathers.chains]
-    points, directions = (dr.opaque(mi.UInt32, n) for n in (gathers.counts.points, gathers.counts.directions))
+    sums = missed_light(gathers, si, shift, active)
+    counts = gathers.counts
+    points, mirrored, directions = (
+        dr.opaque(mi.UInt32, n) for n in (counts.points, counts.mirrored, counts.directions)
+    )
     number = mi.UInt32(0)
     while active & (number < points):
-        found = _straight_light(gathers, scene, si, shift, number, active)
+        found = straight_light(gathers, scene, si, shift, number, active)
         for k in range(len(sums)):
             sums[k] += found[k] / gathers.counts.points
         number += 1
     number = mi.UInt32(0)
+    while active & (number < mirrored):
+        sums[2] += mirrored_light(gathers, scene, sampler, si, shift, number, active) / gathers.counts.mirrored
+        number += 1
+    number = mi.UInt32(0)
     while active & (number < directions):
-        found = _shared_light(gathers, si, shift, number, active)
+        found = shared_light(gathers, si, shift, number, active)
         for k in range(len(sums)):
             sums[k] += found[k]
         number += 1
@@ -573,10 +589,10 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
     rest, weight = ray, mi.Float(1)
     sums = [mi.Float(0) for _ in gathers.chains]
     for _ in range(_SIGHTS):
-        sight = _Sight.along(gathers, scene, rest)
+        sight = Sight.along(gathers, scene, rest)
         glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
         shift = [sampler.next_1d() for _ in range(8)]
-        lit = _coat_radiance(gathers, scene, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
+        lit = _coat_radiance(gathers, scene, sampler, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
         for k in range(len(sums)):
             met = dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0))
             sums[k] += weight * sight.through * met
@@ -593,7 +609,7 @@ def _spread(shift: Any, number: Any, step: float) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sight:
+class Sight:
     """How rays from the camera go by the mirror through the inner face, and what is left for the path tracer.
 
     Attributes
@@ -619,7 +635,7 @@ class _Sight:
     rest_weight: Any
 
     @classmethod
-    def along(cls, gathers: SharedGathers, scene: Any, ray: Any) -> "_Sight":
+    def along(cls, gathers: SharedGathers, scene: Any, ray: Any) -> "Sight":
         """Follow rays."""
         paths, context = gathers.paths, mi.BSDFContext()
         ray = mi.Ray3f(ray)

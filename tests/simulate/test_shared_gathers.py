@@ -8,7 +8,7 @@ from benchmarks.fluorescence_levels import paints as glowing_paints
 from data_schemas import SimulateError
 from sim.optics import LoadedScene, RenderSettings, paint_bands, render_press
 from sim.optics._painted_walls import TEXELS_ALONG, TEXELS_UP
-from sim.optics._render import open_scene
+from sim.optics._render import open_guide, open_scene
 from sim.surface_meshes import rest_shape
 
 pytestmark = pytest.mark.renderer
@@ -90,6 +90,85 @@ def test_every_node_lies_on_the_coat(llvm, gathers, monkeypatch):
     si = nodes.seen(scene, dr.arange(llvm.UInt32, nodes.count))
     assert np.array(si.shape == nodes.coat).all()
     assert nodes.count == 36 * 36
+
+
+@pytest.fixture
+def shared_at_rest(llvm, gathers, monkeypatch):
+    """Return a maker of shared light of a finger at rest with walls of even light, two batches."""
+    monkeypatch.setattr(gathers, "RAYS", 16)
+    design = finger(64)
+    shape, bands = rest_shape(design), paint_bands(*glowing_paints().values(), design.light)
+    scene = open_scene(design, shape, bands, llvm)
+    guide, lit = open_guide(scene, design, shape, llvm), LoadedScene(scene, design, shape, bands, llvm)
+
+    def made(wall_radiance):
+        emission = np.full((4, TEXELS_ALONG, TEXELS_UP), wall_radiance)
+        light = {f"led>{wall}": emission for wall in ("red", "green")}
+        return gathers.SharedGathers(lit, light, np.zeros((4, 2, TEXELS_ALONG, TEXELS_UP, 3)), guide, 1)
+
+    return made
+
+
+def test_points_between_places_are_read_by_their_bilinear_weights(gathers, shared_at_rest):
+    nodes = shared_at_rest(0.0).nodes
+    places = nodes.grid(gathers.PLACE_MM)
+    light = 2.0 + places @ [0.3, -0.7]
+    np.testing.assert_allclose(nodes.between(nodes.uv) @ light, 2.0 + nodes.uv @ [0.3, -0.7], rtol=1e-6)
+
+
+def test_a_sharing_that_is_a_fifth_too_dark_is_mended_by_what_the_nodes_send(gathers, shared_at_rest, monkeypatch):
+    """By construction: whatever the sharing does wrong, what nodes send in the mean is by their own paths."""
+    right = gathers.regression_weights
+    monkeypatch.setattr(gathers, "regression_weights", lambda *places: 0.8 * right(*places))
+    found = {}
+
+    def kept(self, sent, table):
+        found["sent"], found["shared"] = sent, self.nodes.sent(self.bins, self.band_of, table)
+        found["missed"] = missed(self, sent, table)
+        return found["missed"]
+
+    missed = gathers.SharedGathers.missed_at_nodes
+    monkeypatch.setattr(gathers.SharedGathers, "missed_at_nodes", kept)
+    shared_at_rest(1.0)
+    own, shared, mended = (
+        values.mean(axis=(0, 1))[:2] for values in (found["sent"], found["shared"], found["shared"] + found["missed"])
+    )
+    assert (shared / own < 0.85).all()
+    # what smoothing leaves out of the mean is second order: walls of even light change slowly over the pad
+    np.testing.assert_allclose(mended / own, 1.0, atol=0.02)
+
+
+def test_a_panel_seen_by_smooth_faces_is_found_by_the_pixel_or_shared_but_not_both(llvm, gathers, shared_at_rest):
+    """All light of the panels but the straight one, by paths from the coat: shared and the pixel's add up to it."""
+    import drjit as dr
+
+    from sim.optics._panel_light import FROM_EYE, FROM_SURFACE
+
+    shared, count = shared_at_rest(0.0), 200_000
+    scene = shared.finger.scene
+
+    def led(kind, seed):
+        sampler = llvm.load_dict({"type": "independent"})
+        sampler.seed(seed, count)
+        si = shared.nodes.seen(scene, dr.arange(llvm.UInt32, count) % shared.nodes.count)
+        numbers = [sampler.next_1d() for _ in range(8)]
+        if kind == "by pixel":
+            values = gathers.mirrored_light(shared, scene, sampler, si, numbers, llvm.UInt32(0), llvm.Bool(True))
+        else:
+            way, density = shared.drawn(si, numbers[:4], 0.8)
+            value = si.bsdf().eval(llvm.BSDFContext(), si, si.to_local(way))
+            start = FROM_SURFACE if kind == "all" else FROM_EYE
+            found = gathers.arriving_light(shared, scene, sampler, si.spawn_ray(way), llvm.UInt32(0), start)
+            values = dr.select(density > 0.0, value.z * found[2] / density, 0.0)
+        values = np.array(values, dtype=np.float64)
+        return values.mean(), values.std() / np.sqrt(count)
+
+    everything, kept, by_pixel = (led(kind, 3 + k) for k, kind in enumerate(("all", "shared", "by pixel")))
+    error = np.sqrt(everything[1] ** 2 + kept[1] ** 2 + by_pixel[1] ** 2)
+    # either part is much more than the error: counted twice or not at all it would be seen
+    assert by_pixel[0] > 10.0 * error
+    assert kept[0] > 10.0 * error
+    assert abs(kept[0] + by_pixel[0] - everything[0]) < 4.0 * error
 
 
 def test_the_picture_is_the_path_tracers_with_less_noise(llvm):
