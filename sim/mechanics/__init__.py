@@ -28,14 +28,6 @@ if TYPE_CHECKING:
         coat_of,
         condense_finger,
     )
-    from sim.mechanics._contact_patch import (
-        coat_areas_mm2,
-        contact_distance,
-        contact_forces_n,
-        contact_pressure_mpa,
-        frictionless_torque_n_mm,
-        slip_torque_n_mm,
-    )
     from sim.mechanics._derivatives import DesignChange, PressDerivatives, press_derivatives
     from sim.mechanics._elastic_layer import PressedLayer, layer_compliance, press_layer
     from sim.mechanics._finger_mesh import (
@@ -47,7 +39,16 @@ if TYPE_CHECKING:
         finger_mesh,
         pad_mesh,
     )
-    from sim.mechanics._grasp import HALF_TURN, Grasp, GraspTask, facing_design, grasp_object
+    from sim.mechanics._grasp import (
+        HALF_TURN,
+        Grasp,
+        GraspTask,
+        contact_forces_n,
+        facing_design,
+        frictionless_torque_n_mm,
+        grasp_object,
+        slip_torque_n_mm,
+    )
     from sim.mechanics._indenter_path import IndenterPath, moved_pose, press_along, press_as_designed, read_path
     from sim.mechanics._indenters import (
         IndenterShape,
@@ -80,6 +81,9 @@ if TYPE_CHECKING:
         PressSettings,
         check_no_path,
         chosen_contact,
+        coat_areas_mm2,
+        contact_distance,
+        contact_pressure_mpa,
         press_finger,
     )
     from sim.mechanics._printed_parts import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl

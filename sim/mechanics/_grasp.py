@@ -20,6 +20,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
+from scipy.optimize import minimize
 
 from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
 from sim.mechanics._assembly import Assembly, Elasticity, State
@@ -30,7 +31,7 @@ from sim.mechanics._indenter_path import MovedIndenter, moved_pose
 from sim.mechanics._indenters import PackagedBody, RigidIndenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._newton import Equilibrium, NewtonOptions
-from sim.mechanics._press import PressedFinger, PressHistory, PressSettings
+from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, coat_areas_mm2
 
 FloatArray = NDArray[np.float64]
 
@@ -572,3 +573,68 @@ def _as_grasp(gripper: _Gripper, kept: list[_Balance], lost: str) -> Grasp:
         stiffness_n_per_mm=gripper.least_resistance_n_per_mm(kept[-1]),
         lost=lost,
     )
+
+
+def contact_forces_n(pressed: PressedFinger) -> tuple[FloatArray, FloatArray]:
+    """Return where a pressed contact pushes, places on the coat at rest (k, 3), and how hard, (k,) in N.
+
+    The pressures times their areas, made to add up to the size of the force on the indenter; places at rest: the
+    patch's own stretch, a few per cent, is left out.
+    """
+    pushes = pressed.pressure_mpa * coat_areas_mm2(pressed.mesh)[:, None]
+    touching = pushes > 0.0
+    whole = float(pushes.sum())
+    if whole <= 0.0:
+        raise SimulateError("nothing touches, and without pressure there is no torque to compute; press deeper")
+    return pressed.touch_mm[touching], pushes[touching] * float(np.linalg.norm(pressed.force_n[-1])) / whole
+
+
+def slip_torque_n_mm(places_mm: FloatArray, forces_n: FloatArray, friction: float) -> float:
+    r"""Return the torque about the pad's normal at which a pressed object begins to turn on the pad.
+
+    T = mu min_c sum_i N_i |r_i - c|, in the plane across the normal (x, z).
+
+    Coulomb's law with the frictionless normal forces N_i, taken to stay as they are while the object slides, on all
+    of the patch at once, as a rigid body about the centre c that holds least (limit analysis: with c the friction
+    forces add up to nothing, a pure torque). The pad's own shear before that, and the change of the pressures by
+    friction, are left out.
+
+    Parameters
+    ----------
+    places_mm, forces_n
+        Of the normal forces, (k, 3) and (k,): see :func:`contact_forces_n`.
+    friction
+        Coulomb's coefficient mu between object and coat.
+
+    Raises
+    ------
+    SimulateError
+        When the coefficient is negative.
+    """
+    if not 0.0 <= friction < np.inf:
+        raise SimulateError(f"friction = {friction:g}: Coulomb's coefficient must be finite and not negative")
+    flat = places_mm[:, [0, 2]]
+
+    def torque(centre: FloatArray) -> float:
+        return float(forces_n @ np.linalg.norm(flat - centre, axis=1))
+
+    start = forces_n @ flat / forces_n.sum()
+    return friction * float(minimize(torque, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9}).fun)
+
+
+def frictionless_torque_n_mm(places_mm: FloatArray, forces_n: FloatArray, width_mm: float) -> float:
+    """Return the torque about the finger's long axis that normal forces alone can hold: T = N (w / 2 - |x|).
+
+    x is where their resultant N acts across the finger. An object that turns about that axis shifts the resultant
+    towards the pad's edge and tips over it there; the finger's own twist (see
+    :meth:`sim.mechanics.LoadedFinger.twist`) is left out.
+
+    Parameters
+    ----------
+    places_mm, forces_n
+        Of the normal forces, (k, 3) and (k,).
+    width_mm
+        Of the pad.
+    """
+    whole = float(forces_n.sum())
+    return whole * (width_mm / 2.0 - abs(float(forces_n @ places_mm[:, 0]) / whole))

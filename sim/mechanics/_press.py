@@ -304,6 +304,52 @@ class PressHistory:
         return np.concatenate([before, now + before[-1] if goes_on else now])
 
 
+def coat_areas_mm2(mesh: FingerMesh) -> FloatArray:
+    """Return the areas at rest of the coat's f faces, (f,)."""
+    corners = mesh.nodes_mm[mesh.surfaces["coat"]]
+    return np.asarray(
+        np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2.0
+    )
+
+
+def contact_pressure_mpa(pressed: PressedFinger) -> FloatArray:
+    """Return the contact pressure of the last increment at the mesh's n nodes, (n,); 0 away from the coat.
+
+    p_a = sum_f A_f p_f / sum_f A_f over the faces f at node a, with p_f the mean of a face's points and A_f its area
+    at rest: pressure times the coat's area is the same at the nodes as on the faces.
+    """
+    faces, areas = pressed.mesh.surfaces["coat"], coat_areas_mm2(pressed.mesh)
+    count = len(pressed.mesh.nodes_mm)
+    held = np.bincount(faces.ravel(), np.repeat(areas * pressed.pressure_mpa.mean(axis=1), 4), count)
+    area = np.bincount(faces.ravel(), np.repeat(areas, 4), count)
+    return np.asarray(np.divide(held, area, out=np.zeros(count), where=area > 0.0))
+
+
+def contact_distance(pressed: PressedFinger, nodes: NDArray[np.int64]) -> FloatArray:
+    """Return the distance of coat nodes from the middle of the contact in units of its half-width; <= 1 in contact.
+
+    The patch is taken as an ellipse in the undeformed pad, or as a strip where it reaches across the pad. It ends half
+    the distance between sampling points beyond the outermost one that touches, and is known to about that. NaN without
+    contact.
+    """
+    touching = pressed.touch_mm[pressed.pressure_mpa > 0.0]
+    # two Gauss points lie 1/sqrt(3) of a face apart, on average half a face
+    margin = np.median(np.ptp(pressed.touch_mm, axis=1), axis=0) * np.sqrt(3.0) / 4.0
+    if not len(touching):
+        return np.full(len(nodes), np.nan)
+    places = pressed.mesh.nodes_mm[nodes]
+    squares = np.zeros(len(nodes))
+    for axis in (0, 2):
+        low, high = touching[:, axis].min() - margin[axis], touching[:, axis].max() + margin[axis]
+        pad_low, pad_high = places[:, axis].min(), places[:, axis].max()
+        if high - low < _WHOLE_WIDTH * (pad_high - pad_low):
+            squares += ((places[:, axis] - (low + high) / 2.0) / ((high - low) / 2.0)) ** 2
+    return np.asarray(np.sqrt(squares))
+
+
+# a patch that reaches over this share of the pad is a strip across it
+_WHOLE_WIDTH = 0.95
+
 Progress = Callable[[int, int, str], None]
 
 # two shares of a push that differ by rounding
