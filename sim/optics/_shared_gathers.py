@@ -210,11 +210,11 @@ class SharedGathers:
         value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(direction))
         sent = [dr.block_sum(value[band] * one, RAYS) / RAYS for band, one in zip(self.band_of, found, strict=True)]
         dr.eval(direction, found, sent)
-        light, sent = (np.stack([np.array(one) for one in channels], axis=-1) for channels in (found, sent))
+        light, sent_light = (np.stack([np.array(one) for one in channels], axis=-1) for channels in (found, sent))
         return (
             direction.numpy().T.reshape(batches, -1, 3),
             light.reshape(batches, -1, len(found)),
-            sent.reshape(batches, -1, len(found)),
+            sent_light.reshape(batches, -1, len(found)),
         )
 
     def missed_at_nodes(self, sent: Floats32, table: Floats32) -> Floats:
