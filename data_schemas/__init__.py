@@ -202,6 +202,7 @@ if TYPE_CHECKING:
     from data_schemas._plug_ins import (
         INDENTER_SHAPES,
         MATERIALS,
+        NO_ADDRESS,
         PAD_SHAPES,
         PadShape,
         PlugIn,
@@ -239,7 +240,6 @@ if TYPE_CHECKING:
     from data_schemas._record_text import decimals_for, fixed, interval_text, kind_in_words, needed_kind, significant
     from data_schemas._rig import (
         EXCHANGED_FILTERS,
-        NO_ADDRESS,
         PRACTICE_FAULTS,
         BandPassFilter,
         BandUncertainty,

@@ -98,17 +98,12 @@ def propagate_draws(draws: Floats, function: Callable[[Floats], ArrayLike]) -> P
         What was given is no function, or it returned different shapes, or what is not a finite number.
     """
     if not callable(function):
-        raise RecordError(
-            f"a function of one emission is needed, such as lambda emission: emission.max(); a "
-            f"{type(function).__name__} was given"
-        )
+        raise RecordError(f"a function of an emission is needed, such as numpy.max, and no {type(function).__name__}")
     made = [np.asarray(function(draw)) for draw in draws]
     shapes = {one.shape for one in made}
     if len(shapes) != 1 or any(one.dtype.kind not in "fuib" for one in made):
-        raise RecordError(
-            f"the function must return a number, or an array of one shape, for every draw; it returned "
-            f"{', '.join(sorted({f'{one.dtype} of shape {one.shape}' for one in made}))}"
-        )
+        found = ", ".join(sorted({f"{one.dtype} of shape {one.shape}" for one in made}))
+        raise RecordError(f"the function must return a number, or an array of one shape; it returned {found}")
     values = np.array(made, dtype=np.float64)
     if not np.isfinite(values).all():
         bad = int((~np.isfinite(values)).reshape(len(values), -1).any(axis=1).sum())

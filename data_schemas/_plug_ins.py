@@ -7,6 +7,7 @@ runs. Nothing is imported before somebody asks for the name. There are eight kin
 (``sim.mechanics``), and metric (``finray_calib.compare``); docs/reference/extend-finray.md shows each.
 """
 
+import difflib
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -21,6 +22,11 @@ from pydantic import Field
 
 from data_schemas.errors import FinrayError, SimulateError
 
+NO_ADDRESS = ("simulated", "manual")
+"""Drivers without a device of their own."""
+_OF_CAMERAS = ("aravis", "folder", "gentl", "indi", "micro-manager", "mjpeg", "picamera2")
+_WITH_ADDRESS = (*_OF_CAMERAS, "alpaca", "arduino", "grbl", "hx711", "thorlabs")
+"""The other drivers of finray-calib; a package may bring more."""
 Result = TypeVar("Result")
 EXTEND: Final = "docs/reference/extend-finray.md"
 
@@ -366,3 +372,16 @@ def check_pad_shape(
     """
     plug_in = PlugIn(PAD_SHAPES, getattr(shape, "__name__", type(shape).__name__), "")
     PackagedPad(plug_in, shape).check(length_mm, width_mm, thickness_mm, parameters)
+
+
+def require_address(driver: str, address: str) -> None:
+    """Refuse a driver without an address, and an address that nothing would use."""
+    if driver in NO_ADDRESS and address:
+        raise ValueError(f"address: driver '{driver}' has no address; leave it out")
+    if driver in NO_ADDRESS or address:
+        return
+    if driver in _WITH_ADDRESS:
+        raise ValueError(f"address: driver '{driver}' needs an address; 'finray rig detect' prints it")
+    near = difflib.get_close_matches(driver, (*NO_ADDRESS, *_WITH_ADDRESS), 1, cutoff=0.6)
+    hint = f"did you mean '{near[0]}'? If" if near else "if"
+    raise ValueError(f"driver: finray has no driver '{driver}'; {hint} a package brings it, state its address as well")

@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from data_schemas._model import Model, Record
+from data_schemas._plug_ins import require_address
 from data_schemas._units import (
     ChargeE,
     ExposureS,
@@ -101,26 +102,7 @@ DriverName = Annotated[
         "of packages",
     ),
 ]
-NO_ADDRESS = ("simulated", "manual")
-"""Drivers without a device of their own."""
-_OF_CAMERAS = ("aravis", "folder", "gentl", "indi", "micro-manager", "mjpeg", "picamera2")
-_WITH_ADDRESS = (*_OF_CAMERAS, "alpaca", "arduino", "grbl", "hx711", "thorlabs")
-"""The other drivers of finray-calib; a package may bring more."""
-
 BayerPattern = Literal["RGGB"]
-
-
-def _require_address(driver: str, address: str) -> None:
-    """Refuse a driver without an address, and an address that nothing would use."""
-    if driver in NO_ADDRESS and address:
-        raise ValueError(f"address: driver '{driver}' has no address; leave it out")
-    if driver in NO_ADDRESS or address:
-        return
-    if driver in _WITH_ADDRESS:
-        raise ValueError(f"address: driver '{driver}' needs an address; 'finray rig detect' prints it")
-    near = difflib.get_close_matches(driver, (*NO_ADDRESS, *_WITH_ADDRESS), 1, cutoff=0.6)
-    hint = f"did you mean '{near[0]}'? If" if near else "if"
-    raise ValueError(f"driver: finray has no driver '{driver}'; {hint} a package brings it, state its address as well")
 
 
 class CameraSettings(Model):
@@ -154,7 +136,7 @@ class CameraSettings(Model):
 
     @model_validator(mode="after")
     def _is_reachable(self) -> "CameraSettings":
-        _require_address(self.driver, self.address)
+        require_address(self.driver, self.address)
         return self
 
     @model_validator(mode="after")
@@ -181,7 +163,7 @@ class FilterWheelSettings(Model):
 
     @model_validator(mode="after")
     def _is_reachable(self) -> "FilterWheelSettings":
-        _require_address(self.driver, self.address)
+        require_address(self.driver, self.address)
         return self
 
     @model_validator(mode="after")
@@ -255,7 +237,7 @@ class LaserSettings(Model):
 
     @model_validator(mode="after")
     def _real_laser_is_named(self) -> "LaserSettings":
-        _require_address(self.driver, self.address)
+        require_address(self.driver, self.address)
         if self.driver == "manual":
             raise ValueError(
                 "driver: a laser cannot be switched by hand, because nothing would switch it off when the capture "
@@ -309,7 +291,7 @@ class LampSettings(Model):
 
     @model_validator(mode="after")
     def _is_reachable(self) -> "LampSettings":
-        _require_address(self.driver, self.address)
+        require_address(self.driver, self.address)
         return self
 
 
@@ -338,7 +320,7 @@ class BandUncertainty(Model):
     calibration_rel: TypeBUncertainty = Field(default=0.01, description="of each filter, common to its three channels")
     response_rel: TypeBUncertainty = Field(default=0.003, description="of each channel inside a filter's band")
     stray_light_rel: TypeBUncertainty = Field(
-        default=0.003, description="light past it, of the brightest but the laser's"
+        default=0.003, description="light past the filter, relative to the brightest filter but that of the laser"
     )
 
 
@@ -531,7 +513,7 @@ class StageSettings(Model):
 
     @model_validator(mode="after")
     def _is_reachable(self) -> "StageSettings":
-        _require_address(self.driver, self.address)
+        require_address(self.driver, self.address)
         return self
 
     @model_validator(mode="after")
@@ -577,7 +559,7 @@ class LoadCellSettings(Model):
 
     @model_validator(mode="after")
     def _limits_make_sense(self) -> "LoadCellSettings":
-        _require_address(self.driver, self.address)
+        require_address(self.driver, self.address)
         if self.force_limit_n > self.capacity_n:
             raise ValueError(
                 f"force_limit_n = {self.force_limit_n:g} N must not exceed capacity_n = {self.capacity_n:g} N"

@@ -72,8 +72,7 @@ class HeldOutScore:
     Attributes
     ----------
     explained
-        1 - squared error of the slopes relative to that of a flat gel, inside the contact circles; 0 is no better than
-        a flat gel.
+        1 - squared error of the slopes relative to that of a flat gel, inside the contact circles; 0 is a flat gel.
     angle_deg
         Mean angle between sensed and true normal inside the circles.
     """
@@ -431,8 +430,7 @@ def require_ball_press(capture: TactileCapture) -> tuple[ContactCircle, float]:
     if capture.indenter.shape != "ball" or circle is None:
         raise CompareError(
             f"{capture.name}: a normal map is taught by presses of a ball with a known contact circle; this press is "
-            f"by a "
-            f"{capture.indenter.shape} {'without' if circle is None else 'with'} one"
+            f"by a {capture.indenter.shape} {'without' if circle is None else 'with'} one"
         )
     if capture.indenter.radius_mm is None:
         raise CompareError(
