@@ -69,8 +69,8 @@ class PropagatedDraws:
         """
         if self.draws.ndim != 1:
             raise RecordError(
-                "an estimate holds one number, but the function returned arrays of shape "
-                f"{self.draws.shape[1:]}; take estimate, sd, low95 and high95, which have that shape"
+                f"an estimate holds one number, but the function returned arrays of shape {self.draws.shape[1:]}; take "
+                "estimate, sd, low95 and high95, which have that shape"
             )
         low95, low68, estimate, high68, high95 = np.quantile(self.draws, [0.025, 0.16, 0.5, 0.84, 0.975])
         sd = float(self.draws.std(ddof=1))
@@ -103,7 +103,7 @@ def propagate_draws(draws: Floats, function: Callable[[Floats], ArrayLike]) -> P
     shapes = {one.shape for one in made}
     if len(shapes) != 1 or any(one.dtype.kind not in "fuib" for one in made):
         found = ", ".join(sorted({f"{one.dtype} of shape {one.shape}" for one in made}))
-        raise RecordError(f"the function must return a number, or an array of one shape; it returned {found}")
+        raise RecordError(f"the function must return a number, or an array of one shape, for every draw; not {found}")
     values = np.array(made, dtype=np.float64)
     if not np.isfinite(values).all():
         bad = int((~np.isfinite(values)).reshape(len(values), -1).any(axis=1).sum())

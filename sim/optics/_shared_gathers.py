@@ -254,7 +254,7 @@ class SharedGathers:
             channels[:, k] = np.bincount(cell, weights=light[:, k] / RAYS, minlength=size)
         return np.asarray(self.nodes.weights @ channels.reshape(self.nodes.count, -1))
 
-    def drawn(self, si: Any, numbers: Sequence[Any], guided: float) -> tuple[Any, Any]:
+    def drawn(self, si: Any, numbers: Sequence[Any], guided_share: float) -> tuple[Any, Any]:
         """Return directions from the coat, drawn as it reflects and, with a chance, by the guide; their density."""
         bsdf, context, guide = si.bsdf(), mi.BSDFContext(), self.paths.guide
         spot = mi.Point2f(numbers[0], numbers[1])
@@ -263,7 +263,7 @@ class SharedGathers:
         if guide is None:
             return way, bsdf.pdf(context, si, si.to_local(way))
         lobes = guide.lobes(si, mi.Bool(True))
-        chance = dr.select(guide.known(lobes), guided, 0.0)
+        chance = dr.select(guide.known(lobes), guided_share, 0.0)
         way = dr.select(numbers[3] < chance, guide.direction(lobes, numbers[2], spot), way)
         usual = bsdf.pdf(context, si, si.to_local(way))
         return way, usual + chance * (guide.density(lobes, way) - usual)
