@@ -244,7 +244,7 @@ def _factor(
         light = f"the mass weighs less than {100 * LEAST_WEIGHT_SHARE:g} % of force_limit_n; lay a heavier one"
         found = not_proven(found, light)
     same = any(math.isclose(known.mass_kg, one_kg, rel_tol=1e-3) for one_kg in calibration.masses_kg if one_kg)
-    if same and known.certificate is None:
+    if same and not known.certificate:
         found = not_proven(found, ONE_OF_THEM)
     return found
 
@@ -562,6 +562,7 @@ def _after_stops(facts: PressFacts, plan: TactileCheckPlan) -> tuple[CheckResult
     before = float(np.mean([one.touch_mm for one in facts.touches]))
     moved_mm = float(np.mean([one.touch_mm for one in facts.after_stops])) - before
     sd_mm = max(one.touch_uncertainty_mm for one in (*facts.touches, *facts.after_stops)) * math.sqrt(2.0)
+    sd_mm = math.hypot(sd_mm, float(np.ptp([one.touch_mm for one in facts.after_stops])) / 2.0)
     evidence = (
         f"{len(facts.after_stops)} touches after {len(facts.stops)} stops; steps that a stop loses would show here"
     )

@@ -39,6 +39,8 @@ SECTIONS: Final[tuple[Section, ...]] = ("handshake", "load cell", "stage", "touc
 HEAVIEST_GRAVITY_M_PER_S2: Final = 9.9
 STEPS: Final = len(SECTIONS) + 3
 """Opening, these, closing, opening once more."""
+LEAST_FELT, MOST_FELT = 0.8, 1.25
+"""Share of a known mass's weight that the cell may feel where the stage is to press by it."""
 
 
 def check_press_plan(plan: TactileCheckPlan, rig: TactileRig, folder: Path) -> LoadCellCalibration:
@@ -121,7 +123,11 @@ class _Recorder(CheckRecorder[PressFacts]):
         progress: Progress,
     ) -> None:
         age = age_days(calibration.calibrated_utc)
-        super().__init__(PressFacts(calibration=calibration, calibration_age_days=age), STEPS, progress)
+        super().__init__(
+            PressFacts(calibration=calibration, calibration_age_days=age),
+            STEPS + (plan.gauge_block is not None),
+            progress,
+        )
         self._rig, self._plan, self._folder, self._calibration = rig, plan, rig_folder, calibration
         self._presser: StagePress | None = None
         self._told: list[str] = []
@@ -137,6 +143,7 @@ class _Recorder(CheckRecorder[PressFacts]):
                 self._errors |= dict.fromkeys(SECTIONS, f"not tried: {self._ended}")
             else:
                 self._with_open_rig(opened)
+            self._presser = None  # what follows moves nothing
             closing = stack.pop_all()
         self._attempt("closing", closing.close, also_when_ended=True)
         self._attempt("reconnect", lambda: self._reconnect(operator))
@@ -173,7 +180,8 @@ class _Recorder(CheckRecorder[PressFacts]):
         self._ended = self._ended or ("the pad was not touched as it should" if "touch" in self._errors else None)
         self._attempt("force limit", lambda: checks.force_stops(self._keep))
         self._attempt("stops", lambda: checks.stops(self._keep))
-        self._attempt("touch", lambda: self._keep(block=checks.block(opened.lay_block)))
+        if self._plan.gauge_block is not None:
+            self._attempt("touch", lambda: self._keep(block=checks.block(opened.lay_block)))
         self._keep(moves=timed.moves())
 
     def _rest(self, opened: OpenTactileRig) -> CellAtRest:
@@ -188,7 +196,16 @@ class _Recorder(CheckRecorder[PressFacts]):
         settings, cell, known = self._rig.load_cell, opened.load_cell, self._plan.known_mass
         if settings is None or cell is None or known is None:
             return None
-        return weigh(cell, settings, self._calibration, opened.lay, known.mass_kg)
+        laid = weigh(cell, settings, self._calibration, opened.lay, known.mass_kg)
+        weight_n = known.mass_kg * self._calibration.gravity_m_per_s2
+        for force_n in laid.forces_n:
+            if not LEAST_FELT <= force_n / weight_n <= MOST_FELT:
+                raise RefusedError(
+                    f"load cell: feels {force_n:.3g} N of the known mass, which weighs {weight_n:.3g} N; a stage must "
+                    "not press by it. Lay the mass that the plan names, or calibrate the cell again ('finray rig "
+                    "calibrate-cell')"
+                )
+        return laid
 
     def _reconnect(self, operator: Operator) -> None:
         """Open the closed rig once more, and note what the devices say of themselves; nothing moves."""
@@ -213,6 +230,8 @@ class _Recorder(CheckRecorder[PressFacts]):
             return "the stage was not seen to stop; switch its motors off before anyone touches it"
         if self._told and not self._told[-1].startswith("moved away"):
             return "the stage did not leave the pad by itself; free the pad by hand"
+        if self._presser is not None and str(error).startswith("load cell"):
+            return "the load cell failed, so nothing would stop the stage"
         return None
 
     def _note(self, event: str, **what: object) -> None:

@@ -64,7 +64,7 @@ NOBODY_SAW = {
 
 
 def test_the_practice_rig_passes_what_somebody_saw(practice: Path) -> None:
-    changed(practice, "check.toml", ("rest_s = 10.0", "rest_s = 60.0"))
+    changed(practice, "check.toml", ("rest_s = 10.0", "rest_s = 60.0"), ("stops = 1", "stops = 3"))
     report, status = checked(practice)
     assert status == 0
     assert {r.name: r.verdict for r in report.results if r.verdict != "PASS"} == dict.fromkeys(NOBODY_SAW, "UNDECIDED")

@@ -50,9 +50,10 @@ static void say_check(void) {
 }
 
 static unsigned char was_asked(void) {
-    unsigned char is_asked = question;
-    question = 0;
-    return is_asked;
+    if (!question)
+        return 0;
+    question = 0; /* only where it was seen: one that comes meanwhile is kept for the next turn */
+    return 1;
 }
 
 static void begin(void) {
