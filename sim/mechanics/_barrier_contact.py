@@ -345,7 +345,6 @@ class DrivenContact:
 
 # facets of the indenter that stay this far from the finger's box throughout the push are left out
 _OUT_OF_REACH_MM = 3.0
-_MOST_APPROACHES = 12  # of an indenter to a displaced finger; each leaves a tenth of the gap
 
 
 class BarrierPress(DrivenContact):
@@ -380,31 +379,6 @@ class BarrierPress(DrivenContact):
         contact = BarrierContact(self.mesh.nodes_mm, outer_triangles(mesh), obstacle, barrier, threads=threads)
         super().__init__(contact, Supports.at_rest(reference + 1, mesh.node_sets["fixed"]), reference)
         self._settled_mm = np.zeros_like(self.mesh.nodes_mm)
-
-    def beside(self, u: FloatArray, push_mm: float) -> tuple[float, FloatArray]:
-        """Return the greatest push up to one at which the indenter fits beside a finger displaced by u, and u then.
-
-        The indenter comes from above all that is displaced, until its barrier acts.
-
-        Parameters
-        ----------
-        u
-            Of the finger's nodes, without the indenter, (n, 3).
-        push_mm
-            That is not exceeded.
-        """
-        nodes, reference = self.mesh.nodes_mm, len(u)
-        there = np.concatenate([u, np.zeros((1, 3))])
-        body = self.contact.obstacle.vertices_mm if self.contact.obstacle is not None else nodes[reference:]
-        there[reference, 1] = max(0.0, float((nodes[:reference] + u)[:, 1].max() - body[:, 1].min())) + 1.0
-        for _ in range(_MOST_APPROACHES):
-            way = np.zeros_like(there)
-            way[reference, 1] = -push_mm - there[reference, 1]
-            share = self.contact.max_step(there, way)
-            there = there + share * way
-            if share >= 1.0 or self.contact.force_n(there)[1] > 0.0:
-                break
-        return -float(there[reference, 1]), there
 
     @property
     def note(self) -> str:

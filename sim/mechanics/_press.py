@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,15 +81,6 @@ class PressContact(Touch, Protocol):
 
     def accept(self, state: State) -> None:
         """Let the next increment begin at a stored state."""
-        ...
-
-
-@runtime_checkable
-class ContactBeside(Protocol):
-    """Contact that lets nothing meet, and can begin beside a finger that another contact has pressed."""
-
-    def beside(self, u: FloatArray, push_mm: float) -> tuple[float, FloatArray]:
-        """Return the greatest push up to one at which the indenter fits beside a finger displaced by u, and u then."""
         ...
 
 
@@ -244,8 +235,6 @@ class PressHistory:
         self, assembly: Assembly, ties: Sequence[TiedNodes], touch: Touch, before: PressedFinger | None = None
     ) -> None:
         self._assembly, self._ties, self._touch, self._before = assembly, ties, touch, before
-        # the first increment's slip and its work count from first touch, those of the increments before with them
-        self._from_rest = before is not None and _taken_over(before, touch)
         self._surfaces = OwnSurfaces(touch.mesh)
         self.crossing, self.unstable = "", "" if before is None else before.unstable
         self._states: list[State] = []
@@ -288,7 +277,7 @@ class PressHistory:
             unreached=unreached,
             contact=self._touch.note,
             contact_energy_n_mm=self._after("contact_energy_n_mm", rows[:, 2]),
-            friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=not self._from_rest),
+            friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
             kind=self._touch.kind,
             crossing=self.crossing,
             unstable=self.unstable,
@@ -441,10 +430,10 @@ def press_finger(
         for step in path:
             history.add(step.fraction * depth, step.equilibrium)
             if history.crossing and settings.contact == "auto" and _barrier_may_help(touch):
-                watch.reached(done, f"{history.crossing}; going on with contact of all parts")
+                watch.reached(done, f"{history.crossing}; pressing again with contact of all parts")
                 again = replace(settings, contact="barrier", budget_s=watch.left_s)
                 by_barrier = partial(press_finger, design, again, folder=folder, store=store, progress=progress)
-                return _gone_on_with(by_barrier, clean, history.crossing)
+                return _pressed_again(by_barrier, clean, history.crossing)
             clean = history.pressed()
             if store is not None:
                 store(clean)
@@ -488,7 +477,7 @@ def _prepared(
     touch = press_contact(design, bare, steps.pad_mm, settings.contact, settings.threads, folder)
     ties = finger_ties(design, touch.mesh, steps.skeleton_mm)
     assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), settings.threads), [*touch.terms, *ties])
-    begin, done = _begun(resume, bare, touch, depth)
+    begin, done = _begun(resume, touch, depth)
     if start is None and resume is None:
         predict = _path_from_coarse(_first_on_coarse(design, settings, watch), touch.mesh, depth)
     else:
@@ -511,30 +500,14 @@ def _prepared(
 
 
 def _begun(
-    resume: PressedFinger | None, bare: FingerMesh, touch: PressContact, depth_mm: float
+    resume: PressedFinger | None, touch: PressContact, depth_mm: float
 ) -> tuple[tuple[float, State] | None, float]:
-    """Return the share and the state that the search goes on from, if any, and the share that a press has done.
-
-    By the penalty the coat reaches into the indenter: the barrier begins with an indenter that is as far in as it
-    goes, or at rest where it does not come near. What friction then remembers is the straight way from first touch to
-    the first increment of the barrier.
-    """
+    """Return the share and the state that the search goes on from, if any, and the share that a press has done."""
     if resume is None:
         return None, 0.0
-    if not (_taken_over(resume, touch) and isinstance(touch, ContactBeside)):
-        share, state = resumed(resume, touch.mesh, depth_mm)
-        _take_up(touch, share, state, depth_mm)
-        return (share, state), share
-    share, state = resumed(resume, bare, depth_mm)
-    push_mm, beside = touch.beside(state.u_mm, share * depth_mm)
-    if push_mm <= 0.0:
-        return None, share
-    return (push_mm / depth_mm, State(beside, state.modes)), share
-
-
-def _taken_over(before: PressedFinger, touch: Touch) -> bool:
-    """Whether the barrier goes on with a press by the penalty."""
-    return before.kind == "penalty" and touch.kind == "barrier"
+    share, state = resumed(resume, touch.mesh, depth_mm)
+    _take_up(touch, share, state, depth_mm)
+    return (share, state), share
 
 
 def _beyond(path: Iterator[Increment], done: float) -> Iterator[Increment]:
@@ -547,30 +520,26 @@ def _beyond(path: Iterator[Increment], done: float) -> Iterator[Increment]:
             spent = 0
 
 
-def _gone_on_with(
-    by_barrier: Callable[..., PressedFinger], clean: PressedFinger | None, crossing: str
+def _pressed_again(
+    by_barrier: Callable[[], PressedFinger], clean: PressedFinger | None, crossing: str
 ) -> PressedFinger:
-    """Return a press whose parts cross by the penalty: by the barrier from its last increment without, if it has one.
+    """Return a press whose parts cross by the penalty, pressed again by the barrier from the start.
 
-    What is clean stays where the barrier finds nothing further on.
+    Where that comes less far than the penalty came without a crossing, the penalty's increments stay.
     """
+    if clean is not None and not clean.pressure_mpa.size:  # as stored: its surfaces are written already
+        clean = None
     try:
-        found = by_barrier(resume=clean)
+        found = by_barrier()
     except NoEquilibriumError as stuck:
         if clean is None:
             raise
         return replace(clean, unreached=f"{stuck}; by the penalty, {crossing}")
-    if clean is None:
-        return replace(found, contact=f"{found.contact}; by the penalty, which was tried first, {crossing}")
-    until = float(clean.depth_mm[-1])
-    body = np.zeros((len(clean.displacement_mm), 1, 3))
-    body[:, 0, 1] = -clean.depth_mm[-len(body) :]
-    before = np.concatenate([clean.displacement_mm, body], axis=1)
-    return replace(
-        found,
-        displacement_mm=np.concatenate([before, found.displacement_mm]),
-        contact=f"{found.contact}; up to {until:.4g} mm by the penalty, by which, further on, {crossing}",
-    )
+    if clean is not None and found.depth_mm[-1] < clean.depth_mm[-1]:
+        return replace(
+            clean, unreached=f"contact of all parts came to {found.depth_mm[-1]:.4g} mm; by the penalty, {crossing}"
+        )
+    return replace(found, contact=f"{found.contact}; by the penalty, which was tried first, {crossing}")
 
 
 def _take_up(touch: PressContact, share: float, state: State, depth_mm: float) -> None:

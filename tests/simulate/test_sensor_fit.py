@@ -120,7 +120,7 @@ def test_the_record_and_the_fitted_design(hidden, tmp_path):
 )
 def test_captures_that_do_not_go_together_are_refused(change, told):
     _, capture = hidden_sensor(0)
-    other = capture.model_copy(update={"name": "other", **change})
+    other = capture.model_copy(update={"name": "other", "contact": capture.contact * 1.001, **change})
     with pytest.raises(SimulateError, match=told):
         fit_sensor(DrawnSensor(), [capture, other], FREE)
 
@@ -143,7 +143,8 @@ def test_two_captures_are_better_than_one():
     _, capture = hidden_sensor(5, NOISE_REL)
     scene = DrawnSensor(noise_rel=0.01)
     one = fit_sensor(scene, [capture], FREE)
-    two = fit_sensor(scene, [capture, capture.model_copy(update={"name": "again"})], FREE)
+    again = capture.model_copy(update={"name": "again", "contact": np.nextafter(capture.contact, np.inf)})
+    two = fit_sensor(scene, [capture, again], FREE)
     assert {n.name for n in two.numbers} - {n.name for n in one.numbers} == {"press.1.depth_mm", "press.1.position_mm"}
     assert of(two, "pad.thickness_mm").left_of_prior_rel <= 1.05 * of(one, "pad.thickness_mm").left_of_prior_rel
     assert replace(scene).design == two.sensor
