@@ -562,7 +562,6 @@ def _after_stops(facts: PressFacts, plan: TactileCheckPlan) -> tuple[CheckResult
     before = float(np.mean([one.touch_mm for one in facts.touches]))
     moved_mm = float(np.mean([one.touch_mm for one in facts.after_stops])) - before
     sd_mm = max(one.touch_uncertainty_mm for one in (*facts.touches, *facts.after_stops)) * math.sqrt(2.0)
-    sd_mm = math.hypot(sd_mm, float(np.ptp([one.touch_mm for one in facts.after_stops])) / 2.0)
     evidence = (
         f"{len(facts.after_stops)} touches after {len(facts.stops)} stops; steps that a stop loses would show here"
     )
