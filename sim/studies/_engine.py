@@ -287,16 +287,20 @@ class Workers:
         deadline = time.monotonic() + WAIT_FOR_SCHEDULER_S
         with suppress(Exception):  # it is lost in any case
             self.client.close(timeout=5)
-        distributed = importlib.import_module("distributed")
         while time.monotonic() < deadline:
             try:
-                self.client = distributed.Client(self.address, timeout="10s")
+                self.client = _client_of(self.address)
             except (OSError, ValueError):
                 time.sleep(0.5)
                 continue
             self.unfit.clear()
             return True
         return False
+
+
+def _client_of(scheduler: Any, timeout: str = "10s") -> Any:
+    """Return a client of a scheduler or cluster, which leaves the default of the user's own Dask as it is."""
+    return importlib.import_module("distributed").Client(scheduler, timeout=timeout, set_as_default=False)
 
 
 def _unfit_words(unfit: Mapping[str, str]) -> str:
@@ -372,7 +376,7 @@ def open_workers(count: int, scheduler: str | None = None, folder: Path | None =
             # what it would log with a traceback is said here in a sentence
             logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
             try:
-                workers = Workers(distributed.Client(scheduler, timeout="10s"), scheduler)
+                workers = Workers(_client_of(scheduler), scheduler)
             except (OSError, ValueError) as error:
                 raise SimulateError(
                     f"--scheduler {scheduler}: no Dask scheduler answers there ({error}); start one with 'dask "
@@ -396,7 +400,7 @@ def open_workers(count: int, scheduler: str | None = None, folder: Path | None =
                 memory_limit="auto",
                 silence_logs=logging.CRITICAL,
             ) as cluster,
-            distributed.Client(cluster) as client,
+            _client_of(cluster, "30s") as client,
         ):
             yield Workers(client)
 
@@ -505,7 +509,7 @@ def _ended(
     """
     as_completed = importlib.import_module("distributed").as_completed
     running: dict[str, P] = {}
-    waiting, ended = deque(points), as_completed()
+    waiting, ended = deque(points), as_completed(loop=workers.client.loop)
     while True:
         try:
             window = 1 if is_one_by_one else POINTS_IN_FLIGHT_PER_WORKER * workers.count()
@@ -522,7 +526,7 @@ def _ended(
             if not workers.reached_again(steps.note):
                 raise SimulateError(_ENDED_HERE if workers.address is None else _WENT_AWAY) from lost
             waiting.extendleft(reversed(running.values()))
-            running, ended = {}, as_completed()
+            running, ended = {}, as_completed(loop=workers.client.loop)
             continue
         point = running.pop(future.key)
         if isinstance(outcome, Unfit):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
+import dask
 import pytest
 from distributed import Client, LocalCluster
 
@@ -65,7 +66,7 @@ class Server:
     def add_worker(self, code):
         """Add a worker that runs these sources, and wait until it is there."""
         self._start(f"worker {self.address} --host {self.host} --nthreads 1 --nworkers 1 --no-nanny", code)
-        with Client(self.address) as client:
+        with Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(len(self.processes) - 1, timeout=300)
 
     def end_worker(self):
@@ -203,6 +204,14 @@ def test_a_folder_of_the_same_path_that_is_another_one_is_not_seen(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.fixture(autouse=True)
+def own_dask_of_the_user():
+    """What else uses Dask in this process, ArviZ for one, still finds its own default."""
+    before = dask.config.get("scheduler", None)
+    yield
+    assert dask.config.get("scheduler", None) == before
+
+
 @pytest.fixture
 def cluster():
     """A scheduler with two workers in this process."""
@@ -215,7 +224,7 @@ def waits(seconds, job):
 
 
 def test_a_point_for_a_worker_that_left_goes_to_another(cluster):
-    with Client(cluster) as client:
+    with Client(cluster, set_as_default=False) as client:
         unfit, fit = client.nthreads()
         workers = Workers(client, cluster.scheduler_address, unfit={unfit: "runs other code", "tcp://gone:1": "left"})
         assert workers.count() == 1
@@ -227,7 +236,7 @@ def test_a_point_for_a_worker_that_left_goes_to_another(cluster):
 
 def test_fit_workers_that_are_away_for_a_moment_are_waited_for(cluster, monkeypatch):
     told = []
-    with Client(cluster) as client:
+    with Client(cluster, set_as_default=False) as client:
         workers = Workers(client, cluster.scheduler_address, unfit=dict.fromkeys(client.nthreads(), "runs other code"))
         coming = threading.Timer(1.0, lambda: cluster.scale(3))
         coming.start()
@@ -252,7 +261,7 @@ def test_another_folder_of_the_same_path_is_noticed_also_by_a_worker_that_comes_
 
 
 def test_workers_of_this_machine_that_are_ended_are_not_called_a_scheduler_elsewhere(cluster):
-    with Client(cluster.scheduler_address) as client:
+    with Client(cluster.scheduler_address, set_as_default=False) as client:
         threading.Timer(1.0, cluster.close).start()
         with pytest.raises(SimulateError, match="processes of this machine ended before their work was done"):
             list(_ended(Workers(client), waits, 5.0, jobs(4), _Steps(4, None)))
