@@ -161,12 +161,15 @@ def system_words(error: BaseException) -> str:
     return text if text[1:2].isupper() else text[0].lower() + text[1:]
 
 
+_HIDDEN_ENDINGS = (".finray.part", ".finray.set")
+
+
 @contextmanager
 def naming_file(path: Path) -> Iterator[None]:
-    """Give an error of the operating system the name of the file that was written, where it has none."""
+    """Give an error of the operating system the name of the file that was written, not none and not a hidden one."""
     try:
         yield
     except OSError as error:
-        if error.filename is None:
+        if error.filename is None or str(error.filename).endswith(_HIDDEN_ENDINGS):
             error.filename = str(path)
         raise

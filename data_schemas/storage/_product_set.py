@@ -36,6 +36,7 @@ from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple
 
 from data_schemas import RecordError
+from data_schemas.errors import naming_file
 from data_schemas.storage._foreign_files import files_below, has_file, read_text
 from data_schemas.storage._whole_files import (
     PART_ENDING,
@@ -353,7 +354,8 @@ class ProductSet:
                 return path
             raise taken(path)
         part = self._part_of(path)
-        handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        with naming_file(path):
+            handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         self._added.append(_Added(part, path, sha256))
         try:
             write_all(handle, content, path)
@@ -400,7 +402,8 @@ class ProductSet:
         while True:
             clear_leftovers(path.parent)
             try:
-                handle = os.open(set_file, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
+                with naming_file(path):
+                    handle = os.open(set_file, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
             except FileExistsError:
                 raise RecordError(
                     f"{path}: another process is writing it now; wait until it ends. If there is none, delete "

@@ -71,7 +71,8 @@ def write_whole(path: Path, fill: Callable[[int], None]) -> None:
         Something has this name already: nothing stored is overwritten.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part, handle = _new_part(path)
+    with naming_file(path):
+        part, handle = _new_part(path)
     try:
         fill(handle)
         give_name(part, path)

@@ -149,6 +149,8 @@ def _captures(place: Path) -> "tuple[Path, dict[str, TactileCapture]]":
     from data_schemas.storage import files_in, folder_at, read_record
 
     folder = folder_at(place, CompareError) or place
+    if not folder.is_dir():
+        raise CompareError(f"{place}: no such folder; give the folder that 'finray import captures' wrote")
     files = files_in(folder, CAPTURE)
     read = {file.name.removesuffix(CAPTURE): read_record(file, TactileCapture) for file in files}
     known = {n: c for n, c in read.items() if c.contact_circle is not None or c.contact_outline is not None}

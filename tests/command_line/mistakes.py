@@ -944,6 +944,21 @@ CASES = (
     Case(
         "out where nothing can be", CAPTURE + " --out /proc/session", r"/proc/session: No such file .*; check the path"
     ),
+    Case(
+        "record where nothing can be",
+        "fit {lab}/bands.json --out /proc/x.paint.json",
+        r"error: /proc/x\.paint\.json: No such file .*; check the path",
+    ),
+    Case(
+        "design where nothing can be",
+        "design init --out /proc/x.toml",
+        r"error: /proc/x\.toml: No such file .*; check the path",
+    ),
+    Case(
+        "captures of a folder that is not there",
+        "bench tactile {lab}/nosuch",
+        r"nosuch: no such folder; give the folder that 'finray import captures' wrote",
+    ),
 )
 
 USAGE = (
