@@ -451,7 +451,7 @@ class PartReport:
     error: Exception | None
 
 
-def look_at(rig: RigFile, folder: Path) -> Iterator[PartReport]:
+def inspect_rig(rig: RigFile, folder: Path) -> Iterator[PartReport]:
     """Report on laser, lamp, filter wheel, camera and curves, one after the other; an error of one hides no other.
 
     Lights come first: opening switches them off, so that the camera's frame is dark.
@@ -470,7 +470,7 @@ def look_at(rig: RigFile, folder: Path) -> Iterator[PartReport]:
     yield _report("filters and curves", lambda: _curves(rig, folder))
 
 
-def look_at_tactile(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
+def inspect_tactile_rig(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
     """Report on the camera of a tactile rig, and on stage and load cell where it has them; nothing moves.
 
     Parameters

@@ -300,14 +300,14 @@ def run_show(arguments: argparse.Namespace) -> None:
     """Print what every device reports."""
     from data_schemas import RigFile, TactileRig
     from data_schemas.storage import read_toml
-    from rigs import look_at, look_at_tactile
+    from rigs import inspect_rig, inspect_tactile_rig
 
     if _has_a_wheel(arguments.rig):
         rig = read_toml(arguments.rig, RigFile)
-        name, parts = rig.name, look_at(rig, arguments.rig.parent)
+        name, parts = rig.name, inspect_rig(rig, arguments.rig.parent)
     else:
         tactile = read_toml(arguments.rig, TactileRig)
-        name, parts = tactile.name, look_at_tactile(tactile, arguments.rig.parent)
+        name, parts = tactile.name, inspect_tactile_rig(tactile, arguments.rig.parent)
     say(name)
     given = []
     failed = []
