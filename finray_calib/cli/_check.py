@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, guide, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import Progress, give, guide, suggest_file, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -89,7 +89,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         say(f"note: {note}")
     give(verdict=report.verdict, results=report.results, notes=report.notes)
     wrote(out, f"{report.verdict}; holds report.html, junit.xml and check.json")
-    look_at(out / "report.html")
+    suggest_file(out / "report.html")
     return NOT_ACCEPTED if report.verdict in ("FAIL", "ERROR") else 0
 
 
@@ -401,7 +401,7 @@ def run_history(arguments: argparse.Namespace) -> int:
     if page is not None:
         write_bytes(page, history_page(found, str(arguments.folder), arguments.reference).encode())
         wrote(page, "the charts")
-        look_at(page)
+        suggest_file(page)
     give(verdict=found.verdict, reasons=found.reasons, charts=found.watched, ledger=found.ledger, waiting=found.waiting)
     return OUT_OF_CONTROL if found.verdict == "OUT OF CONTROL" else 0
 
@@ -539,7 +539,7 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     wrote(page, f"certificate {certificate.number}")
     wrote(pdf, "the same, to print and sign")
     give(number=certificate.number, results=results, traceability=certificate.traceability, budget=budget)
-    look_at(page)
+    suggest_file(page)
     return NOT_CONFORMING if any(result.verdict == "FAIL" for result in results) else 0
 
 

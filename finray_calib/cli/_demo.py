@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,
@@ -64,7 +64,7 @@ def run_demo_verb(arguments: argparse.Namespace) -> None:
     say(f"time: {said['seconds']:.0f} s")
     wrote(out.resolve(), "records of all six stages, summary.json and report.html")
     give(verdict=said["certainty"], sentence=said["verdict"], time_s=said["seconds"], renderer=engine.note)
-    look_at((out / "report.html").resolve())
+    suggest_file((out / "report.html").resolve())
 
 
 def _require_usable_curves(materials: Iterable[Path], sensor: Path | None) -> None:

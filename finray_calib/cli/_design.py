@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from finray_calib.cli._decide import add_lights
 from finray_calib.cli._design_search import add_assess, add_optimise, add_tolerances
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_seed,
@@ -330,7 +330,7 @@ def run_show(arguments: argparse.Namespace) -> None:
         return
     write_bytes(out, _drawing(view, arguments.design.parent, out.suffix.lower()))
     wrote(out, "drawing of the finger")
-    look_at(out)
+    suggest_file(out)
 
 
 def _show_sensor(arguments: argparse.Namespace) -> None:
@@ -355,7 +355,7 @@ def _show_sensor(arguments: argparse.Namespace) -> None:
         return
     write_bytes(out, sensor_png(sensor, places))
     wrote(out, "drawing of the sensor")
-    look_at(out)
+    suggest_file(out)
 
 
 def _drawing_path(path: Path, endings: tuple[str, ...] = _DRAWINGS) -> Path:
@@ -397,7 +397,7 @@ def run_export(arguments: argparse.Namespace) -> None:
                 products.add(folder / f"{part.name}.{suffix}", content)
     wrote(folder, f"{len(parts)} parts to print")
     give(parts={part.name: list(part.size_mm) for part in parts})
-    look_at(folder)
+    suggest_file(folder)
     for part in parts:
         x, y, z = part.size_mm
         names = " and ".join(f"{part.name}.{suffix}" for suffix in part.files)

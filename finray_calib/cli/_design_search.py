@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_paint,
@@ -241,7 +241,7 @@ def run_optimise(arguments: argparse.Namespace) -> None:
     wrote(finger, "the recommended finger")
     wrote(out, f"{OPTIMUM_NAME}, {OPTIMUM_PAGE_NAME} and {EVALUATIONS}/ ({evaluations.computed} computed now)")
     go_on_with("finray design export", finger)
-    look_at(out / OPTIMUM_PAGE_NAME)
+    suggest_file(out / OPTIMUM_PAGE_NAME)
 
 
 def _objectives(names: Sequence[str]) -> "tuple[DesignObjective, ...]":
@@ -393,7 +393,7 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
         together_high95=record.together_high95, within_given_share=record.within_given_share, q2=record.q2,
         calibration=record.calibration,
     )  # fmt: skip
-    look_at(page)
+    suggest_file(page)
 
 
 def _tolerances(
@@ -517,7 +517,7 @@ def run_assess(arguments: argparse.Namespace) -> None:
     write_bytes(parts.out / ASSESSMENT_PAGE, page.encode())
     _tell_assessment(decision, tolerances, stiffness)
     wrote(parts.out, "finger.toml with the light that was chosen, records and pages of each part")
-    look_at(parts.out / ASSESSMENT_PAGE)
+    suggest_file(parts.out / ASSESSMENT_PAGE)
 
 
 def _computed_from(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from finray_calib.cli._output import Progress, give, go_on_with, is_for_a_program, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import Progress, give, go_on_with, is_for_a_program, suggest_file, progress_bar, say, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_out,
@@ -145,7 +145,7 @@ def run(arguments: argparse.Namespace) -> None:
         _say_scatter(scatter, arguments.bands)
     if arguments.report is not None:
         wrote(arguments.report, "the fit explained; open it in a browser")
-        look_at(arguments.report)
+        suggest_file(arguments.report)
 
 
 def _together(sessions: "Sequence[BandSignals]", files: Sequence[Path]) -> "tuple[BandSignals, SessionScatter | None]":
@@ -335,7 +335,7 @@ def run_map(arguments: argparse.Namespace) -> None:
         write_record(fitted, out, provenance(command_line(), digests), products)
     wrote(out, f"'{fitted.paint_name}' in {fitted.fitted_pixels} pixels ({fitted.family})")
     wrote(picture, "figure of the map")
-    look_at(picture)
+    suggest_file(picture)
     give(
         paint_name=fitted.paint_name, fitted_pixels=fitted.fitted_pixels, unusable_pixels=fitted.unusable_pixels,
         unconverged_pixels=fitted.unconverged_pixels, uniformity=fitted.uniformity,
@@ -536,7 +536,7 @@ def run_fit_material(arguments: argparse.Namespace) -> None:
     wrote(out, f"moduli by {len(curves)} force curve(s)")
     wrote(picture, "curves with their bands, and each modulus before and after")
     _say_material(fit)
-    look_at(picture)
+    suggest_file(picture)
 
 
 def _specimen(given: str, curve: "MeasuredForce", progress: Progress) -> "ForceModel":

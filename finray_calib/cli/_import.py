@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -553,7 +553,7 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
     wrote(out, f"{told.count} captures, {columns} x {rows} px, encoding {first.encoding}")
     give(captures=told.count, width_px=columns, height_px=rows, encoding=first.encoding, source=first.source,
          licence=first.licence, left_out=left_out, predicted=predicted)  # fmt: skip
-    look_at(out / CONTACTS)
+    suggest_file(out / CONTACTS)
     say(f"  {first.source}")
     say(f"  licence: {first.licence or 'not stated by the recipe'}")
     for part in first.missing:

@@ -96,7 +96,7 @@ def give(**values: Any) -> None:
     _spoken.result.update(values)
 
 
-def look_at(path: Path) -> None:
+def suggest_file(path: Path) -> None:
     """Name the file that a person opens first, in the last line."""
     _spoken.look_at = os.fspath(path)
 

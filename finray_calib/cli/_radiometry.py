@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -161,7 +161,7 @@ def characterise(folder: Path, out: Path | None, page: Path | None = None) -> No
     _report_camera(camera, out)
     if page is not None:
         wrote(page, "the camera after EMVA Standard 1288")
-        look_at(page)
+        suggest_file(page)
 
 
 def _report_camera(camera: "CameraCharacterisation", out: Path) -> None:

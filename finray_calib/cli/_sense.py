@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, say, warn, wrote
+from finray_calib.cli._output import give, go_on_with, suggest_file, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -440,7 +440,7 @@ def run_sense(arguments: argparse.Namespace) -> None:
     wrote(mesh, "the surface of the gel, mm")
     names = ("deepest_mm", "deepest_u_mm", "contact_area_mm2", "contact_area_u_mm2", "is_of_teaching", "notes")
     give(name=sensed.name, **{name: getattr(sensed, name) for name in names})
-    look_at(picture)
+    suggest_file(picture)
 
 
 def _tell_sensed(sensed: "SensedPress") -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli._fit import add_sensor_fit
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_engine,
@@ -171,7 +171,7 @@ def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
         label=taught.label, presses=taught.presses, processor_s=taught.processor_s, level_share=taught.level_share,
         surface_error_rel=shares["surface"], force_error_rel=shares["force"], family=taught.family.model_dump(),
     )  # fmt: skip
-    look_at(out)
+    suggest_file(out)
 
 
 def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -430,7 +430,7 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     _give_press(press, out)
     if folder is not None:
         wrote(folder, "images; README.txt in this folder explains each of them")
-        look_at(folder)
+        suggest_file(folder)
 
 
 def _sensor_views(press: "SimulatedPress") -> "dict[str, NDArray[np.uint8]]":
@@ -575,7 +575,7 @@ def _store_images(
     wrote(folder, "images; README.txt in this folder explains each of them")
     say(str(products.colours))
     _give_press(press, out)
-    look_at(folder / "README.txt")
+    suggest_file(folder / "README.txt")
 
 
 def _views(press: "SimulatedPress", samples: int, denoise: bool) -> "dict[str, NDArray[np.uint8]]":

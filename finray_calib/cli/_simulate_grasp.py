@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_out,
@@ -203,4 +203,4 @@ def _tell(record: "ObjectGrasp", files: dict[str, Path]) -> None:
         wrote(files[f"{side} surfaces"], f"surfaces of the {side} finger, for 'finray simulate render'")
     wrote(files["picture"], "the gripped object, the force and what the pads feel")
     go_on_with("finray simulate render", files["near surfaces"], "--paint red=FILE --paint green=FILE")
-    look_at(files["picture"])
+    suggest_file(files["picture"])

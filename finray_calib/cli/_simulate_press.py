@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from finray_calib.cli._output import Progress, give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import Progress, give, go_on_with, suggest_file, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
     LongWork,
@@ -424,7 +424,7 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
         shown = "forces and torques along the path, pressure and slip on the pad"
     wrote(files["picture"], shown)
     go_on_with("finray simulate render", files["surfaces"], "--paint red=FILE --paint green=FILE")
-    look_at(files["picture"])
+    suggest_file(files["picture"])
 
 
 def _tell_sensitivities(found: "PressSensitivities") -> None:

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._output import give, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, suggest_file, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,
@@ -115,7 +115,7 @@ def run_paper_paints(arguments: argparse.Namespace) -> None:
         write_record(study, out / "paper-paints.json", provenance(command_line(), inputs, arguments.seed), products)
     wrote(out, "paper-paints.json, paper-paints.png")
     give(statements={s.subject: s.verdict for s in study.statements}, notes=[study.caveat])
-    look_at(out / "paper-paints.png")
+    suggest_file(out / "paper-paints.png")
     for statement in study.statements:
         say(_in_words(statement))
     say("\n" + textwrap.fill(study.caveat, WIDTH))
@@ -213,7 +213,7 @@ def run_illumination_study(study: _Study, arguments: argparse.Namespace) -> None
         write_record(record, out / f"{study.name}.json", origin, products)
     wrote(out, f"{study.name}.json, {study.name}.png")
     give(paints=paints, notes=record.notes)
-    look_at(out / f"{study.name}.png")
+    suggest_file(out / f"{study.name}.png")
     for colour, paint in paints.items():
         say(f"{colour} paint: {paint}")
     study.tell(record)
@@ -415,7 +415,7 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
         write_record(study, out / f"{STIFFNESS_NAME}.json", origin, products)
     wrote(out, f"{STIFFNESS_NAME}.json, {STIFFNESS_NAME}.csv")
     give(rows=study.rows, orders=study.orders)
-    look_at(out / f"{STIFFNESS_NAME}.csv")
+    suggest_file(out / f"{STIFFNESS_NAME}.csv")
     for row in study.rows:
         if not row.changed:
             say(

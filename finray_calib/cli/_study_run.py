@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, suggest_file, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_paint,
@@ -249,7 +249,7 @@ def run_design_study(arguments: argparse.Namespace) -> None:
             "them again"
         )
     wrote(out, f"{RESULT_NAME}, {TABLE_NAME} and {PAGE_NAME}")
-    look_at(out / PAGE_NAME)
+    suggest_file(out / PAGE_NAME)
 
 
 def _result(task: "StudyTask", points: "Sequence[StudyPoint]", failures: "Sequence[StudyFailure]") -> "StudyResult":
@@ -454,7 +454,7 @@ def _tell_dataset(record: "LearningDataset", out: Path) -> None:
     )
     for failure in record.failures:
         say(f"press {failure.press} failed: {failure.reason}")
-    look_at(out / CARD_NAME)
+    suggest_file(out / CARD_NAME)
 
 
 STAND_IN = "stand-in: default hidden paint of the simulated rig, not the paper's paint"
@@ -542,7 +542,7 @@ def show_study(arguments: argparse.Namespace) -> None:
     """Show the table of a study."""
     _tell(_stored_study(arguments.study))
     if (arguments.study / PAGE_NAME).exists():
-        look_at(arguments.study / PAGE_NAME)
+        suggest_file(arguments.study / PAGE_NAME)
 
 
 def compare_studies(arguments: argparse.Namespace) -> None:
@@ -570,7 +570,7 @@ def compare_studies(arguments: argparse.Namespace) -> None:
         if rows:
             say(f"points in the {name.removeprefix('only_')} study only: {len(rows)}")
     if (arguments.second / PAGE_NAME).exists():
-        look_at(arguments.second / PAGE_NAME)
+        suggest_file(arguments.second / PAGE_NAME)
 
 
 def _stored_study(folder: Path) -> "StudyResult":
