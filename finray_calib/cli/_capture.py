@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, go_on_with, guide, progress_bar, say, wrote
+from finray_calib.cli._output import Progress, give, suggest_command, guide, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -230,7 +230,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         for instruction in dict.fromkeys(nobody.instructions):
             say(f"would be asked during the capture: {instruction}")
         say("the rig is ready; nothing was moved, lit or stored")
-        go_on_with("finray capture", arguments.plan, "--rig", arguments.rig)
+        suggest_command("finray capture", arguments.plan, "--rig", arguments.rig)
         return
     last_good = None if arguments.like is None else read_session(arguments.like)
     out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
@@ -451,7 +451,7 @@ def _report(out: Path, session: "CaptureSession | CameraSession", name: str) -> 
 
     wrote(out, f"{len(session.frames)} frames of '{name}'")
     give(name=name, frames=len(session.frames), notes=session.notes)
-    go_on_with("finray radiometry", out)
+    suggest_command("finray radiometry", out)
     if isinstance(session, CaptureSession) and session.filter_proof is not None:
         give(filters_verdict=session.filter_proof.verdict)
         say(f"  filters: {session.filter_proof.verdict}: {session.filter_proof.text}")

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli._output import give, go_on_with, suggest_file, say, wrote
+from finray_calib.cli._output import give, suggest_command, suggest_file, say, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -145,7 +145,7 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
         headline_skill=report.headline_skill, headline_region=report.headline_region, findings=report.findings,
         packaged_metrics=report.packaged_metrics,
     )  # fmt: skip
-    go_on_with("finray decide SWEEP --photometric-error", out)
+    suggest_command("finray decide SWEEP --photometric-error", out)
     suggest_file(page)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli._design_search import light_measure
-from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,
@@ -247,7 +247,7 @@ def run_lights(arguments: argparse.Namespace) -> None:
     _tell_powers(record)
     wrote(out, "powers, basis and draws")
     wrote(out.with_suffix(".toml"), "the design with these powers")
-    go_on_with("finray design show", out.with_suffix(".toml"))
+    suggest_command("finray design show", out.with_suffix(".toml"))
     suggest_file(out.with_suffix(".html"))
 
 

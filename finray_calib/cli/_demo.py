@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,
@@ -118,7 +118,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     give(demo_can_run=not bad, findings=findings)
     if not bad:
         say("\nThis machine can run the demo.")
-        go_on_with("finray demo")
+        suggest_command("finray demo")
         return 0
     say("\nThis machine cannot run the demo until every line marked 'bad' is repaired.")
     return 1

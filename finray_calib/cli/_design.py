@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from finray_calib.cli._decide import add_lights
 from finray_calib.cli._design_search import add_assess, add_optimise, add_tolerances
-from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_seed,
@@ -284,7 +284,7 @@ def run_list(arguments: argparse.Namespace) -> None:
     width = max(map(len, told))
     for name, what in told.items():
         say(f"{name:{width}}  {what}")
-    go_on_with("finray design init NAME")
+    suggest_command("finray design init NAME")
 
 
 def run_init(arguments: argparse.Namespace) -> None:
@@ -302,7 +302,7 @@ def run_init(arguments: argparse.Namespace) -> None:
     write_bytes(out, text.encode())
     wrote(out, "the design, to be edited")
     give(name=name)
-    go_on_with("finray design show", out)
+    suggest_command("finray design show", out)
 
 
 def run_show(arguments: argparse.Namespace) -> None:
@@ -326,7 +326,7 @@ def run_show(arguments: argparse.Namespace) -> None:
     scale_mm, scale_u_rel = view.mm_per_px
     give(name=design.name, mm_per_px=scale_mm, mm_per_px_u_rel=scale_u_rel, seen_mm=list(view.seen_mm))
     if out is None:
-        go_on_with("finray design show", arguments.design, "--out", Path(f"{design.name}.html"))
+        suggest_command("finray design show", arguments.design, "--out", Path(f"{design.name}.html"))
         return
     write_bytes(out, _drawing(view, arguments.design.parent, out.suffix.lower()))
     wrote(out, "drawing of the finger")
@@ -351,7 +351,7 @@ def _show_sensor(arguments: argparse.Namespace) -> None:
     say(sensor_text(sensor, places))
     give(name=sensor.name)
     if out is None:
-        go_on_with("finray design show", path, "--out", Path(f"{sensor.name}.png"))
+        suggest_command("finray design show", path, "--out", Path(f"{sensor.name}.png"))
         return
     write_bytes(out, sensor_png(sensor, places))
     wrote(out, "drawing of the sensor")
@@ -438,7 +438,7 @@ def run_paints(arguments: argparse.Namespace) -> None:
     give(sentence=choice.sentence, pairs=choice.pairs, notes=choice.notes)
     best = choice.pairs[0]
     chosen = dict(zip(paints, arguments.paint, strict=True))
-    go_on_with(
+    suggest_command(
         "finray simulate sweep", arguments.design, f"--paint red={chosen[best.red]} --paint green={chosen[best.green]}",
         "--objectives all",
     )  # fmt: skip

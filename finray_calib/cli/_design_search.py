@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from finray_calib.cli._output import give, go_on_with, suggest_file, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_paint,
@@ -240,7 +240,7 @@ def run_optimise(arguments: argparse.Namespace) -> None:
     _tell_optimum(optimum)
     wrote(finger, "the recommended finger")
     wrote(out, f"{OPTIMUM_NAME}, {OPTIMUM_PAGE_NAME} and {EVALUATIONS}/ ({evaluations.computed} computed now)")
-    go_on_with("finray design export", finger)
+    suggest_command("finray design export", finger)
     suggest_file(out / OPTIMUM_PAGE_NAME)
 
 

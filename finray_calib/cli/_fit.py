@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from finray_calib.cli._output import Progress, give, go_on_with, is_for_a_program, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import Progress, give, suggest_command, is_for_a_program, suggest_file, progress_bar, say, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_out,
@@ -252,7 +252,7 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
 
     wrote(out, f"emission of '{paint.paint_name}' ({paint.spectrum_from or paint.family_title})")
     _give_result(paint, budget)
-    go_on_with("finray export", out, "--format csv")
+    suggest_command("finray export", out, "--format csv")
     for name, label, unit in (
         ("mode_nm", "mode", " nm"),
         ("fwhm_nm", "FWHM", " nm"),
@@ -430,7 +430,7 @@ def run_sensor_fit(arguments: argparse.Namespace) -> None:
     wrote(out, f"'{fit.name}' fitted to {len(fit.captures)} captures, {fit.blocks} blocks of each picture")
     wrote(toml, "the design with the fitted values")
     _say_sensor_fit(fit)
-    go_on_with("finray simulate render", toml)
+    suggest_command("finray simulate render", toml)
 
 
 def _say_sensor_fit(fit: "SensorFit") -> None:

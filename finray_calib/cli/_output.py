@@ -101,7 +101,7 @@ def suggest_file(path: Path) -> None:
     _spoken.look_at = os.fspath(path)
 
 
-def go_on_with(*words: str | Path) -> None:
+def suggest_command(*words: str | Path) -> None:
     """Name the command that usually follows, at the end; paths are quoted where a shell needs it."""
     _spoken.next = " ".join(word if isinstance(word, str) else shlex.quote(os.fspath(word)) for word in words)
 

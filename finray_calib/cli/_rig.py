@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from data_schemas import CaptureError, FinrayError
 from data_schemas.storage import read_text
 from finray_calib.cli._capture import Attended, capture, resume, tell_of_laser
-from finray_calib.cli._output import give, go_on_with, guide, is_for_a_terminal, say, warn, wrote
+from finray_calib.cli._output import give, suggest_command, guide, is_for_a_terminal, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -238,14 +238,14 @@ def run_init(arguments: argparse.Namespace) -> None:
         say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; the true spectrum")
         say("  of the paint is in [simulated.paint]")
         give(rig=str(out), to_fill_in=[])
-        go_on_with("finray rig show", out)
+        suggest_command("finray rig show", out)
         return
     chosen = chosen_devices()
     wrote(write_rig(paper_rig(chosen), out), "rig file")
     give(rig=str(out), to_fill_in=list(to_fill_in(chosen)))
     for text in to_fill_in(chosen):
         say(f"  fill in or check: {text}")
-    go_on_with("finray rig show", out)
+    suggest_command("finray rig show", out)
 
 
 def _init_finger(out: Path, simulated: bool) -> None:
@@ -264,13 +264,13 @@ def _init_finger(out: Path, simulated: bool) -> None:
         give(rig=str(out), to_fill_in=left)
         for text in left:
             say(f"  fill in or check: {text}")
-        go_on_with("finray rig show", out)
+        suggest_command("finray rig show", out)
         return
     write_bytes(plan, PRACTICE_PRESSES.encode())
     wrote(plan, "plan of two presses")
     say("  a finger to practise on: camera, stage and load cell are simulated; calibrate the cell first")
     give(rig=str(out), plan=str(plan), to_fill_in=[])
-    go_on_with("finray rig calibrate-cell", out, "--masses-g", "20,50,100,200", "--gravity", "9.80665")
+    suggest_command("finray rig calibrate-cell", out, "--masses-g", "20,50,100,200", "--gravity", "9.80665")
 
 
 def run_detect(arguments: argparse.Namespace) -> None:

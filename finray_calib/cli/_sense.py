@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, suggest_file, say, warn, wrote
+from finray_calib.cli._output import give, suggest_command, suggest_file, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -128,7 +128,7 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     middle = record.middle
     give(mm_per_px=middle.mean_mm_per_px, mm_per_px_u_rel=middle.mean_u_rel, corner_sd_px=record.corner_sd_px,
          notes=record.notes)  # fmt: skip
-    go_on_with("finray sense teach PRESSES --scale", out)
+    suggest_command("finray sense teach PRESSES --scale", out)
 
 
 def _in_words(record: "PixelScale") -> str:
@@ -323,7 +323,7 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
         held_out_explained_rel=record.held_out_explained_rel, held_out_angle_deg=record.held_out_angle_deg,
         held_out_depth_rms_mm=record.held_out_depth_rms_mm,
     )  # fmt: skip
-    go_on_with("finray sense run", out, "CAPTURE")
+    suggest_command("finray sense run", out, "CAPTURE")
     say(f"  on presses it has not seen ({splits} random halves: median [least, most])")
     say(
         f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; a map without any "

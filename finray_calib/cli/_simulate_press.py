@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from finray_calib.cli._output import Progress, give, go_on_with, suggest_file, progress_bar, say, warn, wrote
+from finray_calib.cli._output import Progress, give, suggest_command, suggest_file, progress_bar, say, warn, wrote
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
     LongWork,
@@ -423,7 +423,7 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
     if mechanics.motion is not None:
         shown = "forces and torques along the path, pressure and slip on the pad"
     wrote(files["picture"], shown)
-    go_on_with("finray simulate render", files["surfaces"], "--paint red=FILE --paint green=FILE")
+    suggest_command("finray simulate render", files["surfaces"], "--paint red=FILE --paint green=FILE")
     suggest_file(files["picture"])
 
 
