@@ -142,7 +142,7 @@ def held(out: Path, settings: Mapping[str, Any]) -> Iterator[None]:
         yield
 
 
-def can_go_on(out: Path, settings: Mapping[str, Any]) -> bool:
+def can_continue(out: Path, settings: Mapping[str, Any]) -> bool:
     """Return whether the folder holds an interrupted demo with these settings that no other process is running."""
     if not (out / SETTINGS).is_file() or _why_not(out, identity(settings)) is not None:
         return False

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from data_schemas import DiedError, RecordError, RefusedError
-from finray_calib.demo import can_go_on
+from finray_calib.demo import can_continue
 from finray_calib.demo._report import write_report
 from finray_calib.demo._run import STAGES as REAL_STAGES
 from finray_calib.demo._run import whole_stages
@@ -114,11 +114,11 @@ def test_a_stage_that_hangs_ends_with_ctrl_c_and_the_demo_goes_on(tmp_path):
     assert children
     with pytest.raises(RecordError, match="another 'finray demo' is writing into it; wait, or choose another --out"):
         small_demo.run(out)
-    assert not can_go_on(out, small_demo.settings(out))
+    assert not can_continue(out, small_demo.settings(out))
     parent.send_signal(signal.SIGINT)
     assert "KeyboardInterrupt" in parent.communicate(timeout=30.0)[1]
     assert gone_within(children, 5.0)
-    assert can_go_on(out, small_demo.settings(out))
+    assert can_continue(out, small_demo.settings(out))
     assert small_demo.run(out)[0]["verdict"] == "done"
     assert computed(out) == ["one", "two", "three"]
 
@@ -190,7 +190,7 @@ def test_settings_are_not_mixed(tmp_path):
         RecordError, match=r"holds an unfinished demo with another seed 1 \(now 2\), whose files would mix"
     ):
         small_demo.run(out, seed=2)
-    assert not can_go_on(out, small_demo.settings(out, seed=2))
+    assert not can_continue(out, small_demo.settings(out, seed=2))
     (out / "demo.json").write_text((out / "demo.json").read_text().replace('"version": "', '"version": "9.'))
     with pytest.raises(RecordError, match=r"with another version 9\..*; choose another --out"):
         small_demo.run(out)
