@@ -388,7 +388,7 @@ def capture_tactile_session(
             else:
                 take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
-                recorder.go_on_from(interrupted.measured)
+                recorder.continue_from(interrupted.measured)
                 journal.append("resume", frames=len(interrupted.frames))
             with faults_noted(journal, out, stated_times(rig, plan, presses).healing_s):
                 recorder.record(shots)
@@ -554,7 +554,7 @@ class _Recorder:
         self.frames: dict[int, TactileFrame] = {}
         self.measured: dict[int, MeasuredPress] = {} if self._stage is None else self._stage.measured
 
-    def go_on_from(self, measured: dict[int, MeasuredPress]) -> None:
+    def continue_from(self, measured: dict[int, MeasuredPress]) -> None:
         """Take over the contacts that are done, and where each place was touched: a finger that moved is found."""
         self.measured.update(measured)
         for contact, press in sorted(measured.items()):
