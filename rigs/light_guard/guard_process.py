@@ -276,7 +276,7 @@ class Guard:
             shout(self._name, why_not)
         self._listen()
         if self._is_owner_gone:
-            why_not = go_on_alone(self._light, why_not)
+            why_not = keep_switching_off(self._light, why_not)
         self._light.close()
         if why_not is None:
             self._watch.end()
@@ -436,7 +436,7 @@ def _for_the_owner(words: "OffWords") -> tuple[str, int, str] | None:
     return None if isinstance(words.line, int) else (*words.line, words.data.decode("latin-1"))
 
 
-def go_on_alone(light: HeldLight, why_not: str | None) -> str | None:
+def keep_switching_off(light: HeldLight, why_not: str | None) -> str | None:
     """Where no owner is left that could: go on trying, for the light of a server may come back with it, lit.
 
     A light that is off stays watched for a while where an "on" may still be on its way.
@@ -471,7 +471,7 @@ def main(arguments: list[str]) -> int:
         light.expect_late_on()
         if (why_not := light.make_off(ATTEMPT_S, lambda word: None)) is not None:
             shout(name, why_not)
-        return EXIT_OFF if go_on_alone(light, why_not) is None else EXIT_NOT_OFF
+        return EXIT_OFF if keep_switching_off(light, why_not) is None else EXIT_NOT_OFF
     gc.disable()  # it would delay by tenths of a second
     with socket.socket(fileno=int(descriptor)) as owner:
         try:
