@@ -105,7 +105,7 @@ class CameraBelow(Model):
         "stand-in curves) or a CSV file with the header wavelength_nm,red_percent,green_percent,blue_percent",
     )
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return the field of view where a calibration tells it."""
         if self.calibration is None:
             return {}
@@ -164,9 +164,9 @@ class SensorCoat(Coating):
     )
     translucent: TranslucentLayer | None = Field(default=None, description="a translucent layer in place of the paint")
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return what a colour, a translucent layer or a wholly diffuse coat leaves without effect."""
-        idle = super().idle_fields()
+        idle = super().unused_fields()
         layer = self.translucent is not None
         if layer and self.diffuse_reflectance_rgb is not None:
             idle["diffuse_reflectance_rgb"] = (
@@ -216,7 +216,7 @@ class CoatSurface(Model):
             raise ValueError("unit_mm is missing: a picture must say how many mm one grey level is, such as 0.001")
         return self
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return the fields of a map where a mesh is given."""
         if not self.file.lower().endswith(".stl"):
             return {}
@@ -281,9 +281,9 @@ class PlainSensor(Record):
         self.pressed_pad()
         return self
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return also what a surface, clear walls or an ideal camera leaves without effect."""
-        idle = super().idle_fields()
+        idle = super().unused_fields()
         idle["indenter.path"] = "a classic sensor's indenter is pressed along the pad's normal, by depth_mm"
         if self.surface is not None:
             idle["indenter"] = "[surface] and [indenter] both state the pressed shape; leave out one of the two tables"

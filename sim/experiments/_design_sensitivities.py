@@ -370,7 +370,7 @@ def _changes(design: FingerDesign, fields: Sequence[str]) -> Iterator[tuple[str,
 def _is_continuous(design: FingerDesign, field: str) -> bool:
     """Whether a field is a number, or a list of them, of a part that the design has."""
     backing = field.startswith("mechanics.onyx.") and design.skeleton.backing is None
-    unused = backing or field in design.idle_fields()
+    unused = backing or field in design.unused_fields()
     return not unused and isinstance(design_value(design, field), float | tuple)
 
 
