@@ -400,7 +400,7 @@ LARGEST_HEADLINE_NOISE = 0.01
 """Standard deviation of the headline skill from noise alone, from which on pixels are averaged over blocks."""
 
 
-def quiet_comparison(images: PreparedImages, capture: TactileCapture) -> tuple[PreparedImages, Comparison]:
+def block_averaged_comparison(images: PreparedImages, capture: TactileCapture) -> tuple[PreparedImages, Comparison]:
     """Return images and sums over the smallest blocks that keep noise from ruling the headline.
 
     Raises

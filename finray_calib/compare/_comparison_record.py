@@ -29,7 +29,7 @@ from data_schemas import (
     finger_identity,
 )
 from finray_calib.compare._candidate_errors import packaged_metric, region_records, sensing_record
-from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison, quiet_comparison
+from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison, block_averaged_comparison
 from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate, full_frame_ssim, shown_candidates
 from finray_calib.compare._error_attribution import attribute_error
 from finray_calib.compare._input_draws import POSE, Drawn, Inputs, Propagated, generator_of
@@ -227,7 +227,7 @@ def _report(
 ) -> PhotometricErrorReport:  # fmt: skip
     """Return the report of prepared images."""
     linear, rng = capture.encoding == "linear", generator_of(capture, seed)
-    images, comparison = quiet_comparison(prepared, capture)
+    images, comparison = block_averaged_comparison(prepared, capture)
     nuisances = prepared.nuisances
     draws = error_draws(comparison, rng)
     candidates = shown_candidates(comparison, capture)
