@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rigs.capture._stage_press import (
         OpenTactileRig,
         StagePress,
-        guard_of_a_clear_way,
+        free_travel_guard,
         open_tactile_rig,
     )
     from rigs.capture._tactile_session import (
@@ -77,7 +77,7 @@ __all__ = [
     "check_press_plan",
     "complete_session",
     "forecast",
-    "guard_of_a_clear_way",
+    "free_travel_guard",
     "is_tactile",
     "is_unborn",
     "lacks_manifest",

@@ -210,9 +210,9 @@ def stage(pressing: "OpenTactileRig") -> "Stage | None":
 @pytest.fixture(scope="class")
 def stage_guard(pressing: "OpenTactileRig", named_rig: NamedRig) -> "Callable[[], None]":
     """Return what reads the load cell, and raises at a force where nothing should touch."""
-    from rigs.capture import guard_of_a_clear_way
+    from rigs.capture import free_travel_guard
 
-    return guard_of_a_clear_way(pressing, named_rig.finger, named_rig.folder)
+    return free_travel_guard(pressing, named_rig.finger, named_rig.folder)
 
 
 @pytest.fixture(scope="class")
