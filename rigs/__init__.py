@@ -67,7 +67,7 @@ if TYPE_CHECKING:
         Stage,
         SystemClock,
         TerminalOperator,
-        forget_typed_ahead,
+        discard_typed_input,
         missing_members,
     )
     from rigs._rig_files import (
@@ -123,7 +123,7 @@ __all__ = [
     "driver_notes",
     "drivers_of_other_packages",
     "find_driver",
-    "forget_typed_ahead",
+    "discard_typed_input",
     "lone_camera",
     "lone_lamp",
     "lone_laser",

@@ -267,11 +267,11 @@ def _told_first(text: str, progress: Progress) -> Progress:
 
 def _ask_to_mend(what: str) -> bool:
     """Ask whoever is at the terminal to mend something; return whether it is done, at once where there is nobody."""
-    from rigs import forget_typed_ahead
+    from rigs import discard_typed_input
 
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
-    forget_typed_ahead()
+    discard_typed_input()
     sys.stderr.write(
         f"\n{what}\nThe lights are off. Repair it, close the box and press Enter; type q and press Enter to "
         "end the session here. "
