@@ -28,7 +28,7 @@ from data_schemas import (
 from data_schemas import SensingError as SensingRecord
 from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._displayed_images import ShownCandidate
-from finray_calib.compare._input_draws import Drawn, ends
+from finray_calib.compare._input_draws import InputDraws, ends
 from finray_calib.compare._photometric_error import ErrorDraws, RegionResult
 from finray_calib.compare._regions import pixels_within, usable_pixels
 from finray_calib.sensing import SensingError, check_senses, full_scale_dn, normal_map_of, sensing_error
@@ -262,7 +262,7 @@ def region_records(
     candidates: dict[str, ShownCandidate],
     clipped: NDArray[np.bool_],
     capture: TactileCapture,
-    conditioned: Drawn | None,
+    conditioned: InputDraws | None,
 ) -> tuple[RegionError, ...]:
     """Return the table of every region.
 
@@ -313,7 +313,7 @@ def _compared(comparison: Comparison, draws: ErrorDraws, capture: TactileCapture
     )
 
 
-def _drawn_weights(comparison: Comparison, drawn: Drawn) -> Floats:
+def _drawn_weights(comparison: Comparison, drawn: InputDraws) -> Floats:
     """Return the weights of the render's layers at the level of the capture, (draws, 3, L), for the first draws."""
     return (comparison.exposure_of(drawn.matrix)[:, None, None] * drawn.weights)[:CHROMATICITY_DRAWS]
 
@@ -335,7 +335,7 @@ def sensing_record(
     capture: TactileCapture,
     candidates: dict[str, Floats],
     block_px: int,
-    conditioned: Drawn | None,
+    conditioned: InputDraws | None,
 ) -> SensingRecord:
     """Sense every candidate image and the capture with one map, over the headline region.
 
@@ -385,7 +385,7 @@ def sensing_record(
     )
 
 
-def _drawn_renders(comparison: Comparison, drawn: Drawn) -> list[tuple[Floats, Floats]]:
+def _drawn_renders(comparison: Comparison, drawn: InputDraws) -> list[tuple[Floats, Floats]]:
     """Return the render with and without contact for the first draws."""
     layers, weights = comparison.layers, drawn.weights[:SENSED_DRAWS]
     exposure = comparison.exposure_of(drawn.matrix[:SENSED_DRAWS])
@@ -452,7 +452,7 @@ class Metric(Protocol):
 
 
 def packaged_metric(
-    name: str, comparison: Comparison, candidates: dict[str, Floats], conditioned: Drawn | None
+    name: str, comparison: Comparison, candidates: dict[str, Floats], conditioned: InputDraws | None
 ) -> PackagedMetric:
     """Return a metric of another package for every candidate, over the headline region.
 

@@ -20,7 +20,7 @@ from finray_calib.compare._input_draws import (
     POSE,
     PRIOR_DRIFT_REL,
     WALLS,
-    Drawn,
+    InputDraws,
     Inputs,
     Propagated,
     ends,
@@ -75,7 +75,7 @@ class RegionDraws:
         return np.asarray(np.sqrt(np.maximum(squares.mean(axis=1), 0.0)))
 
 
-def propagated_draws(sums: RegionSums, drawn: Drawn, exposure: Floats, rng: np.random.Generator | None) -> RegionDraws:
+def propagated_draws(sums: RegionSums, drawn: InputDraws, exposure: Floats, rng: np.random.Generator | None) -> RegionDraws:
     """Return draws of the sums for draws of the inputs; the pixels' noise varies where there is a generator."""
     draws = len(exposure)
     errors = {
@@ -360,7 +360,7 @@ def best(comparison: Comparison) -> list[RegionResult]:
 
 
 def _results(
-    comparison: Comparison, drawn: Drawn, exposure: Floats, rng: np.random.Generator | None
+    comparison: Comparison, drawn: InputDraws, exposure: Floats, rng: np.random.Generator | None
 ) -> list[RegionResult]:
     """Return the draws of all regions; noise of the pixels varies where there is a generator."""
     return [
@@ -431,7 +431,7 @@ def ring_of(distance: Floats, usable: Bools) -> Bools:
 
 
 def brightness_draws(
-    comparison: Comparison, inputs: Inputs, ring: Bools, drawn: Drawn, rng: np.random.Generator | None
+    comparison: Comparison, inputs: Inputs, ring: Bools, drawn: InputDraws, rng: np.random.Generator | None
 ) -> BrightnessDraws:
     """Return the brightness beside the indenter for draws; noise of the pixels varies where there is a generator.
 
