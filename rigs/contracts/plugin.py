@@ -228,46 +228,46 @@ def load_cell(named_rig: NamedRig) -> "Iterator[LoadCell | None]":
 def camera(named_rig: NamedRig) -> "Iterator[Camera]":
     """Open the camera."""
     from data_schemas import TactileRig
-    from rigs import lone_camera
+    from rigs import open_rig_camera
     from rigs.capture import open_tactile_rig
 
     if isinstance(named_rig.rig, TactileRig) and named_rig.rig.is_simulated:
         with open_tactile_rig(named_rig.rig, named_rig.folder) as opened:
             yield opened.camera_there()
         return
-    with lone_camera(named_rig.rig, named_rig.folder) as device:
+    with open_rig_camera(named_rig.rig, named_rig.folder) as device:
         yield device
 
 
 @pytest.fixture(scope="class")
 def wheel(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[FilterWheel]":
     """Open the filter wheel."""
-    from rigs import TerminalOperator, lone_wheel
+    from rigs import TerminalOperator, open_rig_wheel
 
     _require_operator(request.config, named_rig.whole.filter_wheel.driver)
-    with lone_wheel(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
+    with open_rig_wheel(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
         yield device
 
 
 @pytest.fixture(scope="class")
 def laser(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[Light]":
     """Open the laser, if it may be switched on."""
-    from rigs import lone_laser
+    from rigs import open_rig_laser
 
     rig = named_rig.whole
     if not _may_shine(request.config):
         pytest.skip("LASER NOT TESTED: it is switched on only with --with-laser; box closed, goggles on everyone")
-    with lone_laser(rig, named_rig.folder) as device:
+    with open_rig_laser(rig, named_rig.folder) as device:
         yield device
 
 
 @pytest.fixture(scope="class")
 def lamp(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[Light]":
     """Open the lamp."""
-    from rigs import TerminalOperator, lone_lamp
+    from rigs import TerminalOperator, open_rig_lamp
 
     _require_operator(request.config, named_rig.whole.lamp.driver)
-    with lone_lamp(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
+    with open_rig_lamp(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
         yield device
 
 
