@@ -46,7 +46,7 @@ from rigs.light_guard._held_light import (
     send,
 )
 from rigs.light_guard.watch import LOOK_IN_THE_DARK_S, LOOK_S, OffLine, OtherProcess
-from rigs.transports import RECOVERS_WITHIN_S, Fault, repeated, tell_fault
+from rigs.transports import RECOVERS_WITHIN_S, Fault, repeated, report_fault
 
 if TYPE_CHECKING:
     from rigs import GuardedSwitch
@@ -193,7 +193,7 @@ class GuardClient:
             not_off = ask in ("off", "prove the dead-man") and message.get("value") is not None
             if not not_off and message.get("error") != "UnsafeError":  # these say more than what faults have cost
                 for fault in message.get("faults", ()):
-                    tell_fault(Fault(*fault))
+                    report_fault(Fault(*fault))
             if "error" in message:
                 raise error_from(message)
             if ask == "on" and message["value"] is not None and self._off_line is None:

@@ -37,7 +37,7 @@ from rigs.light_guard._held_light import (
     send,
 )
 from rigs.light_guard.watch import LONGEST_PACKET_BYTES, LOOK_S, OtherProcess
-from rigs.transports import Fault, faults_told
+from rigs.transports import Fault, fault_listener
 
 if TYPE_CHECKING:
     from rigs import GuardedSwitch, OffWords
@@ -378,7 +378,7 @@ class Guard:
         """Do what one message asks and answer it."""
         faults: list[Fault] = []
         try:
-            with faults_told(faults.append):
+            with fault_listener(faults.append):
                 answer: dict[str, object] = {"value": self._do(message["ask"], float(message["deadline_s"]))}
         except GivenUp:
             return
