@@ -23,7 +23,7 @@ from data_schemas._plug_ins import (
     PlugIn,
     PlugInKind,
     find_plug_in,
-    held_plug_in,
+    require_plug_in,
 )
 from data_schemas._units import AngleDeg, Fraction, LengthMm, PositionMm, RelativeUncertainty, WavelengthNm, WidthNm
 from data_schemas.errors import FinrayError
@@ -118,7 +118,7 @@ class GelPad(FromPackage):
     def _checked_outside(self) -> "GelPad":
         """Return the pad after a check of the shape that a package brings, where that package is installed here."""
         try:
-            shape = PackagedPad(held_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
+            shape = PackagedPad(require_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
         except FinrayError:  # a record of elsewhere is read all the same; who computes with it is told
             return self
         try:
@@ -129,7 +129,7 @@ class GelPad(FromPackage):
 
     def _outside(self) -> "PackagedPad":
         """Return the shape that a package brings."""
-        return PackagedPad(held_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
+        return PackagedPad(require_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
 
     def unused_fields(self) -> dict[str, str]:
         """Return what only shapes of other packages have."""
@@ -295,7 +295,7 @@ class Indenter(FromPackage):
         SimulateError
             No package does, or one of another version than the design holds.
         """
-        return held_plug_in(INDENTER_SHAPES, self.shape, self.package, INDENTER_SHAPE_NAMES)
+        return require_plug_in(INDENTER_SHAPES, self.shape, self.package, INDENTER_SHAPE_NAMES)
 
     def unused_fields(self) -> dict[str, str]:
         """Return the sizes of other shapes."""
@@ -595,7 +595,7 @@ class Rubber(FromPackage):
         SimulateError
             No package does, or one of another version than the design holds.
         """
-        return held_plug_in(MATERIALS, str(self.law), self.package)
+        return require_plug_in(MATERIALS, str(self.law), self.package)
 
     def unused_fields(self) -> dict[str, str]:
         """Return the constants of our own law where another one holds, or what only other laws have."""
