@@ -181,7 +181,7 @@ def _differences(name: str, theirs: Any, mine: Any) -> list[str]:
     return [] if theirs == mine else [f"{name} {theirs} (now {mine})"]
 
 
-def whole_stages(out: Path, stages: Sequence[Stage]) -> set[int]:
+def complete_stages(out: Path, stages: Sequence[Stage]) -> set[int]:
     """Return the numbers of the stages whose products are all there, as their records and checksums prove.
 
     Raises
@@ -385,7 +385,7 @@ def run_demo(
     """
     out = Path(settings["out"])
     with held(out, settings), contextlib.ExitStack() as stack:
-        whole = whole_stages(out, stages)
+        whole = complete_stages(out, stages)
         if whole:
             say(f"{out}: continues after {len(whole)} of {len(stages)} stages, which are complete")
         left = [stage for number, stage in enumerate(stages) if number not in whole]

@@ -17,7 +17,7 @@ from data_schemas import DiedError, RecordError, RefusedError
 from finray_calib.demo import can_continue
 from finray_calib.demo._report import write_report
 from finray_calib.demo._run import STAGES as REAL_STAGES
-from finray_calib.demo._run import whole_stages
+from finray_calib.demo._run import complete_stages
 from tests.command_line import small_demo
 from tests.command_line.running import succeed, tree
 from tests.documentation.example_records import example_results
@@ -231,7 +231,7 @@ def test_every_stage_of_the_demo_names_its_inputs_before_they_are_needed():
         for product in stage.products:
             assert set(product.inputs) <= made
         made |= {product.file for product in stage.products}
-    assert whole_stages(Path("/nowhere"), REAL_STAGES) == set()
+    assert complete_stages(Path("/nowhere"), REAL_STAGES) == set()
 
 
 @pytest.mark.renderer
