@@ -225,7 +225,7 @@ def write_record(record: Record, path: PathLike) -> Path:
 def trace_record(path: PathLike) -> "Traced":
     """Return the tree of files that a stored record was made from, every one of them hashed again.
 
-    Its `is_whole` says whether all is as it was written; `finray_calib.lineage.findings` lists what is not.
+    Its `is_intact` says whether all is as it was written; `finray_calib.lineage.findings` lists what is not.
     """
     from finray_calib.lineage import Tracer
 
