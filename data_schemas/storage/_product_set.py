@@ -121,7 +121,7 @@ def refuse_unfinished(path: Path) -> None:
         )
 
 
-def is_whole(path: Path) -> bool:
+def is_complete(path: Path) -> bool:
     """Return whether a product (a file, or a folder that is one) is there, and is none of a set without commit."""
     return path.exists() and _unfinished_set_of(path) is None
 

@@ -291,11 +291,11 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
         most_n = ZERO_MOVED_SHARE * rig.load_cell.force_limit_n
         measured = {c: m for c, m in measured.items() if m.zero_shift_n is not None and abs(m.zero_shift_n) <= most_n}
 
-    def is_whole(shot: TactileShot) -> bool:
+    def is_complete(shot: TactileShot) -> bool:
         pressed = rig.stage is None or shot.frame_type != "contact" or shot.place in measured
         return pressed and there[shot.group] == wanted[shot.group]
 
-    whole = {shot.sequence: good[shot.sequence] for shot in shots if is_whole(shot)}
+    whole = {shot.sequence: good[shot.sequence] for shot in shots if is_complete(shot)}
     sources = start.get("sources", {})
     return InterruptedPresses(plan, rig, presses, rig_folder, whole, device, len(lines), sources, measured)
 
