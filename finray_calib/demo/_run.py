@@ -191,14 +191,14 @@ def complete_stages(out: Path, stages: Sequence[Stage]) -> set[int]:
     """
     whole, missing = set[int](), set[str]()
     for number, stage in enumerate(stages):
-        absent = {product.file for product in stage.products if not _is_whole(out, product, missing)}
+        absent = {product.file for product in stage.products if not _is_complete(out, product, missing)}
         missing |= absent
         if stage.products and not absent:
             whole.add(number)
     return whole
 
 
-def _is_whole(out: Path, product: Product, missing: set[str]) -> bool:
+def _is_complete(out: Path, product: Product, missing: set[str]) -> bool:
     """Return whether a product is there; one that is there must be what its record says."""
     path = out / product.file
     if not path.exists() or (product.is_session and not (path.parent / MANIFEST_NAME).exists()):
@@ -213,11 +213,11 @@ def _is_whole(out: Path, product: Product, missing: set[str]) -> bool:
                 f"{path}: was made from another {needed} than the one that exists; move it away to have it made again"
             )
     if product.is_session:
-        _require_whole(path.parent)
+        _require_complete(path.parent)
     return True
 
 
-def _require_whole(folder: Path) -> None:
+def _require_complete(folder: Path) -> None:
     """Refuse a session that is not as it was captured."""
     from rigs.capture import verify_session
 
