@@ -538,9 +538,9 @@ def _predicted(
     table = teach_table([captures[name] for name in taught])
     for name in names:
         capture = captures[name]
-        if contact_sha256(capture) not in table.taught_by_sha256:
+        if contact_sha256(capture) not in table.training_sha256:
             yield name, predict_press(table, capture), taught
-        elif capture.name not in table.taught_by:
+        elif capture.name not in table.training_presses:
             warn(f"{name}: has the same image as a press that taught the table, and is not predicted")
 
 
