@@ -600,4 +600,4 @@ class FingerError:
         found = evaluator.evaluate(design, paints)
         if self.calibration == "own":
             return found.normal_error_deg
-        return evaluator.error_taught_by(evaluator.evaluate(self.design, self.paints), found, design)
+        return evaluator.error_with_calibration_of(evaluator.evaluate(self.design, self.paints), found, design)
