@@ -67,7 +67,7 @@ ANSWER_MARGIN_S: Final = 0.5
 RESCUE_ATTEMPT_S: Final = 1.0
 
 
-class _MustBeToldError(LightLostError):
+class _MustBeReportedError(LightLostError):
     """A light was lost in a way that its user must hear of: no other guard takes its place."""
 
 
@@ -439,20 +439,20 @@ class GuardedLight:
             try:
                 return self._guard.ask(ask, STATE_DEADLINE_S)
             except LightLostError as error:
-                raise (_MustBeToldError(str(error)) if self._must_be_told else error) from error
+                raise (_MustBeReportedError(str(error)) if self._must_be_reported else error) from error
 
         # In a lit block a light that is gone must be lit anew, which whoever needs it decides.
-        final = (LightLostError,) if self._depth else (_MustBeToldError,)
+        final = (LightLostError,) if self._depth else (_MustBeReportedError,)
         return repeated(attempt, time.monotonic() + RECOVERS_WITHIN_S, self._guard.name, final=final)
 
     @property
-    def _must_be_told(self) -> bool:
+    def _must_be_reported(self) -> bool:
         """Whether the guard ended so that no other one may take its place: closed, or the light came on by itself."""
         return self._is_closed or self._guard.came_on_by_itself
 
     def _replace_guard(self) -> None:
         """Start another guard where the last one has ended with the light confirmed off."""
-        if not self._guard.has_ended or self._must_be_told:
+        if not self._guard.has_ended or self._must_be_reported:
             return
         self._guard.close()
         self._guard, self._is_dead_man_proven = self._start(), False
