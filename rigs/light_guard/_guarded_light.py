@@ -37,7 +37,7 @@ from data_schemas import (
 from rigs.light_guard._held_light import (
     EXIT_OFF,
     NOBODY_ASKED,
-    HeldLight,
+    ReconnectingLight,
     HungUpError,
     LightLostError,
     channel,
@@ -311,7 +311,7 @@ class GuardClient:
             switch = import_module(self._module).open_switch(self._address, self._role, None)
             return switch
 
-        light = HeldLight(opening, self.name)
+        light = ReconnectingLight(opening, self.name)
         if self._is_on_unanswered:
             light.expect_late_on()
         try:

@@ -41,7 +41,7 @@ class LightLostError(LostError):
     """A light did not come on, or went off unasked; it is confirmed off, and may be lit anew by who needs it."""
 
 
-class HeldLight:
+class ReconnectingLight:
     """A light that is made to be off, over a new connection where the old one fails.
 
     Parameters

@@ -29,7 +29,7 @@ from rigs.light_guard._held_light import (
     EXIT_NOT_OFF,
     EXIT_OFF,
     NOBODY_ASKED,
-    HeldLight,
+    ReconnectingLight,
     HungUpError,
     channel,
     error_words,
@@ -239,7 +239,7 @@ class Guard:
         name: str,
     ) -> None:
         self._owner, self._owner_process, self._watch, self._name = owner, owner_process, watch, name
-        self._light = HeldLight(opening, name, watch.let_go)
+        self._light = ReconnectingLight(opening, name, watch.let_go)
         self._lit = self._is_owner_gone = self._has_dead_man = False
         self._looked_s = time.monotonic()
         self._lease_s = self._lease_until_s = math.inf
@@ -436,7 +436,7 @@ def _for_the_owner(words: "OffWords") -> tuple[str, int, str] | None:
     return None if isinstance(words.line, int) else (*words.line, words.data.decode("latin-1"))
 
 
-def keep_switching_off(light: HeldLight, why_not: str | None) -> str | None:
+def keep_switching_off(light: ReconnectingLight, why_not: str | None) -> str | None:
     """Where no owner is left that could: go on trying, for the light of a server may come back with it, lit.
 
     A light that is off stays watched for a while where an "on" may still be on its way.
@@ -467,7 +467,7 @@ def main(arguments: list[str]) -> int:
         return switch
 
     if descriptor == "alone":
-        light = HeldLight(opening, name)
+        light = ReconnectingLight(opening, name)
         light.expect_late_on()
         if (why_not := light.make_off(ATTEMPT_S, lambda word: None)) is not None:
             shout(name, why_not)
