@@ -34,7 +34,7 @@ from data_schemas import (
     TimedOutError,
     UnsafeError,
 )
-from rigs.light_guard._held_light import (
+from rigs.light_guard._reconnecting_light import (
     EXIT_OFF,
     NOBODY_ASKED,
     ReconnectingLight,

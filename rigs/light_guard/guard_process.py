@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from data_schemas import LostError, TimedOutError
 from rigs.light_guard import watch as watch_program
-from rigs.light_guard._held_light import (
+from rigs.light_guard._reconnecting_light import (
     EXIT_NOT_OFF,
     EXIT_OFF,
     NOBODY_ASKED,
