@@ -49,7 +49,7 @@ if TYPE_CHECKING:
         REST_LEVEL,
         LookTruth,
         PaintLook,
-        drawn_paints,
+        sampled_paints,
         render_looks,
         render_noise_rel,
     )
@@ -191,7 +191,7 @@ __all__ = [
     "coat_cells",
     "confirmed_losses",
     "design_parameter",
-    "drawn_paints",
+    "sampled_paints",
     "finger_force_model",
     "finger_scene",
     "fit_sensor",
