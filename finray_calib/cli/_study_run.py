@@ -297,7 +297,7 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
 
     plan, path = _dataset_plan(arguments)
     shards = planned_shards(plan, arguments.presses)
-    paints, sources, files = _drawn_paints(arguments)
+    paints, sources, files = _paint_draws(arguments)
     out = require_folder(arguments.out or Path(f"{file_name(plan.design.name)}-dataset"))
     if out.exists() and any(out.iterdir()) and not (out / "shards").is_dir():
         raise SimulateError(f"{out}: holds something other than a data set; choose another --out")
@@ -346,7 +346,7 @@ def _dataset_plan(arguments: argparse.Namespace) -> "tuple[DatasetPlan, Path | N
     return plan, files[0] if files else None
 
 
-def _drawn_paints(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws], dict[str, str], list[Path]]":
+def _paint_draws(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws], dict[str, str], list[Path]]":
     """Return both paints with the draws of their emission, where they come from, and their files."""
     from data_schemas import PaintCalibration
     from data_schemas.storage import read_record
