@@ -568,7 +568,7 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
             ""
             if first.contact_circle is None
             else (
-                f", correct {out / CIRCLES} (set told_by to label in the lines that you correct), and import "
+                f", correct {out / CIRCLES} (set source to label in the lines that you correct), and import "
                 "again with --circles"
             )
         )

@@ -354,7 +354,7 @@ def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path 
     if missing:
         raise CompareError(f"{circles}: no circle for {missing[0]}; add a line, or leave that capture out")
     return [
-        capture.model_copy(update={"contact_circle": found[path.name].circle, "contact_told_by": found[path.name].by})
+        capture.model_copy(update={"contact_circle": found[path.name].circle, "contact_told_by": found[path.name].source})
         for capture, path in zip(captures, files, strict=True)
     ]
 
