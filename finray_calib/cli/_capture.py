@@ -179,7 +179,7 @@ def resume_tactile(folder: Path, attend: "Attend") -> None:
     _report_tactile(folder, session)
 
 
-def _tell_operator(done: int, total: int, what: str) -> None:
+def _report_operator(done: int, total: int, what: str) -> None:
     """Tell the progress in lines: a bar would hide what the operator is asked."""
     guide(f"  {done}/{total} {what}")
 
@@ -418,14 +418,14 @@ def at_the_terminal(
     from data_schemas import RigFile
 
     if not isinstance(rig, RigFile):
-        yield Attended(_tell_operator)
+        yield Attended(_report_operator)
         return
     with _bar_or_lines(rig) as progress:
-        tell_of_laser(rig)
+        warn_of_laser(rig)
         yield Attended(progress)
 
 
-def tell_of_laser(rig: "RigFile") -> None:
+def warn_of_laser(rig: "RigFile") -> None:
     """Say before a real laser is lit what it is and what switches it off."""
     if not rig.is_simulated:
         from rigs.light_guard import safety_lines

@@ -244,7 +244,7 @@ def run_lights(arguments: argparse.Namespace) -> None:
     record = record.model_copy(update={"notes": (*record.notes, *apart.notes)})
     origin = provenance(command_line(), input_digests([*files, *apart.paints]), arguments.seed)
     _store_powers(out, record, origin)
-    _tell_powers(record)
+    _report_powers(record)
     wrote(out, "powers, basis and draws")
     wrote(out.with_suffix(".toml"), "the design with these powers")
     suggest_command("finray design show", out.with_suffix(".toml"))
@@ -316,7 +316,7 @@ def _store_powers(out: Path, record: "LightPowers", origin: "Provenance") -> Non
         write_record(record, out, origin, products)
 
 
-def _tell_powers(record: "LightPowers") -> None:
+def _report_powers(record: "LightPowers") -> None:
     """Tell the powers."""
     from finray_calib.reports import light_map_sentence
 

@@ -237,7 +237,7 @@ def run_optimise(arguments: argparse.Namespace) -> None:
     notes = () if light is None else tuple(f"{colour} paint: {where}" for colour, where in light.sources.items())
     optimum = design_optimum(searched, again, arguments.seed, notes)
     finger = _store_optimum(out, optimum, origin)
-    _tell_optimum(optimum)
+    _report_optimum(optimum)
     wrote(finger, "the recommended finger")
     wrote(out, f"{OPTIMUM_NAME}, {OPTIMUM_PAGE_NAME} and {EVALUATIONS}/ ({evaluations.computed} computed now)")
     suggest_command("finray design export", finger)
@@ -302,7 +302,7 @@ def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") ->
     return finger
 
 
-def _tell_optimum(optimum: "DesignOptimum") -> None:
+def _report_optimum(optimum: "DesignOptimum") -> None:
     """Tell what was found."""
     from finray_calib.reports.design_search import front_rows
 
@@ -515,7 +515,7 @@ def run_assess(arguments: argparse.Namespace) -> None:
     parts.warn_of_other_code()
     page = assessment_page(decision, tolerances, stiffness, command_line(), inputs)
     write_bytes(parts.out / ASSESSMENT_PAGE, page.encode())
-    _tell_assessment(decision, tolerances, stiffness)
+    _report_assessment(decision, tolerances, stiffness)
     wrote(parts.out, "finger.toml with the light that was chosen, records and pages of each part")
     suggest_file(parts.out / ASSESSMENT_PAGE)
 
@@ -651,7 +651,7 @@ def _stiffness(arguments: argparse.Namespace, design: "FingerDesign") -> "Finger
         return study_finger_stiffness([design], share, machine_threads(), progress)
 
 
-def _tell_assessment(
+def _report_assessment(
     decision: "LightAngleDecision", tolerances: "FingerTolerances", stiffness: "FingerStiffness"
 ) -> None:
     """Tell what was found."""

@@ -231,7 +231,7 @@ def run_taxim(arguments: argparse.Namespace) -> None:
     _store(found.captures, files, out)
     for line in found.assumed:
         say(f"  assumed: {line}")
-    _tell_left_out(found.left_out)
+    _report_left_out(found.left_out)
 
 
 def run_ball_presses(arguments: argparse.Namespace) -> None:
@@ -244,7 +244,7 @@ def run_ball_presses(arguments: argparse.Namespace) -> None:
     found = read_ball_presses(folder, arguments.mm_per_px, arguments.ball_diameter_mm)
     files = sorted(p for p in folder.rglob("*") if digest_as_read(p) is not None)
     _store(found.captures, files, out)
-    _tell_left_out(found.left_out)
+    _report_left_out(found.left_out)
 
 
 def _new_folder(arguments: argparse.Namespace) -> Path:
@@ -269,7 +269,7 @@ def _store(captures: "Sequence[TactileCapture]", files: list[Path], out: Path) -
     suggest_command("finray sense teach", out)
 
 
-def _tell_left_out(lines: Sequence[str]) -> None:
+def _report_left_out(lines: Sequence[str]) -> None:
     """Say what of the folder was left out."""
     give(left_out=list(lines))
     for line in lines:

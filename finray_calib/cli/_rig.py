@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from data_schemas import CaptureError, FinrayError
 from data_schemas.storage import read_text
-from finray_calib.cli._capture import Attended, capture, resume, tell_of_laser
+from finray_calib.cli._capture import Attended, capture, resume, warn_of_laser
 from finray_calib.cli._output import give, suggest_command, guide, is_for_a_terminal, say, warn, wrote
 from finray_calib.cli._run import (
     add_out,
@@ -182,7 +182,7 @@ def run_calibrate_cell(arguments: argparse.Namespace) -> None:
     address = f"{rig.load_cell.driver} {rig.load_cell.address}".strip()
     record = calibrate_cell(loads, gravity, f"{rig.name}, {address}", when_utc, arguments.certificate)
     write_record(record, out, provenance(command_line(), input_digests([arguments.rig]), None))
-    _tell_calibration(record, out)
+    _report_calibration(record, out)
 
 
 def _require_masses(arguments: argparse.Namespace, capacity_n: float) -> None:
@@ -211,7 +211,7 @@ def _counts_of(cell: "LoadCell | None", settings: "LoadCellSettings") -> list[in
     return [cell.read(settings.silent_s).counts for _ in range(READINGS_OF_A_MASS)]
 
 
-def _tell_calibration(record: "LoadCellCalibration", out: Path) -> None:
+def _report_calibration(record: "LoadCellCalibration", out: Path) -> None:
     """Say what the cell is like."""
     slope, u = record.slope_n_per_count, record.slope_uncertainty_n_per_count
     wrote(out, f"load cell: {1e6 * slope:.5g} +- {1e6 * u:.2g} uN per count (standard uncertainty)")
@@ -525,7 +525,7 @@ def _in_view(
 
     takes_time, has_lights = True, isinstance(rig, RigFile)
     if isinstance(rig, RigFile):
-        tell_of_laser(rig)
+        warn_of_laser(rig)
         takes_time = not rig.is_simulated
     name = next(str(getattr(plan, part)) for part in ("paint_name", "camera_name", "name") if hasattr(plan, part))
     laser = getattr(rig, "laser", None)

@@ -434,7 +434,7 @@ def run_sense(arguments: argparse.Namespace) -> None:
         products.add(picture, sensed_png(sensed, capture))
         products.add(mesh, stl_bytes(*surface_triangles(sensed), "gel surface, mm, from finray sense"))
         write_record(sensed, out, origin, products)
-    _tell_sensed(sensed)
+    _report_sensed(sensed)
     wrote(out, "what was sensed")
     wrote(picture, "depth, normals and contact")
     wrote(mesh, "the surface of the gel, mm")
@@ -443,7 +443,7 @@ def run_sense(arguments: argparse.Namespace) -> None:
     suggest_file(picture)
 
 
-def _tell_sensed(sensed: "SensedPress") -> None:
+def _report_sensed(sensed: "SensedPress") -> None:
     """Say what was sensed; warn where it proves nothing."""
     u = "u not known" if sensed.deepest_u_mm is None else f"u = {sensed.deepest_u_mm:.2g} mm"
     area_u = "u not known" if sensed.contact_area_u_mm2 is None else f"u = {sensed.contact_area_u_mm2:.2g} mm2"

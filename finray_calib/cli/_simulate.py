@@ -146,11 +146,11 @@ def run_teach(arguments: argparse.Namespace) -> None:
     with progress_bar("teach") as progress, naming(SimulateError, arguments.design):
         taught = teach_surrogate(design, settings, stored=stored, store=store, progress=progress)
     write_record(taught, out, origin)
-    _tell_taught(taught, out, kept)
+    _report_taught(taught, out, kept)
     suggest_command("finray simulate press", arguments.design, "--surrogate", out)
 
 
-def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
+def _report_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     """Tell how far a surrogate is off on presses that were left out of its teaching."""
     import numpy as np
 

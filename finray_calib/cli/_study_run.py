@@ -395,7 +395,7 @@ def _store_dataset(
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
         products.add(out / MANIFEST_NAME, manifest_text(out, digests))
         write_record(record, out / DATASET_NAME, task.origin, products)
-    _tell_dataset(record, out)
+    _report_dataset(record, out)
 
 
 def _dataset_record(
@@ -439,7 +439,7 @@ def _npy(array: "NDArray[np.float64]") -> bytes:
     return stream.getvalue()
 
 
-def _tell_dataset(record: "LearningDataset", out: Path) -> None:
+def _report_dataset(record: "LearningDataset", out: Path) -> None:
     """Say what a data set holds and what it took."""
     wrote(out, f"{len(record.shards)} shards, {INDEX_NAME}, {CARD_NAME}, {PLACES_NAME}, {DATASET_NAME}")
     give(
