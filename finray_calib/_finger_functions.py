@@ -33,13 +33,13 @@ from data_schemas import (
 from finray_calib._library import (
     NOT_IN_ORDER,
     PathLike,
+    checked_seed,
     digest_of,
     given,
     given_list,
     made,
     path_of,
     require_truths,
-    checked_seed,
 )
 
 if TYPE_CHECKING:

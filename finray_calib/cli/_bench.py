@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._output import give, suggest_file, say, wrote
+from finray_calib.cli._output import give, say, suggest_file, wrote
 from finray_calib.cli._run import add_out, add_seed, command_line, distinct_file_names, require_new, require_place
 
 if TYPE_CHECKING:

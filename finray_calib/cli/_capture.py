@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, suggest_command, guide, progress_bar, say, wrote
+from finray_calib.cli._output import Progress, give, guide, progress_bar, say, suggest_command, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,

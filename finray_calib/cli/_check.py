@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, guide, suggest_file, progress_bar, say, warn, wrote
+from finray_calib.cli._output import Progress, give, guide, progress_bar, say, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,

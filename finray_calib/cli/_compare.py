@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli._output import give, suggest_command, suggest_file, say, wrote
+from finray_calib.cli._output import give, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,

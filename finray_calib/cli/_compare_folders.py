@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from data_schemas import CompareError, DiedError, FinrayError, RecordError
 from data_schemas.storage import Child, files_in, has_file, read_json, stopping_together
-from finray_calib.cli._output import Progress, give, suggest_file, progress_bar, say, warn, wrote
+from finray_calib.cli._output import Progress, give, progress_bar, say, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     command_line,
     distinct_file_names,

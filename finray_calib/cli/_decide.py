@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli._design_search import light_measure
-from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,

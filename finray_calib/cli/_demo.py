@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from finray_calib.cli._decide import add_lights
 from finray_calib.cli._design_search import add_assess, add_optimise, add_tolerances
-from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_seed,

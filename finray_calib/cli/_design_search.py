@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_paint,

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import Progress, give, progress_bar, say, suggest_file, wrote
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
     add_out,

@@ -9,7 +9,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from finray_calib.cli._output import Progress, give, suggest_command, is_for_a_program, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import (
+    Progress,
+    give,
+    is_for_a_program,
+    progress_bar,
+    say,
+    suggest_command,
+    suggest_file,
+    wrote,
+)
 from finray_calib.cli._run import (
     LongWork,
     add_out,

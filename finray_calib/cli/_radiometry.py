@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,

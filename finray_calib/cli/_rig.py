@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from data_schemas import CaptureError, FinrayError
 from data_schemas.storage import read_text
 from finray_calib.cli._capture import Attended, capture, resume, warn_of_laser
-from finray_calib.cli._output import give, suggest_command, guide, is_for_a_terminal, say, warn, wrote
+from finray_calib.cli._output import give, guide, is_for_a_terminal, say, suggest_command, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,

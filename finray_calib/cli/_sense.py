@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, suggest_command, suggest_file, say, warn, wrote
+from finray_calib.cli._output import give, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -354,7 +354,9 @@ def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path 
     if missing:
         raise CompareError(f"{circles}: no circle for {missing[0]}; add a line, or leave that capture out")
     return [
-        capture.model_copy(update={"contact_circle": found[path.name].circle, "contact_told_by": found[path.name].source})
+        capture.model_copy(
+            update={"contact_circle": found[path.name].circle, "contact_told_by": found[path.name].source}
+        )
         for capture, path in zip(captures, files, strict=True)
     ]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli._fit import add_sensor_fit
-from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_engine,

@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, suggest_command, suggest_file, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_out,

@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from finray_calib.cli._output import Progress, give, suggest_command, suggest_file, progress_bar, say, warn, wrote
+from finray_calib.cli._output import Progress, give, progress_bar, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
     LongWork,

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._output import give, suggest_file, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_file, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,

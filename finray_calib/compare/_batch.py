@@ -139,8 +139,8 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
     """
     if contact_sha256(capture) in table.training_sha256:
         raise CompareError(
-            f"{capture.name}: its contact image taught the table ({', '.join(table.training_presses)}), so its prediction "
-            f"for this press proves nothing"
+            f"{capture.name}: its contact image taught the table ({', '.join(table.training_presses)}), so "
+            "its prediction for this press proves nothing"
         )
     distance = _distance(capture)
     if distance.shape != table.shape_px:

@@ -75,7 +75,9 @@ class RegionDraws:
         return np.asarray(np.sqrt(np.maximum(squares.mean(axis=1), 0.0)))
 
 
-def propagated_draws(sums: RegionSums, drawn: InputDraws, exposure: Floats, rng: np.random.Generator | None) -> RegionDraws:
+def propagated_draws(
+    sums: RegionSums, drawn: InputDraws, exposure: Floats, rng: np.random.Generator | None
+) -> RegionDraws:
     """Return draws of the sums for draws of the inputs; the pixels' noise varies where there is a generator."""
     draws = len(exposure)
     errors = {

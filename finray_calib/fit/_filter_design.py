@@ -31,9 +31,9 @@ from finray_calib.fit._band_data import LARGEST_LEAK_OF_WHITE, BandData, band_va
 from finray_calib.fit._measured_spectra import (
     band_errors,
     components_of,
-    random_paints,
     fit_spectrum,
     learned_spectra,
+    random_paints,
 )
 from finray_calib.fit._prior import EmissionPrior
 from finray_calib.spectra import (

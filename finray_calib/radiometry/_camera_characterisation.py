@@ -45,7 +45,7 @@ from finray_calib.radiometry._photon_transfer import (
     root_of,
     saturation_level,
 )
-from finray_calib.radiometry._step_signals import cut, complete_bayer_cells
+from finray_calib.radiometry._step_signals import complete_bayer_cells, cut
 
 ReadCounts = Callable[[Frame], NDArray[np.uint16]]
 CHANNELS: dict[str, dict[ChannelName, Sites]] = {

@@ -28,9 +28,9 @@ from finray_calib.radiometry._step_signals import (
     DarkMap,
     PixelStep,
     ReadFrame,
+    complete_bayer_cells,
     dark_map,
     merge_pixels,
-    complete_bayer_cells,
 )
 
 Floats32 = NDArray[np.float32]

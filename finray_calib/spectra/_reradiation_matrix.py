@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_schemas import EXTRAPOLATION_UNCERTAINTY_REL, CurveError, DonaldsonMatrix, Reradiation, SpectralCurve, read_only
+from data_schemas import (
+    EXTRAPOLATION_UNCERTAINTY_REL,
+    CurveError,
+    DonaldsonMatrix,
+    Reradiation,
+    SpectralCurve,
+    read_only,
+)
 
 Floats = NDArray[np.float64]
 ROUNDING = 1e-9

@@ -37,9 +37,9 @@ from data_schemas import (
 from rigs.light_guard._reconnecting_light import (
     EXIT_OFF,
     NOBODY_ASKED,
-    ReconnectingLight,
     HungUpError,
     LightLostError,
+    ReconnectingLight,
     channel,
     error_from,
     receive,

@@ -372,7 +372,9 @@ class FingerEvaluator:
         )
         return LitFinger(self, design, found[0].points.places_mm, of_batches, of_paints, of_draws)
 
-    def error_with_calibration_of(self, taught: FingerEvaluation, found: FingerEvaluation, design: FingerDesign) -> float:
+    def error_with_calibration_of(
+        self, taught: FingerEvaluation, found: FingerEvaluation, design: FingerDesign
+    ) -> float:
         """Return the expected error (deg) of a finger that takes the calibration of another one.
 
         Each finger has its own picture without contact, to which its colours are relative.

@@ -318,8 +318,8 @@ def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
     """
     if contact_sha256(capture) in gel.training_sha256:
         raise SimulateError(
-            f"{capture.name}: its contact image taught the model ({', '.join(gel.training_presses)}), so its prediction for "
-            "this press proves nothing"
+            f"{capture.name}: its contact image taught the model ({', '.join(gel.training_presses)}), so "
+            "its prediction for this press proves nothing"
         )
     distance = _distance(capture)
     if distance.shape != gel.shape_px:

@@ -39,11 +39,11 @@ from sim.experiments import (
     PaintDraws,
     PaintedFinger,
     PaintLook,
-    sampled_paints,
     paint_finger,
     press_records,
     render_looks,
     render_noise_rel,
+    sampled_paints,
 )
 from sim.mechanics import PressSettings, press_as_designed
 from sim.optics import Preference, RenderSettings, camera_view, choose_variant, open_renderer

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from data_schemas import LaserSettings, OutsideLayer, RefusedError, RigFile
 from data_schemas.storage import read_toml
-from rigs import open_rig_laser, open_laser, paper_rig, write_rig
+from rigs import open_laser, open_rig_laser, paper_rig, write_rig
 from rigs.light_guard import TEST_HOLDS_DAYS, off_lines, require_outside_layer
 from rigs.light_guard._guarded_light import HAZARDOUS_CLASSES, refusal
 from tests.capture.drivers import file_switch

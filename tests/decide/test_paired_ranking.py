@@ -47,7 +47,9 @@ def test_what_all_choices_share_does_not_hide_a_difference():
     shared, own = 10.0 * rng.standard_normal(DRAWS), 0.1 * rng.standard_normal((2, DRAWS))
     ranking = rank_by_draws(np.array([[7.0], [8.0]]) + own + shared)
     assert ranking.distinguishable[0, 1]
-    assert not rank_by_draws(np.array([[7.0], [8.0]]) + own + 10.0 * rng.standard_normal((2, DRAWS))).distinguishable.any()
+    assert not rank_by_draws(
+        np.array([[7.0], [8.0]]) + own + 10.0 * rng.standard_normal((2, DRAWS))
+    ).distinguishable.any()
 
 
 def test_two_choices_of_the_same_draws_are_one():
@@ -55,7 +57,9 @@ def test_two_choices_of_the_same_draws_are_one():
     ranking = rank_by_draws(np.stack([draws, draws, draws + 1.0]))
     assert ranking.order.tolist() == [0, 1, 2]
     assert ranking.best_share.tolist() == [0.5, 0.5, 0.0]
-    np.testing.assert_array_equal(ranking.distinguishable, [[False, False, True], [False, False, True], [True, True, False]])
+    np.testing.assert_array_equal(
+        ranking.distinguishable, [[False, False, True], [False, False, True], [True, True, False]]
+    )
     np.testing.assert_allclose(ranking.above_best, [[0.0] * DRAWS, [0.0] * DRAWS, [1.0] * DRAWS])
 
 

@@ -32,8 +32,8 @@ from finray_calib.spectra import (
     FAMILIES,
     WAVELENGTH_NM,
     SkewCauchy,
-    filter_transmission,
     extrapolated_shares,
+    filter_transmission,
     photon_yield,
 )
 from rigs import simulated_rig

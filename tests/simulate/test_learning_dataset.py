@@ -16,17 +16,17 @@ from sim.experiments import (
     FingerScene,
     PaintDraws,
     Rendering,
-    sampled_paints,
     paint_finger,
     recoloured,
     render_looks,
+    sampled_paints,
     simulate_press,
 )
 from sim.experiments._learning_samples import encoded_depth, encoded_normal, encoded_picture
 from sim.experiments._sensor_press import surface_of
 from sim.optics import RenderSettings, choose_variant, open_renderer, pixel_maps
 from sim.optics import _render as renders
-from sim.studies import DatasetTask, sampled_light, sampled_press, planned_shards, run_dataset
+from sim.studies import DatasetTask, planned_shards, run_dataset, sampled_light, sampled_press
 from sim.studies import _dataset as datasets
 from sim.studies import _engine as engines
 from sim.surface_meshes import FingerShape, contact_half_width_mm, gel_faces, pressed_shape, rest_shape

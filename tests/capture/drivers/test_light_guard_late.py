@@ -11,7 +11,14 @@ import pytest
 
 from data_schemas import LostError
 from rigs.light_guard import guarded_light, watch
-from rigs.light_guard._reconnecting_light import LATE_ON_S, RETRY_FOR_S, ReconnectingLight, HungUpError, channel, receive
+from rigs.light_guard._reconnecting_light import (
+    LATE_ON_S,
+    RETRY_FOR_S,
+    HungUpError,
+    ReconnectingLight,
+    channel,
+    receive,
+)
 from rigs.light_guard.guard_process import LOOK_ALONE_S, LOOK_EVERY_S
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.light_owner import guards, start_owner, the_guard
