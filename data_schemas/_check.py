@@ -177,7 +177,7 @@ class PressLimits(AnswerLimits):
     )
     linearity_rel: LimitRel = Field(
         default=0.01,
-        description="largest distance of the calibration from its straight line, relative to its heaviest mass",
+        description="largest deviation of the calibration from its straight line, relative to its heaviest mass",
     )
     cell_noise_rel: LimitRel = Field(
         default=0.0125,
@@ -196,34 +196,38 @@ class PressLimits(AnswerLimits):
         default=0.25, description="longest time between two readings: half of the usual silent_s of a rig file"
     )
     cell_rate_rel: LimitRel = Field(
-        default=0.2, description="readings a second apart from rate_hz of the rig file, relative to it"
+        default=0.2,
+        description="largest difference of the readings a second from rate_hz of the rig file, relative to that",
     )
     stage_overhead_s: PositiveS = Field(
-        default=1.0, description="longest time that a move takes beyond its way over its speed"
+        default=1.0, description="longest time that a move takes beyond its distance over its speed"
     )
     stage_report_mm: StageMm = Field(
         default=0.01, description="largest distance of the reported position from the one that was asked for"
     )
     touch_repeat_mm: StageMm = Field(
         default=0.05,
-        description="standard deviation of the position of the touch over all returns, and how far it moves by stops",
+        description="largest standard deviation of the touched position over all returns; largest change of it by stops",
     )
     backlash_mm: StageMm = Field(
         default=0.05,
-        description="difference between a position in the pad reached from above and from below, by the force there",
+        description="largest difference of a position in the pad reached from above and from below, by the force",
     )
-    halt_s: PositiveS = Field(default=1.0, description="time from a request to stop until the stage is seen to stand")
+    halt_s: PositiveS = Field(
+        default=1.0, description="longest time from a request to stop until the stage is seen at rest"
+    )
     factor_rel: LimitRel = Field(
-        default=0.02, description="force of a known mass by the calibration apart from its weight, relative to it"
+        default=0.02,
+        description="largest difference of the calibrated force of a known mass from its weight, relative to that",
     )
     scale_rel: LimitRel = Field(
         default=0.01,
-        description="way of an axis, by camera or gauge block, apart from the way that it was sent, relative to it",
+        description="largest difference of travel, by camera or gauge block, from the commanded travel, relative to that",
     )
 
 
 class KnownMass(Model):
-    """A mass that a person lays on the load cell during the check; best none of those that calibrated it."""
+    """A mass that a person lays on the load cell during the check; preferably not one of those that calibrated it."""
 
     mass_kg: Annotated[float, Field(gt=0.0, le=100.0, json_schema_extra={"unit": "kg"})]
     uncertainty_kg: Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "kg"})] = Field(
@@ -428,15 +432,18 @@ class CheckFacts(Model):
         default=0.0, description="time from the first to the last white frame of the levels"
     )
     frame_overheads_s: tuple[DurationS, ...] = Field(
-        default=(), description="time of each frame of the levels beyond its exposure"
+        default=(), description="time that each frame of the levels took beyond its exposure"
     )
     warm_up: WarmUp | None = None
     stray_light: StrayLight | None = None
     latency: TriggerLatency | None = None
     reconnect_s: DurationS | None = Field(
-        default=None, description="time from closing all devices to the last answer after they were opened again"
+        default=None,
+        description="time from closing all devices until the last of them answered after it was opened again",
     )
-    reconnected: tuple[DeviceIdentity, ...] = Field(default=(), description="identity that the devices then reported")
+    reconnected: tuple[DeviceIdentity, ...] = Field(
+        default=(), description="identities that the devices reported after they were opened again"
+    )
     light_off: tuple[LightOff, ...] = ()
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 
@@ -543,10 +550,11 @@ class PressFacts(Model):
     after_stops: tuple[CheckedTouch, ...] = Field(default=(), description="touches when all stops were over")
     force_stops: tuple[ForceStop, ...] = ()
     reconnect_s: DurationS | None = Field(
-        default=None, description="time from closing all devices to the last answer after they were opened again"
+        default=None,
+        description="time from closing all devices until the last of them answered after it was opened again",
     )
     reconnected: tuple[DeviceIdentity | PressDevice, ...] = Field(
-        default=(), description="identity that the devices then reported"
+        default=(), description="identities that the devices reported after they were opened again"
     )
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 
