@@ -207,7 +207,7 @@ class PressLimits(AnswerLimits):
     )
     touch_repeat_mm: StageMm = Field(
         default=0.05,
-        description="largest standard deviation of the touched position over all returns; largest change of it by stops",
+        description="largest standard deviation of the touched position over all returns; its largest change by stops",
     )
     backlash_mm: StageMm = Field(
         default=0.05,
@@ -222,7 +222,7 @@ class PressLimits(AnswerLimits):
     )
     scale_rel: LimitRel = Field(
         default=0.01,
-        description="largest difference of travel, by camera or gauge block, from the commanded travel, relative to that",
+        description="largest difference of a travel, by camera or gauge block, from the commanded one, relative to it",
     )
 
 
