@@ -62,7 +62,7 @@ def add_capture(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         "--resume", type=Path, metavar="SESSION", help="continue an interrupted session; takes no PLAN and no --rig"
     )
     parser.add_argument(
-        "--dry-run", action="store_true", help="open the rig, check the plan, print time and disk; nothing moves"
+        "--dry-run", action="store_true", help="open the rig, check the plan, print time and disk space; nothing moves"
     )
     parser.add_argument(
         "--like", type=Path, metavar="SESSION", help="earlier session on this rig that the white frames must resemble"

@@ -170,14 +170,14 @@ Analyse a gauge study: several samples, each measured in the same sessions, with
 within a session. Take five samples or more that differ as yours do, and six sessions or more: with three, the interval
 of the measurement's standard deviation spans a factor of five.
 
-STUDY is a CSV file with one row for each capture, as many for each sample in each session:
+STUDY is a CSV file with one row for each capture, with equal numbers for each sample and session:
 
   sample,session,mount,paint
   A,1,1,A-1-1a.paint.json
   A,1,1,A-1-1b.paint.json
 
 where "paint" is the calibration of the capture (a path relative to the CSV file; --quantity names the quantity), or
-with a column "value" in the place of "paint". Leave out the column "mount" where the samples were not mounted anew.
+with a column "value" in place of "paint". Leave out the column "mount" where the samples were not mounted again.
 PASS: the measurement's share of the total standard deviation is below 10 % with 95 % confidence; FAIL: above 30 %.
 Exit status: 0, 1 after FAIL, 2 after a mistake."""
 QUANTITIES = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser")

@@ -55,7 +55,7 @@ of the mould; curved fins are approximated by strips of 1 mm, within 0.3 um of t
 PAINTS_HELP = "rank calibrated paints for a finger by the error of the sensed normal"
 PAINTS_DESCRIPTION = """\
 Rank every pair of paints, one on each wall, by the expected error of the normal that the finger would sense, before
-anything is moulded. The error is that of a map from colour to normal at places of the pad that it was not taught at,
+anything is moulded. The error is that of a map from colour to normal at places of the pad that it has not seen,
 with the noise of the camera ('held-out normal error' of 'finray simulate sweep --objectives all'), at the light angle
 of the design. The uncertainty of the emission comes from the posterior draws of each calibration; all pairs share
 paths, noise and draws, and the last column says which differences to the best pair are real, all pairs together at 95

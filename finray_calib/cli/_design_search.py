@@ -101,7 +101,7 @@ examples:
 
 ASSESS_HELP = "light angle, tolerances and stiffness of a finger, also one with another size of pad, by one command"
 ASSESS_DESCRIPTION = """\
-Find what a designer asks of a finger first:
+Find what a designer needs to know first about a finger:
 
   light angle  sweeps at five places of the pad, and the decision on them by the error of the sensed normal
   tolerances   of the finger with that light: how far it may vary before the error has grown by a tenth
@@ -113,8 +113,8 @@ design tolerances', the table of 'finray study finger-stiffness', and one page w
 
 Each part is stored as soon as it is finished: the same command continues where it was interrupted.
 
---quick takes fewer paths and fingers, and leaves the assumed dimensions of the skeleton: a first look in a third of the
-time. Everything is simulated: no finger was built."""
+--quick takes fewer paths and fingers, and does not change the assumed dimensions of the skeleton: a first result in a
+third of the time. Everything is simulated: no finger was built."""
 ASSESS_EPILOG = """\
 examples:
   finray design assess flat-70x35 --pad 60x30 --paint red=red.paint.json --paint green=green.paint.json

@@ -448,7 +448,7 @@ def light_powers(
 
 
 _NOTES: Final = (
-    "the powers make the relative variation of the brightness least, without and with contact, where all lights are on "
+    "the powers minimise the relative variation of the brightness, without and with contact, where all lights are on "
     "at once; this problem is convex, so no other allowed powers are more even on this basis",
     "the powers that give the most information on the normal under shot noise were not sought; they are a convex "
     "problem only where the lights are on in turn, each with an exposure of its own",

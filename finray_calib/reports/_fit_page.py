@@ -298,7 +298,7 @@ def _families(paints: Paints) -> Content:
     """Show what each family makes of the same bands."""
     return Content(
         lead="Each family is a different idea of what an emission curve looks like. Evidence and probability show "
-        "how well a family predicts the bands before seeing them, all equally likely beforehand. The score "
+        "how well a family predicts the bands before seeing them, if all families are equally likely. The score "
         "of the left-out bands says how well each band is predicted from the others: higher is better, "
         "\u00b1 is the standard error of the difference to the default family, and scores with \u2248 are "
         "only indicative (Pareto k above 0.7).",

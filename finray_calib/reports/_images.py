@@ -408,7 +408,7 @@ def _outlined(image: ByteImage, masks: list[Mask]) -> ByteImage:
 
 
 FEWEST_SAMPLES = 64
-"""Paths per pixel below which the denoiser makes light up: with 16 it raised green and blue by 9 to 14 %."""
+"""Paths per pixel below which the denoiser invents light: with 16 it raised green and blue by 9 to 14 %."""
 
 _WHITE_PERCENTILE = 97.0
 

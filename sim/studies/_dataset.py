@@ -54,7 +54,7 @@ Floats = NDArray[np.float64]
 
 SHARDS: Final = "shards"
 VERSION: Final = 1
-"""Part of a shard's key: goes up when the same plan gives other samples."""
+"""Part of a shard's key: it is raised when the same plan gives other samples."""
 
 _SPLIT_CYCLE: Final = 10
 _SPLIT_OF: Final[Mapping[int, DatasetSplit]] = {8: "validation", 9: "test"}
