@@ -281,9 +281,10 @@ press {REPEATS} times, and take the indenter away between. Take every image at a
 _TO_STATE = """\
 ## What to state
 
-Standard uncertainties (0.1 / sqrt(3) = 0.058 mm for a value that lies anywhere within 0.1 mm): depth, place along the
-pad and tilt of each press, the panel's angle, the radius of the indenter, the side of a square. How zero depth was found
-(first contact seen, or felt by a force sensor). Model of the camera and its lens, of the LEDs; room temperature.
+Standard uncertainties (0.1 / sqrt(3) = 0.058 mm for a value that lies anywhere within 0.1 mm): depth, place along
+the pad and tilt of each press, the panel's angle, the radius of the indenter, the side of a square. How zero depth
+was found (first contact seen, or felt by a force sensor). Model of the camera and its lens, of the LEDs; room
+temperature.
 
 """
 

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 BINS: Final = 125
 """Of slope angle (0 to pi/2) and of direction (-pi to pi), as in Taxim's own tables."""
 FEWEST_PRESSES: Final = 24
-"""A table of 12 rendered presses on a plain sensor explained 0.64 of unseen ones, of 20 presses 0.69; more gained little."""
+"""On a plain sensor, tables of 12 and 20 rendered presses explained 0.64 and 0.69 of others; more gained little."""
 SPLITS: Final = 12
 
 # of the polynomial in the normal's two components: degrees 5 and 6 foretell unseen presses no better (by 0.01)
