@@ -407,7 +407,7 @@ class SessionScatter(Model):
         min_length=2, description="level of each session relative to the common one, in the order given"
     )
     departing: tuple[Annotated[int, Field(ge=1)], ...] = Field(
-        default=(), description="numbers, from 1, of sessions that depart more than the others allow (p < 0.001)"
+        default=(), description="numbers (from 1) of the sessions that differ significantly from the others (p < 0.001)"
     )
 
 

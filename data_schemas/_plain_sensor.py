@@ -258,7 +258,7 @@ class PlainSensor(Record):
     )
     uncertainty_rel: dict[str, RelativeUncertainty] = Field(
         default={},
-        description="standard uncertainty of a number over its value; it is shown, but no computation uses it",
+        description="relative standard uncertainty of a number; it is shown, but no computation uses it",
     )
 
     @field_validator("origin", "uncertainty_rel")

@@ -190,8 +190,8 @@ class NormalMapRecord(Record):
     held_out_angle_deg: Annotated[Floats, ArraySpec("<f8", ("split",), "deg")]
     held_out_depth_rms_mm: Annotated[Floats, ArraySpec("<f8", ("press",), "mm")] | None = Field(
         default=None,
-        description="for each press, RMS error of the depth inside its circle without its mean, by a map that five "
-        "sixths of the presses taught and this one did not; none: not measured",
+        description="for each press, RMS error of the depth inside its circle after its mean is removed, by a map "
+        "that the other five sixths of the presses taught; none: not measured",
     )
     held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
         default=None,
@@ -200,7 +200,7 @@ class NormalMapRecord(Record):
     held_out_level_mm: Annotated[Floats, ArraySpec("<f8", ("ring",), "mm")] | None = Field(
         default=None,
         description="mean depth, relative to the border of the picture, in a ring 2.5 to 3.5 radii from the contact, "
-        "where the gel should be flat; for each press with this ring in view, by maps that it did not teach; "
+        "where the gel should be flat; for each press with this ring in view, by maps taught without it; "
         "none: not known",
     )
     taught_by_sha256: tuple[str, ...] = Field(

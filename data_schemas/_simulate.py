@@ -116,7 +116,7 @@ class SimulatedPress(Record):
     contact_chains: Chains | None = None
     chains: tuple[str, ...] = ()
     no_contact_half_difference: Layers | None = Field(
-        default=None, description="half the difference of the two independent halves that the layers are the mean of"
+        default=None, description="half the difference of two independent halves, whose mean is stored in the layers"
     )
     contact_half_difference: Layers | None = None
     layer_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "layer"))] | None = Field(

@@ -60,7 +60,7 @@ HELP: Final = (
     "arrow keys     move the region; with Shift by 2 px",
     "< >            smaller or larger region",
     "a              the region is the whole frame",
-    "Ctrl-L         draw the screen anew",
+    "Ctrl-L         draw the screen again",
     "q Ctrl-C       end, with the lamp off",
     "",
     "Picture: square root of the counts; red (without colours: X) is at full scale.",

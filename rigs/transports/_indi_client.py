@@ -360,7 +360,7 @@ class IndiClient(IndiDevice):
         known = self.properties.get(name)
         before = known.definitions if known else 0
         self._send(get_properties(self._device, name), end_s)
-        self.wait(lambda: self.definitions(name) > before, end_s, f"say what {name} is")
+        self.wait(lambda: self.definitions(name) > before, end_s, f"report {name}")
         return self.properties[name]
 
     def request(

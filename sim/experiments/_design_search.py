@@ -49,7 +49,7 @@ Evaluate = Callable[[FingerDesign], EvaluatedDesign]
 _LIGHT: Final = {
     "normal-error": DesignObjective(
         name="normal-error", unit="deg", larger_is_better=False,
-        meaning="expected error of the sensed normal at places that the map was not taught at; places that the "
+        meaning="expected error of the sensed normal at places that were left out when the map was taught; places that the "
             "camera does not see count as not tilted",
     ),
     "evenness": DesignObjective(

@@ -273,7 +273,7 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     radius_mm, scale = _ball_and_scale(first)
     digests = tuple(contact_sha256(capture) for capture in captures)
     if len(set(digests)) < len(digests):
-        raise SimulateError(f"{captures[-1].name}: one contact image teaches twice; give each press once")
+        raise SimulateError(f"{captures[-1].name}: one contact image is given twice; give each press once")
     for capture in captures[1:]:
         if _ball_and_scale(capture) != (radius_mm, scale) or capture.contact.shape != first.contact.shape:
             raise SimulateError(

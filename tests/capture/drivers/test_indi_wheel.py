@@ -214,7 +214,7 @@ def test_a_disconnected_driver_is_connected_again_and_its_slot_unknown(server: I
 
 @pytest.mark.rigs
 def test_a_mute_server_is_late_and_a_killed_one_lost_until_it_is_back(server: IndiServer, wheel: FilterWheel) -> None:
-    with server.frozen(), pytest.raises(TimedOutError, match="did not say what FILTER_SLOT is"):
+    with server.frozen(), pytest.raises(TimedOutError, match="did not report FILTER_SLOT"):
         wheel.go_to(2, 0.3)
     moving = threading.Thread(target=wheel.go_to, args=(6, 30.0))
     moving.start()
