@@ -76,10 +76,11 @@ class CheckLimits(AnswerLimits):
 
     move_s: PositiveS = Field(default=5.0, description="longest of the moves of the wheel")
     revisit_rel: LimitRel = Field(
-        default=0.01, description="RMS change of the white signal after the wheel has left the filter and come back"
+        default=0.01,
+        description="largest RMS change of the white signal after the wheel has left the filter and come back",
     )
     pixel_shift_px: PixelShift = Field(
-        default=0.5, description="RMS shift of the picture after the wheel has left the filter and come back"
+        default=0.5, description="largest RMS shift of the picture after the wheel has left the filter and come back"
     )
     black_level_dn: LimitDn = Field(
         default=2.0, description="largest difference of the dark level from black_level_dn of the rig file"
@@ -89,27 +90,27 @@ class CheckLimits(AnswerLimits):
         description="largest difference of the read noise from read_noise_e of the rig file, relative to it",
     )
     dark_rate_dn_per_s: RateDnPerS = Field(
-        default=2.0, description="growth of the dark level with the exposure: dark current and leaking light"
+        default=2.0, description="largest growth of the dark level with the exposure: dark current and leaking light"
     )
     exposure_ratio_rel: LimitRel = Field(
         default=0.01,
         description="largest difference of the signals at 2 t and 4 t from 2 and 4 times that at t, relative to them",
     )
     lamp_drift_rel: LimitRel = Field(
-        default=0.01, description="change of the lamp from the first to the last round of white frames"
+        default=0.01, description="largest change of the lamp from the first to the last round of white frames"
     )
     lamp_settles_s: SettlingS = Field(
         default=60.0, description="longest time after switching on until the lamp stays within lamp_drift_rel"
     )
     stray_light_rel: LimitRel = Field(
-        default=0.001, description="laser light on the white tile behind a filter that blocks it, relative to the "
+        default=0.001, description="most laser light on the white tile behind a filter that blocks it, relative to the "
         "filter that passes it"
     )  # fmt: skip
     latency_s: PositiveS = Field(
-        default=0.5, description="time from the request of an exposure until light is collected"
+        default=0.5, description="longest time from the request of an exposure until light is collected"
     )
     light_off_s: PositiveS = Field(
-        default=1.0, description="time from the mishap until the laser is off, for each layer"
+        default=1.0, description="longest time from the mishap until the laser is off, for each layer"
     )
 
 
@@ -181,11 +182,11 @@ class PressLimits(AnswerLimits):
     )
     cell_noise_rel: LimitRel = Field(
         default=0.0125,
-        description="noise of one reading, relative to force_limit_n of the rig file; a session refuses more than this",
+        description="largest noise of one reading, relative to force_limit_n of the rig file; a session refuses more than this",
     )
     cell_drift_rel: LimitRel = Field(
         default=0.02,
-        description="change of the zero while the cell rests, relative to force_limit_n of the rig file: a fifth of "
+        description="largest change of the zero while the cell rests, relative to force_limit_n of the rig file: a fifth of "
         "what ends a session",
     )
     zero_return_rel: LimitRel = Field(

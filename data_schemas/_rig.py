@@ -556,7 +556,7 @@ class LoadCellSettings(Model):
         default=0.5, description="the stage stops when the cell sends no new reading for this time"
     )
     settle_s: Annotated[float, Field(ge=0.1, le=60.0, json_schema_extra={"unit": "s"})] = Field(
-        default=3.0, description="longest wait for a force to settle; a change that remains then becomes uncertainty"
+        default=3.0, description="longest wait for a force to settle; a change that remains counts as uncertainty"
     )
 
     @model_validator(mode="after")

@@ -49,8 +49,8 @@ Evaluate = Callable[[FingerDesign], EvaluatedDesign]
 _LIGHT: Final = {
     "normal-error": DesignObjective(
         name="normal-error", unit="deg", larger_is_better=False,
-        meaning="expected error of the sensed normal at places that were left out when the map was taught; places that the "
-            "camera does not see count as not tilted",
+        meaning="expected error of the sensed normal at places that were left out when the map was taught; places that "
+            "the camera does not see count as not tilted",
     ),
     "evenness": DesignObjective(
         name="evenness", unit="1", larger_is_better=True,

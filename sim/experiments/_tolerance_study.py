@@ -49,8 +49,7 @@ Evaluate = Callable[[FingerDesign, Paints, int], float]
 ALLOWED_REL: Final = 0.1
 RUNS: Final = 128
 OBJECTIVE: Final = (
-    "expected error of the sensed normal at places of the pad that were left out when the map was taught, "
-    "mean "
+    "expected error of the sensed normal at places of the pad that were left out when the map was taught, mean "
     "over the contact places, paint draws and the noise of the camera, at an exposure that is set again for each finger"
 )
 
