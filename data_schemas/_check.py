@@ -182,12 +182,12 @@ class PressLimits(AnswerLimits):
     )
     cell_noise_rel: LimitRel = Field(
         default=0.0125,
-        description="largest noise of one reading, relative to force_limit_n of the rig file; a session refuses more than this",
+        description="largest noise of a reading, relative to force_limit_n of the rig file; a session refuses more",
     )
     cell_drift_rel: LimitRel = Field(
         default=0.02,
-        description="largest change of the zero while the cell rests, relative to force_limit_n of the rig file: a fifth of "
-        "what ends a session",
+        description="largest change of the zero at rest, relative to force_limit_n of the rig file: a fifth of what ends "
+        "a session",
     )
     zero_return_rel: LimitRel = Field(
         default=0.02,

@@ -503,7 +503,7 @@ class ForceInput(Model):
     ln_force_per_ln_input: float | None = Field(
         description="d ln F / d ln x; None for a contribution that is not an input"
     )
-    force_u_rel: NotNegative = Field(description="standard uncertainty over the simulated force")
+    force_u_rel: NotNegative = Field(description="standard uncertainty, relative to the simulated force")
 
 
 class ForceRow(Model):

@@ -194,7 +194,7 @@ class CoatSurface(Model):
         "inner face",
     )
     step_mm: Annotated[float, Field(gt=0.0, le=10.0, json_schema_extra={"unit": "mm"})] | None = Field(
-        default=None, description="distance between neighbours of rows and columns of a map"
+        default=None, description="distance between neighbouring rows and columns of a map"
     )
     unit_mm: Annotated[float, Field(gt=0.0, le=1000.0, json_schema_extra={"unit": "mm"})] | None = Field(
         default=None,

@@ -322,8 +322,8 @@ class PressSensitivities(Model):
         description="force along the pad's normal, of the unchanged design"
     )
     varied: tuple[VariedPress, ...] = Field(
-        description="complete presses with a number changed: for numbers without a derivative, and in older "
-        "versions for all"
+        description="presses with one number changed: for numbers without a derivative; in older versions for "
+        "all numbers"
     )
     slopes: tuple[ForceSlope, ...] = ()
 

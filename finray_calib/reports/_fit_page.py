@@ -392,7 +392,7 @@ def _prior(paints: Paints) -> Content:
     discrepancy = paints[0].fit.discrepancy
     return Content(
         lead=f"Discrepancy: {percent(discrepancy.amplitude_rel)} of the curve with a correlation length of "
-        f"{discrepancy.length_nm:g} nm, on {percent(discrepancy.floor_rel)} of the peak as a floor, and "
+        f"{discrepancy.length_nm:g} nm, a floor of {percent(discrepancy.floor_rel)} of the peak, and "
         f"{percent(discrepancy.reabsorption_rel)} of re-absorption at the blue edge. Origin: {discrepancy.origin}.",
         picture_rows=_row(paints, _marginals_picture),
         remarks=tuple(said.prior_statement(paint) for paint in paints),

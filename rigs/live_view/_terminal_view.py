@@ -53,7 +53,7 @@ STEPS: Final = {"up": (-1, 0), "down": (1, 0), "left": (0, -1), "right": (0, 1)}
 HELP: Final = (
     "l Space Esc    lamp off",
     "o              lamp on",
-    "+ -            exposure times two, by two",
+    "+ -            double or halve the exposure",
     "m              meter: brightest pixel to 70 % of full scale",
     "f F            next filter, filter before",
     "1 to 9         filter of that number",
