@@ -186,8 +186,8 @@ class PressLimits(AnswerLimits):
     )
     cell_drift_rel: LimitRel = Field(
         default=0.02,
-        description="largest change of the zero at rest, relative to force_limit_n of the rig file: a fifth of what ends "
-        "a session",
+        description="largest change of the zero at rest, relative to force_limit_n of the rig file: a fifth of what "
+        "ends a session",
     )
     zero_return_rel: LimitRel = Field(
         default=0.02,

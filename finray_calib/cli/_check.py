@@ -368,7 +368,7 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )  # fmt: skip
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of session folders")
     parser.add_argument(
-        "--reference", type=int, default=10, metavar="N", help="number of first sessions that say what is normal (10)"
+        "--reference", type=int, default=10, metavar="N", help="number of first sessions that are the reference (10)"
     )
     parser.add_argument(
         "--false-alarms",

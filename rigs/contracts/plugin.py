@@ -194,9 +194,7 @@ def pressing(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[O
 
     rig = named_rig.finger
     if rig.stage is not None and rig.stage.homing == "by hand" and request.config.getoption("capture") != "no":
-        pytest.skip(
-            "NOT TESTED: bring the stage to its zero, then run with -s, by which you confirm that it stands there"
-        )
+        pytest.skip("NOT TESTED: bring the stage to its zero, then run with -s to confirm that it is there")
     with open_tactile_rig(rig, named_rig.folder, only="stage and load cell") as opened:
         yield opened
 
