@@ -227,7 +227,7 @@ NO_CERTIFICATE: Final = "not traceable: no certificate of the masses recorded"
 
 
 class LoadCellCalibration(Record):
-    r"""Slope of a load cell from known masses, with what a straight line does not say.
+    r"""Slope of a load cell from known masses, with its deviations from a straight line.
 
     .. math:: m g = s (c - c_0)
 
@@ -389,7 +389,7 @@ TactileFrameType = Literal["board", "no contact", "contact"]
 
 
 class TactileRig(Record):
-    """Rig of a tactile session (TOML): the finger's camera, and what presses by itself, where there is such."""
+    """Rig of a tactile session (TOML): the finger's camera and, if it presses by itself, stage and load cell."""
 
     schema_version: ClassVar[int] = 3
 

@@ -300,7 +300,7 @@ class TactileCheckPlan(Record):
 
 
 class Handshake(Model):
-    """What a device said of itself, and how long each asking took."""
+    """What a device said of itself, and how long each request took."""
 
     role: Literal["camera", "filter wheel", "laser", "lamp", "stage", "load cell"]
     driver: str = Field(description="name of the driver in the rig file")
@@ -310,7 +310,7 @@ class Handshake(Model):
 
 
 class WheelMove(Model):
-    """One move; `arrived_slot` is asked afresh after it."""
+    """One move; `arrived_slot` is read again after it."""
 
     from_slot: int | None
     to_slot: int

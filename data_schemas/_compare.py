@@ -217,7 +217,7 @@ class RegionExtent(Model):
 
 
 class PatchScale(Model):
-    """Millimetres per raw pixel of the capture where the comparison looked.
+    """Millimetres per raw pixel of the capture at the compared patch.
 
     ``extents`` are those of the pixels that belong to a region, for the pad at rest; half a pixel at either end is in
     their standard uncertainty.
@@ -582,7 +582,7 @@ class FittedModulus(Model):
 
 
 class FittedForceCurve(Model):
-    """A measured force curve, and what the fitted moduli say of it."""
+    """A measured force curve, and what the fitted moduli predict for it."""
 
     measured: str
     specimen: str

@@ -382,7 +382,7 @@ class PriorSensitivity(Model):
 
 
 class PriorShare(Model):
-    """How much of a reported quantity is belief from before the measurement."""
+    """How much of a reported quantity comes from the prior."""
 
     share: Fraction = Field(description="variance after the measurement over variance before it, at most 1")
     shift_sd: float = Field(description="shift of the mean by the measurement, in standard deviations of the prior")

@@ -79,7 +79,7 @@ class ColouredLight(Model):
 
 
 class CameraBelow(Model):
-    """Camera below the pad; as it stands by default, on the axis and straight, columns run along +x, rows against z.
+    """Camera below the pad; by default it is on the axis and straight, columns run along +x, rows against z.
 
     It is turned about its own pinhole: by ``tilt_deg`` up to +z (the tip), then by ``pan_deg`` to +x, then rolled.
     """

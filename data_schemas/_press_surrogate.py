@@ -75,7 +75,7 @@ class TaughtKernel(Model):
 
 
 class TaughtPress(Record):
-    """A press by finite elements that teaches a surrogate, kept so that teaching can go on."""
+    """A press by finite elements that teaches a surrogate, kept so that teaching can continue."""
 
     written_by: ClassVar[str] = "'finray simulate teach'"
 

@@ -105,7 +105,7 @@ class BoardResidual(Model):
 
 
 class PixelScale(Record):
-    """A calibrated lens, the plane of the pad as a board on it showed it, and the scale between both.
+    """A calibrated lens, the plane of the pad from a board on it, and the scale between both.
 
     ``covariance`` is that of the lens (fx, fy, cx, cy, distortion) and the board's place (rotation vector, translation
     in mm), in this order; every ``u_rel`` follows from it, the board's tolerance and where the coat lies.

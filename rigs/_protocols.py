@@ -200,7 +200,7 @@ class GuardedSwitch(LightSwitch, Protocol):
 
 
 class OverloadError(CaptureError):
-    """A load cell reads its end of scale: the force is beyond what it can tell."""
+    """A load cell reads its end of scale: the force is beyond what it can measure."""
 
 
 class ForceLimitError(CaptureError):
@@ -317,7 +317,7 @@ def missing_members(device: object, protocol: type) -> tuple[str, ...]:
 
 
 class Operator(Protocol):
-    """The hands at the rig: a person who is asked, or a stage."""
+    """Who acts at the rig: a person who is asked, or a stage."""
 
     def place(self, target: Target) -> None:
         """Put `target` in view, and return when it is there (no deadline: people take their time).

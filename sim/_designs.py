@@ -174,7 +174,7 @@ def given_design(path: Path) -> tuple[FingerDesign, list[Path], Path]:
 
 
 def with_pad_size(design: FingerDesign, length_mm: float, width_mm: float) -> FingerDesign:
-    """Return a finger with a pad of another size; panels, tip and backing move with its length, as do the ready-made.
+    """Return a finger with a pad of another size; panels, tip and backing move with its length.
 
     Mirror and camera follow the pad where the design leaves them to it; the indenter goes to its middle.
     """

@@ -81,7 +81,7 @@ class _Told(NamedTuple):
 
 
 def clear_leftovers(folder: Path) -> None:
-    """Remove what dead writers left in a folder; what a living one writes, and every other file, stays.
+    """Remove what ended writers left in a folder; files of running ones, and every other file, stay.
 
     Removed are parts, and files that a set without commit has named already, where they still have the content that
     their writer gave them. What cannot be removed is left.
@@ -538,7 +538,7 @@ _LINE: Final = re.compile(r"([0-9a-f]{64})  (\S.*)")
 
 @dataclass(frozen=True, slots=True)
 class FileFault:
-    """A file that is not what it was.
+    """A file that is missing or was changed.
 
     Attributes
     ----------

@@ -391,7 +391,7 @@ def _gain_words(gain: DesignGain) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PairedRanking:
-    """Choices in the order of their mean, and what tells them apart.
+    """Choices in the order of their mean, and which of them are distinguishable.
 
     Attributes
     ----------

@@ -132,7 +132,7 @@ def _brightness(signals: Floats, white: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class PowerLimits:
-    """What powers are allowed, as factors on those of now.
+    """What powers are allowed, as factors on the present ones.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class PowerLimits:
 
 @dataclass(frozen=True, slots=True)
 class OptimalPowers:
-    """Powers as factors on those of now, (light,), their relative variance, and a bound of how far below it any is."""
+    """Powers as factors on the present ones, (light,), their relative variance, and how much lower it could be."""
 
     powers: Floats
     variance_rel: float

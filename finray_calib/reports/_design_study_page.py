@@ -258,7 +258,7 @@ def _difference(
 
 
 def study_differences_text(differences: Sequence[MetricDifference]) -> str:
-    """Return differences as aligned text: a line a number, the points under their changes."""
+    """Return differences as aligned text: one line for each number, points under their changes."""
     lines, at = [], None
     widths = [max(len(cell(d)) for d in differences) for cell in (lambda d: d.name, _ends)]
     for d in differences:

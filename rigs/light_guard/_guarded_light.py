@@ -598,7 +598,7 @@ def refusal(laser: LaserSettings, has_dead_man: bool, today: datetime.date | Non
 
 
 def require_outside_layer(laser: LaserSettings) -> None:
-    """Refuse a laser that must not go on, before anything is opened.
+    """Refuse a laser that must not be switched on, before anything is opened.
 
     Raises
     ------

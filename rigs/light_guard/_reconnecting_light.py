@@ -38,7 +38,7 @@ NOBODY_ASKED: Final = "on although nothing had switched it on"
 
 
 class LightLostError(LostError):
-    """A light did not come on, or went off unasked; it is confirmed off, and may be lit anew by who needs it."""
+    """A light did not come on, or went off unasked; it is confirmed off, and may be lit again."""
 
 
 class ReconnectingLight:

@@ -41,7 +41,7 @@ class IndiAddress(NamedTuple):
 
 
 def indi_address(address: str, role: str) -> IndiAddress:
-    """Take ``host:port/device`` apart; the port may be left out.
+    """Split ``host:port/device``; the port may be left out.
 
     Raises
     ------
@@ -115,7 +115,7 @@ _KEPT_TEXTS: Final = 8
 
 @dataclass(slots=True)
 class IndiProperty:
-    """What the driver said last about a property; updated in place.
+    """What the driver reported last about a property; updated in place.
 
     Attributes
     ----------

@@ -258,7 +258,7 @@ def press_sensitivities(
     folder: Path = Path(),
     fields: Sequence[str] | None = None,
 ) -> PressSensitivities:
-    """Return how the force of a press answers to each number of its design, on the coarse mesh.
+    """Return how the force of a press changes with each number of its design, on the coarse mesh.
 
     By derivatives at each increment (:func:`sim.mechanics.press_derivatives`). Numbers that have none are changed by a
     tenth and the design is pressed again: with the barrier, near a snap, and where a small change makes another mesh.

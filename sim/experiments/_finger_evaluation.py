@@ -136,7 +136,7 @@ class LightMeasure:
 
 @dataclass(frozen=True, slots=True)
 class FingerEvaluation:
-    """What one finger is worth.
+    """The objectives of one finger.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ class _SentLight:
 
 @dataclass(frozen=True, slots=True)
 class LitFinger:
-    """A finger light by light: as light adds, other powers trace nothing again.
+    """A finger light by light: since light adds, other powers need no new paths.
 
     Attributes
     ----------

@@ -336,7 +336,7 @@ def teach_surrogate(
     store: Callable[[int, TaughtPress], None] | None = None,
     progress: Progress | None = None,
 ) -> PressSurrogate:
-    """Condense a finger, press it by finite elements and learn what condensation leaves.
+    """Condense a finger, press it by finite elements and learn what condensation leaves out.
 
     Valid for the family that :func:`press_family` states. The bars rest on presses left out one at a time, and hold for
     presses spread evenly over the family.

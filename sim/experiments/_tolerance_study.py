@@ -192,7 +192,7 @@ def _path(field: str) -> tuple[str, int | None]:
 def varied_finger(
     design: FingerDesign, paints: Paints, inputs: Sequence[ToleranceInput], steps: Sequence[float] | Floats
 ) -> tuple[FingerDesign, dict[str, PaintDraws]]:
-    """Return a finger whose numbers have left their values by steps, in half-ranges.
+    """Return a finger whose numbers differ from its design by steps, in half-ranges.
 
     Raises
     ------

@@ -103,7 +103,7 @@ class PlannedShard:
 
 
 def planned_shards(plan: DatasetPlan, presses: int) -> list[PlannedShard]:
-    """Return the shards of a data set, the last one with what is left.
+    """Return the shards of a data set, the last one with the remaining presses.
 
     Raises
     ------
