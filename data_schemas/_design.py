@@ -111,7 +111,7 @@ class FingerDesign(Record):
     )
     uncertainty_rel: dict[str, RelativeUncertainty] = Field(
         default={},
-        description="relative standard uncertainty of a number; the force of a press is compared with it",
+        description="relative standard uncertainty of a number, for comparisons with a measured force",
     )
 
     @field_validator("origin", "uncertainty_rel")

@@ -361,7 +361,7 @@ class FamilyResult(Model):
     ln_evidence: float
     ln_evidence_sd: float
     probability: Fraction | None = Field(
-        description="among the families with discrepancy, all equally likely beforehand; none without discrepancy"
+        description="probability among the families with discrepancy, all equally likely a priori; none without it"
     )
     left_out_bands: float | None = Field(description="sum of ln p(band | other bands), nats; higher predicts better")
     left_out_bands_sd: float | None = Field(description="standard error of its difference to the default family's")
@@ -646,7 +646,9 @@ class PaintMap(Record):
         description="region's signal over its family curve; NaN where a filter and channel is not used"
     )
     fitted_pixels: Annotated[int, Field(ge=1)]
-    unusable_pixels: Annotated[int, Field(ge=0)] = Field(description="masked, or fewer than four usable bands each")
+    unusable_pixels: Annotated[int, Field(ge=0)] = Field(
+        description="pixels that are masked, or have too few usable bands"
+    )
     unconverged_pixels: Annotated[int, Field(ge=0)]
     uniformity: dict[MappedQuantity, PaintSpread]
     block_px: Annotated[int, Field(ge=2)] = Field(description="side of a block")
