@@ -319,8 +319,8 @@ class Diagnostics(Model):
     maxima: tuple[float, ...] = Field(description="log posterior of the distinct maxima that were found, best first")
     memory: Fraction | None = Field(
         default=None,
-        description="for moved draws: largest correlation with their state before the last moves (ranks of parameters "
-        "and of the density, place among the maxima)",
+        description="for moved draws: largest correlation with their state before the last moves, by ranks of "
+        "parameters and density, and by the maximum that a draw belongs to",
     )
     chain: ChainCheck | None = Field(
         default=None, description="run of emcee, where it replaced importance sampling or was requested as a check"
