@@ -208,7 +208,7 @@ class PressLimits(AnswerLimits):
     )
     touch_repeat_mm: StageMm = Field(
         default=0.05,
-        description="largest standard deviation of touch positions over all returns; also the largest shift of the touch "
+        description="largest standard deviation of touch positions over all returns, and largest shift of the touch "
         "by stops",
     )
     backlash_mm: StageMm = Field(

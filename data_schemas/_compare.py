@@ -306,7 +306,7 @@ class ErrorAttribution(Model):
     skill_lost: float = Field(description="1 - skill of the region")
     saturation_skill: float = Field(description="part of pixels that are clipped, or nearly so, in the simulation")
     noise_skill: float = Field(
-        description="part that is noise of render and capture, as known or from neighbouring pixels; 0 where it is taken out"
+        description="part that is noise of render and capture, known or from neighbouring pixels; 0 where removed"
     )
     remainder_skill: float = Field(description="part that is explained by none of these")
     maps: Annotated[NDArray[np.float32], ArraySpec("<f4", ("cause", "row", "column"))] | None = Field(
