@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 from data_schemas import provenance
 from data_schemas.storage import write_record
-from data_schemas.storage._product_set import is_whole
+from data_schemas.storage._product_set import is_complete
 from tests.command_line.records import capture_of, press, sweep, with_known_camera
 from tests.command_line.running import succeed
 from tests.command_line.verb_faults import fresh_folders, products
@@ -105,7 +105,7 @@ class Run:
         now = products(self.here, self.there)
         assert before.items() <= now.items(), what
         is_there = all(now.get(path) == content for path, content in self.whole.items())
-        assert is_whole(self.here / self._commit) == is_there, what
+        assert is_complete(self.here / self._commit) == is_there, what
         assert not (status == 2 and is_there), what
         named = any(path in now for path in self.whole.keys() - before.keys())
         again, told = self.run()

@@ -40,7 +40,7 @@ from rigs.capture import SessionRequest, forecast, paint_steps, read_interrupted
 from rigs.capture import _exposure as exposing
 from rigs.capture._journal import read_journal
 from rigs.capture._paint_session import capture_with
-from rigs.transports import faults_told
+from rigs.transports import fault_listener
 from tests.capture.drivers.alpaca_server import AlpacaServer
 from tests.capture.drivers.fake_gigevision_camera import fake_camera
 from tests.capture.drivers.faulty_line import KINDS, FaultyLine, Mishap
@@ -188,7 +188,7 @@ def camera_session(outcome: Outcome, device: Device, chance: random.Random, most
     exposures = {"shortest_exposure_s": 0.01, "longest_exposure_s": 0.1}
     settings = CameraSettings(address=device.address, black_level_dn=0, **exposures, **CAMERAS[outcome.rig])
     told: list[object] = []
-    with open_camera(settings, Path()) as camera, faults_told(told.append):
+    with open_camera(settings, Path()) as camera, fault_listener(told.append):
         checked = exposing.TactileCamera(camera, settings, True, told.append)
         exposure_s = settings.shortest_exposure_s
 

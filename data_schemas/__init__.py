@@ -113,7 +113,7 @@ if TYPE_CHECKING:
         WhiteBalanceDrift,
     )
     from data_schemas._curves import (
-        HELD_UNCERTAINTY_REL,
+        EXTRAPOLATION_UNCERTAINTY_REL,
         DonaldsonMatrix,
         SpectralCurve,
         coverage_notes,
@@ -377,8 +377,8 @@ __all__ = [
     "CERTIFIED",
     "CHANNELS",
     "EXCHANGED_FILTERS",
+    "EXTRAPOLATION_UNCERTAINTY_REL",
     "FEWEST_LEVELS",
-    "HELD_UNCERTAINTY_REL",
     "INDENTER_SHAPES",
     "LARGEST_WIDENED_FACTOR",
     "MATERIALS",

@@ -227,7 +227,7 @@ NO_CERTIFICATE: Final = "not traceable: no certificate of the masses recorded"
 
 
 class LoadCellCalibration(Record):
-    r"""Slope of a load cell from known masses, with what a straight line does not say.
+    r"""Slope of a load cell from known masses, with its deviations from a straight line.
 
     .. math:: m g = s (c - c_0)
 
@@ -286,7 +286,7 @@ class MeasuredPress(Model):
     touch_uncertainty_mm: UncertaintyMm
     depth_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
     depth_uncertainty_mm: UncertaintyMm
-    force_n: SignedN = Field(description="force of the press: mean of before and after the images")
+    force_n: SignedN = Field(description="force of the press: mean of the forces before and after the images")
     force_uncertainty_n: UncertaintyN
     relaxed_n: SignedN = Field(description="by how much the force fell while the images were taken")
     zero_shift_n: SignedN | None = Field(
@@ -332,7 +332,7 @@ class TactileCapture(Record):
     mm_per_px: LengthMm | None
     source: str
     rig: str | None = Field(
-        default=None, description="name of the rig; captures of one rig at different angles may be compared absolutely"
+        default=None, description="name of the rig; levels of captures of one rig may be compared across light angles"
     )
     light_angle_uncertainty_deg: UncertaintyDeg | None = Field(default=None, description="standard uncertainty")
     mm_per_px_u_rel: RelativeUncertainty | None = Field(
@@ -389,7 +389,7 @@ TactileFrameType = Literal["board", "no contact", "contact"]
 
 
 class TactileRig(Record):
-    """Rig of a tactile session (TOML): the finger's camera, and what presses by itself, where there is such."""
+    """Rig of a tactile session (TOML): the finger's camera and, if it presses by itself, stage and load cell."""
 
     schema_version: ClassVar[int] = 3
 

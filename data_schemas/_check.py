@@ -64,10 +64,10 @@ class AnswerLimits(Model):
         default=2.0, description="longest time for one answer of a device about its identity and state"
     )
     frame_overhead_s: PositiveS = Field(
-        default=1.0, description="longest time until a frame is there, beyond its exposure"
+        default=1.0, description="longest time until a frame has arrived, beyond its exposure"
     )
     reconnect_s: PositiveS = Field(
-        default=45.0, description="time until all devices answer again after they were closed"
+        default=45.0, description="longest time until all devices answer again after they were closed"
     )
 
 
@@ -76,10 +76,11 @@ class CheckLimits(AnswerLimits):
 
     move_s: PositiveS = Field(default=5.0, description="longest of the moves of the wheel")
     revisit_rel: LimitRel = Field(
-        default=0.01, description="RMS change of the white signal after the wheel has left the filter and come back"
+        default=0.01,
+        description="largest RMS change of the white signal after the wheel has left the filter and come back",
     )
     pixel_shift_px: PixelShift = Field(
-        default=0.5, description="RMS shift of the picture after the wheel has left the filter and come back"
+        default=0.5, description="largest RMS shift of the picture after the wheel has left the filter and come back"
     )
     black_level_dn: LimitDn = Field(
         default=2.0, description="largest difference of the dark level from black_level_dn of the rig file"
@@ -89,27 +90,27 @@ class CheckLimits(AnswerLimits):
         description="largest difference of the read noise from read_noise_e of the rig file, relative to it",
     )
     dark_rate_dn_per_s: RateDnPerS = Field(
-        default=2.0, description="growth of the dark level with the exposure: dark current and leaking light"
+        default=2.0, description="largest growth of the dark level with the exposure: dark current and leaking light"
     )
     exposure_ratio_rel: LimitRel = Field(
         default=0.01,
         description="largest difference of the signals at 2 t and 4 t from 2 and 4 times that at t, relative to them",
     )
     lamp_drift_rel: LimitRel = Field(
-        default=0.01, description="change of the lamp from the first to the last round of white frames"
+        default=0.01, description="largest change of the lamp from the first to the last round of white frames"
     )
     lamp_settles_s: SettlingS = Field(
-        default=60.0, description="time after switching on from which the lamp stays within lamp_drift_rel"
+        default=60.0, description="longest time after switching on until the lamp stays within lamp_drift_rel"
     )
     stray_light_rel: LimitRel = Field(
-        default=0.001, description="laser light on the white tile behind a filter that blocks it, relative to the "
+        default=0.001, description="most laser light on the white tile behind a filter that blocks it, relative to the "
         "filter that passes it"
     )  # fmt: skip
     latency_s: PositiveS = Field(
-        default=0.5, description="time from the request of an exposure until light is collected"
+        default=0.5, description="longest time from the request of an exposure until light is collected"
     )
     light_off_s: PositiveS = Field(
-        default=1.0, description="time from the mishap until the laser is off, for each layer"
+        default=1.0, description="longest time from the mishap until the laser is off, for each layer"
     )
 
 
@@ -173,57 +174,62 @@ class PressLimits(AnswerLimits):
     """Largest allowed values of a rig that presses; a check passes when its value is inside with 95 % confidence."""
 
     calibration_age_days: Annotated[float, Field(gt=0.0, le=3660.0, json_schema_extra={"unit": "d"})] = Field(
-        default=365.0, description="age of the load cell's calibration: a year, as laboratories usually set it"
+        default=365.0, description="largest age of the load cell's calibration: a year, as is usual in laboratories"
     )
     linearity_rel: LimitRel = Field(
         default=0.01,
-        description="largest distance of the calibration from its straight line, relative to its heaviest mass",
+        description="largest deviation of the calibration from its straight line, relative to its heaviest mass",
     )
     cell_noise_rel: LimitRel = Field(
         default=0.0125,
-        description="noise of one reading, relative to force_limit_n of the rig file; a session refuses more than this",
+        description="largest noise of a reading, relative to force_limit_n of the rig file; a session refuses more",
     )
     cell_drift_rel: LimitRel = Field(
         default=0.02,
-        description="change of the zero while the cell rests, relative to force_limit_n of the rig file: a fifth of "
-        "what ends a session",
+        description="largest change of the zero at rest, relative to force_limit_n of the rig file: a fifth of what "
+        "ends a session",
     )
     zero_return_rel: LimitRel = Field(
         default=0.02,
-        description="zero of the cell after a press less that before, relative to force_limit_n of the rig file",
+        description="largest change of the cell's zero by a press, relative to force_limit_n of the rig file",
     )
     cell_gap_s: PositiveS = Field(
         default=0.25, description="longest time between two readings: half of the usual silent_s of a rig file"
     )
     cell_rate_rel: LimitRel = Field(
-        default=0.2, description="readings a second apart from rate_hz of the rig file, relative to it"
+        default=0.2,
+        description="largest difference of the readings a second from rate_hz of the rig file, relative to that",
     )
     stage_overhead_s: PositiveS = Field(
-        default=1.0, description="longest time that a move takes beyond its way over its speed"
+        default=1.0, description="longest time that a move takes beyond its distance over its speed"
     )
     stage_report_mm: StageMm = Field(
         default=0.01, description="largest distance of the reported position from the one that was asked for"
     )
     touch_repeat_mm: StageMm = Field(
         default=0.05,
-        description="standard deviation of the position of the touch over all returns, and how far it moves by stops",
+        description="largest standard deviation of touch positions over all returns, and largest shift of the touch "
+        "by stops",
     )
     backlash_mm: StageMm = Field(
         default=0.05,
-        description="difference between a position in the pad reached from above and from below, by the force there",
+        description="largest difference of a position in the pad reached from above and from below, by the force",
     )
-    halt_s: PositiveS = Field(default=1.0, description="time from a request to stop until the stage is seen to stand")
+    halt_s: PositiveS = Field(
+        default=1.0, description="longest time from a request to stop until the stage is seen at rest"
+    )
     factor_rel: LimitRel = Field(
-        default=0.02, description="force of a known mass by the calibration apart from its weight, relative to it"
+        default=0.02,
+        description="largest difference of the calibrated force of a known mass from its weight, relative to that",
     )
     scale_rel: LimitRel = Field(
         default=0.01,
-        description="way of an axis, by camera or gauge block, apart from the way that it was sent, relative to it",
+        description="largest difference of a travel, by camera or gauge block, from the commanded one, relative to it",
     )
 
 
 class KnownMass(Model):
-    """A mass that a person lays on the load cell during the check; best none of those that calibrated it."""
+    """A mass that a person lays on the load cell during the check; preferably not one of those that calibrated it."""
 
     mass_kg: Annotated[float, Field(gt=0.0, le=100.0, json_schema_extra={"unit": "kg"})]
     uncertainty_kg: Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "kg"})] = Field(
@@ -237,7 +243,7 @@ class GaugeBlock(Model):
 
     thickness_mm: Annotated[float, Field(gt=0.0, le=50.0, json_schema_extra={"unit": "mm"})]
     uncertainty_mm: Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "mm"})] = Field(
-        description="standard uncertainty of the thickness, with how much the block sinks into the pad by its weight"
+        description="standard uncertainty of the thickness, including how far the block's weight dents the pad"
     )
 
 
@@ -283,7 +289,7 @@ class TactileCheckPlan(Record):
         "the pad axis' millimetres stay undecided",
     )
     mm_per_px_u_rel: LimitRel | None = Field(
-        default=None, description="relative standard uncertainty of mm_per_px; goes with it"
+        default=None, description="relative standard uncertainty of mm_per_px; required with it"
     )
     limits: PressLimits = PressLimits()
 
@@ -295,7 +301,7 @@ class TactileCheckPlan(Record):
 
 
 class Handshake(Model):
-    """What a device said of itself, and how long each asking took."""
+    """What a device said of itself, and how long each request took."""
 
     role: Literal["camera", "filter wheel", "laser", "lamp", "stage", "load cell"]
     driver: str = Field(description="name of the driver in the rig file")
@@ -305,7 +311,7 @@ class Handshake(Model):
 
 
 class WheelMove(Model):
-    """One move; `arrived_slot` is asked afresh after it."""
+    """One move; `arrived_slot` is read again after it."""
 
     from_slot: int | None
     to_slot: int
@@ -332,7 +338,7 @@ class Revisit(Model):
 
     still_rel: float
     moved_rel: float
-    still_px: PictureShift | None = Field(default=None, description="of the picture between the same two frames")
+    still_px: PictureShift | None = Field(default=None, description="shift of the picture between the same two frames")
     moved_px: PictureShift | None = None
 
 
@@ -428,15 +434,18 @@ class CheckFacts(Model):
         default=0.0, description="time from the first to the last white frame of the levels"
     )
     frame_overheads_s: tuple[DurationS, ...] = Field(
-        default=(), description="time of each frame of the levels beyond its exposure"
+        default=(), description="time that each frame of the levels took beyond its exposure"
     )
     warm_up: WarmUp | None = None
     stray_light: StrayLight | None = None
     latency: TriggerLatency | None = None
     reconnect_s: DurationS | None = Field(
-        default=None, description="time from closing all devices to the last answer after they were opened again"
+        default=None,
+        description="time from closing all devices until the last of them answered after it was opened again",
     )
-    reconnected: tuple[DeviceIdentity, ...] = Field(default=(), description="identity that the devices then reported")
+    reconnected: tuple[DeviceIdentity, ...] = Field(
+        default=(), description="identities that the devices reported after they were opened again"
+    )
     light_off: tuple[LightOff, ...] = ()
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 
@@ -449,16 +458,19 @@ class CellAtRest(Model):
     longest_gap_s: DurationS = Field(description="longest time between two readings")
     noise_n: UncertaintyN = Field(description="standard deviation of one reading within a twelfth of the time")
     means_n: tuple[float, ...] = Field(
-        min_length=5, description="mean of each twelfth of the time, above the empty cell of the calibration"
+        min_length=5,
+        description="mean reading in each twelfth of the time, minus that of the empty cell at its calibration",
     )
 
 
 class LaidMass(Model):
     """A known mass on the load cell, by its calibration; empty before, between and after."""
 
-    forces_n: tuple[float, ...] = Field(min_length=2, description="mean with the mass on the cell, above no force")
+    forces_n: tuple[float, ...] = Field(
+        min_length=2, description="mean reading with the mass on the cell, minus that without force"
+    )
     zeros_n: tuple[float, ...] = Field(
-        min_length=3, description="mean with the cell empty, above the empty cell of the calibration"
+        min_length=3, description="mean reading of the empty cell, minus that of the empty cell at its calibration"
     )
     noise_n: UncertaintyN = Field(description="standard uncertainty of each mean by noise")
 
@@ -476,7 +488,7 @@ class StageMoves(Model):
 
     axis: str
     moves: Annotated[int, Field(ge=1)]
-    longest_overhead_s: DurationS = Field(description="longest time of a move beyond its way over its speed")
+    longest_overhead_s: DurationS = Field(description="longest time of a move beyond its distance over its speed")
     furthest_off_mm: Annotated[float, Field(ge=0.0)] = Field(
         description="largest distance of the reported position from the one that was asked for"
     )
@@ -485,16 +497,16 @@ class StageMoves(Model):
 class CheckedTouch(Model):
     """One return to the position along the pad, and the press there: all positions are commands, all forces felt."""
 
-    side: Literal["base", "tip"] = Field(description="from where the stage returned to the position along the pad")
+    side: Literal["base", "tip"] = Field(description="side from which the stage returned to the position along the pad")
     touch_mm: float = Field(description="position of the press axis at which the pad is touched")
     touch_uncertainty_mm: UncertaintyMm
-    from_above_n: float = Field(description="settled force at the turning position, reached into the pad")
-    from_below_n: float = Field(description="settled force at the same position, reached out of the pad")
+    from_above_n: float = Field(description="settled force at the turning position, reached by a move into the pad")
+    from_below_n: float = Field(description="settled force at the same position, reached by a move out of the pad")
     deeper_n: float = Field(description="settled force one step deeper")
     deeper_mm: Annotated[float, Field(gt=0.0)] = Field(description="length of that step")
     noise_n: UncertaintyN = Field(description="standard uncertainty of each force by noise")
-    relaxed_n: float = Field(description="what the force lost at the turning position while the stage stood")
-    zero_shift_n: float = Field(description="zero after the press less that before")
+    relaxed_n: float = Field(description="loss of force at the turning position while the stage was at rest")
+    zero_shift_n: float = Field(description="zero after the press minus that before")
 
 
 class StageStop(Model):
@@ -502,13 +514,14 @@ class StageStop(Model):
 
     reason: Literal["request", "silent cell"]
     stood_after_s: DurationS = Field(
-        description="time from the request, or from the last reading, until the stage was seen to stand"
+        description="time from the request, or from the last reading, until the stage was seen at rest"
     )
     start_mm: float
     end_mm: float = Field(description="where the move would have ended")
-    stood_mm: float | None = Field(description="where it was reported to stand; None: its position was unknown then")
+    stood_mm: float | None = Field(description="position at rest that it reported; None: its position was unknown then")
     still_after_s: DurationS | None = Field(
-        default=None, description="time until the cell felt no more motion; None: it could not tell, or was not asked"
+        default=None,
+        description="time until the cell measured no more motion; None: it could not be measured, or was not requested",
     )
     still_sd_s: DurationS | None = Field(default=None, description="standard uncertainty of that time")
 
@@ -517,9 +530,11 @@ class ForceStop(Model):
     """One press that a force limit ended."""
 
     limit_n: ForceN
-    peak_n: float = Field(description="largest force that the cell reported until the stage stood, and after")
+    peak_n: float = Field(
+        description="largest force that the cell reported until the stage was at rest, and after that"
+    )
     noise_n: UncertaintyN = Field(description="standard deviation of one reading")
-    stiffness_n_per_mm: Annotated[float, Field(gt=0.0)] = Field(description="of the last step before the stop")
+    stiffness_n_per_mm: Annotated[float, Field(gt=0.0)] = Field(description="in the last step before the stop")
     step_mm: Annotated[float, Field(gt=0.0)] = Field(description="longest step towards the pad")
 
 
@@ -537,16 +552,17 @@ class PressFacts(Model):
     touches: tuple[CheckedTouch, ...] = ()
     dents_px: tuple[float, ...] = Field(
         default=(),
-        description="column of the contact in the camera's picture, towards base and tip in turn; empty: not seen",
+        description="column of the contact in the camera's picture, alternately towards base and tip; empty: not seen",
     )
     stops: tuple[StageStop, ...] = ()
     after_stops: tuple[CheckedTouch, ...] = Field(default=(), description="touches when all stops were over")
     force_stops: tuple[ForceStop, ...] = ()
     reconnect_s: DurationS | None = Field(
-        default=None, description="time from closing all devices to the last answer after they were opened again"
+        default=None,
+        description="time from closing all devices until the last of them answered after it was opened again",
     )
     reconnected: tuple[DeviceIdentity | PressDevice, ...] = Field(
-        default=(), description="identity that the devices then reported"
+        default=(), description="identities that the devices reported after they were opened again"
     )
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 

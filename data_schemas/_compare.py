@@ -217,7 +217,7 @@ class RegionExtent(Model):
 
 
 class PatchScale(Model):
-    """Millimetres per raw pixel of the capture where the comparison looked.
+    """Millimetres per raw pixel of the capture at the compared patch.
 
     ``extents`` are those of the pixels that belong to a region, for the pad at rest; half a pixel at either end is in
     their standard uncertainty.
@@ -306,7 +306,7 @@ class ErrorAttribution(Model):
     skill_lost: float = Field(description="1 - skill of the region")
     saturation_skill: float = Field(description="part of pixels that are clipped, or nearly so, in the simulation")
     noise_skill: float = Field(
-        description="part of the noise of render and capture, as known or as neighbours differ; 0 where it is taken out"
+        description="part that is noise of render and capture, known or from neighbouring pixels; 0 where removed"
     )
     remainder_skill: float = Field(description="part that is explained by none of these")
     maps: Annotated[NDArray[np.float32], ArraySpec("<f4", ("cause", "row", "column"))] | None = Field(
@@ -503,7 +503,7 @@ class ForceInput(Model):
     ln_force_per_ln_input: float | None = Field(
         description="d ln F / d ln x; None for a contribution that is not an input"
     )
-    force_u_rel: NotNegative = Field(description="standard uncertainty over the simulated force")
+    force_u_rel: NotNegative = Field(description="standard uncertainty, relative to the simulated force")
 
 
 class ForceRow(Model):
@@ -582,7 +582,7 @@ class FittedModulus(Model):
 
 
 class FittedForceCurve(Model):
-    """A measured force curve, and what the fitted moduli say of it."""
+    """A measured force curve, and what the fitted moduli predict for it."""
 
     measured: str
     specimen: str

@@ -24,7 +24,7 @@ from data_schemas.errors import CurveError
 
 Floats = NDArray[np.float64]
 LARGEST_SHARE_OUTSIDE = 0.20
-HELD_UNCERTAINTY_REL = 0.5
+EXTRAPOLATION_UNCERTAINTY_REL = 0.5
 
 
 def _increasing(wavelength_nm: Floats) -> Floats:
@@ -104,7 +104,7 @@ def require_coverage(curve: SpectralCurve, wavelength_nm: ArrayLike, weight: Arr
         )
     return (
         f"{curve.name} covers {span}; its end value is held for {100 * share:.1f} % of the weight of {band} with a "
-        f"relative uncertainty of {HELD_UNCERTAINTY_REL:g} there"
+        f"relative uncertainty of {EXTRAPOLATION_UNCERTAINTY_REL:g} there"
     )
 
 

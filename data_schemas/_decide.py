@@ -162,7 +162,7 @@ class LightAngleDecision(Record):
 
 
 class DesignObjective(Model):
-    """One number that a design is to be good in."""
+    """One number by which designs are judged."""
 
     name: str
     unit: str
@@ -181,7 +181,7 @@ class DesignParameter(Model):
 
 
 class EvaluatedDesign(Record):
-    """What one design is worth; kept so that a search that was interrupted continues."""
+    """The objectives of one design; kept so that an interrupted search continues."""
 
     schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray design optimise'"
@@ -321,7 +321,7 @@ class PaintChoice(Record):
 
 
 class ToleranceSide(Model):
-    """How far one number may leave its value to one side, everything else as designed."""
+    """How far one number may differ from its value to one side, everything else as designed."""
 
     limit: float | None = Field(
         description="distance at which the error has grown by the allowed share; null: not found"
@@ -364,7 +364,7 @@ class ToleranceRow(Model):
 
 
 class FingerTolerances(Record):
-    """How far a finger may vary before its sensed normals are too much worse, alone and together."""
+    """How far the numbers of a finger may vary before its sensed normals are worse than allowed, alone and together."""
 
     schema_version: ClassVar[int] = 3
     written_by: ClassVar[str] = "'finray design tolerances'"

@@ -111,7 +111,7 @@ class FingerDesign(Record):
     )
     uncertainty_rel: dict[str, RelativeUncertainty] = Field(
         default={},
-        description="standard uncertainty of a number over its value; the force of a press is compared with it",
+        description="relative standard uncertainty of a number, for comparisons with a measured force",
     )
 
     @field_validator("origin", "uncertainty_rel")
@@ -119,9 +119,9 @@ class FingerDesign(Record):
     def _known_fields(cls, origin: dict[str, Any]) -> dict[str, Any]:
         return of_known_fields(cls, origin)
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return also what the finger has no part for."""
-        idle = super().idle_fields()
+        idle = super().unused_fields()
         if self.pad.film is None:
             idle["mechanics.film"] = "the pad has no film; add the table [pad.film], or leave it out"
         return idle

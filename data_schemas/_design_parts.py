@@ -23,7 +23,7 @@ from data_schemas._plug_ins import (
     PlugIn,
     PlugInKind,
     find_plug_in,
-    held_plug_in,
+    require_plug_in,
 )
 from data_schemas._units import AngleDeg, Fraction, LengthMm, PositionMm, RelativeUncertainty, WavelengthNm, WidthNm
 from data_schemas.errors import FinrayError
@@ -46,7 +46,7 @@ class FromPackage(Model):
         except FinrayError as error:
             raise ValueError(str(error)) from None
 
-    def _idle_here(self, name: str) -> dict[str, str]:
+    def _unused_here(self, name: str) -> dict[str, str]:
         """Return the fields that only what another package brings has."""
         why = f'it belongs to parts of other packages only, and "{name}" is one of finray; leave it out'
         return dict.fromkeys(("parameters", "package"), why)
@@ -118,7 +118,7 @@ class GelPad(FromPackage):
     def _checked_outside(self) -> "GelPad":
         """Return the pad after a check of the shape that a package brings, where that package is installed here."""
         try:
-            shape = PackagedPad(held_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
+            shape = PackagedPad(require_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
         except FinrayError:  # a record of elsewhere is read all the same; who computes with it is told
             return self
         try:
@@ -129,11 +129,11 @@ class GelPad(FromPackage):
 
     def _outside(self) -> "PackagedPad":
         """Return the shape that a package brings."""
-        return PackagedPad(held_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
+        return PackagedPad(require_plug_in(PAD_SHAPES, self.shape, self.package, PAD_SHAPE_NAMES))
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return what only shapes of other packages have."""
-        return super().idle_fields() | (self._idle_here(self.shape) if self.shape in PAD_SHAPE_NAMES else {})
+        return super().unused_fields() | (self._unused_here(self.shape) if self.shape in PAD_SHAPE_NAMES else {})
 
     def drop_mm(self, x_mm: ArrayLike, z_from_middle_mm: ArrayLike) -> Any:
         """Return how far the undeformed coated face lies below its crown, shape of the broadcast arguments.
@@ -295,12 +295,12 @@ class Indenter(FromPackage):
         SimulateError
             No package does, or one of another version than the design holds.
         """
-        return held_plug_in(INDENTER_SHAPES, self.shape, self.package, INDENTER_SHAPE_NAMES)
+        return require_plug_in(INDENTER_SHAPES, self.shape, self.package, INDENTER_SHAPE_NAMES)
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return the sizes of other shapes."""
         of_shapes = {"radius_mm": ("cylinder", "ball"), "edge_radius_mm": ("cuboid",)}
-        return ({} if self.is_packaged else self._idle_here(self.shape)) | {
+        return ({} if self.is_packaged else self._unused_here(self.shape)) | {
             name: f'it belongs to a {" or a ".join(shapes)}, not to shape = "{self.shape}"; omit it, or change shape'
             for name, shapes in of_shapes.items()
             if self.shape not in shapes
@@ -426,7 +426,7 @@ class TactileCamera(Model):
             )
         return self
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return the field of view where a calibration tells it."""
         if self.calibration is None:
             return {}
@@ -562,10 +562,10 @@ class Skeleton(Model):
             )
         return self
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return the fields of ribs that are not there."""
         without = {"rib_spacing_mm": 2, "rib_thickness_mm": 1, "rib_angle_deg": 1}
-        return super().idle_fields() | {
+        return super().unused_fields() | {
             name: f"it needs rib_count = {needed} or more, but rib_count is {self.rib_count}; leave it out, or add ribs"
             for name, needed in without.items()
             if self.rib_count < needed
@@ -595,12 +595,12 @@ class Rubber(FromPackage):
         SimulateError
             No package does, or one of another version than the design holds.
         """
-        return held_plug_in(MATERIALS, str(self.law), self.package)
+        return require_plug_in(MATERIALS, str(self.law), self.package)
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return the constants of our own law where another one holds, or what only other laws have."""
         if self.law is None:
-            return self._idle_here("its own law")
+            return self._unused_here("its own law")
         own = set(type(self).model_fields) - set(Rubber.model_fields) - {"bulk_over_shear"}
         return dict.fromkeys(sorted(own), f'it belongs to the built-in law, not to law = "{self.law}"; leave it out')
 

@@ -319,8 +319,8 @@ class Diagnostics(Model):
     maxima: tuple[float, ...] = Field(description="log posterior of the distinct maxima that were found, best first")
     memory: Fraction | None = Field(
         default=None,
-        description="for moved draws: largest correlation with their state before the last moves (ranks of parameters "
-        "and of the density, place among the maxima)",
+        description="for moved draws: largest correlation with their state before the last moves, by ranks of "
+        "parameters and density, and by the maximum that a draw belongs to",
     )
     chain: ChainCheck | None = Field(
         default=None, description="run of emcee, where it replaced importance sampling or was requested as a check"
@@ -361,7 +361,7 @@ class FamilyResult(Model):
     ln_evidence: float
     ln_evidence_sd: float
     probability: Fraction | None = Field(
-        description="among the families with discrepancy, all equally likely beforehand; none without discrepancy"
+        description="probability among the families with discrepancy, all equally likely a priori; none without it"
     )
     left_out_bands: float | None = Field(description="sum of ln p(band | other bands), nats; higher predicts better")
     left_out_bands_sd: float | None = Field(description="standard error of its difference to the default family's")
@@ -382,7 +382,7 @@ class PriorSensitivity(Model):
 
 
 class PriorShare(Model):
-    """How much of a reported quantity is belief from before the measurement."""
+    """How much of a reported quantity comes from the prior."""
 
     share: Fraction = Field(description="variance after the measurement over variance before it, at most 1")
     shift_sd: float = Field(description="shift of the mean by the measurement, in standard deviations of the prior")
@@ -407,7 +407,7 @@ class SessionScatter(Model):
         min_length=2, description="level of each session relative to the common one, in the order given"
     )
     departing: tuple[Annotated[int, Field(ge=1)], ...] = Field(
-        default=(), description="numbers, from 1, of sessions that depart more than the others allow (p < 0.001)"
+        default=(), description="numbers (from 1) of the sessions that differ significantly from the others (p < 0.001)"
     )
 
 
@@ -646,7 +646,9 @@ class PaintMap(Record):
         description="region's signal over its family curve; NaN where a filter and channel is not used"
     )
     fitted_pixels: Annotated[int, Field(ge=1)]
-    unusable_pixels: Annotated[int, Field(ge=0)] = Field(description="masked, or fewer than four usable bands each")
+    unusable_pixels: Annotated[int, Field(ge=0)] = Field(
+        description="pixels that are masked, or have too few usable bands"
+    )
     unconverged_pixels: Annotated[int, Field(ge=0)]
     uniformity: dict[MappedQuantity, PaintSpread]
     block_px: Annotated[int, Field(ge=2)] = Field(description="side of a block")

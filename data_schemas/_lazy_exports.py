@@ -42,7 +42,7 @@ _homes: dict[str, str] = {}
 
 
 def register_record_methods(**homes: str) -> None:
-    """Say where methods of records live: method name -> ``"package:function"``; the function takes the record first."""
+    """State where records' methods are: method name -> ``"package:function"``; the function takes the record first."""
     _homes.update(homes)
 
 

@@ -106,7 +106,7 @@ class Model(BaseModel):
         for name, value in super().__repr_args__():
             yield name, _Size(array_text(value)) if isinstance(value, np.ndarray) else value
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return dotted paths of fields that other fields leave without effect, each with the reason.
 
         A stored record may hold them; in a file that a person writes they are refused.
@@ -115,7 +115,7 @@ class Model(BaseModel):
             f"{name}.{path}": why
             for name in type(self).model_fields
             if isinstance(part := getattr(self, name), Model)
-            for path, why in part.idle_fields().items()
+            for path, why in part.unused_fields().items()
         }
 
 

@@ -79,7 +79,7 @@ class ColouredLight(Model):
 
 
 class CameraBelow(Model):
-    """Camera below the pad; as it stands by default, on the axis and straight, columns run along +x, rows against z.
+    """Camera below the pad; by default it is on the axis and straight, columns run along +x, rows against z.
 
     It is turned about its own pinhole: by ``tilt_deg`` up to +z (the tip), then by ``pan_deg`` to +x, then rolled.
     """
@@ -105,7 +105,7 @@ class CameraBelow(Model):
         "stand-in curves) or a CSV file with the header wavelength_nm,red_percent,green_percent,blue_percent",
     )
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return the field of view where a calibration tells it."""
         if self.calibration is None:
             return {}
@@ -164,9 +164,9 @@ class SensorCoat(Coating):
     )
     translucent: TranslucentLayer | None = Field(default=None, description="a translucent layer in place of the paint")
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return what a colour, a translucent layer or a wholly diffuse coat leaves without effect."""
-        idle = super().idle_fields()
+        idle = super().unused_fields()
         layer = self.translucent is not None
         if layer and self.diffuse_reflectance_rgb is not None:
             idle["diffuse_reflectance_rgb"] = (
@@ -194,7 +194,7 @@ class CoatSurface(Model):
         "inner face",
     )
     step_mm: Annotated[float, Field(gt=0.0, le=10.0, json_schema_extra={"unit": "mm"})] | None = Field(
-        default=None, description="distance between neighbours of rows and columns of a map"
+        default=None, description="distance between neighbouring rows and columns of a map"
     )
     unit_mm: Annotated[float, Field(gt=0.0, le=1000.0, json_schema_extra={"unit": "mm"})] | None = Field(
         default=None,
@@ -216,7 +216,7 @@ class CoatSurface(Model):
             raise ValueError("unit_mm is missing: a picture must say how many mm one grey level is, such as 0.001")
         return self
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return the fields of a map where a mesh is given."""
         if not self.file.lower().endswith(".stl"):
             return {}
@@ -258,7 +258,7 @@ class PlainSensor(Record):
     )
     uncertainty_rel: dict[str, RelativeUncertainty] = Field(
         default={},
-        description="standard uncertainty of a number over its value; it is shown, but no computation uses it",
+        description="relative standard uncertainty of a number; it is shown, but no computation uses it",
     )
 
     @field_validator("origin", "uncertainty_rel")
@@ -281,9 +281,9 @@ class PlainSensor(Record):
         self.pressed_pad()
         return self
 
-    def idle_fields(self) -> dict[str, str]:
+    def unused_fields(self) -> dict[str, str]:
         """Return also what a surface, clear walls or an ideal camera leaves without effect."""
-        idle = super().idle_fields()
+        idle = super().unused_fields()
         idle["indenter.path"] = "a classic sensor's indenter is pressed along the pad's normal, by depth_mm"
         if self.surface is not None:
             idle["indenter"] = "[surface] and [indenter] both state the pressed shape; leave out one of the two tables"

@@ -206,7 +206,7 @@ def find_plug_in(kind: PlugInKind, name: str, ours: Iterable[str] = ()) -> PlugI
     return found[0]
 
 
-def held_plug_in(kind: PlugInKind, name: str, source: str | None, ours: Iterable[str] = ()) -> PlugIn:
+def require_plug_in(kind: PlugInKind, name: str, source: str | None, ours: Iterable[str] = ()) -> PlugIn:
     """Return the plug-in of a name, which must be of the package and version that a design holds.
 
     Raises

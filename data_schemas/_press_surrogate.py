@@ -75,7 +75,7 @@ class TaughtKernel(Model):
 
 
 class TaughtPress(Record):
-    """A press by finite elements that teaches a surrogate, kept so that teaching can go on."""
+    """A press by finite elements that teaches a surrogate, kept so that teaching can continue."""
 
     written_by: ClassVar[str] = "'finray simulate teach'"
 
@@ -137,8 +137,8 @@ class PressSurrogate(Record):
     force_kernel: TaughtKernel
     level_share: Annotated[float, Field(gt=0.0, lt=1.0)]
     surface_bar_rel: Annotated[float, Field(gt=0.0)] = Field(
-        description="ratio of an error bar to the standard deviation of the process plus the floor, from presses that "
-        "were left out, where each increment has the weight of the part of the family that is nearest to it"
+        description="ratio of an error bar to the standard deviation of the process plus the floor, found on left-out "
+        "presses; each increment is weighted by the part of the family that lies nearest to it"
     )
     surface_floor_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="floor of the standard deviation: a share of its median over left-out presses, chosen so that the "
@@ -147,7 +147,7 @@ class PressSurrogate(Record):
     force_bar_rel: Annotated[float, Field(gt=0.0)]
     force_floor_rel: Annotated[float, Field(ge=0.0)]
     left_out_surface_rel: Annotated[Floats, ArraySpec("<f8", ("sample",))] = Field(
-        description="error of the coat when the sample's press does not teach, relative to its displacement"
+        description="error of the coat where the sample's press was left out of the teaching, over its displacement"
     )
     left_out_force_rel: Annotated[Floats, ArraySpec("<f8", ("sample",))]
     crossed_features: Annotated[Floats, ArraySpec("<f8", ("crossed", "feature"))] | None = Field(

@@ -160,7 +160,7 @@ def _source_names(root: Path) -> list[str]:
 
 
 def digest_of_input(path: Path) -> str:
-    """Return the SHA-256 of an input's bytes as this process read them, whatever the file holds by now.
+    """Return the SHA-256 of an input's bytes as this process read them, also where the file has changed since.
 
     Raises
     ------

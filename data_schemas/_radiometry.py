@@ -52,8 +52,8 @@ class Optics(Model):
     white_reference: WhiteReference
     band_uncertainty: BandUncertainty = Field(
         default=BandUncertainty(),
-        description="of each band value beside the noise of its frames; the usual ones where an older version did not "
-        "state them",
+        description="uncertainties of each band value besides the noise of its frames; the usual ones where an older "
+        "version did not state them",
     )
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
     filter_curves: dict[str, SpectralCurve] = Field(

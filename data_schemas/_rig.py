@@ -76,7 +76,8 @@ class BandPassFilter(Model):
     shape_order: Annotated[float, Field(ge=1.0, le=10.0, description="1 Gaussian, 2 hard-coated flat top")] = 2.0
     peak_transmission: Annotated[float, Field(gt=0.0, le=1.0)] = 0.6
     blocking_od: OpticalDensity = Field(
-        default=5.0, description="floor of the transmission, also of a measured curve, and all of it outside its range"
+        default=5.0,
+        description="floor of the transmission, also of a measured curve, outside whose range it is the transmission",
     )
     blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.2
 
@@ -315,12 +316,13 @@ class WhiteReference(Model):
 
 
 class BandUncertainty(Model):
-    """Relative standard uncertainties of band values beside the noise of frames; smaller only where measured."""
+    """Relative standard uncertainties of band values besides the noise of frames; smaller only where measured."""
 
-    calibration_rel: TypeBUncertainty = Field(default=0.01, description="of each filter, common to its three channels")
-    response_rel: TypeBUncertainty = Field(default=0.003, description="of each channel inside a filter's band")
+    calibration_rel: TypeBUncertainty = Field(default=0.01, description="of a filter's value, common to its channels")
+    response_rel: TypeBUncertainty = Field(default=0.003, description="of a channel's response in a filter's band")
     stray_light_rel: TypeBUncertainty = Field(
-        default=0.003, description="light past the filter, relative to the brightest filter but that of the laser"
+        default=0.003,
+        description="light that bypasses the filter, relative to the brightest filter except that of the laser",
     )
 
 
@@ -554,7 +556,7 @@ class LoadCellSettings(Model):
         default=0.5, description="the stage stops when the cell sends no new reading for this time"
     )
     settle_s: Annotated[float, Field(ge=0.1, le=60.0, json_schema_extra={"unit": "s"})] = Field(
-        default=3.0, description="longest wait for a force to settle; a change that remains then becomes uncertainty"
+        default=3.0, description="longest wait for a force to settle; a change that remains counts as uncertainty"
     )
 
     @model_validator(mode="after")

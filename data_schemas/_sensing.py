@@ -105,7 +105,7 @@ class BoardResidual(Model):
 
 
 class PixelScale(Record):
-    """A calibrated lens, the plane of the pad as a board on it showed it, and the scale between both.
+    """A calibrated lens, the plane of the pad from a board on it, and the scale between both.
 
     ``covariance`` is that of the lens (fx, fy, cx, cy, distortion) and the board's place (rotation vector, translation
     in mm), in this order; every ``u_rel`` follows from it, the board's tolerance and where the coat lies.
@@ -190,8 +190,8 @@ class NormalMapRecord(Record):
     held_out_angle_deg: Annotated[Floats, ArraySpec("<f8", ("split",), "deg")]
     held_out_depth_rms_mm: Annotated[Floats, ArraySpec("<f8", ("press",), "mm")] | None = Field(
         default=None,
-        description="for each press, RMS error of the depth inside its circle without its mean, by a map that five "
-        "sixths of the presses taught and this one did not; none: not measured",
+        description="for each press, RMS error of the depth inside its circle after its mean is removed, by a map "
+        "that the other five sixths of the presses taught; none: not measured",
     )
     held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
         default=None,
@@ -200,7 +200,7 @@ class NormalMapRecord(Record):
     held_out_level_mm: Annotated[Floats, ArraySpec("<f8", ("ring",), "mm")] | None = Field(
         default=None,
         description="mean depth, relative to the border of the picture, in a ring 2.5 to 3.5 radii from the contact, "
-        "where the gel should be flat; for each press with this ring in view, by maps that it did not teach; "
+        "where the gel should be flat; for each press with this ring in view, by maps taught without it; "
         "none: not known",
     )
     taught_by_sha256: tuple[str, ...] = Field(
@@ -273,7 +273,7 @@ class FittedNumber(Model):
     prior_origin: str = Field(description="where the prior's width comes from")
     posterior: Estimate
     left_of_prior_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="standard deviation after over that before, of the logarithm where the number is positive"
+        description="posterior over prior standard deviation, of the logarithm where the number is positive"
     )
     verdict: Determined = Field(
         description="how much of the prior's width is left: below a half, below nine tenths, or more; where the "

@@ -116,7 +116,7 @@ class SimulatedPress(Record):
     contact_chains: Chains | None = None
     chains: tuple[str, ...] = ()
     no_contact_half_difference: Layers | None = Field(
-        default=None, description="half the difference of the two independent halves that the layers are the mean of"
+        default=None, description="half the difference of two independent halves, whose mean is stored in the layers"
     )
     contact_half_difference: Layers | None = None
     layer_matrix: Annotated[Floats, ArraySpec("<f8", ("3", "layer"))] | None = Field(
@@ -322,8 +322,8 @@ class PressSensitivities(Model):
         description="force along the pad's normal, of the unchanged design"
     )
     varied: tuple[VariedPress, ...] = Field(
-        description="complete presses with a number changed: for numbers without a derivative, and in older "
-        "versions for all"
+        description="presses with one number changed: for numbers without a derivative; in older versions for "
+        "all numbers"
     )
     slopes: tuple[ForceSlope, ...] = ()
 

@@ -219,7 +219,9 @@ class StiffnessOrder(Model):
         description="smallest ratio with the same dimension changed in both by the same share"
     )
     at: str = Field(description="the change at which the ratio is smallest; empty for none")
-    independent_ratio: float = Field(description="softest of the stiffer over stiffest of the softer, of all changes")
+    independent_ratio: float = Field(
+        description="least stiffness of the stiffer finger over the largest of the softer one, over all changes"
+    )
     note: str = ""
 
 

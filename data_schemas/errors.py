@@ -75,7 +75,7 @@ class RefusedError(CaptureError):
 
 
 class FrameSizeError(RefusedError):
-    """A frame has another size than the rig file says; one that was just changing may be right at the next attempt."""
+    """A frame has another size than the rig file says; another attempt may succeed."""
 
 
 class TimedOutError(CaptureError):

@@ -33,13 +33,13 @@ from data_schemas import (
 from finray_calib._library import (
     NOT_IN_ORDER,
     PathLike,
+    checked_seed,
     digest_of,
     given,
     given_list,
     made,
     path_of,
     require_truths,
-    whole_seed,
 )
 
 if TYPE_CHECKING:
@@ -300,7 +300,7 @@ def render_press(
     """
     from sim.experiments import simulate_press
 
-    seed = whole_seed(seed)
+    seed = checked_seed(seed)
     _require_options(options, _OF_A_PRESS)
     rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
@@ -332,7 +332,7 @@ def render_images(
     """
     from sim.experiments import simulate_images
 
-    seed = whole_seed(seed)
+    seed = checked_seed(seed)
     _require_options(options, _OF_A_PRESS)
     rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
@@ -367,7 +367,7 @@ def render_sensor(
     """
     from sim.experiments import simulate_sensor_press
 
-    seed = whole_seed(seed)
+    seed = checked_seed(seed)
     _require_options({"samples": samples, "engine": engine}, _OF_ALL)
     if samples % 2:
         raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
@@ -414,7 +414,7 @@ def fit_sensor(
     """
     from sim.experiments import fit_sensor as fit_scene
 
-    seed = whole_seed(seed)
+    seed = checked_seed(seed)
     _require_options(options, _OF_A_FIT)
     read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
     if not read:
@@ -507,7 +507,7 @@ def sweep_light_angle(
     from sim.experiments import light_angle_sweep
     from sim.optics import ProbePaths
 
-    seed = whole_seed(seed)
+    seed = checked_seed(seed)
     _require_options(options, _OF_A_SWEEP)
     angles_deg = _angles(angles_deg)
     if options.get("level", "b") != "b":

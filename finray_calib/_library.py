@@ -113,7 +113,7 @@ def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
     return list(what)
 
 
-def whole_seed(seed: int) -> int:
+def checked_seed(seed: int) -> int:
     """Return a seed that the random generators and the record can hold; asked for before any work is done.
 
     Raises
@@ -225,7 +225,7 @@ def write_record(record: Record, path: PathLike) -> Path:
 def trace_record(path: PathLike) -> "Traced":
     """Return the tree of files that a stored record was made from, every one of them hashed again.
 
-    Its `is_whole` says whether all is as it was written; `finray_calib.lineage.findings` lists what is not.
+    Its `is_intact` says whether all is as it was written; `finray_calib.lineage.findings` lists what is not.
     """
     from finray_calib.lineage import Tracer
 
@@ -436,7 +436,7 @@ def fit_paint(
     """
     from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint, departing_warnings
 
-    seed = whole_seed(seed)
+    seed = checked_seed(seed)
     require_truths(discrepancy=discrepancy, check=check)
     signals, files, scatter = _of_sessions(bands)
     others = [given(other, BandSignals) for other in given_list(other_lights, BandSignals, "other_lights")]
@@ -531,7 +531,7 @@ def compare_press(
     """
     from finray_calib.compare import CheckOptions, compare_checked
 
-    seed = whole_seed(seed)
+    seed = checked_seed(seed)
     require_truths(register=register, despite_mismatch=despite_mismatch)
     press, files = given(simulated, SimulatedPress)
     captured, read = given(capture, TactileCapture)
@@ -576,7 +576,7 @@ def compare_force(
     from finray_calib.exchange import read_force_csv
     from finray_calib.force import compare_force as compare
 
-    seed = whole_seed(seed)
+    seed = checked_seed(seed)
     require_truths(known_first_touch=known_first_touch)
     mechanics, files = given(press, PressMechanics)
     other, read = (None, []) if other_mesh is None else given(other_mesh, PressMechanics)
@@ -623,7 +623,7 @@ def decide_light_angle(
     """
     from finray_calib.decide import decide
 
-    seed = whole_seed(seed)
+    seed = checked_seed(seed)
     require_truths(narrow_sweep=narrow_sweep)
     alone = isinstance(sweeps, LightAngleSweep | str | os.PathLike)
     several = [sweeps] if alone else given_list(sweeps, LightAngleSweep, "sweeps")

@@ -379,7 +379,7 @@ Settings = CameraSettings | FilterWheelSettings | LaserSettings | LampSettings |
 _OWN_KINDS: Final[Mapping[str, Kind]] = {kind: kind for kind in ("camera", "filter wheel", "stage", "load cell")}
 
 
-def lone_camera(rig: RigFile | TactileRig, folder: Path) -> AbstractContextManager[Camera]:
+def open_rig_camera(rig: RigFile | TactileRig, folder: Path) -> AbstractContextManager[Camera]:
     """Return the camera, open for a ``with`` block; relative paths start in `folder`."""
     bench = rig if isinstance(rig, RigFile) else None
     return _alone(
@@ -387,18 +387,18 @@ def lone_camera(rig: RigFile | TactileRig, folder: Path) -> AbstractContextManag
     )
 
 
-def lone_wheel(rig: RigFile, folder: Path, operator: Operator) -> AbstractContextManager[FilterWheel]:
+def open_rig_wheel(rig: RigFile, folder: Path, operator: Operator) -> AbstractContextManager[FilterWheel]:
     """Return the filter wheel, open for a ``with`` block."""
     wheel = rig.filter_wheel
     return _alone(rig, folder, "filter wheel", wheel, lambda: open_wheel(wheel, operator), lambda opened: opened.wheel)
 
 
-def lone_laser(rig: RigFile, folder: Path) -> AbstractContextManager[Light]:
+def open_rig_laser(rig: RigFile, folder: Path) -> AbstractContextManager[Light]:
     """Return the laser behind its guard, open for a ``with`` block; it is confirmed off before and after."""
     return _alone(rig, folder, "laser", rig.laser, lambda: open_laser(rig.laser), lambda opened: opened.laser)
 
 
-def lone_lamp(rig: RigFile, folder: Path, operator: Operator) -> AbstractContextManager[Light]:
+def open_rig_lamp(rig: RigFile, folder: Path, operator: Operator) -> AbstractContextManager[Light]:
     """Return the lamp, open for a ``with`` block; it is confirmed off before and after."""
     return _alone(rig, folder, "lamp", rig.lamp, lambda: open_lamp(rig.lamp, operator), lambda opened: opened.lamp)
 
@@ -451,7 +451,7 @@ class PartReport:
     error: Exception | None
 
 
-def look_at(rig: RigFile, folder: Path) -> Iterator[PartReport]:
+def inspect_rig(rig: RigFile, folder: Path) -> Iterator[PartReport]:
     """Report on laser, lamp, filter wheel, camera and curves, one after the other; an error of one hides no other.
 
     Lights come first: opening switches them off, so that the camera's frame is dark.
@@ -466,11 +466,11 @@ def look_at(rig: RigFile, folder: Path) -> Iterator[PartReport]:
     yield _report(device_title("laser", rig.laser), lambda: _laser(rig, folder))
     yield _report(device_title("lamp", rig.lamp), lambda: _lamp(rig, folder))
     yield _report(device_title("filter wheel", rig.filter_wheel), lambda: _wheel(rig, folder))
-    yield _report(device_title("camera", rig.camera), lambda: _camera(lone_camera(rig, folder), rig.camera))
+    yield _report(device_title("camera", rig.camera), lambda: _camera(open_rig_camera(rig, folder), rig.camera))
     yield _report("filters and curves", lambda: _curves(rig, folder))
 
 
-def look_at_tactile(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
+def inspect_tactile_rig(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
     """Report on the camera of a tactile rig, and on stage and load cell where it has them; nothing moves.
 
     Parameters
@@ -482,7 +482,7 @@ def look_at_tactile(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
     """
     camera, stage, cell = rig.camera, rig.stage, rig.load_cell
     if not rig.is_simulated:
-        yield _report(device_title("camera", camera), lambda: _camera(lone_camera(rig, folder), camera))
+        yield _report(device_title("camera", camera), lambda: _camera(open_rig_camera(rig, folder), camera))
     if stage is not None:
         yield _report(device_title("stage", stage), lambda: _stage(rig, folder))
     if cell is not None:
@@ -554,7 +554,7 @@ def _says(identity: DeviceIdentity) -> str:
 
 def _laser(rig: RigFile, folder: Path) -> Lines:
     laser = rig.laser
-    with lone_laser(rig, folder) as light:
+    with open_rig_laser(rig, folder) as light:
         yield from _light(light)
     yield f"by the rig file: {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}"
 
@@ -564,7 +564,7 @@ def _lamp(rig: RigFile, folder: Path) -> Lines:
         yield "switched by hand, and this command does not ask, so its state is unknown"
         yield Warned("check that the lamp is off: finray cannot know whether the camera's frame below was dark")
         return
-    with lone_lamp(rig, folder, TerminalOperator()) as light:
+    with open_rig_lamp(rig, folder, TerminalOperator()) as light:
         yield from _light(light)
 
 
@@ -583,7 +583,7 @@ def _light(light: Light) -> Lines:
 
 
 def _wheel(rig: RigFile, folder: Path) -> Lines:
-    with lone_wheel(rig, folder, TerminalOperator()) as wheel:
+    with open_rig_wheel(rig, folder, TerminalOperator()) as wheel:
         yield _says(wheel.identity())
         names = {band.slot: band.name for band in rig.filter_wheel.filters}
         position = wheel.position()

@@ -200,7 +200,7 @@ class GuardedSwitch(LightSwitch, Protocol):
 
 
 class OverloadError(CaptureError):
-    """A load cell reads its end of scale: the force is beyond what it can tell."""
+    """A load cell reads its end of scale: the force is beyond what it can measure."""
 
 
 class ForceLimitError(CaptureError):
@@ -317,7 +317,7 @@ def missing_members(device: object, protocol: type) -> tuple[str, ...]:
 
 
 class Operator(Protocol):
-    """The hands at the rig: a person who is asked, or a stage."""
+    """Who acts at the rig: a person who is asked, or a stage."""
 
     def place(self, target: Target) -> None:
         """Put `target` in view, and return when it is there (no deadline: people take their time).
@@ -399,7 +399,7 @@ class TerminalOperator:
         CaptureError
             Nobody can answer: standard input is closed.
         """
-        forget_typed_ahead()
+        discard_typed_input()
         sys.stderr.write(f"\n{instruction}\nPress Enter when done. ")
         sys.stderr.flush()
         if not sys.stdin.readline():
@@ -411,13 +411,13 @@ class TerminalOperator:
         """Ask a question that only the word "yes" answers with yes; keys pressed before it was asked do not count."""
         if not (sys.stdin.isatty() and sys.stderr.isatty()):
             return False
-        forget_typed_ahead()
+        discard_typed_input()
         sys.stderr.write(f"\n{question}\nType yes and press Enter; anything else ends the capture here. ")
         sys.stderr.flush()
         return sys.stdin.readline().strip().lower() == "yes"
 
 
-def forget_typed_ahead() -> None:
+def discard_typed_input() -> None:
     """Drop what was typed at the terminal before a question is asked: it is not an answer."""
     # a program in the background whose terminal is gone has nobody who could have typed
     with contextlib.suppress(termios.error, OSError):

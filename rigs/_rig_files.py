@@ -288,9 +288,9 @@ _WHITE: Final = {
     "uncertainty_rel": "its standard uncertainty, relative",
 }
 _BANDS: Final = {
-    "calibration_rel": "of each filter, common to the three channels",
-    "response_rel": "of each channel inside a filter's band",
-    "stray_light_rel": "light past the filter, of the brightest filter but that of the laser",
+    "calibration_rel": "of a filter's value, common to its channels",
+    "response_rel": "of a channel's response in a filter's band",
+    "stray_light_rel": "light that bypasses the filter, relative to the brightest one without the laser's",
 }
 
 

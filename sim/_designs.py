@@ -174,7 +174,7 @@ def given_design(path: Path) -> tuple[FingerDesign, list[Path], Path]:
 
 
 def with_pad_size(design: FingerDesign, length_mm: float, width_mm: float) -> FingerDesign:
-    """Return a finger with a pad of another size; panels, tip and backing move with its length, as do the ready-made.
+    """Return a finger with a pad of another size; panels, tip and backing move with its length.
 
     Mirror and camera follow the pad where the design leaves them to it; the indenter goes to its middle.
     """
@@ -212,7 +212,7 @@ _NOT_IN_FINGER_TABLES = {"provenance", "schema_version", "name", "materials", "o
 
 def design_toml(design: FingerDesign) -> str:
     """Return a design as TOML; what is left out, or has no effect in this design, stands in comments."""
-    idle = design.idle_fields()
+    idle = design.unused_fields()
     parts = [_FINGER_HEAD, f"schema_version = {design.schema_version}\nname = {_toml_value(design.name)}\n"]
     for name in (field for field in FingerDesign.model_fields if field not in _NOT_IN_FINGER_TABLES):
         part = getattr(design, name)
@@ -584,7 +584,7 @@ _NOT_IN_SENSOR_TABLES = {"provenance", "name", "source", "origin", "uncertainty_
 
 def sensor_toml(sensor: PlainSensor) -> str:
     """Return a sensor's design as TOML; what is left out, or has no effect in this design, stands in comments."""
-    idle = sensor.idle_fields()
+    idle = sensor.unused_fields()
     parts = [
         _SENSOR_HEAD,
         f'schema_version = {sensor.schema_version}\nkind = "sensor"\nname = {_toml_value(sensor.name)}\n',

@@ -289,7 +289,7 @@ def tell(message: Json) -> None:
 
 
 def progress_teller() -> Callable[[int, int, str], None]:
-    """Return what sends ``[done, total, what]`` to the parent, not more often than an eye can follow."""
+    """Return what sends ``[done, total, what]`` to the parent, a few times a second at most."""
     last_s = -math.inf
 
     def progress(done: int, total: int, what: str) -> None:

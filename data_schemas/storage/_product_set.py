@@ -82,7 +82,7 @@ class _Told(NamedTuple):
 
 
 def clear_leftovers(folder: Path) -> None:
-    """Remove what dead writers left in a folder; what a living one writes, and every other file, stays.
+    """Remove what ended writers left in a folder; files of running ones, and every other file, stay.
 
     Removed are parts, and files that a set without commit has named already, where they still have the content that
     their writer gave them. What cannot be removed is left.
@@ -122,7 +122,7 @@ def refuse_unfinished(path: Path) -> None:
         )
 
 
-def is_whole(path: Path) -> bool:
+def is_complete(path: Path) -> bool:
     """Return whether a product (a file, or a folder that is one) is there, and is none of a set without commit."""
     return path.exists() and _unfinished_set_of(path) is None
 
@@ -541,7 +541,7 @@ _LINE: Final = re.compile(r"([0-9a-f]{64})  (\S.*)")
 
 @dataclass(frozen=True, slots=True)
 class FileFault:
-    """A file that is not what it was.
+    """A file that is missing or was changed.
 
     Attributes
     ----------

@@ -300,7 +300,7 @@ def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
         read = record_type.model_validate(complete(migrate(path, record_type, version, loaded)))
     except ValidationError as error:
         raise RecordError(f"{path}: {explain(error, record_type)}") from None
-    for field, why in read.idle_fields().items():
+    for field, why in read.unused_fields().items():
         if _is_written(loaded, field):
             raise RecordError(f"{path}: {field} has no effect: {why}")
     return read

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._output import give, look_at, say, wrote
+from finray_calib.cli._output import give, say, suggest_file, wrote
 from finray_calib.cli._run import add_out, add_seed, command_line, distinct_file_names, require_new, require_place
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
     say(_as_csv(row).rstrip())
     wrote(out, "holds row.json, row.csv and scores/summary.html")
     give(row=row)
-    look_at(scores / PAGE)
+    suggest_file(scores / PAGE)
 
 
 def _begin(out: Path, arguments: argparse.Namespace) -> Path:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, go_on_with, guide, progress_bar, say, wrote
+from finray_calib.cli._output import Progress, give, guide, progress_bar, say, suggest_command, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -62,7 +62,7 @@ def add_capture(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         "--resume", type=Path, metavar="SESSION", help="continue an interrupted session; takes no PLAN and no --rig"
     )
     parser.add_argument(
-        "--dry-run", action="store_true", help="open the rig, check the plan, print time and disk; nothing moves"
+        "--dry-run", action="store_true", help="open the rig, check the plan, print time and disk space; nothing moves"
     )
     parser.add_argument(
         "--like", type=Path, metavar="SESSION", help="earlier session on this rig that the white frames must resemble"
@@ -179,7 +179,7 @@ def resume_tactile(folder: Path, attend: "Attend") -> None:
     _report_tactile(folder, session)
 
 
-def _tell_operator(done: int, total: int, what: str) -> None:
+def _report_operator(done: int, total: int, what: str) -> None:
     """Tell the progress in lines: a bar would hide what the operator is asked."""
     guide(f"  {done}/{total} {what}")
 
@@ -230,7 +230,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         for instruction in dict.fromkeys(nobody.instructions):
             say(f"would be asked during the capture: {instruction}")
         say("the rig is ready; nothing was moved, lit or stored")
-        go_on_with("finray capture", arguments.plan, "--rig", arguments.rig)
+        suggest_command("finray capture", arguments.plan, "--rig", arguments.rig)
         return
     last_good = None if arguments.like is None else read_session(arguments.like)
     out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
@@ -267,11 +267,11 @@ def _told_first(text: str, progress: Progress) -> Progress:
 
 def _ask_to_mend(what: str) -> bool:
     """Ask whoever is at the terminal to mend something; return whether it is done, at once where there is nobody."""
-    from rigs import forget_typed_ahead
+    from rigs import discard_typed_input
 
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
-    forget_typed_ahead()
+    discard_typed_input()
     sys.stderr.write(
         f"\n{what}\nThe lights are off. Repair it, close the box and press Enter; type q and press Enter to "
         "end the session here. "
@@ -418,14 +418,14 @@ def at_the_terminal(
     from data_schemas import RigFile
 
     if not isinstance(rig, RigFile):
-        yield Attended(_tell_operator)
+        yield Attended(_report_operator)
         return
     with _bar_or_lines(rig) as progress:
-        tell_of_laser(rig)
+        warn_of_laser(rig)
         yield Attended(progress)
 
 
-def tell_of_laser(rig: "RigFile") -> None:
+def warn_of_laser(rig: "RigFile") -> None:
     """Say before a real laser is lit what it is and what switches it off."""
     if not rig.is_simulated:
         from rigs.light_guard import safety_lines
@@ -451,7 +451,7 @@ def _report(out: Path, session: "CaptureSession | CameraSession", name: str) -> 
 
     wrote(out, f"{len(session.frames)} frames of '{name}'")
     give(name=name, frames=len(session.frames), notes=session.notes)
-    go_on_with("finray radiometry", out)
+    suggest_command("finray radiometry", out)
     if isinstance(session, CaptureSession) and session.filter_proof is not None:
         give(filters_verdict=session.filter_proof.verdict)
         say(f"  filters: {session.filter_proof.verdict}: {session.filter_proof.text}")

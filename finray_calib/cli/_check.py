@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, guide, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import Progress, give, guide, progress_bar, say, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -89,7 +89,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         say(f"note: {note}")
     give(verdict=report.verdict, results=report.results, notes=report.notes)
     wrote(out, f"{report.verdict}; holds report.html, junit.xml and check.json")
-    look_at(out / "report.html")
+    suggest_file(out / "report.html")
     return NOT_ACCEPTED if report.verdict in ("FAIL", "ERROR") else 0
 
 
@@ -170,14 +170,14 @@ Analyse a gauge study: several samples, each measured in the same sessions, with
 within a session. Take five samples or more that differ as yours do, and six sessions or more: with three, the interval
 of the measurement's standard deviation spans a factor of five.
 
-STUDY is a CSV file with one row for each capture, as many for each sample in each session:
+STUDY is a CSV file with one row for each capture, with equal numbers for each sample and session:
 
   sample,session,mount,paint
   A,1,1,A-1-1a.paint.json
   A,1,1,A-1-1b.paint.json
 
 where "paint" is the calibration of the capture (a path relative to the CSV file; --quantity names the quantity), or
-with a column "value" in the place of "paint". Leave out the column "mount" where the samples were not mounted anew.
+with a column "value" in place of "paint". Leave out the column "mount" where the samples were not mounted again.
 PASS: the measurement's share of the total standard deviation is below 10 % with 95 % confidence; FAIL: above 30 %.
 Exit status: 0, 1 after FAIL, 2 after a mistake."""
 QUANTITIES = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser")
@@ -368,7 +368,7 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )  # fmt: skip
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of session folders")
     parser.add_argument(
-        "--reference", type=int, default=10, metavar="N", help="number of first sessions that say what is normal (10)"
+        "--reference", type=int, default=10, metavar="N", help="number of first sessions that are the reference (10)"
     )
     parser.add_argument(
         "--false-alarms",
@@ -401,7 +401,7 @@ def run_history(arguments: argparse.Namespace) -> int:
     if page is not None:
         write_bytes(page, history_page(found, str(arguments.folder), arguments.reference).encode())
         wrote(page, "the charts")
-        look_at(page)
+        suggest_file(page)
     give(verdict=found.verdict, reasons=found.reasons, charts=found.watched, ledger=found.ledger, waiting=found.waiting)
     return OUT_OF_CONTROL if found.verdict == "OUT OF CONTROL" else 0
 
@@ -539,7 +539,7 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     wrote(page, f"certificate {certificate.number}")
     wrote(pdf, "the same, to print and sign")
     give(number=certificate.number, results=results, traceability=certificate.traceability, budget=budget)
-    look_at(page)
+    suggest_file(page)
     return NOT_CONFORMING if any(result.verdict == "FAIL" for result in results) else 0
 
 

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from finray_calib.cli._output import give, go_on_with, look_at, say, wrote
+from finray_calib.cli._output import give, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -145,8 +145,8 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
         headline_skill=report.headline_skill, headline_region=report.headline_region, findings=report.findings,
         packaged_metrics=report.packaged_metrics,
     )  # fmt: skip
-    go_on_with("finray decide SWEEP --photometric-error", out)
-    look_at(page)
+    suggest_command("finray decide SWEEP --photometric-error", out)
+    suggest_file(page)
 
 
 DEFAULT_OUT = "force-comparison.json"
@@ -209,7 +209,7 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
     wrote(out, "the comparison")
     wrote(picture, "curve and points" if comparison.withheld else "curve, band and points")
     give(label=comparison.label, rows=comparison.rows, withheld=comparison.withheld)
-    look_at(picture)
+    suggest_file(picture)
 
 
 def refuse_force_options(arguments: argparse.Namespace) -> None:

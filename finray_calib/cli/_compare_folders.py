@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from data_schemas import CompareError, DiedError, FinrayError, RecordError
 from data_schemas.storage import Child, files_in, has_file, read_json, stopping_together
-from finray_calib.cli._output import Progress, give, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import Progress, give, progress_bar, say, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     command_line,
     distinct_file_names,
@@ -112,7 +112,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     say(_told(batch))
     wrote(out, f"{len(succeeded)} of {len(jobs)} pairs compared; holds {PAGE}, {TABLE}, {SUMMARY} and reports")
     give(pairs=batch.pairs, compared=len(succeeded), simulators=batch.simulators, lowest=batch.worst)
-    look_at(out / PAGE)
+    suggest_file(out / PAGE)
     if not succeeded:
         raise CompareError(f"none of the {len(jobs)} pairs could be compared; {out / TABLE} says why")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli._design_search import light_measure
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,
@@ -130,7 +130,7 @@ def run(arguments: argparse.Namespace) -> None:
         headline=decision.headline, sentence=decision.sentence, validated=decision.validated,
         next_capture=decision.next_capture,
     )  # fmt: skip
-    look_at(page)
+    suggest_file(page)
 
 
 LIGHTS_HELP = "powers of the lights for an even coat; a map over the angle and the place of a light"
@@ -244,11 +244,11 @@ def run_lights(arguments: argparse.Namespace) -> None:
     record = record.model_copy(update={"notes": (*record.notes, *apart.notes)})
     origin = provenance(command_line(), input_digests([*files, *apart.paints]), arguments.seed)
     _store_powers(out, record, origin)
-    _tell_powers(record)
+    _report_powers(record)
     wrote(out, "powers, basis and draws")
     wrote(out.with_suffix(".toml"), "the design with these powers")
-    go_on_with("finray design show", out.with_suffix(".toml"))
-    look_at(out.with_suffix(".html"))
+    suggest_command("finray design show", out.with_suffix(".toml"))
+    suggest_file(out.with_suffix(".html"))
 
 
 def _finger_or_sensor(path: Path) -> "tuple[FingerDesign | PlainSensor, list[Path], Path]":
@@ -316,7 +316,7 @@ def _store_powers(out: Path, record: "LightPowers", origin: "Provenance") -> Non
         write_record(record, out, origin, products)
 
 
-def _tell_powers(record: "LightPowers") -> None:
+def _report_powers(record: "LightPowers") -> None:
     """Tell the powers."""
     from finray_calib.reports import light_map_sentence
 

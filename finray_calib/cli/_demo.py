@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,
@@ -56,7 +56,7 @@ def run_demo_verb(arguments: argparse.Namespace) -> None:
     effort = SCALAR_EFFORT if engine.variant == SCALAR_VARIANT else COMPILED_EFFORT
     settings = DemoSettings(Path(), materials, arguments.sensor, arguments.seed, command_line(), effort)
     as_json = settings_json(settings, engine)
-    out = require_place(arguments.out or _where_to_go_on(Path("finray-demo"), as_json))
+    out = require_place(arguments.out or _folder_to_continue(Path("finray-demo"), as_json))
     said = run_demo({**as_json, "out": str(out)}, progress_bar, say)
     say(said["verdict"])
     say(f"{said['certainty'].capitalize()}; the report says why.")
@@ -64,7 +64,7 @@ def run_demo_verb(arguments: argparse.Namespace) -> None:
     say(f"time: {said['seconds']:.0f} s")
     wrote(out.resolve(), "records of all six stages, summary.json and report.html")
     give(verdict=said["certainty"], sentence=said["verdict"], time_s=said["seconds"], renderer=engine.note)
-    look_at((out / "report.html").resolve())
+    suggest_file((out / "report.html").resolve())
 
 
 def _require_usable_curves(materials: Iterable[Path], sensor: Path | None) -> None:
@@ -77,15 +77,15 @@ def _require_usable_curves(materials: Iterable[Path], sensor: Path | None) -> No
             pass
 
 
-def _where_to_go_on(path: Path, settings: Mapping[str, Any]) -> Path:
+def _folder_to_continue(path: Path, settings: Mapping[str, Any]) -> Path:
     """Return the last of path, path-2 ... if an interrupted demo with these settings is in it, else the next one."""
-    from finray_calib.demo import can_go_on
+    from finray_calib.demo import can_continue
 
     number, last, free = 1, path, path
     while free.exists():
         number, last = number + 1, free
         free = path.with_name(f"{path.name}-{number}")
-    return last if can_go_on(last, settings) else free
+    return last if can_continue(last, settings) else free
 
 
 DOCTOR_HELP = "list what this machine lacks, each with the command that repairs it"
@@ -118,7 +118,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     give(demo_can_run=not bad, findings=findings)
     if not bad:
         say("\nThis machine can run the demo.")
-        go_on_with("finray demo")
+        suggest_command("finray demo")
         return 0
     say("\nThis machine cannot run the demo until every line marked 'bad' is repaired.")
     return 1

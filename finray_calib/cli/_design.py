@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from finray_calib.cli._decide import add_lights
 from finray_calib.cli._design_search import add_assess, add_optimise, add_tolerances
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_seed,
@@ -55,7 +55,7 @@ of the mould; curved fins are approximated by strips of 1 mm, within 0.3 um of t
 PAINTS_HELP = "rank calibrated paints for a finger by the error of the sensed normal"
 PAINTS_DESCRIPTION = """\
 Rank every pair of paints, one on each wall, by the expected error of the normal that the finger would sense, before
-anything is moulded. The error is that of a map from colour to normal at places of the pad that it was not taught at,
+anything is moulded. The error is that of a map from colour to normal at places of the pad that it has not seen,
 with the noise of the camera ('held-out normal error' of 'finray simulate sweep --objectives all'), at the light angle
 of the design. The uncertainty of the emission comes from the posterior draws of each calibration; all pairs share
 paths, noise and draws, and the last column says which differences to the best pair are real, all pairs together at 95
@@ -284,7 +284,7 @@ def run_list(arguments: argparse.Namespace) -> None:
     width = max(map(len, told))
     for name, what in told.items():
         say(f"{name:{width}}  {what}")
-    go_on_with("finray design init NAME")
+    suggest_command("finray design init NAME")
 
 
 def run_init(arguments: argparse.Namespace) -> None:
@@ -302,7 +302,7 @@ def run_init(arguments: argparse.Namespace) -> None:
     write_bytes(out, text.encode())
     wrote(out, "the design, to be edited")
     give(name=name)
-    go_on_with("finray design show", out)
+    suggest_command("finray design show", out)
 
 
 def run_show(arguments: argparse.Namespace) -> None:
@@ -326,11 +326,11 @@ def run_show(arguments: argparse.Namespace) -> None:
     scale_mm, scale_u_rel = view.mm_per_px
     give(name=design.name, mm_per_px=scale_mm, mm_per_px_u_rel=scale_u_rel, seen_mm=list(view.seen_mm))
     if out is None:
-        go_on_with("finray design show", arguments.design, "--out", Path(f"{design.name}.html"))
+        suggest_command("finray design show", arguments.design, "--out", Path(f"{design.name}.html"))
         return
     write_bytes(out, _drawing(view, arguments.design.parent, out.suffix.lower()))
     wrote(out, "drawing of the finger")
-    look_at(out)
+    suggest_file(out)
 
 
 def _show_sensor(arguments: argparse.Namespace) -> None:
@@ -351,11 +351,11 @@ def _show_sensor(arguments: argparse.Namespace) -> None:
     say(sensor_text(sensor, places))
     give(name=sensor.name)
     if out is None:
-        go_on_with("finray design show", path, "--out", Path(f"{sensor.name}.png"))
+        suggest_command("finray design show", path, "--out", Path(f"{sensor.name}.png"))
         return
     write_bytes(out, sensor_png(sensor, places))
     wrote(out, "drawing of the sensor")
-    look_at(out)
+    suggest_file(out)
 
 
 def _drawing_path(path: Path, endings: tuple[str, ...] = _DRAWINGS) -> Path:
@@ -397,7 +397,7 @@ def run_export(arguments: argparse.Namespace) -> None:
                 products.add(folder / f"{part.name}.{suffix}", content)
     wrote(folder, f"{len(parts)} parts to print")
     give(parts={part.name: list(part.size_mm) for part in parts})
-    look_at(folder)
+    suggest_file(folder)
     for part in parts:
         x, y, z = part.size_mm
         names = " and ".join(f"{part.name}.{suffix}" for suffix in part.files)
@@ -438,7 +438,7 @@ def run_paints(arguments: argparse.Namespace) -> None:
     give(sentence=choice.sentence, pairs=choice.pairs, notes=choice.notes)
     best = choice.pairs[0]
     chosen = dict(zip(paints, arguments.paint, strict=True))
-    go_on_with(
+    suggest_command(
         "finray simulate sweep", arguments.design, f"--paint red={chosen[best.red]} --paint green={chosen[best.green]}",
         "--objectives all",
     )  # fmt: skip

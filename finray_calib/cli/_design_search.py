@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_paint,
@@ -101,7 +101,7 @@ examples:
 
 ASSESS_HELP = "light angle, tolerances and stiffness of a finger, also one with another size of pad, by one command"
 ASSESS_DESCRIPTION = """\
-Find what a designer asks of a finger first:
+Find what a designer needs to know first about a finger:
 
   light angle  sweeps at five places of the pad, and the decision on them by the error of the sensed normal
   tolerances   of the finger with that light: how far it may vary before the error has grown by a tenth
@@ -113,8 +113,8 @@ design tolerances', the table of 'finray study finger-stiffness', and one page w
 
 Each part is stored as soon as it is finished: the same command continues where it was interrupted.
 
---quick takes fewer paths and fingers, and leaves the assumed dimensions of the skeleton: a first look in a third of the
-time. Everything is simulated: no finger was built."""
+--quick takes fewer paths and fingers, and does not change the assumed dimensions of the skeleton: a first result in a
+third of the time. Everything is simulated: no finger was built."""
 ASSESS_EPILOG = """\
 examples:
   finray design assess flat-70x35 --pad 60x30 --paint red=red.paint.json --paint green=green.paint.json
@@ -237,11 +237,11 @@ def run_optimise(arguments: argparse.Namespace) -> None:
     notes = () if light is None else tuple(f"{colour} paint: {where}" for colour, where in light.sources.items())
     optimum = design_optimum(searched, again, arguments.seed, notes)
     finger = _store_optimum(out, optimum, origin)
-    _tell_optimum(optimum)
+    _report_optimum(optimum)
     wrote(finger, "the recommended finger")
     wrote(out, f"{OPTIMUM_NAME}, {OPTIMUM_PAGE_NAME} and {EVALUATIONS}/ ({evaluations.computed} computed now)")
-    go_on_with("finray design export", finger)
-    look_at(out / OPTIMUM_PAGE_NAME)
+    suggest_command("finray design export", finger)
+    suggest_file(out / OPTIMUM_PAGE_NAME)
 
 
 def _objectives(names: Sequence[str]) -> "tuple[DesignObjective, ...]":
@@ -302,7 +302,7 @@ def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") ->
     return finger
 
 
-def _tell_optimum(optimum: "DesignOptimum") -> None:
+def _report_optimum(optimum: "DesignOptimum") -> None:
     """Tell what was found."""
     from finray_calib.reports.design_search import front_rows
 
@@ -393,7 +393,7 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
         together_high95=record.together_high95, within_given_share=record.within_given_share, q2=record.q2,
         calibration=record.calibration,
     )  # fmt: skip
-    look_at(page)
+    suggest_file(page)
 
 
 def _tolerances(
@@ -515,9 +515,9 @@ def run_assess(arguments: argparse.Namespace) -> None:
     parts.warn_of_other_code()
     page = assessment_page(decision, tolerances, stiffness, command_line(), inputs)
     write_bytes(parts.out / ASSESSMENT_PAGE, page.encode())
-    _tell_assessment(decision, tolerances, stiffness)
+    _report_assessment(decision, tolerances, stiffness)
     wrote(parts.out, "finger.toml with the light that was chosen, records and pages of each part")
-    look_at(parts.out / ASSESSMENT_PAGE)
+    suggest_file(parts.out / ASSESSMENT_PAGE)
 
 
 def _computed_from(
@@ -651,7 +651,7 @@ def _stiffness(arguments: argparse.Namespace, design: "FingerDesign") -> "Finger
         return study_finger_stiffness([design], share, machine_threads(), progress)
 
 
-def _tell_assessment(
+def _report_assessment(
     decision: "LightAngleDecision", tolerances: "FingerTolerances", stiffness: "FingerStiffness"
 ) -> None:
     """Tell what was found."""

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import Progress, give, progress_bar, say, suggest_file, wrote
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
     add_out,
@@ -307,7 +307,7 @@ def run_capture_request(arguments: argparse.Namespace) -> None:
     for plan in plans:
         wrote(plan, "plan for 'finray capture'")
     give(kind="capture-request", format="markdown")
-    look_at(out)
+    suggest_file(out)
 
 
 FRAME_ENDINGS = {"ome-tiff": (".ome.tiff", ".ome.tif"), "nexus": (".nxs", ".h5", ".hdf5"), "bluesky": (".jsonl",)}
@@ -343,7 +343,7 @@ def run_frames(arguments: argparse.Namespace) -> None:
         wrote(out, f"documents of a run with {count} events, one a line")
         wrote(out.with_suffix(".nxs"), "the frames that the documents point to")
     give(kind="frames", format=word, session=session.kind, frames=frames)
-    look_at(out)
+    suggest_file(out)
 
 
 RECIPES = ("protocol-balls", "protocol-solids")
@@ -372,7 +372,7 @@ def run_protocol(arguments: argparse.Namespace) -> None:
         products.add(out / "protocol.html", protocol_page(protocol, RECIPES).encode())
     wrote(out, f"what to print and press for {sensor.name}: {len(protocol.presses)} presses, each taken twice")
     give(kind="protocol", format="html", presses=len(protocol.presses), solids=len(protocol.solids))
-    look_at(out / "protocol.html")
+    suggest_file(out / "protocol.html")
 
 
 HELP = (

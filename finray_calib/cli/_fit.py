@@ -9,7 +9,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from finray_calib.cli._output import Progress, give, go_on_with, is_for_a_program, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import (
+    Progress,
+    give,
+    is_for_a_program,
+    progress_bar,
+    say,
+    suggest_command,
+    suggest_file,
+    wrote,
+)
 from finray_calib.cli._run import (
     LongWork,
     add_out,
@@ -145,7 +154,7 @@ def run(arguments: argparse.Namespace) -> None:
         _say_scatter(scatter, arguments.bands)
     if arguments.report is not None:
         wrote(arguments.report, "the fit explained; open it in a browser")
-        look_at(arguments.report)
+        suggest_file(arguments.report)
 
 
 def _together(sessions: "Sequence[BandSignals]", files: Sequence[Path]) -> "tuple[BandSignals, SessionScatter | None]":
@@ -252,7 +261,7 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
 
     wrote(out, f"emission of '{paint.paint_name}' ({paint.spectrum_from or paint.family_title})")
     _give_result(paint, budget)
-    go_on_with("finray export", out, "--format csv")
+    suggest_command("finray export", out, "--format csv")
     for name, label, unit in (
         ("mode_nm", "mode", " nm"),
         ("fwhm_nm", "FWHM", " nm"),
@@ -335,7 +344,7 @@ def run_map(arguments: argparse.Namespace) -> None:
         write_record(fitted, out, provenance(command_line(), digests), products)
     wrote(out, f"'{fitted.paint_name}' in {fitted.fitted_pixels} pixels ({fitted.family})")
     wrote(picture, "figure of the map")
-    look_at(picture)
+    suggest_file(picture)
     give(
         paint_name=fitted.paint_name, fitted_pixels=fitted.fitted_pixels, unusable_pixels=fitted.unusable_pixels,
         unconverged_pixels=fitted.unconverged_pixels, uniformity=fitted.uniformity,
@@ -430,7 +439,7 @@ def run_sensor_fit(arguments: argparse.Namespace) -> None:
     wrote(out, f"'{fit.name}' fitted to {len(fit.captures)} captures, {fit.blocks} blocks of each picture")
     wrote(toml, "the design with the fitted values")
     _say_sensor_fit(fit)
-    go_on_with("finray simulate render", toml)
+    suggest_command("finray simulate render", toml)
 
 
 def _say_sensor_fit(fit: "SensorFit") -> None:
@@ -536,7 +545,7 @@ def run_fit_material(arguments: argparse.Namespace) -> None:
     wrote(out, f"moduli by {len(curves)} force curve(s)")
     wrote(picture, "curves with their bands, and each modulus before and after")
     _say_material(fit)
-    look_at(picture)
+    suggest_file(picture)
 
 
 def _specimen(given: str, curve: "MeasuredForce", progress: Progress) -> "ForceModel":

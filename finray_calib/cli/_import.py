@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -109,7 +109,7 @@ def run_import(arguments: argparse.Namespace) -> None:
     give(captures=1, width_px=columns, height_px=rows, encoding=capture.encoding, source=capture.source)
     if press is not None:
         wrote(press_out, f"{press.name} ({press.label})")
-    go_on_with("finray compare", "PRESS" if press is None else press_out, out)
+    suggest_command("finray compare", "PRESS" if press is None else press_out, out)
 
 
 def _nine_dtact(arguments: argparse.Namespace) -> "tuple[TactileCapture, SimulatedPress | None]":
@@ -186,7 +186,7 @@ def import_bands(folder: Path, out: Path | None) -> None:
     wrote(out, f"{len(bands.flags)} filters, {usable} usable values over {bands.region_pixels} px")
     give(paint_name=bands.paint_name, filters=len(bands.flags), usable_values=usable, region_px=bands.region_pixels,
          notes=bands.notes)  # fmt: skip
-    go_on_with("finray fit", out)
+    suggest_command("finray fit", out)
     for note in bands.notes:
         say(f"  note: {note}")
 
@@ -231,7 +231,7 @@ def run_taxim(arguments: argparse.Namespace) -> None:
     _store(found.captures, files, out)
     for line in found.assumed:
         say(f"  assumed: {line}")
-    _tell_left_out(found.left_out)
+    _report_left_out(found.left_out)
 
 
 def run_ball_presses(arguments: argparse.Namespace) -> None:
@@ -244,7 +244,7 @@ def run_ball_presses(arguments: argparse.Namespace) -> None:
     found = read_ball_presses(folder, arguments.mm_per_px, arguments.ball_diameter_mm)
     files = sorted(p for p in folder.rglob("*") if digest_as_read(p) is not None)
     _store(found.captures, files, out)
-    _tell_left_out(found.left_out)
+    _report_left_out(found.left_out)
 
 
 def _new_folder(arguments: argparse.Namespace) -> Path:
@@ -266,10 +266,10 @@ def _store(captures: "Sequence[TactileCapture]", files: list[Path], out: Path) -
     wrote(out, f"{len(captures)} captures, {columns} x {rows} px, encoding {encoding}")
     say(f"  {source}")
     give(captures=len(captures), width_px=columns, height_px=rows, encoding=encoding, source=source)
-    go_on_with("finray sense teach", out)
+    suggest_command("finray sense teach", out)
 
 
-def _tell_left_out(lines: Sequence[str]) -> None:
+def _report_left_out(lines: Sequence[str]) -> None:
     """Say what of the folder was left out."""
     give(left_out=list(lines))
     for line in lines:
@@ -320,7 +320,7 @@ def run_render(arguments: argparse.Namespace) -> None:
     light = "linear light" if first.encoding == "linear" else "encoded values"
     wrote(out, f"{len(presses)} press{'es' if len(presses) > 1 else ''}, {columns} x {rows} px, {light}; {first.label}")
     give(presses=len(presses), width_px=columns, height_px=rows, encoding=first.encoding, label=first.label)
-    go_on_with("finray compare", out, "CAPTURE")
+    suggest_command("finray compare", out, "CAPTURE")
     say(f"  {first.notes[0]}")
 
 
@@ -390,7 +390,7 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
     if mechanics.unreached:
         say(f"  the push ended early: {mechanics.unreached}")
     wrote(out, "the pressed finger, to be rendered")
-    go_on_with("finray simulate render", out, "--paint red=FILE --paint green=FILE")
+    suggest_command("finray simulate render", out, "--paint red=FILE --paint green=FILE")
 
 
 DESCRIPTION = """\
@@ -538,9 +538,9 @@ def _predicted(
     table = teach_table([captures[name] for name in taught])
     for name in names:
         capture = captures[name]
-        if contact_sha256(capture) not in table.taught_by_sha256:
+        if contact_sha256(capture) not in table.training_sha256:
             yield name, predict_press(table, capture), taught
-        elif capture.name not in table.taught_by:
+        elif capture.name not in table.training_presses:
             warn(f"{name}: has the same image as a press that taught the table, and is not predicted")
 
 
@@ -553,7 +553,7 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
     wrote(out, f"{told.count} captures, {columns} x {rows} px, encoding {first.encoding}")
     give(captures=told.count, width_px=columns, height_px=rows, encoding=first.encoding, source=first.source,
          licence=first.licence, left_out=left_out, predicted=predicted)  # fmt: skip
-    look_at(out / CONTACTS)
+    suggest_file(out / CONTACTS)
     say(f"  {first.source}")
     say(f"  licence: {first.licence or 'not stated by the recipe'}")
     for part in first.missing:
@@ -562,13 +562,13 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
         say(f"  left out: {', '.join(names)}: {why}")
     if predicted:
         say(f"  {predicted} presses are predicted by a table that other presses taught")
-        go_on_with("finray compare", out, out)
+        suggest_command("finray compare", out, out)
     if first.contact_told_by == "search":
         correct = (
             ""
             if first.contact_circle is None
             else (
-                f", correct {out / CIRCLES} (set told_by to label in the lines that you correct), and import "
+                f", correct {out / CIRCLES} (set source to label in the lines that you correct), and import "
                 "again with --circles"
             )
         )

@@ -96,12 +96,12 @@ def give(**values: Any) -> None:
     _spoken.result.update(values)
 
 
-def look_at(path: Path) -> None:
+def suggest_file(path: Path) -> None:
     """Name the file that a person opens first, in the last line."""
     _spoken.look_at = os.fspath(path)
 
 
-def go_on_with(*words: str | Path) -> None:
+def suggest_command(*words: str | Path) -> None:
     """Name the command that usually follows, at the end; paths are quoted where a shell needs it."""
     _spoken.next = " ".join(word if isinstance(word, str) else shlex.quote(os.fspath(word)) for word in words)
 

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -120,7 +120,7 @@ def _report(bands: "BandSignals", out: Path) -> None:
     wrote(out, f"{len(bands.flags)} filters x 3 channels over {bands.region_pixels} px")
     flags = {band.name: list(row) for band, row in zip(bands.optics.filters, bands.flags, strict=True)}
     give(paint_name=bands.paint_name, region_px=bands.region_pixels, flags=flags, notes=bands.notes)
-    go_on_with("finray fit", out)
+    suggest_command("finray fit", out)
     for band, row in zip(bands.optics.filters, bands.flags, strict=True):
         bad = [f"{name} {flag}" for name, flag in zip(("red", "green", "blue"), row, strict=True) if flag != "ok"]
         if bad:
@@ -161,14 +161,14 @@ def characterise(folder: Path, out: Path | None, page: Path | None = None) -> No
     _report_camera(camera, out)
     if page is not None:
         wrote(page, "the camera after EMVA Standard 1288")
-        look_at(page)
+        suggest_file(page)
 
 
 def _report_camera(camera: "CameraCharacterisation", out: Path) -> None:
     """Say the main numbers of every channel."""
     wrote(out, f"camera '{camera.camera_name}'")
     give(camera_name=camera.camera_name, channels=camera.channels, warnings=camera.warnings, notes=camera.notes)
-    go_on_with("finray radiometry SESSION --camera", out)
+    suggest_command("finray radiometry SESSION --camera", out)
     for channel in camera.channels:
         gain, read, full = channel.gain_e_per_dn, channel.read_noise_e, channel.full_well_e
         noise = f"{read.estimate:.3g} +- {read.sd:.2g} e" if read.resolved else f"below {read.high95:.3g} e"

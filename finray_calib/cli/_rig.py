@@ -12,8 +12,8 @@ from urllib.parse import urlsplit
 
 from data_schemas import CaptureError, FinrayError
 from data_schemas.storage import read_text
-from finray_calib.cli._capture import Attended, capture, resume, tell_of_laser
-from finray_calib.cli._output import give, go_on_with, guide, is_for_a_terminal, say, warn, wrote
+from finray_calib.cli._capture import Attended, capture, resume, warn_of_laser
+from finray_calib.cli._output import give, guide, is_for_a_terminal, say, suggest_command, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -182,7 +182,7 @@ def run_calibrate_cell(arguments: argparse.Namespace) -> None:
     address = f"{rig.load_cell.driver} {rig.load_cell.address}".strip()
     record = calibrate_cell(loads, gravity, f"{rig.name}, {address}", when_utc, arguments.certificate)
     write_record(record, out, provenance(command_line(), input_digests([arguments.rig]), None))
-    _tell_calibration(record, out)
+    _report_calibration(record, out)
 
 
 def _require_masses(arguments: argparse.Namespace, capacity_n: float) -> None:
@@ -211,7 +211,7 @@ def _counts_of(cell: "LoadCell | None", settings: "LoadCellSettings") -> list[in
     return [cell.read(settings.silent_s).counts for _ in range(READINGS_OF_A_MASS)]
 
 
-def _tell_calibration(record: "LoadCellCalibration", out: Path) -> None:
+def _report_calibration(record: "LoadCellCalibration", out: Path) -> None:
     """Say what the cell is like."""
     slope, u = record.slope_n_per_count, record.slope_uncertainty_n_per_count
     wrote(out, f"load cell: {1e6 * slope:.5g} +- {1e6 * u:.2g} uN per count (standard uncertainty)")
@@ -238,14 +238,14 @@ def run_init(arguments: argparse.Namespace) -> None:
         say(f"  a rig to practise on: camera, wheel, lights and a {paint} paint are simulated; the true spectrum")
         say("  of the paint is in [simulated.paint]")
         give(rig=str(out), to_fill_in=[])
-        go_on_with("finray rig show", out)
+        suggest_command("finray rig show", out)
         return
     chosen = chosen_devices()
     wrote(write_rig(paper_rig(chosen), out), "rig file")
     give(rig=str(out), to_fill_in=list(to_fill_in(chosen)))
     for text in to_fill_in(chosen):
         say(f"  fill in or check: {text}")
-    go_on_with("finray rig show", out)
+    suggest_command("finray rig show", out)
 
 
 def _init_finger(out: Path, simulated: bool) -> None:
@@ -257,20 +257,20 @@ def _init_finger(out: Path, simulated: bool) -> None:
     wrote(write_tactile_rig(tactile_rig(simulated=simulated), out), "rig file")
     if plan is None:
         left = ["camera, stage, load_cell: addresses, as 'finray rig detect' lists them",
-                "stage: clear_mm, base_mm, press_travel_mm, pad_travel_mm: those of the simulated finger stand there; "
-                "home yours, move it by hand, write its places down: wrong ones drive the indenter into the bench",
+                "stage: clear_mm, base_mm, press_travel_mm and pad_travel_mm are those of the simulated finger: home "
+                "your stage, move it by hand and enter its places; wrong ones drive the indenter into the bench",
                 "stage: axes, into_pad, from_base: the signs of your axes",
                 "load_cell: capacity_n and force_limit_n"]  # fmt: skip
         give(rig=str(out), to_fill_in=left)
         for text in left:
             say(f"  fill in or check: {text}")
-        go_on_with("finray rig show", out)
+        suggest_command("finray rig show", out)
         return
     write_bytes(plan, PRACTICE_PRESSES.encode())
     wrote(plan, "plan of two presses")
     say("  a finger to practise on: camera, stage and load cell are simulated; calibrate the cell first")
     give(rig=str(out), plan=str(plan), to_fill_in=[])
-    go_on_with("finray rig calibrate-cell", out, "--masses-g", "20,50,100,200", "--gravity", "9.80665")
+    suggest_command("finray rig calibrate-cell", out, "--masses-g", "20,50,100,200", "--gravity", "9.80665")
 
 
 def run_detect(arguments: argparse.Namespace) -> None:
@@ -300,14 +300,14 @@ def run_show(arguments: argparse.Namespace) -> None:
     """Print what every device reports."""
     from data_schemas import RigFile, TactileRig
     from data_schemas.storage import read_toml
-    from rigs import look_at, look_at_tactile
+    from rigs import inspect_rig, inspect_tactile_rig
 
     if _has_a_wheel(arguments.rig):
         rig = read_toml(arguments.rig, RigFile)
-        name, parts = rig.name, look_at(rig, arguments.rig.parent)
+        name, parts = rig.name, inspect_rig(rig, arguments.rig.parent)
     else:
         tactile = read_toml(arguments.rig, TactileRig)
-        name, parts = tactile.name, look_at_tactile(tactile, arguments.rig.parent)
+        name, parts = tactile.name, inspect_tactile_rig(tactile, arguments.rig.parent)
     say(name)
     given = []
     failed = []
@@ -525,7 +525,7 @@ def _in_view(
 
     takes_time, has_lights = True, isinstance(rig, RigFile)
     if isinstance(rig, RigFile):
-        tell_of_laser(rig)
+        warn_of_laser(rig)
         takes_time = not rig.is_simulated
     name = next(str(getattr(plan, part)) for part in ("paint_name", "camera_name", "name") if hasattr(plan, part))
     laser = getattr(rig, "laser", None)

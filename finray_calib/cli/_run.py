@@ -207,9 +207,9 @@ def require_ending(path: Path, ending: str) -> Path:
 
 def require_new_session(path: Path) -> Path:
     """Return the folder of a session if nothing is there, or only what a capture left that was killed as it began."""
-    from rigs.capture import is_unborn
+    from rigs.capture import is_unstarted
 
-    return require_place(path) if is_unborn(path) else require_new(path)
+    return require_place(path) if is_unstarted(path) else require_new(path)
 
 
 def new_page_beside(record: Path) -> Path:

@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, say, warn, wrote
+from finray_calib.cli._output import give, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     add_seed,
@@ -72,7 +72,7 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )
     parser.add_argument(
         "--coat-behind-mm", type=float, default=0.0, metavar="MM",
-        help="how far the coat lies behind the printed face, seen from the camera; negative: before it (default: 0)",
+        help="how far the coat is behind the printed face, from the camera; negative: in front of it (default: 0)",
     )  # fmt: skip
     parser.add_argument(
         "--coat-behind-u-mm",
@@ -128,7 +128,7 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     middle = record.middle
     give(mm_per_px=middle.mean_mm_per_px, mm_per_px_u_rel=middle.mean_u_rel, corner_sd_px=record.corner_sd_px,
          notes=record.notes)  # fmt: skip
-    go_on_with("finray sense teach PRESSES --scale", out)
+    suggest_command("finray sense teach PRESSES --scale", out)
 
 
 def _in_words(record: "PixelScale") -> str:
@@ -323,7 +323,7 @@ def run_normal_map(arguments: argparse.Namespace) -> None:
         held_out_explained_rel=record.held_out_explained_rel, held_out_angle_deg=record.held_out_angle_deg,
         held_out_depth_rms_mm=record.held_out_depth_rms_mm,
     )  # fmt: skip
-    go_on_with("finray sense run", out, "CAPTURE")
+    suggest_command("finray sense run", out, "CAPTURE")
     say(f"  on presses it has not seen ({splits} random halves: median [least, most])")
     say(
         f"  explains {_spread(record.held_out_explained_rel, 3)} of the squared slopes; a map without any "
@@ -354,7 +354,9 @@ def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path 
     if missing:
         raise CompareError(f"{circles}: no circle for {missing[0]}; add a line, or leave that capture out")
     return [
-        capture.model_copy(update={"contact_circle": found[path.name].circle, "contact_told_by": found[path.name].by})
+        capture.model_copy(
+            update={"contact_circle": found[path.name].circle, "contact_told_by": found[path.name].source}
+        )
         for capture, path in zip(captures, files, strict=True)
     ]
 
@@ -434,16 +436,16 @@ def run_sense(arguments: argparse.Namespace) -> None:
         products.add(picture, sensed_png(sensed, capture))
         products.add(mesh, stl_bytes(*surface_triangles(sensed), "gel surface, mm, from finray sense"))
         write_record(sensed, out, origin, products)
-    _tell_sensed(sensed)
+    _report_sensed(sensed)
     wrote(out, "what was sensed")
     wrote(picture, "depth, normals and contact")
     wrote(mesh, "the surface of the gel, mm")
     names = ("deepest_mm", "deepest_u_mm", "contact_area_mm2", "contact_area_u_mm2", "is_of_teaching", "notes")
     give(name=sensed.name, **{name: getattr(sensed, name) for name in names})
-    look_at(picture)
+    suggest_file(picture)
 
 
-def _tell_sensed(sensed: "SensedPress") -> None:
+def _report_sensed(sensed: "SensedPress") -> None:
     """Say what was sensed; warn where it proves nothing."""
     u = "u not known" if sensed.deepest_u_mm is None else f"u = {sensed.deepest_u_mm:.2g} mm"
     area_u = "u not known" if sensed.contact_area_u_mm2 is None else f"u = {sensed.contact_area_u_mm2:.2g} mm2"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli._fit import add_sensor_fit
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_engine,
@@ -146,11 +146,11 @@ def run_teach(arguments: argparse.Namespace) -> None:
     with progress_bar("teach") as progress, naming(SimulateError, arguments.design):
         taught = teach_surrogate(design, settings, stored=stored, store=store, progress=progress)
     write_record(taught, out, origin)
-    _tell_taught(taught, out, kept)
-    go_on_with("finray simulate press", arguments.design, "--surrogate", out)
+    _report_taught(taught, out, kept)
+    suggest_command("finray simulate press", arguments.design, "--surrogate", out)
 
 
-def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
+def _report_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     """Tell how far a surrogate is off on presses that were left out of its teaching."""
     import numpy as np
 
@@ -171,7 +171,7 @@ def _tell_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
         label=taught.label, presses=taught.presses, processor_s=taught.processor_s, level_share=taught.level_share,
         surface_error_rel=shares["surface"], force_error_rel=shares["force"], family=taught.family.model_dump(),
     )  # fmt: skip
-    look_at(out)
+    suggest_file(out)
 
 
 def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -396,7 +396,7 @@ def _give_press(press: "SimulatedPress", out: Path) -> None:
     """Give what a program wants to know of a rendered press, and what usually follows."""
     rows, columns = press.contact.shape[:2]
     give(name=press.name, label=press.label, width_px=columns, height_px=rows, light_angle_deg=press.light_angle_deg)
-    go_on_with("finray compare", out, "CAPTURE")
+    suggest_command("finray compare", out, "CAPTURE")
 
 
 def _render_sensor(arguments: argparse.Namespace) -> None:
@@ -430,7 +430,7 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     _give_press(press, out)
     if folder is not None:
         wrote(folder, "images; README.txt in this folder explains each of them")
-        look_at(folder)
+        suggest_file(folder)
 
 
 def _sensor_views(press: "SimulatedPress") -> "dict[str, NDArray[np.uint8]]":
@@ -489,7 +489,7 @@ def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, 
     write_record(sweep, out, _origin(sweep, arguments.seed))
     wrote(out, f"{len(sweep.angles_deg)} angles, {sweep.label}")
     give(angles_deg=sweep.angles_deg, brightness_mean=sweep.values.mean(axis=1), label=sweep.label)
-    go_on_with("finray decide", out)
+    suggest_command("finray decide", out)
 
 
 def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
@@ -510,7 +510,7 @@ def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
         _sweep(arguments, path, place, f"simulate, place {number} of {len(todo)}")
     for path in kept:
         say(f"{path}: exists already, made from the same inputs")
-    go_on_with("finray decide", *outs.values())
+    suggest_command("finray decide", *outs.values())
 
 
 def _is_swept(path: Path, design: "FingerDesign", position_mm: float, arguments: argparse.Namespace) -> bool:
@@ -575,7 +575,7 @@ def _store_images(
     wrote(folder, "images; README.txt in this folder explains each of them")
     say(str(products.colours))
     _give_press(press, out)
-    look_at(folder / "README.txt")
+    suggest_file(folder / "README.txt")
 
 
 def _views(press: "SimulatedPress", samples: int, denoise: bool) -> "dict[str, NDArray[np.uint8]]":

@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     LongWork,
     add_out,
@@ -202,5 +202,5 @@ def _tell(record: "ObjectGrasp", files: dict[str, Path]) -> None:
         wrote(files[side], f"forces, torques and slip on the {side} finger")
         wrote(files[f"{side} surfaces"], f"surfaces of the {side} finger, for 'finray simulate render'")
     wrote(files["picture"], "the gripped object, the force and what the pads feel")
-    go_on_with("finray simulate render", files["near surfaces"], "--paint red=FILE --paint green=FILE")
-    look_at(files["picture"])
+    suggest_command("finray simulate render", files["near surfaces"], "--paint red=FILE --paint green=FILE")
+    suggest_file(files["picture"])

@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from finray_calib.cli._output import Progress, give, go_on_with, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import Progress, give, progress_bar, say, suggest_command, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     DEFAULT_INCREMENTS,
     LongWork,
@@ -356,7 +356,7 @@ def _store(
     if pressed.unstable:
         warn(f"warning: {pressed.unstable}; press in smaller increments to see whether it stays")
     if mechanics.motion is None:
-        tell_few_nodes(pressed, mechanics)
+        warn_of_few_nodes(pressed, mechanics)
     if mechanics.unreached:
         if mechanics.motion is not None:
             raise SimulateError(
@@ -404,9 +404,9 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
         largest_pressure_mpa=mechanics.largest_pressure_mpa, unreached=mechanics.unreached,
     )  # fmt: skip
     if mechanics.motion is not None:
-        _tell_motion(mechanics, mechanics.motion)
+        _report_motion(mechanics, mechanics.motion)
     elif mechanics.surrogate is not None:
-        _tell_bars(mechanics, mechanics.surrogate)
+        _report_bars(mechanics, mechanics.surrogate)
     else:
         for depth, force in zip(mechanics.depth_mm, mechanics.force_n, strict=True):
             say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
@@ -416,18 +416,18 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
             f"about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's axis without friction"
         )
     if mechanics.sensitivities is not None:
-        _tell_sensitivities(mechanics.sensitivities)
+        _report_sensitivities(mechanics.sensitivities)
     wrote(files["surfaces"], "surfaces of the pressed finger, for 'finray simulate render'")
     wrote(files["mesh"], "the pressed mesh, for ParaView")
     shown = "the finger before and after, and its force"
     if mechanics.motion is not None:
         shown = "forces and torques along the path, pressure and slip on the pad"
     wrote(files["picture"], shown)
-    go_on_with("finray simulate render", files["surfaces"], "--paint red=FILE --paint green=FILE")
-    look_at(files["picture"])
+    suggest_command("finray simulate render", files["surfaces"], "--paint red=FILE --paint green=FILE")
+    suggest_file(files["picture"])
 
 
-def _tell_sensitivities(found: "PressSensitivities") -> None:
+def _report_sensitivities(found: "PressSensitivities") -> None:
     """Tell what the force at the whole push answers to, the strongest first."""
     slopes = {slope.field: float(slope.ln_force_per_ln_number[-1]) for slope in found.slopes}
     give(ln_force_per_ln_number=slopes, pressed_again=[varied.field for varied in found.varied])
@@ -439,7 +439,7 @@ def _tell_sensitivities(found: "PressSensitivities") -> None:
     say("  'finray compare --force' carries their uncertainty")
 
 
-def _tell_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
+def _report_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     """Tell a surrogate's curve with its bars."""
     give(force_bar_n=bars.force_bar_n, surface_bar_mm=bars.surface_bar_mm, bar_level=bars.level_share)
     rows = zip(mechanics.depth_mm, mechanics.force_n[:, 1], bars.force_bar_n, bars.surface_bar_mm, strict=True)
@@ -451,7 +451,7 @@ def _tell_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     )
 
 
-def _tell_motion(mechanics: "PressMechanics", motion: "PressMotion") -> None:
+def _report_motion(mechanics: "PressMechanics", motion: "PressMotion") -> None:
     """Tell forces and torques at each increment of a path, and how much of the patch sticks."""
     give(
         force_xyz_n=mechanics.force_n, torque_xyz_n_mm=motion.torque_n_mm, moves_mm=motion.moves_mm,
@@ -638,7 +638,7 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
 
 
-def tell_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> None:
+def warn_of_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> None:
     """Warn of a force that rests on few nodes; refuse one that rests on none.
 
     Raises

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from finray_calib.cli._output import give, look_at, progress_bar, say, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_file, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_out,
@@ -115,7 +115,7 @@ def run_paper_paints(arguments: argparse.Namespace) -> None:
         write_record(study, out / "paper-paints.json", provenance(command_line(), inputs, arguments.seed), products)
     wrote(out, "paper-paints.json, paper-paints.png")
     give(statements={s.subject: s.verdict for s in study.statements}, notes=[study.caveat])
-    look_at(out / "paper-paints.png")
+    suggest_file(out / "paper-paints.png")
     for statement in study.statements:
         say(_in_words(statement))
     say("\n" + textwrap.fill(study.caveat, WIDTH))
@@ -213,7 +213,7 @@ def run_illumination_study(study: _Study, arguments: argparse.Namespace) -> None
         write_record(record, out / f"{study.name}.json", origin, products)
     wrote(out, f"{study.name}.json, {study.name}.png")
     give(paints=paints, notes=record.notes)
-    look_at(out / f"{study.name}.png")
+    suggest_file(out / f"{study.name}.png")
     for colour, paint in paints.items():
         say(f"{colour} paint: {paint}")
     study.tell(record)
@@ -272,7 +272,7 @@ def _draw(record: Any) -> bytes:
     return two_lights_png(record) if isinstance(record, TwoLights) else light_angle_png(record)
 
 
-def _tell_fluorescent(study: "FluorescentRendering") -> None:
+def _report_fluorescent(study: "FluorescentRendering") -> None:
     """Say how far the paper's emitter is from the baked walls."""
     say(
         f"\nCompared with walls that re-emit the light that reaches them, in blocks of {study.block_px} px of the "
@@ -296,7 +296,7 @@ def _tell_fluorescent(study: "FluorescentRendering") -> None:
     say(f"  red wall by light angle (the paper's rule: no change): {told}")
 
 
-def _tell_two_lights(study: "TwoLights") -> None:
+def _report_two_lights(study: "TwoLights") -> None:
     """Say how even the light is with one panel and with two."""
     x, y, z = study.tip_light_position_mm
     say(f"\nPanel at the tip: ({x:g}, {y:g}, {z:g}) mm, {study.tip_light_angle_deg:g} deg. Without contact, by area:")
@@ -313,7 +313,7 @@ def _tell_two_lights(study: "TwoLights") -> None:
     )
 
 
-def _tell_light_angle(study: "LightAngleIntensity") -> None:
+def _report_light_angle(study: "LightAngleIntensity") -> None:
     """Say where each curve is highest and what the paper's angle loses."""
     from finray_calib.reports import interval_text
 
@@ -345,15 +345,15 @@ STUDIES = (
     _Study(
         "fluorescent-rendering",
         "the paper's emitter on the painted walls beside walls that re-emit the light that reaches them", FLUORESCENT,
-        "flat-70x35", 32, _make_fluorescent, _tell_fluorescent,
+        "flat-70x35", 32, _make_fluorescent, _report_fluorescent,
     ),
     _Study(
         "two-lights", "one panel at the base against base and tip", TWO,
-        FLATTEST, 32, _make_two_lights, _tell_two_lights,
+        FLATTEST, 32, _make_two_lights, _report_two_lights,
     ),
     _Study(
         "light-angle", "brightness beside the indenter over the light angle", ANGLE,
-        FLATTEST, 12_000, _make_light_angle, _tell_light_angle,
+        FLATTEST, 12_000, _make_light_angle, _report_light_angle,
     ),
 )  # fmt: skip
 
@@ -415,7 +415,7 @@ def run_stiffness_study(arguments: argparse.Namespace) -> None:
         write_record(study, out / f"{STIFFNESS_NAME}.json", origin, products)
     wrote(out, f"{STIFFNESS_NAME}.json, {STIFFNESS_NAME}.csv")
     give(rows=study.rows, orders=study.orders)
-    look_at(out / f"{STIFFNESS_NAME}.csv")
+    suggest_file(out / f"{STIFFNESS_NAME}.csv")
     for row in study.rows:
         if not row.changed:
             say(

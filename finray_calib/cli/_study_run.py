@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import give, look_at, progress_bar, say, warn, wrote
+from finray_calib.cli._output import give, progress_bar, say, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     add_engine,
     add_paint,
@@ -249,7 +249,7 @@ def run_design_study(arguments: argparse.Namespace) -> None:
             "them again"
         )
     wrote(out, f"{RESULT_NAME}, {TABLE_NAME} and {PAGE_NAME}")
-    look_at(out / PAGE_NAME)
+    suggest_file(out / PAGE_NAME)
 
 
 def _result(task: "StudyTask", points: "Sequence[StudyPoint]", failures: "Sequence[StudyFailure]") -> "StudyResult":
@@ -297,7 +297,7 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
 
     plan, path = _dataset_plan(arguments)
     shards = planned_shards(plan, arguments.presses)
-    paints, sources, files = _drawn_paints(arguments)
+    paints, sources, files = _paint_draws(arguments)
     out = require_folder(arguments.out or Path(f"{file_name(plan.design.name)}-dataset"))
     if out.exists() and any(out.iterdir()) and not (out / "shards").is_dir():
         raise SimulateError(f"{out}: holds something other than a data set; choose another --out")
@@ -346,7 +346,7 @@ def _dataset_plan(arguments: argparse.Namespace) -> "tuple[DatasetPlan, Path | N
     return plan, files[0] if files else None
 
 
-def _drawn_paints(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws], dict[str, str], list[Path]]":
+def _paint_draws(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws], dict[str, str], list[Path]]":
     """Return both paints with the draws of their emission, where they come from, and their files."""
     from data_schemas import PaintCalibration
     from data_schemas.storage import read_record
@@ -395,7 +395,7 @@ def _store_dataset(
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
         products.add(out / MANIFEST_NAME, manifest_text(out, digests))
         write_record(record, out / DATASET_NAME, task.origin, products)
-    _tell_dataset(record, out)
+    _report_dataset(record, out)
 
 
 def _dataset_record(
@@ -439,7 +439,7 @@ def _npy(array: "NDArray[np.float64]") -> bytes:
     return stream.getvalue()
 
 
-def _tell_dataset(record: "LearningDataset", out: Path) -> None:
+def _report_dataset(record: "LearningDataset", out: Path) -> None:
     """Say what a data set holds and what it took."""
     wrote(out, f"{len(record.shards)} shards, {INDEX_NAME}, {CARD_NAME}, {PLACES_NAME}, {DATASET_NAME}")
     give(
@@ -454,7 +454,7 @@ def _tell_dataset(record: "LearningDataset", out: Path) -> None:
     )
     for failure in record.failures:
         say(f"press {failure.press} failed: {failure.reason}")
-    look_at(out / CARD_NAME)
+    suggest_file(out / CARD_NAME)
 
 
 STAND_IN = "stand-in: default hidden paint of the simulated rig, not the paper's paint"
@@ -542,7 +542,7 @@ def show_study(arguments: argparse.Namespace) -> None:
     """Show the table of a study."""
     _tell(_stored_study(arguments.study))
     if (arguments.study / PAGE_NAME).exists():
-        look_at(arguments.study / PAGE_NAME)
+        suggest_file(arguments.study / PAGE_NAME)
 
 
 def compare_studies(arguments: argparse.Namespace) -> None:
@@ -570,7 +570,7 @@ def compare_studies(arguments: argparse.Namespace) -> None:
         if rows:
             say(f"points in the {name.removeprefix('only_')} study only: {len(rows)}")
     if (arguments.second / PAGE_NAME).exists():
-        look_at(arguments.second / PAGE_NAME)
+        suggest_file(arguments.second / PAGE_NAME)
 
 
 def _stored_study(folder: Path) -> "StudyResult":

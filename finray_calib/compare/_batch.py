@@ -58,17 +58,17 @@ class PressTable:
         Mean half-width of the contacts that taught.
     shape_px : tuple of int
         Rows and columns of the images.
-    taught_by : tuple of str
+    training_presses : tuple of str
         Names of the presses.
-    taught_by_sha256 : tuple of str
+    training_sha256 : tuple of str
         SHA-256 of their contact images: a press under another name is known by it.
     """
 
     coefficients: Floats
     half_width_px: float
     shape_px: tuple[int, int]
-    taught_by: tuple[str, ...]
-    taught_by_sha256: tuple[str, ...]
+    training_presses: tuple[str, ...]
+    training_sha256: tuple[str, ...]
 
 
 def teach_table(captures: Sequence[TactileCapture]) -> PressTable:
@@ -137,10 +137,10 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
     CompareError
         The capture does not tell where its contact is, has another size, or taught the table itself.
     """
-    if contact_sha256(capture) in table.taught_by_sha256:
+    if contact_sha256(capture) in table.training_sha256:
         raise CompareError(
-            f"{capture.name}: its contact image taught the table ({', '.join(table.taught_by)}), so its prediction "
-            f"for this press proves nothing"
+            f"{capture.name}: its contact image taught the table ({', '.join(table.training_presses)}), so "
+            "its prediction for this press proves nothing"
         )
     distance = _distance(capture)
     if distance.shape != table.shape_px:
@@ -152,7 +152,7 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
         where[part] = True
         where = where.reshape(distance.shape)
         ratio[where] += _terms(distance, where, table.half_width_px) @ table.coefficients
-    taught = f"taught by {len(table.taught_by)} other presses: {', '.join(table.taught_by)}"
+    taught = f"taught by {len(table.training_presses)} other presses: {', '.join(table.training_presses)}"
     return predicted_press(capture, ratio, distance, ("table", TABLE_LABEL, "table"), taught)
 
 

@@ -28,7 +28,7 @@ from data_schemas import (
 from data_schemas import SensingError as SensingRecord
 from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._displayed_images import ShownCandidate
-from finray_calib.compare._input_draws import Drawn, ends
+from finray_calib.compare._input_draws import InputDraws, ends
 from finray_calib.compare._photometric_error import ErrorDraws, RegionResult
 from finray_calib.compare._regions import pixels_within, usable_pixels
 from finray_calib.sensing import SensingError, check_senses, full_scale_dn, normal_map_of, sensing_error
@@ -161,7 +161,7 @@ class ComparedRegion:
     told: Bools
 
 
-def error_row(name: str, candidate: ShownCandidate, region: ComparedRegion, drawn_images: Floats | None) -> ErrorRow:
+def error_row(name: str, candidate: ShownCandidate, region: ComparedRegion, image_draws: Floats | None) -> ErrorRow:
     """Return the metrics of one candidate in one region.
 
     Parameters
@@ -170,7 +170,7 @@ def error_row(name: str, candidate: ShownCandidate, region: ComparedRegion, draw
         Which one, and its image.
     region
         Where, and against what.
-    drawn_images : ndarray, shape (draws, P, 3), or None
+    image_draws : ndarray, shape (draws, P, 3), or None
         The candidate for draws of the inputs at the region's pixels.
     """
     images, centre = region.result.images, (region.best or region.result).images
@@ -180,7 +180,7 @@ def error_row(name: str, candidate: ShownCandidate, region: ComparedRegion, draw
     mean_square = float((apart**2).mean())
     differences = candidate.colour_difference[region.used]
     ssim = candidate.similarity.mean_within(region.used)
-    linear = _of_linear_light(name, candidate, region, drawn_images) if region.linear else _WITHHELD
+    linear = _of_linear_light(name, candidate, region, image_draws) if region.linear else _WITHHELD
     return ErrorRow.model_validate(
         {
             "candidate": name,
@@ -198,7 +198,7 @@ def error_row(name: str, candidate: ShownCandidate, region: ComparedRegion, draw
 
 
 def _of_linear_light(
-    name: str, candidate: ShownCandidate, region: ComparedRegion, drawn_images: Floats | None
+    name: str, candidate: ShownCandidate, region: ComparedRegion, image_draws: Floats | None
 ) -> dict[str, Any]:
     """Return the metrics that only values proportional to light allow."""
     result, centre = region.result, region.best or region.result
@@ -214,7 +214,7 @@ def _of_linear_light(
             candidate,
             region,
             0.0 * region.captured_variance if name == "floor" else region.captured_variance,
-            drawn_images,
+            image_draws,
         ),
     }
 
@@ -262,7 +262,7 @@ def region_records(
     candidates: dict[str, ShownCandidate],
     clipped: NDArray[np.bool_],
     capture: TactileCapture,
-    conditioned: Drawn | None,
+    conditioned: InputDraws | None,
 ) -> tuple[RegionError, ...]:
     """Return the table of every region.
 
@@ -279,11 +279,11 @@ def region_records(
     conditioned
         Draws of the inputs, for the interval of the simulation's chromaticity; without them it has no width.
     """
-    weights = None if conditioned is None else _drawn_weights(comparison, conditioned)
+    weights = None if conditioned is None else _weight_draws(comparison, conditioned)
     records = []
     for i, (region, used) in enumerate(zip(comparison.regions, comparison.used, strict=True)):
         compared = _compared(comparison, draws, capture, i)
-        drawn = {} if weights is None else {"simulation": _drawn_images(comparison, weights, used)}
+        drawn = {} if weights is None else {"simulation": _image_draws(comparison, weights, used)}
         records.append(
             RegionError(
                 region=region.name,
@@ -313,12 +313,12 @@ def _compared(comparison: Comparison, draws: ErrorDraws, capture: TactileCapture
     )
 
 
-def _drawn_weights(comparison: Comparison, drawn: Drawn) -> Floats:
+def _weight_draws(comparison: Comparison, drawn: InputDraws) -> Floats:
     """Return the weights of the render's layers at the level of the capture, (draws, 3, L), for the first draws."""
     return (comparison.exposure_of(drawn.matrix)[:, None, None] * drawn.weights)[:CHROMATICITY_DRAWS]
 
 
-def _drawn_images(comparison: Comparison, weights: Floats, used: NDArray[np.bool_]) -> Floats:
+def _image_draws(comparison: Comparison, weights: Floats, used: NDArray[np.bool_]) -> Floats:
     """Return the render at the pixels of a region, (draws, P, 3)."""
     poses = () if comparison.inputs is None else comparison.inputs.pose_names
     first, second = comparison.layers.halves("contact", used, poses)
@@ -335,7 +335,7 @@ def sensing_record(
     capture: TactileCapture,
     candidates: dict[str, Floats],
     block_px: int,
-    conditioned: Drawn | None,
+    conditioned: InputDraws | None,
 ) -> SensingRecord:
     """Sense every candidate image and the capture with one map, over the headline region.
 
@@ -370,7 +370,7 @@ def sensing_record(
         return sensing_error(senses, image, without, captured.contact, captured.no_contact, used, mm_per_px)
 
     found = {name: sensed(i, rest if name == "simulation" else captured.no_contact) for name, i in candidates.items()}
-    spread = [] if conditioned is None else [sensed(*pair) for pair in _drawn_renders(comparison, conditioned)]
+    spread = [] if conditioned is None else [sensed(*pair) for pair in _render_draws(comparison, conditioned)]
     scores = normal_map.held_out_explained_rel
     return SensingRecord(
         normal_map=normal_map.name,
@@ -385,7 +385,7 @@ def sensing_record(
     )
 
 
-def _drawn_renders(comparison: Comparison, drawn: Drawn) -> list[tuple[Floats, Floats]]:
+def _render_draws(comparison: Comparison, drawn: InputDraws) -> list[tuple[Floats, Floats]]:
     """Return the render with and without contact for the first draws."""
     layers, weights = comparison.layers, drawn.weights[:SENSED_DRAWS]
     exposure = comparison.exposure_of(drawn.matrix[:SENSED_DRAWS])
@@ -452,7 +452,7 @@ class Metric(Protocol):
 
 
 def packaged_metric(
-    name: str, comparison: Comparison, candidates: dict[str, Floats], conditioned: Drawn | None
+    name: str, comparison: Comparison, candidates: dict[str, Floats], conditioned: InputDraws | None
 ) -> PackagedMetric:
     """Return a metric of another package for every candidate, over the headline region.
 
@@ -479,7 +479,7 @@ def packaged_metric(
     found = {which: _metric_value(plug_in, metric, image, comparison) for which, image in candidates.items()}
     if _metric_value(plug_in, metric, candidates["simulation"], comparison) != found["simulation"]:
         raise plug_in.refusal("gives different values for the same images, so that a comparison cannot be repeated")
-    renders = [] if conditioned is None else _drawn_renders(comparison, conditioned)
+    renders = [] if conditioned is None else _render_draws(comparison, conditioned)
     spread = [_metric_value(plug_in, metric, image, comparison) for image, _ in renders]
     return PackagedMetric(
         name=name, package=plug_in.source, unit=metric.UNIT, better=metric.BETTER, words=metric.WORDS,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from data_schemas import CompareError, TactileCapture
 from finray_calib.compare._image_noise import largest_block_px
-from finray_calib.compare._input_draws import Drawn, Inputs, condition_on_levels, inputs_of
+from finray_calib.compare._input_draws import InputDraws, Inputs, condition_on_levels, inputs_of
 from finray_calib.compare._prepared_images import Nuisances, PreparedImages
 from finray_calib.compare._region_sums import (
     LEAST_SIGNAL,
@@ -167,12 +167,12 @@ class PartLevels:
     noise_variance: Floats
     render_variance: Floats
 
-    def simulated(self, drawn: Drawn, exposure: Floats) -> Floats:
+    def simulated(self, drawn: InputDraws, exposure: Floats) -> Floats:
         """Return the render's levels (draws, 2, 3, parts)."""
         levels = [drawn.matrix @ self.no_contact_layers.T, drawn.weights @ self.contact_layers.T]
         return np.asarray(exposure[:, None, None, None] * np.stack(levels, axis=1))
 
-    def log_ratio(self, drawn: Drawn, exposure: ExposureFit | None) -> Floats:
+    def log_ratio(self, drawn: InputDraws, exposure: ExposureFit | None) -> Floats:
         """Return ln(simulated / captured) of the draws, (draws, 2, 3, parts)."""
         k = np.ones(len(drawn.log_drift)) if exposure is None else exposure(drawn.matrix)
         ratio = np.log(np.maximum(self.simulated(drawn, k) / self.captured, _LEAST_LEVEL))
@@ -283,7 +283,7 @@ class Comparison:
     levels: PartLevels | None
     nuisances: Nuisances | None = None
 
-    def conditioned(self, drawn: Drawn, rng: np.random.Generator) -> Drawn:
+    def conditioned(self, drawn: InputDraws, rng: np.random.Generator) -> InputDraws:
         """Return draws narrowed by what the captured levels say."""
         levels = self.levels
         if levels is None:
@@ -400,7 +400,7 @@ LARGEST_HEADLINE_NOISE = 0.01
 """Standard deviation of the headline skill from noise alone, from which on pixels are averaged over blocks."""
 
 
-def quiet_comparison(images: PreparedImages, capture: TactileCapture) -> tuple[PreparedImages, Comparison]:
+def block_averaged_comparison(images: PreparedImages, capture: TactileCapture) -> tuple[PreparedImages, Comparison]:
     """Return images and sums over the smallest blocks that keep noise from ruling the headline.
 
     Raises

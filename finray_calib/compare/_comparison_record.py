@@ -29,10 +29,10 @@ from data_schemas import (
     finger_identity,
 )
 from finray_calib.compare._candidate_errors import packaged_metric, region_records, sensing_record
-from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison, quiet_comparison
+from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison, block_averaged_comparison
 from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate, full_frame_ssim, shown_candidates
 from finray_calib.compare._error_attribution import attribute_error
-from finray_calib.compare._input_draws import POSE, Drawn, Inputs, Propagated, generator_of
+from finray_calib.compare._input_draws import POSE, InputDraws, Inputs, Propagated, generator_of
 from finray_calib.compare._mismatch import mismatches, require_no_mismatch
 from finray_calib.compare._photometric_error import (
     ErrorDraws,
@@ -227,7 +227,7 @@ def _report(
 ) -> PhotometricErrorReport:  # fmt: skip
     """Return the report of prepared images."""
     linear, rng = capture.encoding == "linear", generator_of(capture, seed)
-    images, comparison = quiet_comparison(prepared, capture)
+    images, comparison = block_averaged_comparison(prepared, capture)
     nuisances = prepared.nuisances
     draws = error_draws(comparison, rng)
     candidates = shown_candidates(comparison, capture)
@@ -270,7 +270,7 @@ def _report(
 
 
 def _packaged(
-    metrics: tuple[str, ...], comparison: Comparison, candidates: Mapping[str, ShownCandidate], drawn: Drawn | None
+    metrics: tuple[str, ...], comparison: Comparison, candidates: Mapping[str, ShownCandidate], drawn: InputDraws | None
 ) -> tuple[PackagedMetric, ...]:
     """Return the metrics of other packages."""
     images = {name: candidate.image for name, candidate in candidates.items()}
@@ -329,7 +329,7 @@ def _contact_signal(comparison: Comparison, capture: TactileCapture, block_px: i
     return signal if capture.encoding == "linear" else signal / full_scale_dn(capture) ** 2
 
 
-def _conditioned(comparison: Comparison, rng: np.random.Generator) -> Drawn | None:
+def _conditioned(comparison: Comparison, rng: np.random.Generator) -> InputDraws | None:
     """Return draws of the inputs narrowed by the captured levels, None where no input has a known uncertainty."""
     if comparison.inputs is None or comparison.layers.inputs is None:
         return None

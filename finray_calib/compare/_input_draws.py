@@ -63,7 +63,7 @@ class Inputs:
         drift = (DRIFT,) if self.drift is not None else ()
         return (*known, *(POSE[name] for name in self.pose_names), *walls, *drift)
 
-    def draw(self, draws: int, rng: np.random.Generator, paired: bool = False) -> "Drawn":
+    def draw(self, draws: int, rng: np.random.Generator, paired: bool = False) -> "InputDraws":
         """Return draws of all inputs from what is known of them before the capture is looked at.
 
         Parameters
@@ -92,16 +92,16 @@ class Inputs:
         drift = np.zeros(draws)
         if self.drift is not None:
             drift = np.log1p(np.maximum(self.drift[0] * rng.standard_t(self.drift[1], draws), _LEAST_FACTOR - 1.0))
-        return Drawn(self.layers.matrix, factors, moves, drift)
+        return InputDraws(self.layers.matrix, factors, moves, drift)
 
-    def best(self) -> "Drawn":
+    def best(self) -> "InputDraws":
         """Return a single draw that holds the best values."""
         none = {POSE[name]: np.zeros(1) for name in self.pose_names}
-        return Drawn(self.layers.matrix, {}, none, np.zeros(1))
+        return InputDraws(self.layers.matrix, {}, none, np.zeros(1))
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class InputDraws:
     """Hold draws of all inputs.
 
     Attributes
@@ -140,13 +140,13 @@ class Drawn:
         """Factors on the contact capture (draws,)."""
         return np.asarray(np.exp(self.log_drift))
 
-    def only(self, name: str) -> "Drawn":
+    def only(self, name: str) -> "InputDraws":
         """Return draws in which one input varies and the others keep their mean."""
 
         def kept(key: str, values: Floats) -> Floats:
             return values if key == name else np.broadcast_to(values.mean(axis=0), values.shape)
 
-        return Drawn(
+        return InputDraws(
             self.matrix_best,
             {key: kept(key, values) for key, values in self.log_factors.items()},
             {key: kept(key, values) for key, values in self.moves_mm.items()},
@@ -222,8 +222,8 @@ _SHARES = (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
 
 
 def condition_on_levels(
-    drawn: Drawn, residual: Callable[[Drawn], Floats], noise_variance: Floats, rng: np.random.Generator
-) -> Drawn:
+    drawn: InputDraws, residual: Callable[[InputDraws], Floats], noise_variance: Floats, rng: np.random.Generator
+) -> InputDraws:
     """Return the draws conditioned on captured levels.
 
     With residuals e = ln(simulated / captured) of the levels, model error d and noise: e = d + noise. Given the size t
@@ -283,13 +283,13 @@ def _log_normal_density(x: Floats, covariance: Floats) -> float:
     return float(-0.5 * scaled @ scaled - np.log(np.diag(factor)).sum())
 
 
-def _packed(drawn: Drawn) -> Floats:
+def _packed(drawn: InputDraws) -> Floats:
     """Return all inputs side by side (draws, n)."""
     parts = [f.reshape(len(f), -1) for f in drawn.log_factors.values()]
     return np.concatenate([*parts, *(m[:, None] for m in drawn.moves_mm.values()), drawn.log_drift[:, None]], axis=1)
 
 
-def _unpacked(drawn: Drawn, z: Floats) -> Drawn:
+def _unpacked(drawn: InputDraws, z: Floats) -> InputDraws:
     """Return draws of these values."""
     factors, at = {}, 0
     size = drawn.matrix_best.size
@@ -297,7 +297,7 @@ def _unpacked(drawn: Drawn, z: Floats) -> Drawn:
         factors[name] = z[:, at : at + size].reshape(-1, *drawn.matrix_best.shape)
         at += size
     moves = {name: z[:, at + i] for i, name in enumerate(drawn.moves_mm)}
-    return Drawn(drawn.matrix_best, factors, moves, z[:, -1])
+    return InputDraws(drawn.matrix_best, factors, moves, z[:, -1])
 
 
 BLOCK_DRAWS = 10_000

@@ -20,7 +20,7 @@ from finray_calib.compare._input_draws import (
     POSE,
     PRIOR_DRIFT_REL,
     WALLS,
-    Drawn,
+    InputDraws,
     Inputs,
     Propagated,
     ends,
@@ -75,7 +75,9 @@ class RegionDraws:
         return np.asarray(np.sqrt(np.maximum(squares.mean(axis=1), 0.0)))
 
 
-def propagated_draws(sums: RegionSums, drawn: Drawn, exposure: Floats, rng: np.random.Generator | None) -> RegionDraws:
+def propagated_draws(
+    sums: RegionSums, drawn: InputDraws, exposure: Floats, rng: np.random.Generator | None
+) -> RegionDraws:
     """Return draws of the sums for draws of the inputs; the pixels' noise varies where there is a generator."""
     draws = len(exposure)
     errors = {
@@ -242,7 +244,7 @@ def resampled(comparison: Comparison, rng: np.random.Generator) -> list[RegionRe
 
     Where a tone curve or gains are taken out, each of their draws gets its share of them.
     """
-    drawn = _drawn_tiles(comparison, rng)
+    drawn = _tile_draws(comparison, rng)
     regions = []
     for kinds, gradients in zip(drawn, comparison.gradients, strict=True):
         images = _drawn(kinds, RESAMPLED_DRAWS, rng)
@@ -251,7 +253,7 @@ def resampled(comparison: Comparison, rng: np.random.Generator) -> list[RegionRe
     return regions
 
 
-def _drawn_tiles(comparison: Comparison, rng: np.random.Generator) -> list[list[TileSums]]:
+def _tile_draws(comparison: Comparison, rng: np.random.Generator) -> list[list[TileSums]]:
     """Return the tiles of every region for each draw of tone curve and gains; a single one where there are none."""
     tiles = [_tiles_of(sums) for sums in comparison.sums]
     best = [of.of(sums) for of, sums in zip(tiles, comparison.sums, strict=True)]
@@ -259,13 +261,13 @@ def _drawn_tiles(comparison: Comparison, rng: np.random.Generator) -> list[list[
     if nuisances is None:
         return [[each] for each in best]
     found: list[list[TileSums]] = [[] for _ in tiles]
-    for squares in drawn_squares(comparison, nuisances, tiles, rng):
+    for squares in square_draws(comparison, nuisances, tiles, rng):
         for kept, each, changed in zip(found, best, squares, strict=True):
             kept.append(replace(each, squares={**each.squares, **changed}))
     return found
 
 
-def drawn_squares(
+def square_draws(
     comparison: Comparison, nuisances: Nuisances, tiles: Sequence[_Tiles], rng: np.random.Generator
 ) -> Iterator[list[dict[str, Floats]]]:
     """Yield the sums over tiles, (tiles, 3), of error, signal and level of every region for draws of curve and gains.
@@ -273,7 +275,7 @@ def drawn_squares(
     The last region holds the others, so that a curve and gains are taken out of its pixels alone.
     """
     if nuisances.tone is None:
-        yield from _squares_of_gains(comparison, tiles, nuisances.drawn_factors(rng))
+        yield from _squares_of_gains(comparison, tiles, nuisances.factor_draws(rng))
         return
     captured, k, widest = comparison.captured, comparison.best_exposure, comparison.sums[-1].where
     inside = [
@@ -296,7 +298,7 @@ def drawn_squares(
 def _squares_of_gains(
     comparison: Comparison, tiles: Sequence[_Tiles], factors: Floats
 ) -> Iterator[list[dict[str, Floats]]]:
-    """Yield the sums of `drawn_squares` for factors (draws, 3) on the captured contact image D.
+    """Yield the sums of `square_draws` for factors (draws, 3) on the captured contact image D.
 
     Of (1 + g) D the error is (S1 - D)(S2 - D) - g D (S1 + S2 - 2 D) + g^2 D^2, and so is the signal: three more sums
     over tiles serve all draws.
@@ -346,7 +348,7 @@ def nuisance_skill_u(comparison: Comparison, rng: np.random.Generator) -> float:
         return 0.0
     w, skills = comparison.channel_weights, []
     tiles = [_tiles_of(sums) for sums in comparison.sums]
-    for squares in drawn_squares(comparison, comparison.nuisances, tiles, rng):
+    for squares in square_draws(comparison, comparison.nuisances, tiles, rng):
         error, signal = (squares[-1][name].sum(axis=0) for name in ("error", "signal"))
         skills.append(1.0 - error @ w / (signal @ w))
     return float(np.std(skills, ddof=1))
@@ -360,7 +362,7 @@ def best(comparison: Comparison) -> list[RegionResult]:
 
 
 def _results(
-    comparison: Comparison, drawn: Drawn, exposure: Floats, rng: np.random.Generator | None
+    comparison: Comparison, drawn: InputDraws, exposure: Floats, rng: np.random.Generator | None
 ) -> list[RegionResult]:
     """Return the draws of all regions; noise of the pixels varies where there is a generator."""
     return [
@@ -431,7 +433,7 @@ def ring_of(distance: Floats, usable: Bools) -> Bools:
 
 
 def brightness_draws(
-    comparison: Comparison, inputs: Inputs, ring: Bools, drawn: Drawn, rng: np.random.Generator | None
+    comparison: Comparison, inputs: Inputs, ring: Bools, drawn: InputDraws, rng: np.random.Generator | None
 ) -> BrightnessDraws:
     """Return the brightness beside the indenter for draws; noise of the pixels varies where there is a generator.
 

@@ -85,7 +85,7 @@ class Nuisances:
             curve = exponent, offset_dn
             yield self._layers(curve), self._contact(curve, u * rng.standard_normal(3))
 
-    def drawn_factors(self, rng: np.random.Generator) -> Floats:
+    def factor_draws(self, rng: np.random.Generator) -> Floats:
         """Return factors (draws, 3) on the best captured contact image for draws of the gains, without a curve."""
         if self.gain is None:
             return np.ones((NUISANCE_DRAWS, 3))

@@ -135,7 +135,7 @@ def decide(
     criterion: Criterion = "average",
     aim: Aim | None = None,
 ) -> LightAngleDecision:
-    """Decide on the light angle; reports on captures correct the simulated curves and tell how sure they are.
+    """Decide on the light angle; reports on captures correct the simulated curves and state how sure they are.
 
     Parameters
     ----------

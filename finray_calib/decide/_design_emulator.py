@@ -198,7 +198,7 @@ def _negative_ln_posterior(
 
 
 def emulator_ensemble(fitted: DesignEmulator, rng: np.random.Generator, count: int = 24) -> tuple[DesignEmulator, ...]:
-    """Return emulators with smoothness and hyperparameters drawn from their posterior: intervals hold what is open.
+    """Return emulators with smoothness and hyperparameters drawn from their posterior, which intervals then include.
 
     Drawn from Student's t about the most probable ones of each smoothness, with the curvature there, and taken by the
     ratio of posterior and proposal, with replacement.

@@ -391,7 +391,7 @@ def _gain_words(gain: DesignGain) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PairedRanking:
-    """Choices in the order of their mean, and what tells them apart.
+    """Choices in the order of their mean, and which of them are distinguishable.
 
     Attributes
     ----------
@@ -401,7 +401,7 @@ class PairedRanking:
         Draws of each choice less those of the best, (choice, draw), in the order given.
     half_widths
         Of each difference's interval, (choice, choice): all intervals hold together with the level.
-    told_apart
+    distinguishable
         Whether the difference of two choices leaves its interval, (choice, choice).
     best_share
         Share of the draws in which a choice is the least, ties divided, (choice,).
@@ -410,7 +410,7 @@ class PairedRanking:
     order: NDArray[np.int64]
     above_best: Floats
     half_widths: Floats
-    told_apart: NDArray[np.bool_]
+    distinguishable: NDArray[np.bool_]
     best_share: Floats
 
 
@@ -503,7 +503,7 @@ def paint_choice(
             green=pairs[k][1],
             normal_error_deg=PropagatedDraws(normal_error_deg[k]).as_estimate(),
             above_best_deg=PropagatedDraws(ranking.above_best[k]).as_estimate(),
-            is_worse=bool(ranking.told_apart[k, best]),
+            is_worse=bool(ranking.distinguishable[k, best]),
             best_share=float(ranking.best_share[k]),
             separation_deg=float(separation_deg[k].mean()),
             exposure_rel=float(exposure_rel[k]),

@@ -132,7 +132,7 @@ def _brightness(signals: Floats, white: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class PowerLimits:
-    """What powers are allowed, as factors on those of now.
+    """What powers are allowed, as factors on the present ones.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class PowerLimits:
 
 @dataclass(frozen=True, slots=True)
 class OptimalPowers:
-    """Powers as factors on those of now, (light,), their relative variance, and a bound of how far below it any is."""
+    """Powers as factors on the present ones, (light,), their relative variance, and how much lower it could be."""
 
     powers: Floats
     variance_rel: float
@@ -448,7 +448,7 @@ def light_powers(
 
 
 _NOTES: Final = (
-    "the powers make the relative variation of the brightness least, without and with contact, where all lights are on "
+    "the powers minimise the relative variation of the brightness, without and with contact, where all lights are on "
     "at once; this problem is convex, so no other allowed powers are more even on this basis",
     "the powers that give the most information on the normal under shot noise were not sought; they are a convex "
     "problem only where the lights are on in turn, each with an exposure of its own",

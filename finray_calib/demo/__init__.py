@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from finray_calib.demo._machine_checks import Finding, check_machine
     from finray_calib.demo._report import demo_report
     from finray_calib.demo._results import DemoResults, PaintResult, summary
-    from finray_calib.demo._run import can_go_on, run_demo
+    from finray_calib.demo._run import can_continue, run_demo
     from finray_calib.demo._stages import COMPILED_EFFORT, SCALAR_EFFORT, DemoSettings, settings_json, true_paint_optics
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -24,7 +24,7 @@ __all__ = [
     "DemoSettings",
     "Finding",
     "PaintResult",
-    "can_go_on",
+    "can_continue",
     "check_machine",
     "demo_report",
     "run_demo",

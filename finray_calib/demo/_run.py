@@ -142,7 +142,7 @@ def held(out: Path, settings: Mapping[str, Any]) -> Iterator[None]:
         yield
 
 
-def can_go_on(out: Path, settings: Mapping[str, Any]) -> bool:
+def can_continue(out: Path, settings: Mapping[str, Any]) -> bool:
     """Return whether the folder holds an interrupted demo with these settings that no other process is running."""
     if not (out / SETTINGS).is_file() or _why_not(out, identity(settings)) is not None:
         return False
@@ -181,7 +181,7 @@ def _differences(name: str, theirs: Any, mine: Any) -> list[str]:
     return [] if theirs == mine else [f"{name} {theirs} (now {mine})"]
 
 
-def whole_stages(out: Path, stages: Sequence[Stage]) -> set[int]:
+def complete_stages(out: Path, stages: Sequence[Stage]) -> set[int]:
     """Return the numbers of the stages whose products are all there, as their records and checksums prove.
 
     Raises
@@ -191,14 +191,14 @@ def whole_stages(out: Path, stages: Sequence[Stage]) -> set[int]:
     """
     whole, missing = set[int](), set[str]()
     for number, stage in enumerate(stages):
-        absent = {product.file for product in stage.products if not _is_whole(out, product, missing)}
+        absent = {product.file for product in stage.products if not _is_complete(out, product, missing)}
         missing |= absent
         if stage.products and not absent:
             whole.add(number)
     return whole
 
 
-def _is_whole(out: Path, product: Product, missing: set[str]) -> bool:
+def _is_complete(out: Path, product: Product, missing: set[str]) -> bool:
     """Return whether a product is there; one that is there must be what its record says."""
     path = out / product.file
     if not path.exists() or (product.is_session and not (path.parent / MANIFEST_NAME).exists()):
@@ -213,11 +213,11 @@ def _is_whole(out: Path, product: Product, missing: set[str]) -> bool:
                 f"{path}: was made from another {needed} than the one that exists; move it away to have it made again"
             )
     if product.is_session:
-        _require_whole(path.parent)
+        _require_complete(path.parent)
     return True
 
 
-def _require_whole(folder: Path) -> None:
+def _require_complete(folder: Path) -> None:
     """Refuse a session that is not as it was captured."""
     from rigs.capture import verify_session
 
@@ -385,7 +385,7 @@ def run_demo(
     """
     out = Path(settings["out"])
     with held(out, settings), contextlib.ExitStack() as stack:
-        whole = whole_stages(out, stages)
+        whole = complete_stages(out, stages)
         if whole:
             say(f"{out}: continues after {len(whole)} of {len(stages)} stages, which are complete")
         left = [stage for number, stage in enumerate(stages) if number not in whole]

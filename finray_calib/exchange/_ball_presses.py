@@ -210,34 +210,35 @@ def read_ball_presses(folder: Path, mm_per_px: float, ball_diameter_mm: float | 
 
 
 @dataclass(frozen=True, slots=True)
-class ToldCircle:
+class SourcedCircle:
     """A contact circle, and whether a person drew it or a search found it."""
 
     circle: ContactCircle
-    by: Literal["label", "search"]
+    source: Literal["label", "search"]
 
 
-def read_circles(path: Path) -> dict[str, ToldCircle]:
-    """Return image name -> contact circle of a CSV file (image, column_px, row_px, radius_px, optionally told_by).
+def read_circles(path: Path) -> dict[str, SourcedCircle]:
+    """Return image name -> contact circle of a CSV file (image, column_px, row_px, radius_px, optionally source).
 
     Raises
     ------
     ImportFormatError
-        When it is missing or not such a file, a radius is not above zero, told_by is neither label nor search, or an
-        image comes twice.
+        When it is missing or not such a file, a radius is not above zero, the source is neither label nor search, or
+        an image comes twice.
     """
-    circles: dict[str, ToldCircle] = {}
+    circles: dict[str, SourcedCircle] = {}
     for line, row in _rows(path, _CIRCLE_COLUMNS):
         image = str(_inside(row["image"], path, line))
         column, at_row, radius = (_number(row[name], name, path, line) for name in _CIRCLE_COLUMNS[1:])
         if radius <= 0.0 or image in circles:
             fault = f"radius_px = {radius:g} must be above 0" if radius <= 0.0 else f"{image} has a circle already"
             raise ImportFormatError(f"{path}, line {line}: {fault}; correct the line")
-        told = str(row.get("told_by", "")).strip() or "label"
-        if told not in ("label", "search"):
-            raise ImportFormatError(f"{path}, line {line}: told_by must be label or search, got {told!r}; correct it")
+        name = "told_by" if "told_by" in row else "source"  # its name before
+        source = str(row.get(name, "")).strip() or "label"
+        if source not in ("label", "search"):
+            raise ImportFormatError(f"{path}, line {line}: {name} must be label or search, got {source!r}; correct it")
         found = ContactCircle(row_px=at_row, column_px=column, radius_px=radius)
-        circles[image] = ToldCircle(found, "search" if told == "search" else "label")
+        circles[image] = SourcedCircle(found, "search" if source == "search" else "label")
     return circles
 
 

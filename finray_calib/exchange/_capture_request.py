@@ -281,9 +281,10 @@ press {REPEATS} times, and take the indenter away between. Take every image at a
 _TO_STATE = """\
 ## What to state
 
-Standard uncertainties (for "within 0.1 mm, evenly likely" that is 0.1 / sqrt(3) = 0.058 mm): depth, place along the pad
-and tilt of each press, the panel's angle, the radius of the indenter, the side of a square. How zero depth was found
-(first contact seen, or felt by a force sensor). Model of the camera and its lens, of the LEDs; room temperature.
+Standard uncertainties (0.1 / sqrt(3) = 0.058 mm for a value that lies anywhere within 0.1 mm): depth, place along
+the pad and tilt of each press, the panel's angle, the radius of the indenter, the side of a square. How zero depth
+was found (first contact seen, or felt by a force sensor). Model of the camera and its lens, of the LEDs; room
+temperature.
 
 """
 
@@ -357,7 +358,7 @@ plans, correct the lines marked MEASURE:
 
 {listed}
 
-Check a plan first with `--dry-run`: it says how many frames and how much disk. Send `pixel-scale.json` and the
+Check a plan first with `--dry-run`: it prints the number of frames and the disk space. Send `pixel-scale.json` and the
 complete session folders: `session.json`, `journal`, `frames/` and `press-*.json`, one for each contact. For the ball
 add `circles.csv`, with a line for each file (press 1 is {_files(1)}), all {files} of them: its contact
 circle in raw pixels, drawn by hand on the picture.

@@ -72,8 +72,8 @@ def _require_loading(path: Path, displacement_mm: NDArray[np.float64]) -> None:
         row = int(back[0])
         raise CompareError(
             f"{path}: in row {row + 1} under the header the displacement is {displacement_mm[row]:g} mm after "
-            f"{deepest[row]:g} mm: the indenter goes back, and unloading pushes less than loading. Leave out the rows "
-            "of unloading; if all rows are of loading, sort them by displacement_mm"
+            f"{deepest[row]:g} mm: the indenter moves back, where the force is lower than in loading. Leave out the "
+            "rows of unloading; if all rows are of loading, sort them by displacement_mm"
         )
 
 

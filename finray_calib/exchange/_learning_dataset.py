@@ -263,7 +263,7 @@ def dataset_card(dataset: LearningDataset, origin: Provenance, has_parquet: bool
     """
     design = dataset.plan.design
     words = {
-        **_drawn_words(dataset),
+        **_sampling_words(dataset),
         "name": dataset.name,
         "samples": dataset.samples,
         "presses": dataset.presses - len(dataset.failures),
@@ -287,7 +287,7 @@ def _failed(dataset: LearningDataset) -> Iterator[str]:
         yield f"press {failure.press}, which could not be computed: {failure.reason}"
 
 
-def _drawn_words(dataset: LearningDataset) -> dict[str, Any]:
+def _sampling_words(dataset: LearningDataset) -> dict[str, Any]:
     """Return what the card says of ranges, press and render."""
     plan = dataset.plan
     by_elements = plan.press == "finite elements"

@@ -26,7 +26,7 @@ from data_schemas import (
     TactileCapture,
 )
 from data_schemas.storage import files_below, finite_number, folder_at, has_file, read_bytes, read_npy
-from finray_calib.exchange._ball_presses import MOST_PRESSES, ToldCircle, read_npz
+from finray_calib.exchange._ball_presses import MOST_PRESSES, SourcedCircle, read_npz
 from finray_calib.exchange._capture_recipe import (
     PICKLED,
     PRESS,
@@ -87,7 +87,7 @@ Take = Callable[[str, TactileCapture, tuple[Path, ...]], None]
 def read_by_recipe(
     folder: Path,
     recipe: Recipe,
-    circles: Mapping[str, ToldCircle] | None = None,
+    circles: Mapping[str, SourcedCircle] | None = None,
     progress: Progress | None = None,
     take: Take | None = None,
 ) -> RecipeCaptures:
@@ -166,7 +166,7 @@ class _Folder:
 
     folder: Path
     recipe: Recipe
-    circles: dict[str, ToldCircle]
+    circles: dict[str, SourcedCircle]
     files: dict[str, Path] = field(init=False)
     _found: dict[str, dict[str, Any]] = field(init=False, default_factory=dict)
     _made_of: set[Path] = field(init=False, default_factory=set)
@@ -404,7 +404,7 @@ class _Folder:
         contact = self.recipe.contact
         circle = self.circles.get(name)
         if circle is not None:
-            return self._with_circle(capture, circle.circle, circle.by)
+            return self._with_circle(capture, circle.circle, circle.source)
         if name in self._found:  # a search takes long, and finds the same again
             return capture.model_copy(update=self._found[name])
         if contact is None:

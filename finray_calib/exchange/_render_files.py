@@ -210,7 +210,7 @@ class RenderDescription(Model):
 
 
 def read_renders(folder: Path, captures: Mapping[str, TactileCapture] | None = None) -> dict[str, SimulatedPress]:
-    """Read a folder of one press, or of a folder for each press.
+    """Read the folder of one press, or a folder that holds one for each press.
 
     Parameters
     ----------
@@ -384,7 +384,7 @@ REQUEST: Final = "press.json"
 
 
 def press_request(capture: TactileCapture, with_contact: bool) -> dict[str, bytes]:
-    """Return the files that tell a simulator of a press: what to render, or with its contact image what to learn from.
+    """Return the files that describe a press to a simulator: to render it, or with its contact image to learn from it.
 
     ``no_contact.png`` (8 or 16 bits, counts above the black level), ``contact.png`` where it is to be learnt from, and
     ``press.json`` with the contact (circle, or corners of its outline), the indenter, the scale and the encoding; what

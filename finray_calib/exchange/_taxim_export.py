@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 BINS: Final = 125
 """Of slope angle (0 to pi/2) and of direction (-pi to pi), as in Taxim's own tables."""
 FEWEST_PRESSES: Final = 24
-"""Of rendered presses on a plain sensor 12 foretold unseen ones by 0.64, 20 by 0.69, and more gained little."""
+"""On a plain sensor, tables of 12 and 20 rendered presses explained 0.64 and 0.69 of others; more gained little."""
 SPLITS: Final = 12
 
 # of the polynomial in the normal's two components: degrees 5 and 6 foretell unseen presses no better (by 0.01)

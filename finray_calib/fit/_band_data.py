@@ -25,13 +25,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import HELD_UNCERTAINTY_REL, BandSignals, FitError, read_only
+from data_schemas import EXTRAPOLATION_UNCERTAINTY_REL, BandSignals, FitError, read_only
 from finray_calib.spectra import (
     BandQuadrature,
     BandTolerances,
     EmissionWeights,
     band_quadrature,
-    held_shares,
+    extrapolated_shares,
     lamp_response,
     tolerances_of,
     weights_of,
@@ -338,5 +338,5 @@ def _channel_covariance(bands: BandSignals) -> FloatArray:
     emission = usable & ~bands.at_excitation()[:, None]
     brightest = float(np.abs(y[emission]).max()) if emission.any() else 0.0
     stated = bands.optics.band_uncertainty
-    relative = np.hypot(stated.response_rel, HELD_UNCERTAINTY_REL * held_shares(bands.optics))
+    relative = np.hypot(stated.response_rel, EXTRAPOLATION_UNCERTAINTY_REL * extrapolated_shares(bands.optics))
     return np.diag(((relative * y) ** 2 + (stated.stray_light_rel * brightest) ** 2).ravel())

@@ -296,7 +296,7 @@ class FamilyFits:
 
 
 def fit_families(data: BandData, options: FitOptions, alone: str, rng: np.random.Generator) -> FamilyFits:
-    """Fit all families and return them with the one to report: the asked one, or the best by the rule.
+    """Fit all families and return them with the one to report: the requested one, or the best by the rule.
 
     Parameters
     ----------

@@ -31,9 +31,9 @@ from finray_calib.fit._band_data import LARGEST_LEAK_OF_WHITE, BandData, band_va
 from finray_calib.fit._measured_spectra import (
     band_errors,
     components_of,
-    drawn_paints,
     fit_spectrum,
     learned_spectra,
+    random_paints,
 )
 from finray_calib.fit._prior import EmissionPrior
 from finray_calib.spectra import (
@@ -286,7 +286,7 @@ def fitted_errors(
     spectra, sd = learned_spectra(), EmissionPrior().ln_blocking_sd
     known = [(*_known_rig(optics), optics.band_uncertainty) for optics in rigs]
     weights, judged = known[0][0], _judged()
-    curves = drawn_paints(components_of(spectra, weights.wavelength_nm, weights.laser_nm), paints, rng)
+    curves = random_paints(components_of(spectra, weights.wavelength_nm, weights.laser_nm), paints, rng)
     found: list[list[float]] = [[] for _ in rigs]
     for number, curve in enumerate(curves):
         progress(number, paints, "fits of simulated paints")
@@ -411,7 +411,7 @@ class _Screen:
     ) -> "_Screen":
         """Draw the paints and let every filter see them."""
         parts = components_of(learned_spectra(), WAVELENGTH_NM, optics.laser.wavelength_nm)
-        curves, judged = drawn_paints(parts, SCREENED_PAINTS, rng), _judged()
+        curves, judged = random_paints(parts, SCREENED_PAINTS, rng), _judged()
         full = curves / np.linalg.norm(curves[:, judged], axis=1, keepdims=True)
         stay = [f for f in kept if f.center_nm > optics.laser.wavelength_nm + _LASER_APART_NM]
         rows = _best_rows(optics, (*stay, *(_as_filter(f, optics, 1) for f in offered)))

@@ -436,7 +436,7 @@ _LEAST_HEIGHT_REL = 0.05
 _SEEN_BELOW_NM = 690.0
 
 
-def drawn_paints(parts: Components, count: int, rng: np.random.Generator) -> Floats:
+def random_paints(parts: Components, count: int, rng: np.random.Generator) -> Floats:
     """Return paints drawn from the whole prior, departures and second dyes too, (count, L), nm^-1.
 
     Only those that filters up to 700 nm can see: the maximum lies below 690 nm, and the height is no twentieth of the

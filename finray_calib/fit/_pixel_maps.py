@@ -166,7 +166,7 @@ Floats32 = NDArray[np.float32]
 
 
 def map_paint(pixels: PixelSignals, paint: PaintCalibration, spread: PixelSpread | None = None) -> PaintMap:
-    """Fit every pixel of a session whose region was fitted, and tell how uniform the paint is.
+    """Fit every pixel of a session whose region was fitted, and report how uniform the paint is.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def map_paint(pixels: PixelSignals, paint: PaintCalibration, spread: PixelSpread
 
 
 def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> PaintMap:
-    """Fit every pixel and tell how uniform the paint is.
+    """Fit every pixel and report how uniform the paint is.
 
     The maximum of each pixel's posterior by Gauss-Newton steps that start at the region's fit, and the inverse of
     the normal matrix there as covariance. The prior of a pixel is normal around the region's fit, so that noisy

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from data_schemas import HELD_UNCERTAINTY_REL, BandSignals, FitError, PaintCalibration
+from data_schemas import EXTRAPOLATION_UNCERTAINTY_REL, BandSignals, FitError, PaintCalibration
 from finray_calib.fit._band_data import BandData, band_data
 from finray_calib.fit._measured_spectra import (
     ScoredSpectra,
@@ -47,7 +47,7 @@ from finray_calib.fit._measured_spectra import (
 )
 from finray_calib.fit._prior import EmissionPrior
 from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE, conserving_draws
-from finray_calib.spectra import curve_quantities, held_shares
+from finray_calib.spectra import curve_quantities, extrapolated_shares
 
 Floats = NDArray[np.float64]
 
@@ -202,7 +202,7 @@ def budget_sources(bands: BandSignals, data: BandData, fitted: ScoredSpectra) ->
     most = 1 / float(y @ np.linalg.solve(usual, y))  # more of y y^T would leave no positive semidefinite covariance
     tile = min(data.tile_uncertainty_rel**2, most) * np.outer(y, y)
     common = most * np.outer(y, y) - tile
-    relative = np.hypot(stated.response_rel, HELD_UNCERTAINTY_REL * held_shares(optics)).ravel()[kept]
+    relative = np.hypot(stated.response_rel, EXTRAPOLATION_UNCERTAINTY_REL * extrapolated_shares(optics)).ravel()[kept]
     response = np.minimum((relative * y) ** 2, np.diag(beside))
     count, lamp = data.weights.bands, data.lamp_response_rel is not None
     calibration, rest = np.split(fitted.columns, [count], axis=1)

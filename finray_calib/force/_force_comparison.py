@@ -117,7 +117,7 @@ def input_uncertainty(design: FingerDesign, field: str) -> tuple[float, str]:
         return ASSUMED_MODULUS_REL, f"assumed: {100 * ASSUMED_MODULUS_REL:.0f} % of a modulus"
     if field.endswith("bulk_over_shear"):
         low, high = ASSUMED_BULK_OVER_SHEAR
-        return ASSUMED_BULK_REL, f"assumed: K / mu from {low:g} to {high:g}, even in its logarithm"
+        return ASSUMED_BULK_REL, f"assumed: K / mu from {low:g} to {high:g}, evenly in its logarithm"
     if field in _SHEETS:
         return ASSUMED_SHEET_REL, f"assumed: {100 * ASSUMED_SHEET_REL:.0f} % of the thickness of a sheet"
     value_mm = float(attrgetter(field)(design))

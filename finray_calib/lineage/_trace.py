@@ -91,7 +91,7 @@ class Traced:
             yield from part.all()
 
     @property
-    def is_whole(self) -> bool:
+    def is_intact(self) -> bool:
         """Whether nothing is wrong with it and all below it."""
         return not any(part.faults for part in self.all())
 

@@ -55,7 +55,7 @@ from finray_calib.radiometry._session_steps import (
     signal_covariance,
     signals_of,
 )
-from finray_calib.radiometry._step_signals import ReadFrame, StepSignal, whole_cells
+from finray_calib.radiometry._step_signals import ReadFrame, StepSignal, complete_bayer_cells
 
 Floats = NDArray[np.float64]
 SMALLEST_WHITE_SNR = 30.0
@@ -114,7 +114,7 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps, accept_repeat: 
         refuse_other_repeat(trend, steps)
     y = _fluorescence(steps, weights, trend, session.rig.white_reference.uncertainty_rel)
     rho = _reflectance(steps, session)
-    cells = whole_cells(session.plan.region)
+    cells = complete_bayer_cells(session.plan.region)
     ratios = tilt_ratios(steps, trend)
     tables = (steps.white, steps.reflectance, steps.fluorescence)
     return BandSignals(

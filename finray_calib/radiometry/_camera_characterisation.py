@@ -45,7 +45,7 @@ from finray_calib.radiometry._photon_transfer import (
     root_of,
     saturation_level,
 )
-from finray_calib.radiometry._step_signals import cut, whole_cells
+from finray_calib.radiometry._step_signals import complete_bayer_cells, cut
 
 ReadCounts = Callable[[Frame], NDArray[np.uint16]]
 CHANNELS: dict[str, dict[ChannelName, Sites]] = {
@@ -118,7 +118,7 @@ def _stacks(
     for frame in session.frames:
         if frame.frame_type == frame_type:
             grouped.setdefault(frame.exposure_requested_s, []).append(frame)
-    full_scale_dn, region = 2**session.rig.camera.bit_depth - 1, whole_cells(session.plan.region)
+    full_scale_dn, region = 2**session.rig.camera.bit_depth - 1, complete_bayer_cells(session.plan.region)
     stacks = {}
     for asked_s, frames in sorted(grouped.items()):
         stack = FrameStack(f"{frame_type} frames of {asked_s:g} s", sites, full_scale_dn)

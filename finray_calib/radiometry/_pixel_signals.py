@@ -28,9 +28,9 @@ from finray_calib.radiometry._step_signals import (
     DarkMap,
     PixelStep,
     ReadFrame,
+    complete_bayer_cells,
     dark_map,
     merge_pixels,
-    whole_cells,
 )
 
 Floats32 = NDArray[np.float32]
@@ -108,7 +108,7 @@ def _area(session: CaptureSession, whole_frame: bool) -> RegionOfInterest:
     camera = session.rig.camera
     if whole_frame:
         return RegionOfInterest(row_px=0, column_px=0, height_px=camera.height_px, width_px=camera.width_px)
-    return whole_cells(session.plan.region)
+    return complete_bayer_cells(session.plan.region)
 
 
 def _merged(
@@ -144,7 +144,7 @@ def _profile(
 def _inside(area: RegionOfInterest, region: RegionOfInterest) -> NDArray[np.bool_]:
     """Return the mask of the region in an area that contains it."""
     inside = np.zeros((area.height_px, area.width_px), dtype=bool)
-    cells = whole_cells(region)
+    cells = complete_bayer_cells(region)
     top, left = cells.row_px - area.row_px, cells.column_px - area.column_px
     inside[top : top + cells.height_px, left : left + cells.width_px] = True
     return inside

@@ -55,7 +55,7 @@ class RegionMeans:
     block_mean_dn: Floats
 
 
-def whole_cells(region: RegionOfInterest) -> RegionOfInterest:
+def complete_bayer_cells(region: RegionOfInterest) -> RegionOfInterest:
     """Return the region in whole 2 x 2 Bayer cells: first row, first column and size rounded down to even numbers."""
     values = region.model_dump()
     return RegionOfInterest(**{name: value & ~1 for name, value in values.items()})
@@ -108,7 +108,7 @@ def _blocks(side_px: int) -> int:
 
 def _checked_cells(frame: Counts, region: RegionOfInterest) -> Counts:
     """Return the whole Bayer cells of the region after checking it."""
-    cells = whole_cells(region)
+    cells = complete_bayer_cells(region)
     top, left, height, width = cells.row_px, cells.column_px, cells.height_px, cells.width_px
     rows, columns = frame.shape
     if height < SMALLEST_SIDE_PX or width < SMALLEST_SIDE_PX:

@@ -433,7 +433,7 @@ SHEET_IN: Final = (8.27, 11.69)
 """A4."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.07, 0.93, 0.955, 0.06
 _SIZES_PT: Final = (7.5, 7.0, 6.5, 6.0)
-"""Of the letters: the largest with which all stands on one sheet; with the smallest, as many sheets as it needs."""
+"""Of the letters. The largest size is taken that fits on one sheet; the smallest may take several sheets."""
 
 
 def certificate_pdf(certificate: Certificate, paint: PaintCalibration) -> bytes:

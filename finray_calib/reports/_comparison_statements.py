@@ -44,7 +44,7 @@ Verdict = Literal[
     "Worse than no simulation",
 ]
 WELL_KNOWN = 0.9
-"""A skill that may be below this is not told to be as good as the capture can tell, wherever its interval ends."""
+"""A skill that may be below this is not called as good as the capture can show, wherever its interval ends."""
 _PART_ROWS, _PART_COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
 
 

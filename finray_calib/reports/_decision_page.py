@@ -97,7 +97,7 @@ def verdict_light(decision: LightAngleDecision) -> Light:
 
 
 def decision_numbers(decision: LightAngleDecision) -> tuple[KeyNumber, ...]:
-    """Return the few numbers that stand beside the verdict: whether, how exactly, and what may be lost."""
+    """Return the few numbers that stand beside the verdict: whether it holds, how exactly, and what may be lost."""
     claim, angle = decision.statement, decision.angle_deg
     if decision.at_range_end:
         told = "end of the sweep: no tolerance can be stated"
@@ -128,7 +128,7 @@ _SURE, _EVEN = 0.95, 0.5
 
 
 def verdict_sentence(decision: LightAngleDecision) -> str:
-    """Return the first sentence of the decision; of a record of an older version, the verdict as what to do."""
+    """Return the first sentence of the decision; of a record of an older version, what its verdict asks you to do."""
     return decision.headline or verdict_title(decision)
 
 
@@ -190,7 +190,7 @@ def criterion_sentence(decision: LightAngleDecision) -> str | None:
     chosen = "on average" if decision.criterion == "average" else "at the worst place"
     return (
         f"Best on average is {average_deg:.0f} deg: {told(average_deg)}. Best at the worst place is {worst_deg:.0f} "
-        f"deg: {told(worst_deg)}. Chosen was the best {chosen} (--criterion)."
+        f"deg: {told(worst_deg)}. The best {chosen} was chosen (--criterion)."
     )
 
 

@@ -258,7 +258,7 @@ def _difference(
 
 
 def study_differences_text(differences: Sequence[MetricDifference]) -> str:
-    """Return differences as aligned text: a line a number, the points under their changes."""
+    """Return differences as aligned text: one line for each number, points under their changes."""
     lines, at = [], None
     widths = [max(len(cell(d)) for d in differences) for cell in (lambda d: d.name, _ends)]
     for d in differences:
@@ -291,7 +291,7 @@ def _sentence(result: StudyResult) -> str:
             continue
         rows.sort(key=lambda pair: pair[0].value, reverse=is_high)
         (best, where), (second, _) = rows[0], rows[1]
-        sure = "" if _apart(best, second) else ", within its interval of the next"
+        sure = "" if _apart(best, second) else ", not distinguishable from the next"
         sure = ", as at other points" if best.value == second.value else sure
         parts.append(f"{words} at {_spoken(where.changes)} ({_value(best)}{sure})")
     told = "; ".join(parts)

@@ -298,7 +298,7 @@ def _families(paints: Paints) -> Content:
     """Show what each family makes of the same bands."""
     return Content(
         lead="Each family is a different idea of what an emission curve looks like. Evidence and probability show "
-        "how well a family predicts the bands before seeing them, all equally likely beforehand. The score "
+        "how well a family predicts the bands before seeing them, if all families are equally likely. The score "
         "of the left-out bands says how well each band is predicted from the others: higher is better, "
         "\u00b1 is the standard error of the difference to the default family, and scores with \u2248 are "
         "only indicative (Pareto k above 0.7).",
@@ -392,7 +392,7 @@ def _prior(paints: Paints) -> Content:
     discrepancy = paints[0].fit.discrepancy
     return Content(
         lead=f"Discrepancy: {percent(discrepancy.amplitude_rel)} of the curve with a correlation length of "
-        f"{discrepancy.length_nm:g} nm, on {percent(discrepancy.floor_rel)} of the peak as a floor, and "
+        f"{discrepancy.length_nm:g} nm, a floor of {percent(discrepancy.floor_rel)} of the peak, and "
         f"{percent(discrepancy.reabsorption_rel)} of re-absorption at the blue edge. Origin: {discrepancy.origin}.",
         picture_rows=_row(paints, _marginals_picture),
         remarks=tuple(said.prior_statement(paint) for paint in paints),

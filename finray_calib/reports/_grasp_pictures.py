@@ -120,7 +120,7 @@ def _draw_way(figure: SubFigure, grasp: ObjectGrasp) -> None:
     """Draw forces and the object's way over the increments."""
     force, way = figure.subplots(2, 1, sharex=True)
     steps = np.arange(1, len(grasp.closing_mm) + 1)
-    force.plot(steps, grasp.closing_force_n, "-o", color=BLUE, markersize=3, label="the fingers close with (mean)")
+    force.plot(steps, grasp.closing_force_n, "-o", color=BLUE, markersize=3, label="closing force, mean of both")
     force.axhline(grasp.wanted_force_n, color=BLUE, ls=":", lw=1.0)
     if grasp.weight_n > 0.0:
         force.plot(steps, grasp.carried_n, "-o", color=VERMILLION, markersize=3, label="weight carried")

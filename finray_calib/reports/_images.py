@@ -408,7 +408,7 @@ def _outlined(image: ByteImage, masks: list[Mask]) -> ByteImage:
 
 
 FEWEST_SAMPLES = 64
-"""Paths per pixel below which the denoiser makes light up: with 16 it raised green and blue by 9 to 14 %."""
+"""Paths per pixel below which the denoiser invents light: with 16 it raised green and blue by 9 to 14 %."""
 
 _WHITE_PERCENTILE = 97.0
 
@@ -497,10 +497,10 @@ class ContactSheet:
         return cv2.imencode(".png", np.ascontiguousarray(sheet[..., ::-1]))[1].tobytes()
 
     def circles_csv(self) -> str:
-        """Return the circles, a line each: image, column_px, row_px, radius_px, told_by."""
+        """Return the circles, a line each: image, column_px, row_px, radius_px, source."""
         text = io.StringIO(newline="")
         table = csv.writer(text, lineterminator="\n")
-        table.writerows([("image", "column_px", "row_px", "radius_px", "told_by"), *self._rows])
+        table.writerows([("image", "column_px", "row_px", "radius_px", "source"), *self._rows])
         return text.getvalue()
 
 

@@ -63,7 +63,7 @@ def require_plausible(board: CharucoBoard) -> None:
 
 
 def find_board(grey: NDArray[np.uint8], board: CharucoBoard, name: str) -> BoardView:
-    """Return the corners of a board; a picture without any is tried mirrored.
+    """Return the corners of a board; a picture without any is mirrored and tried again.
 
     Parameters
     ----------

@@ -349,7 +349,7 @@ POLYNOMIAL_DEGREE: Final = 3
 
 
 def normal_sigma_deg(jacobian_e: Floats, variance_e2: Floats) -> Floats:
-    r"""Return the least standard deviation with which one pixel tells the direction of a normal (Cramer-Rao bound).
+    r"""Return the least standard deviation with which one pixel gives the direction of a normal (Cramer-Rao bound).
 
     .. math:: F = J^T \mathrm{diag}(1 / v) J, \qquad \sigma = \sqrt{\mathrm{tr} F^{-1} / 2}
 

@@ -496,7 +496,7 @@ def lamp_response(optics: Optics, channel_weights: ArrayLike) -> Floats:
     return np.asarray(optics.lamp_temperature_uncertainty_k * (level - mean).ravel())
 
 
-def held_shares(optics: Optics) -> Floats:
+def extrapolated_shares(optics: Optics) -> Floats:
     """Return the share of each band's weight over which the response or the lamp holds an end value, (B, 3)."""
     shares = []
     blocked = tuple(band.model_copy(update={"blocking_od": 12.0}) for band in optics.filters)

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from data_schemas import HELD_UNCERTAINTY_REL, CurveError, DonaldsonMatrix, Reradiation, SpectralCurve, read_only
+from data_schemas import (
+    EXTRAPOLATION_UNCERTAINTY_REL,
+    CurveError,
+    DonaldsonMatrix,
+    Reradiation,
+    SpectralCurve,
+    read_only,
+)
 
 Floats = NDArray[np.float64]
 ROUNDING = 1e-9
@@ -173,7 +180,7 @@ def _returned(
     sd = reflectance.uncertainty_rel * reflected if reflectance_sd is None else reflectance_sd(excitation_nm)
     known_nm = reflectance.wavelength_nm
     held = (excitation_nm < known_nm[0]) | (excitation_nm > known_nm[-1])
-    sd = np.hypot(sd, HELD_UNCERTAINTY_REL * reflected * held)
+    sd = np.hypot(sd, EXTRAPOLATION_UNCERTAINTY_REL * reflected * held)
     return _Returned(emitted_draws.mean(axis=0), reflected, np.hypot(emitted_draws.std(axis=0), sd))
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         SessionRequest,
         SessionWatch,
         complete_session,
-        is_unborn,
+        is_unstarted,
         lacks_manifest,
         read_camera_session,
         read_frame_of,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from rigs.capture._stage_press import (
         OpenTactileRig,
         StagePress,
-        guard_of_a_clear_way,
+        free_travel_guard,
         open_tactile_rig,
     )
     from rigs.capture._tactile_session import (
@@ -77,9 +77,9 @@ __all__ = [
     "check_press_plan",
     "complete_session",
     "forecast",
-    "guard_of_a_clear_way",
+    "free_travel_guard",
     "is_tactile",
-    "is_unborn",
+    "is_unstarted",
     "lacks_manifest",
     "open_tactile_rig",
     "paint_steps",

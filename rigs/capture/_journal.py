@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 from data_schemas import CaptureError
 from data_schemas.storage import LARGEST_TEXT_BYTES, parse_json, read_bytes
 from rigs import CallThread, Clock, NoAnswerError
-from rigs.transports import Fault, faults_told
+from rigs.transports import Fault, fault_listener
 
 JOURNAL_NAME = "journal.jsonl"
 DISK_WITHIN_S: Final = 60.0
@@ -247,7 +247,7 @@ def faults_noted(journal: Journal, folder: Path, most_s: float = LEAST_HEALING_S
 
     token = _HEALING.set(healing)
     try:
-        with faults_told(note):
+        with fault_listener(note):
             yield
     finally:
         _HEALING.reset(token)

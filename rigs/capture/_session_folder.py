@@ -127,7 +127,7 @@ class SessionRequest:
             self.progress(done, total, text)
 
 
-def is_unborn(out: Path) -> bool:
+def is_unstarted(out: Path) -> bool:
     """Return whether a folder is empty, or holds only what a capture left that was killed before its first line."""
     clear_leftovers(out)
     return out.is_dir() and all(path.name == f".{JOURNAL_NAME}.part" for path in out.iterdir())
@@ -141,7 +141,7 @@ def require_empty(out: Path) -> None:
     CaptureError
         It does.
     """
-    if out.exists() and not is_unborn(out):
+    if out.exists() and not is_unstarted(out):
         raise CaptureError(
             f"{out}: exists already and is not an empty folder; a capture never overwrites: choose another --out"
         )

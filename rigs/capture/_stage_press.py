@@ -198,7 +198,7 @@ class _Touched:
     absorbed_n: float
 
 
-def guard_of_a_clear_way(opened: OpenTactileRig, rig: TactileRig, folder: Path) -> Callable[[], None]:
+def free_travel_guard(opened: OpenTactileRig, rig: TactileRig, folder: Path) -> Callable[[], None]:
     """Return what to call while a stage moves where nothing should touch: it raises at a tenth of the force limit.
 
     Raises

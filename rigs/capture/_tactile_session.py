@@ -291,11 +291,11 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
         most_n = ZERO_MOVED_SHARE * rig.load_cell.force_limit_n
         measured = {c: m for c, m in measured.items() if m.zero_shift_n is not None and abs(m.zero_shift_n) <= most_n}
 
-    def is_whole(shot: TactileShot) -> bool:
+    def is_complete(shot: TactileShot) -> bool:
         pressed = rig.stage is None or shot.frame_type != "contact" or shot.place in measured
         return pressed and there[shot.group] == wanted[shot.group]
 
-    whole = {shot.sequence: good[shot.sequence] for shot in shots if is_whole(shot)}
+    whole = {shot.sequence: good[shot.sequence] for shot in shots if is_complete(shot)}
     sources = start.get("sources", {})
     return InterruptedPresses(plan, rig, presses, rig_folder, whole, device, len(lines), sources, measured)
 
@@ -388,7 +388,7 @@ def capture_tactile_session(
             else:
                 take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
-                recorder.go_on_from(interrupted.measured)
+                recorder.continue_from(interrupted.measured)
                 journal.append("resume", frames=len(interrupted.frames))
             with faults_noted(journal, out, stated_times(rig, plan, presses).healing_s):
                 recorder.record(shots)
@@ -554,7 +554,7 @@ class _Recorder:
         self.frames: dict[int, TactileFrame] = {}
         self.measured: dict[int, MeasuredPress] = {} if self._stage is None else self._stage.measured
 
-    def go_on_from(self, measured: dict[int, MeasuredPress]) -> None:
+    def continue_from(self, measured: dict[int, MeasuredPress]) -> None:
         """Take over the contacts that are done, and where each place was touched: a finger that moved is found."""
         self.measured.update(measured)
         for contact, press in sorted(measured.items()):

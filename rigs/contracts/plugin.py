@@ -194,9 +194,7 @@ def pressing(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[O
 
     rig = named_rig.finger
     if rig.stage is not None and rig.stage.homing == "by hand" and request.config.getoption("capture") != "no":
-        pytest.skip(
-            "NOT TESTED: bring the stage to its zero, then run with -s, by which you confirm that it stands there"
-        )
+        pytest.skip("NOT TESTED: bring the stage to its zero, then run with -s to confirm that it is there")
     with open_tactile_rig(rig, named_rig.folder, only="stage and load cell") as opened:
         yield opened
 
@@ -210,9 +208,9 @@ def stage(pressing: "OpenTactileRig") -> "Stage | None":
 @pytest.fixture(scope="class")
 def stage_guard(pressing: "OpenTactileRig", named_rig: NamedRig) -> "Callable[[], None]":
     """Return what reads the load cell, and raises at a force where nothing should touch."""
-    from rigs.capture import guard_of_a_clear_way
+    from rigs.capture import free_travel_guard
 
-    return guard_of_a_clear_way(pressing, named_rig.finger, named_rig.folder)
+    return free_travel_guard(pressing, named_rig.finger, named_rig.folder)
 
 
 @pytest.fixture(scope="class")
@@ -228,46 +226,46 @@ def load_cell(named_rig: NamedRig) -> "Iterator[LoadCell | None]":
 def camera(named_rig: NamedRig) -> "Iterator[Camera]":
     """Open the camera."""
     from data_schemas import TactileRig
-    from rigs import lone_camera
+    from rigs import open_rig_camera
     from rigs.capture import open_tactile_rig
 
     if isinstance(named_rig.rig, TactileRig) and named_rig.rig.is_simulated:
         with open_tactile_rig(named_rig.rig, named_rig.folder) as opened:
             yield opened.camera_there()
         return
-    with lone_camera(named_rig.rig, named_rig.folder) as device:
+    with open_rig_camera(named_rig.rig, named_rig.folder) as device:
         yield device
 
 
 @pytest.fixture(scope="class")
 def wheel(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[FilterWheel]":
     """Open the filter wheel."""
-    from rigs import TerminalOperator, lone_wheel
+    from rigs import TerminalOperator, open_rig_wheel
 
     _require_operator(request.config, named_rig.whole.filter_wheel.driver)
-    with lone_wheel(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
+    with open_rig_wheel(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
         yield device
 
 
 @pytest.fixture(scope="class")
 def laser(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[Light]":
     """Open the laser, if it may be switched on."""
-    from rigs import lone_laser
+    from rigs import open_rig_laser
 
     rig = named_rig.whole
     if not _may_shine(request.config):
         pytest.skip("LASER NOT TESTED: it is switched on only with --with-laser; box closed, goggles on everyone")
-    with lone_laser(rig, named_rig.folder) as device:
+    with open_rig_laser(rig, named_rig.folder) as device:
         yield device
 
 
 @pytest.fixture(scope="class")
 def lamp(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[Light]":
     """Open the lamp."""
-    from rigs import TerminalOperator, lone_lamp
+    from rigs import TerminalOperator, open_rig_lamp
 
     _require_operator(request.config, named_rig.whole.lamp.driver)
-    with lone_lamp(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
+    with open_rig_lamp(named_rig.whole, named_rig.folder, TerminalOperator()) as device:
         yield device
 
 

@@ -10,7 +10,7 @@ POLLS_THERE: Final = 2
 
 
 class Arrival:
-    """What the polls of a wheel on its way to a slot add up to.
+    """Whether a wheel has arrived at a slot, from the polls on its way.
 
     Parameters
     ----------

@@ -34,19 +34,19 @@ from data_schemas import (
     TimedOutError,
     UnsafeError,
 )
-from rigs.light_guard._held_light import (
+from rigs.light_guard._reconnecting_light import (
     EXIT_OFF,
     NOBODY_ASKED,
-    HeldLight,
     HungUpError,
     LightLostError,
+    ReconnectingLight,
     channel,
     error_from,
     receive,
     send,
 )
 from rigs.light_guard.watch import LOOK_IN_THE_DARK_S, LOOK_S, OffLine, OtherProcess
-from rigs.transports import RECOVERS_WITHIN_S, Fault, repeated, tell_fault
+from rigs.transports import RECOVERS_WITHIN_S, Fault, repeated, report_fault
 
 if TYPE_CHECKING:
     from rigs import GuardedSwitch
@@ -67,7 +67,7 @@ ANSWER_MARGIN_S: Final = 0.5
 RESCUE_ATTEMPT_S: Final = 1.0
 
 
-class _MustBeToldError(LightLostError):
+class _MustBeReportedError(LightLostError):
     """A light was lost in a way that its user must hear of: no other guard takes its place."""
 
 
@@ -193,7 +193,7 @@ class GuardClient:
             not_off = ask in ("off", "prove the dead-man") and message.get("value") is not None
             if not not_off and message.get("error") != "UnsafeError":  # these say more than what faults have cost
                 for fault in message.get("faults", ()):
-                    tell_fault(Fault(*fault))
+                    report_fault(Fault(*fault))
             if "error" in message:
                 raise error_from(message)
             if ask == "on" and message["value"] is not None and self._off_line is None:
@@ -311,7 +311,7 @@ class GuardClient:
             switch = import_module(self._module).open_switch(self._address, self._role, None)
             return switch
 
-        light = HeldLight(opening, self.name)
+        light = ReconnectingLight(opening, self.name)
         if self._is_on_unanswered:
             light.expect_late_on()
         try:
@@ -439,20 +439,20 @@ class GuardedLight:
             try:
                 return self._guard.ask(ask, STATE_DEADLINE_S)
             except LightLostError as error:
-                raise (_MustBeToldError(str(error)) if self._must_be_told else error) from error
+                raise (_MustBeReportedError(str(error)) if self._must_be_reported else error) from error
 
         # In a lit block a light that is gone must be lit anew, which whoever needs it decides.
-        final = (LightLostError,) if self._depth else (_MustBeToldError,)
+        final = (LightLostError,) if self._depth else (_MustBeReportedError,)
         return repeated(attempt, time.monotonic() + RECOVERS_WITHIN_S, self._guard.name, final=final)
 
     @property
-    def _must_be_told(self) -> bool:
+    def _must_be_reported(self) -> bool:
         """Whether the guard ended so that no other one may take its place: closed, or the light came on by itself."""
         return self._is_closed or self._guard.came_on_by_itself
 
     def _replace_guard(self) -> None:
         """Start another guard where the last one has ended with the light confirmed off."""
-        if not self._guard.has_ended or self._must_be_told:
+        if not self._guard.has_ended or self._must_be_reported:
             return
         self._guard.close()
         self._guard, self._is_dead_man_proven = self._start(), False
@@ -598,7 +598,7 @@ def refusal(laser: LaserSettings, has_dead_man: bool, today: datetime.date | Non
 
 
 def require_outside_layer(laser: LaserSettings) -> None:
-    """Refuse a laser that must not go on, before anything is opened.
+    """Refuse a laser that must not be switched on, before anything is opened.
 
     Raises
     ------

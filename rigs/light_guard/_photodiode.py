@@ -40,7 +40,7 @@ class LightLevel(NamedTuple):
 
 
 class LightMeter(Protocol):
-    """Whatever reads the level of a light again and again."""
+    """A device that reads the level of a light repeatedly."""
 
     def read(self, deadline_s: float) -> LightLevel:
         """Return the next reading; at most `deadline_s` seconds."""

@@ -25,19 +25,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 from data_schemas import LostError, TimedOutError
 from rigs.light_guard import watch as watch_program
-from rigs.light_guard._held_light import (
+from rigs.light_guard._reconnecting_light import (
     EXIT_NOT_OFF,
     EXIT_OFF,
     NOBODY_ASKED,
-    HeldLight,
     HungUpError,
+    ReconnectingLight,
     channel,
     error_words,
     receive,
     send,
 )
 from rigs.light_guard.watch import LONGEST_PACKET_BYTES, LOOK_S, OtherProcess
-from rigs.transports import Fault, faults_told
+from rigs.transports import Fault, fault_listener
 
 if TYPE_CHECKING:
     from rigs import GuardedSwitch, OffWords
@@ -239,7 +239,7 @@ class Guard:
         name: str,
     ) -> None:
         self._owner, self._owner_process, self._watch, self._name = owner, owner_process, watch, name
-        self._light = HeldLight(opening, name, watch.let_go)
+        self._light = ReconnectingLight(opening, name, watch.let_go)
         self._lit = self._is_owner_gone = self._has_dead_man = False
         self._looked_s = time.monotonic()
         self._lease_s = self._lease_until_s = math.inf
@@ -276,7 +276,7 @@ class Guard:
             shout(self._name, why_not)
         self._listen()
         if self._is_owner_gone:
-            why_not = go_on_alone(self._light, why_not)
+            why_not = keep_switching_off(self._light, why_not)
         self._light.close()
         if why_not is None:
             self._watch.end()
@@ -378,7 +378,7 @@ class Guard:
         """Do what one message asks and answer it."""
         faults: list[Fault] = []
         try:
-            with faults_told(faults.append):
+            with fault_listener(faults.append):
                 answer: dict[str, object] = {"value": self._do(message["ask"], float(message["deadline_s"]))}
         except GivenUp:
             return
@@ -436,7 +436,7 @@ def _for_the_owner(words: "OffWords") -> tuple[str, int, str] | None:
     return None if isinstance(words.line, int) else (*words.line, words.data.decode("latin-1"))
 
 
-def go_on_alone(light: HeldLight, why_not: str | None) -> str | None:
+def keep_switching_off(light: ReconnectingLight, why_not: str | None) -> str | None:
     """Where no owner is left that could: go on trying, for the light of a server may come back with it, lit.
 
     A light that is off stays watched for a while where an "on" may still be on its way.
@@ -467,11 +467,11 @@ def main(arguments: list[str]) -> int:
         return switch
 
     if descriptor == "alone":
-        light = HeldLight(opening, name)
+        light = ReconnectingLight(opening, name)
         light.expect_late_on()
         if (why_not := light.make_off(ATTEMPT_S, lambda word: None)) is not None:
             shout(name, why_not)
-        return EXIT_OFF if go_on_alone(light, why_not) is None else EXIT_NOT_OFF
+        return EXIT_OFF if keep_switching_off(light, why_not) is None else EXIT_NOT_OFF
     gc.disable()  # it would delay by tenths of a second
     with socket.socket(fileno=int(descriptor)) as owner:
         try:

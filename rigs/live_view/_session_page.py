@@ -55,7 +55,7 @@ HELP: Final = (
     "e              end here, where that is offered",
     "q              end the session, after you confirm",
     "Ctrl-C         end the session at once, with the lights off",
-    "Ctrl-L         draw the screen anew",
+    "Ctrl-L         draw the screen again",
     "",
     "The session continues if this terminal is closed. Its address, for a browser",
     "of this computer:",

@@ -107,8 +107,8 @@ class TerminalPage(ABC):
             self._typed += typed
             self._typed_s = time.monotonic()
         if self._typed:
-            is_whole = time.monotonic() - self._typed_s > LOOK_S
-            keys, self._typed = keys_in(self._typed, is_whole)
+            is_complete = time.monotonic() - self._typed_s > LOOK_S
+            keys, self._typed = keys_in(self._typed, is_complete)
             for key in keys:
                 self._press(key)
         if takes:
@@ -192,14 +192,14 @@ def _abilities() -> tuple[bool, bool]:
     return colours, "utf" in (sys.stdout.encoding or "").lower()
 
 
-def keys_in(typed: bytes, is_whole: bool) -> tuple[list[str], bytes]:
+def keys_in(typed: bytes, is_complete: bool) -> tuple[list[str], bytes]:
     """Return the keys in what a terminal sent, and the rest that may be the beginning of one.
 
     Parameters
     ----------
     typed
         Bytes from the terminal.
-    is_whole
+    is_complete
         Nothing more belongs to it: a lone escape is the key Esc.
     """
     keys: list[str] = []
@@ -211,7 +211,7 @@ def keys_in(typed: bytes, is_whole: bool) -> tuple[list[str], bytes]:
                 keys.append(("fine " if sequence[1] and sequence[1].endswith(b";2") else "") + arrow)
             typed = typed[sequence.end() :]
         elif typed[:1] == b"\x1b":
-            if not is_whole and re.fullmatch(rb"\x1b(\[[0-9;]*|O)?", typed):
+            if not is_complete and re.fullmatch(rb"\x1b(\[[0-9;]*|O)?", typed):
                 return keys, typed
             keys.append("escape")
             typed = typed[1:]

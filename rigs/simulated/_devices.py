@@ -207,7 +207,7 @@ DIRTY_NM: Final = 600.0
 
 @dataclass(slots=True)
 class BenchFault:
-    """A fault to practise on, and what has brought it about so far.
+    """A fault to practise on, and what it depends on: exposures, messages and laser time so far.
 
     Attributes
     ----------

@@ -286,7 +286,7 @@ class FingerCamera:
 
 @dataclass(slots=True)
 class FingerOperator:
-    """Who does at once whatever is asked, and puts masses on the cell."""
+    """Operator who does at once what is asked, and puts masses on the cell."""
 
     state: FingerState
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         indi_address,
     )
     from rigs.transports._indi_messages import blob_bytes, new_vector
-    from rigs.transports._repeated_exchange import RECOVERS_WITHIN_S, Fault, faults_told, repeated, tell_fault
+    from rigs.transports._repeated_exchange import RECOVERS_WITHIN_S, Fault, fault_listener, repeated, report_fault
     from rigs.transports._serial_link import BoardClock, SerialLink, check_byte, usb_serial_ports
     from rigs.transports._timed_http import MultipartStream, NewestPart, Part, TimedConnection
 else:
@@ -55,11 +55,11 @@ __all__ = [
     "blob_bytes",
     "check_byte",
     "device_number",
-    "faults_told",
+    "fault_listener",
     "found_on_this_computer",
     "indi_address",
     "new_vector",
     "repeated",
-    "tell_fault",
+    "report_fault",
     "usb_serial_ports",
 ]

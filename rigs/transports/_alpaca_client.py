@@ -51,7 +51,7 @@ class AlpacaAddress(NamedTuple):
 
 
 def alpaca_address(address: str, role: str, form: str) -> AlpacaAddress:
-    """Take ``http://host:port/...`` apart; `form` says how this kind of device is written, for the message.
+    """Split ``http://host:port/...``; `form` says how this kind of device is written, for the message.
 
     Raises
     ------

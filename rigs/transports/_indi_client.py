@@ -41,7 +41,7 @@ class IndiAddress(NamedTuple):
 
 
 def indi_address(address: str, role: str) -> IndiAddress:
-    """Take ``host:port/device`` apart; the port may be left out.
+    """Split ``host:port/device``; the port may be left out.
 
     Raises
     ------
@@ -115,7 +115,7 @@ _KEPT_TEXTS: Final = 8
 
 @dataclass(slots=True)
 class IndiProperty:
-    """What the driver said last about a property; updated in place.
+    """What the driver reported last about a property; updated in place.
 
     Attributes
     ----------
@@ -360,7 +360,7 @@ class IndiClient(IndiDevice):
         known = self.properties.get(name)
         before = known.definitions if known else 0
         self._send(get_properties(self._device, name), end_s)
-        self.wait(lambda: self.definitions(name) > before, end_s, f"say what {name} is")
+        self.wait(lambda: self.definitions(name) > before, end_s, f"report {name}")
         return self.properties[name]
 
     def request(

@@ -48,7 +48,7 @@ _LISTENER: ContextVar[Callable[[Fault], None] | None] = ContextVar("listener to 
 
 
 @contextmanager
-def faults_told(listener: Callable[[Fault], None]) -> Iterator[None]:
+def fault_listener(listener: Callable[[Fault], None]) -> Iterator[None]:
     """Call `listener` with every fault after which an exchange is repeated, for a ``with`` block."""
     token = _LISTENER.set(listener)
     try:
@@ -57,7 +57,7 @@ def faults_told(listener: Callable[[Fault], None]) -> Iterator[None]:
         _LISTENER.reset(token)
 
 
-def tell_fault(fault: Fault) -> None:
+def report_fault(fault: Fault) -> None:
     """Report a fault to the listener, if there is one."""
     if (listener := _LISTENER.get()) is not None:
         listener(fault)
@@ -110,6 +110,6 @@ def repeated(
                 if number == 1:
                     raise
                 raise type(first)(f"{first} (tried {number} times)") from error
-            tell_fault(Fault(device, str(error), number, round(spent_s, 3)))
+            report_fault(Fault(device, str(error), number, round(spent_s, 3)))
         time.sleep(pause_s)
         pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)

@@ -49,9 +49,9 @@ if TYPE_CHECKING:
         REST_LEVEL,
         LookTruth,
         PaintLook,
-        drawn_paints,
         render_looks,
         render_noise_rel,
+        sampled_paints,
     )
     from sim.experiments._light_angle import light_angle_sweep
     from sim.experiments._mechanical_press import grasp_record, increment_record, press_records, stored_press
@@ -191,7 +191,6 @@ __all__ = [
     "coat_cells",
     "confirmed_losses",
     "design_parameter",
-    "drawn_paints",
     "finger_force_model",
     "finger_scene",
     "fit_sensor",
@@ -226,6 +225,7 @@ __all__ = [
     "render_noise_rel",
     "reproduce_paper_paints",
     "require_paints_in_order",
+    "sampled_paints",
     "search_designs",
     "simulate_images",
     "simulate_press",

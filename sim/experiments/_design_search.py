@@ -49,8 +49,8 @@ Evaluate = Callable[[FingerDesign], EvaluatedDesign]
 _LIGHT: Final = {
     "normal-error": DesignObjective(
         name="normal-error", unit="deg", larger_is_better=False,
-        meaning="expected error of the sensed normal at places that the map was not taught at; places that the "
-            "camera does not see count as not tilted",
+        meaning="expected error of the sensed normal at places that were left out when the map was taught; places that "
+            "the camera does not see count as not tilted",
     ),
     "evenness": DesignObjective(
         name="evenness", unit="1", larger_is_better=True,
@@ -196,7 +196,7 @@ def _usual_limits(name: str, start: float) -> tuple[float, float]:
 
 
 def usual_parameters(design: FingerDesign, objectives: Sequence[DesignObjective]) -> tuple[DesignParameter, ...]:
-    """Return the parameters that are varied where none are given, by what the finger is to be good in."""
+    """Return the parameters that are varied where none are given, according to the objectives."""
     fields = list(_OF_LIGHT) if any(o.name in _LIGHT for o in objectives) else []
     if any(o.name in _LOADS for o in objectives):
         fields += [one for one in ("pad.thickness_mm", *_OF_LOADS) if one not in fields]

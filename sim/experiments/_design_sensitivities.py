@@ -258,7 +258,7 @@ def press_sensitivities(
     folder: Path = Path(),
     fields: Sequence[str] | None = None,
 ) -> PressSensitivities:
-    """Return how the force of a press answers to each number of its design, on the coarse mesh.
+    """Return how the force of a press changes with each number of its design, on the coarse mesh.
 
     By derivatives at each increment (:func:`sim.mechanics.press_derivatives`). Numbers that have none are changed by a
     tenth and the design is pressed again: with the barrier, near a snap, and where a small change makes another mesh.
@@ -370,7 +370,7 @@ def _changes(design: FingerDesign, fields: Sequence[str]) -> Iterator[tuple[str,
 def _is_continuous(design: FingerDesign, field: str) -> bool:
     """Whether a field is a number, or a list of them, of a part that the design has."""
     backing = field.startswith("mechanics.onyx.") and design.skeleton.backing is None
-    unused = backing or field in design.idle_fields()
+    unused = backing or field in design.unused_fields()
     return not unused and isinstance(design_value(design, field), float | tuple)
 
 

@@ -136,7 +136,7 @@ class LightMeasure:
 
 @dataclass(frozen=True, slots=True)
 class FingerEvaluation:
-    """What one finger is worth.
+    """The objectives of one finger.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ class _SentLight:
 
 @dataclass(frozen=True, slots=True)
 class LitFinger:
-    """A finger light by light: as light adds, other powers trace nothing again.
+    """A finger light by light: since light adds, other powers need no new paths.
 
     Attributes
     ----------
@@ -372,7 +372,9 @@ class FingerEvaluator:
         )
         return LitFinger(self, design, found[0].points.places_mm, of_batches, of_paints, of_draws)
 
-    def error_taught_by(self, taught: FingerEvaluation, found: FingerEvaluation, design: FingerDesign) -> float:
+    def error_with_calibration_of(
+        self, taught: FingerEvaluation, found: FingerEvaluation, design: FingerDesign
+    ) -> float:
         """Return the expected error (deg) of a finger that takes the calibration of another one.
 
         Each finger has its own picture without contact, to which its colours are relative.

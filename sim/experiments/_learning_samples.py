@@ -86,7 +86,7 @@ class PaintLook:
     factors: Mapping[str, float]
 
 
-def drawn_paints(
+def sampled_paints(
     finger: PaintedFinger, paints: Mapping[str, PaintDraws], emission_ratio: float, rng: np.random.Generator
 ) -> PaintLook:
     """Draw both paints: from the posterior of the emission where there is one, else its emission times a factor.
@@ -112,7 +112,7 @@ def drawn_paints(
     """
     reason = ""
     for _ in range(_MOST_TRIES):
-        look = _drawn_once(paints, emission_ratio, rng)
+        look = _sampled_once(paints, emission_ratio, rng)
         try:
             paint_bands(look.optics["red"], look.optics["green"], finger.design.light)
         except SimulateError as error:
@@ -122,7 +122,7 @@ def drawn_paints(
     raise SimulateError(f"no draw of the paints out of {_MOST_TRIES} conserves energy; the last one: {reason}")
 
 
-def _drawn_once(paints: Mapping[str, PaintDraws], emission_ratio: float, rng: np.random.Generator) -> PaintLook:
+def _sampled_once(paints: Mapping[str, PaintDraws], emission_ratio: float, rng: np.random.Generator) -> PaintLook:
     """Draw both paints, whatever they return."""
     optics: dict[str, PaintOptics] = {}
     draws: dict[str, int] = {}

@@ -207,7 +207,7 @@ def protocol_solids(extent_mm: float = LARGEST_MM) -> tuple[PrintedSolid, ...]:
         _solid("rod", f"lying cylinder, radius {rod:.3g} mm, {e:.3g} mm long", "curved in one direction",
                _lying(half, rod)),
         _solid("dots", f"nine round dots, radius {dot:.3g} mm, {pitch:.3g} mm apart",
-               "resolution: touched places side by side", _relief(half, _dots(pitch, dot), 60)),
+               "resolution: contacts close to each other", _relief(half, _dots(pitch, dot), 60)),
         _solid("waves", f"waves, {e / 4.0:.3g} mm long, {e / 20.0:.3g} mm from crest to trough", "a texture",
                _relief(half, _waves(e / 4.0, e / 40.0), 60)),
     )  # fmt: skip

@@ -336,7 +336,7 @@ def teach_surrogate(
     store: Callable[[int, TaughtPress], None] | None = None,
     progress: Progress | None = None,
 ) -> PressSurrogate:
-    """Condense a finger, press it by finite elements and learn what condensation leaves.
+    """Condense a finger, press it by finite elements and learn what condensation leaves out.
 
     Valid for the family that :func:`press_family` states. The bars rest on presses left out one at a time, and hold for
     presses spread evenly over the family.
@@ -357,7 +357,9 @@ def teach_surrogate(
     """
     settings, begun = settings or TeachSettings(), time.process_time()
     if settings.presses < FEWEST_PRESSES:
-        raise SimulateError(f"{settings.presses} presses are too few to teach by; at least {FEWEST_PRESSES} are needed")
+        raise SimulateError(
+            f"{settings.presses} presses are too few to teach a surrogate; at least {FEWEST_PRESSES} are needed"
+        )
     preset, family = settings.preset or design.mesh.preset, press_family(design)
     condensed = condense_finger(design, preset, settings.threads, progress)
     finger = CondensedFinger(design, preset, condensed)

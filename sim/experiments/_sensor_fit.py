@@ -271,7 +271,7 @@ def _require_same_light(design: FingerDesign, name: str, lit_deg: float) -> None
 
 def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeNumber, ...]:
     """Return the numbers of the design that are fitted."""
-    idle = design.idle_fields()
+    idle = design.unused_fields()
     numbers = []
     for name in dict.fromkeys(free):
         value = value_at(design, name) if not name.startswith("_") else None

@@ -459,7 +459,7 @@ def powered_lights(design: Design) -> tuple[list[PoweredLight], Floats]:
 
 
 def with_one_panel(design: Design, lit: int) -> FingerDesign:
-    """Return the finger with all panels but one as good as out."""
+    """Return the finger with all panels but one practically off."""
     finger = _finger(design)
     if len(finger.lights) == 1:
         return finger

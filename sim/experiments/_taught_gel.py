@@ -91,7 +91,7 @@ class TaughtGel:
         Rows and columns of the images.
     mm_per_px, ball_radius_mm
         Of the presses that taught.
-    taught_by, taught_by_sha256
+    training_presses, training_sha256
         Names of the presses, and SHA-256 of their contact images.
     numbers
         What was found.
@@ -102,8 +102,8 @@ class TaughtGel:
     shape_px: tuple[int, int]
     mm_per_px: float
     ball_radius_mm: float
-    taught_by: tuple[str, ...]
-    taught_by_sha256: tuple[str, ...]
+    training_presses: tuple[str, ...]
+    training_sha256: tuple[str, ...]
     numbers: tuple[GelNumber, ...]
 
 
@@ -273,7 +273,7 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     radius_mm, scale = _ball_and_scale(first)
     digests = tuple(contact_sha256(capture) for capture in captures)
     if len(set(digests)) < len(digests):
-        raise SimulateError(f"{captures[-1].name}: one contact image teaches twice; give each press once")
+        raise SimulateError(f"{captures[-1].name}: one contact image is given twice; give each press once")
     for capture in captures[1:]:
         if _ball_and_scale(capture) != (radius_mm, scale) or capture.contact.shape != first.contact.shape:
             raise SimulateError(
@@ -316,10 +316,10 @@ def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
     SimulateError
         The capture lacks circle, ball or scale, has another size, or taught the model itself.
     """
-    if contact_sha256(capture) in gel.taught_by_sha256:
+    if contact_sha256(capture) in gel.training_sha256:
         raise SimulateError(
-            f"{capture.name}: its contact image taught the model ({', '.join(gel.taught_by)}), so its prediction for "
-            "this press proves nothing"
+            f"{capture.name}: its contact image taught the model ({', '.join(gel.training_presses)}), so "
+            "its prediction for this press proves nothing"
         )
     distance = _distance(capture)
     if distance.shape != gel.shape_px:
@@ -330,7 +330,7 @@ def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
             f"{gel.ball_radius_mm:g} mm radius at {gel.mm_per_px:g} mm a pixel"
         )
     ratio = _Lights.of(gel.theta, gel.start).ratio(_press(capture, taught=False)).reshape(*distance.shape, -1)
-    taught = f"fitted to {len(gel.taught_by)} other presses: {', '.join(gel.taught_by)}"
+    taught = f"fitted to {len(gel.training_presses)} other presses: {', '.join(gel.training_presses)}"
     return predicted_press(capture, ratio, distance, ("elastic gel", GEL_LABEL, "rendered"), taught)
 
 

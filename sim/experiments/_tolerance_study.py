@@ -49,8 +49,7 @@ Evaluate = Callable[[FingerDesign, Paints, int], float]
 ALLOWED_REL: Final = 0.1
 RUNS: Final = 128
 OBJECTIVE: Final = (
-    "expected error of the sensed normal at places of the pad that the map from colour to normal was not taught at, "
-    "mean "
+    "expected error of the sensed normal at places of the pad that were left out when the map was taught, mean "
     "over the contact places, paint draws and the noise of the camera, at an exposure that is set again for each finger"
 )
 
@@ -193,7 +192,7 @@ def _path(field: str) -> tuple[str, int | None]:
 def varied_finger(
     design: FingerDesign, paints: Paints, inputs: Sequence[ToleranceInput], steps: Sequence[float] | Floats
 ) -> tuple[FingerDesign, dict[str, PaintDraws]]:
-    """Return a finger whose numbers have left their values by steps, in half-ranges.
+    """Return a finger whose numbers differ from its design by steps, in half-ranges.
 
     Raises
     ------
@@ -600,4 +599,4 @@ class FingerError:
         found = evaluator.evaluate(design, paints)
         if self.calibration == "own":
             return found.normal_error_deg
-        return evaluator.error_taught_by(evaluator.evaluate(self.design, self.paints), found, design)
+        return evaluator.error_with_calibration_of(evaluator.evaluate(self.design, self.paints), found, design)

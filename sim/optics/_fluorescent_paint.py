@@ -21,7 +21,7 @@ Why it is done so (what went wrong with a fixed probability of 0.6 to fluoresce,
   never drawn where their probability is zero: weights are bounded, no end of an inverse distribution divides them.
 - The rare non-finite pixel did not come from the paint. The aluminium's n and k ended at 700 nm, where the renderer's
   ``irregular`` spectrum falls to zero, and Fresnel's formula with n = k = 0 is 0 / 0 at exactly normal incidence (and a
-  wrong reflectance of one elsewhere). Spectra of a scene therefore hold their ends: :func:`held_spectrum`.
+  wrong reflectance of one elsewhere). Spectra of a scene therefore hold their ends: :func:`extended_spectrum`.
   (With multiple importance sampling there is a second source, once in 2^23 draws: a direction exactly in the painted
   surface, whose density is 0; such paths end, see :mod:`sim.optics._fluorescent_paths`.)
 
@@ -335,7 +335,7 @@ def fluorescent_spectrum(
     return fluorescent_integrator(SpectralCarrier(tables, lights), bsdfs, max_depth, roulette_depth, panels)
 
 
-def held_spectrum(wavelength_nm: NDArray[np.float64], values: NDArray[np.float64]) -> dict[str, Any]:
+def extended_spectrum(wavelength_nm: NDArray[np.float64], values: NDArray[np.float64]) -> dict[str, Any]:
     """Return a curve as the renderer's spectrum, with its end values held over all rendered wavelengths.
 
     The renderer's own spectra are zero outside their range; a metal with n = k = 0 is then not a number.

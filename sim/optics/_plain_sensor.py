@@ -253,7 +253,7 @@ def _require_lambertian_lights(sensor: PlainSensor) -> None:
 
 
 def light_frame(sensor: PlainSensor, light: ColouredLight) -> PanelFrame:
-    """Return the rectangle of a light: it stands behind the pad's middle, against the way its light goes.
+    """Return the rectangle of a light: it lies behind the pad's middle, opposite to the direction of its light.
 
     ``turn_deg`` turns it about an axis along the pad's normal through its own centre.
     """

@@ -307,10 +307,10 @@ def metal(design: FingerDesign, bands: PaintBands, renderer: ModuleType) -> dict
     index = design.pad.index_at(design.light.peak_wavelength_nm)
     if not renderer.variant().endswith("_spectral"):
         return coating(design.coating, np.array([band.centroid_nm for band in bands.bands]), index)
-    from sim.optics._fluorescent_paint import held_spectrum  # needs the variant set
+    from sim.optics._fluorescent_paint import extended_spectrum  # needs the variant set
 
     # the renderer's own spectra end in zero, and a metal of n = k = 0 is not a number
-    eta, k = (held_spectrum(_ALUMINIUM[:, 0], _ALUMINIUM[:, column] / index) for column in (1, 2))
+    eta, k = (extended_spectrum(_ALUMINIUM[:, 0], _ALUMINIUM[:, column] / index) for column in (1, 2))
     return _blend(design.coating, eta, k)
 
 

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from sim.studies._dataset import (
         DatasetTask,
         PlannedShard,
-        drawn_light,
-        drawn_press,
         pixel_places_mm,
         planned_shards,
         run_dataset,
+        sampled_light,
+        sampled_press,
         shard_file,
     )
     from sim.studies._engine import run_study
@@ -47,8 +47,6 @@ __all__ = [
     "StudyPaints",
     "StudyTask",
     "design_folder",
-    "drawn_light",
-    "drawn_press",
     "pixel_places_mm",
     "planned_shards",
     "point_code",
@@ -56,6 +54,8 @@ __all__ = [
     "read_plan",
     "run_dataset",
     "run_study",
+    "sampled_light",
+    "sampled_press",
     "shard_file",
     "study_points",
 ]

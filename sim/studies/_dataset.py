@@ -39,11 +39,11 @@ from sim.experiments import (
     PaintDraws,
     PaintedFinger,
     PaintLook,
-    drawn_paints,
     paint_finger,
     press_records,
     render_looks,
     render_noise_rel,
+    sampled_paints,
 )
 from sim.mechanics import PressSettings, press_as_designed
 from sim.optics import Preference, RenderSettings, camera_view, choose_variant, open_renderer
@@ -54,7 +54,7 @@ Floats = NDArray[np.float64]
 
 SHARDS: Final = "shards"
 VERSION: Final = 1
-"""Part of a shard's key: goes up when the same plan gives other samples."""
+"""Part of a shard's key: it is raised when the same plan gives other samples."""
 
 _SPLIT_CYCLE: Final = 10
 _SPLIT_OF: Final[Mapping[int, DatasetSplit]] = {8: "validation", 9: "test"}
@@ -103,7 +103,7 @@ class PlannedShard:
 
 
 def planned_shards(plan: DatasetPlan, presses: int) -> list[PlannedShard]:
-    """Return the shards of a data set, the last one with what is left.
+    """Return the shards of a data set, the last one with the remaining presses.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def split_of(press: int) -> DatasetSplit:
     return _SPLIT_OF.get(press % _SPLIT_CYCLE, "train")
 
 
-def drawn_press(plan: DatasetPlan, press: int) -> FingerDesign:
+def sampled_press(plan: DatasetPlan, press: int) -> FingerDesign:
     """Return the design with the indenter of a press: shape, radius, depth and place drawn evenly.
 
     The whole contact lies on the pad.
@@ -197,7 +197,7 @@ def _to_depth(path: tuple[PathPose, ...], depth_mm: float) -> tuple[PathPose, ..
     return tuple(pose.model_copy(update={"push_mm": pose.push_mm * depth_mm / deepest}) for pose in path)
 
 
-def drawn_light(plan: DatasetPlan, design: FingerDesign, press: int, light: int) -> FingerDesign:
+def sampled_light(plan: DatasetPlan, design: FingerDesign, press: int, light: int) -> FingerDesign:
     """Return a design with the angles of its panels drawn evenly around their own.
 
     Parameters
@@ -363,13 +363,13 @@ def press_samples(task: DatasetTask, press: int) -> list[tuple[DatasetSample, Lo
     """
     plan = task.plan
     renderer = open_renderer(choose_variant(task.engine), threads=1)
-    pressed = _pressed(task, drawn_press(plan, press))
+    pressed = _pressed(task, sampled_press(plan, press))
     found = []
     for light in range(plan.lights):
-        design = drawn_light(plan, pressed.design, press, light)
+        design = sampled_light(plan, pressed.design, press, light)
         optics = {colour: paint.optics for colour, paint in task.paints.items()}
         finger = paint_finger(design, optics, task.design_folder, renderer)
-        looks = [_drawn_look(task, finger, press, light, paint) for paint in range(plan.paints)]
+        looks = [_sampled_look(task, finger, press, light, paint) for paint in range(plan.paints)]
         seed = _render_seed(plan.seed, press, light)
         truths, render = render_looks(finger, looks, RenderSettings("b", seed, plan.samples_per_pixel), pressed.shapes)
         noise = render_noise_rel(finger, render)
@@ -403,10 +403,10 @@ def _render_seed(seed: int, press: int, light: int) -> int:
     return int(words[0]) % _MOST_SEED
 
 
-def _drawn_look(task: DatasetTask, finger: PaintedFinger, press: int, light: int, paint: int) -> PaintLook:
+def _sampled_look(task: DatasetTask, finger: PaintedFinger, press: int, light: int, paint: int) -> PaintLook:
     """Return one draw of the paints."""
     rng = np.random.default_rng((task.plan.seed, _PAINT_STREAM, press, light, paint))
-    return drawn_paints(finger, task.paints, task.plan.emission_ratio, rng)
+    return sampled_paints(finger, task.paints, task.plan.emission_ratio, rng)
 
 
 @dataclass(frozen=True, slots=True)

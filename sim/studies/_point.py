@@ -240,7 +240,7 @@ _OPTICAL_PARTS: Final = (
     "origin",
     "provenance",
 )
-"""Parts of a design that a press does not know: points that differ in them alone share it."""
+"""Parts of a design that do not change a press: points that differ in these alone share one press."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -519,8 +519,8 @@ _MEANINGS: dict[str, tuple[str, str]] = {
     ),
     _TOUCH: (
         "1",
-        f"change of brightness by the touch, rms over cells of {CELL_MM:g} mm of contact and halo, over the brightness "
-        "there",
+        f"change of brightness by the touch, rms over cells of {CELL_MM:g} mm of contact and halo, relative to the "
+        "brightness there",
     ),
     "force_n": (
         "N",
@@ -603,7 +603,7 @@ def _seen(design: FingerDesign, render: PressRender, matrix: Floats) -> _Seen:
     lit = cells[np.isfinite(cells[..., 0])]
     if not len(lit):
         raise SimulateError(
-            f"the pixels are too coarse: no cell of {CELL_MM:g} mm of the coat is seen by four of them; raise "
+            f"the pixels are too coarse: no cell of {CELL_MM:g} mm on the coat fills four of them; raise "
             f"camera.width_px and camera.height_px "
             f"({design.camera.width_px} x {design.camera.height_px}), or turn the camera to the coat"
         )

@@ -80,7 +80,7 @@ ALLOWED = {
             ("data_schemas/storage/_child_process.py", "json.loads"),
             ("data_schemas/storage/_child_process.py", "os.fdopen"),
             ("data_schemas/storage/_child_process.py", "os.open"),
-            ("rigs/light_guard/_held_light.py", "json.loads"),
+            ("rigs/light_guard/_reconnecting_light.py", "json.loads"),
         ),
         "pipes and logs between processes of finray",
     ),

@@ -40,7 +40,7 @@ from rigs.capture._camera_session import (
     saturation_exposures_s,
 )
 from rigs.capture._journal import LEAST_HEALING_S, HealingTimeError
-from rigs.transports import Fault, tell_fault
+from rigs.transports import Fault, report_fault
 from tests.command_line.running import finray, succeed
 
 SIDE_PX = 72
@@ -306,7 +306,7 @@ def test_faults_may_cost_what_the_session_stated(rig: RigFile, tmp_path: Path) -
     class Repeating(LostCamera):
         def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
             faults.append(stated_s / 5.5)
-            tell_fault(Fault("camera", "did not answer", 1, faults[-1]))
+            report_fault(Fault("camera", "did not answer", 1, faults[-1]))
             return super().expose(exposure_s, deadline_s)
 
     with open_rig(rig, Path()) as opened:

@@ -131,7 +131,7 @@ class TestHx711Cell(LoadCellContract):
 def test_guard_of_the_contract_stops_at_a_real_force(tmp_path: Path) -> None:
     """A rig file whose clear_mm lies too near to the pad, on boards in real time."""
     from rigs import ForceLimitError
-    from rigs.capture import guard_of_a_clear_way, open_tactile_rig
+    from rigs.capture import free_travel_guard, open_tactile_rig
     from tests.capture.test_stage_press import real_rig
 
     with press_bench(tmp_path) as bench:
@@ -140,7 +140,7 @@ def test_guard_of_the_contract_stops_at_a_real_force(tmp_path: Path) -> None:
         assert rig.stage is not None
         assert rig.load_cell is not None
         with open_tactile_rig(rig, tmp_path, only="stage and load cell") as opened:
-            guard, stage = guard_of_a_clear_way(opened, rig, tmp_path), opened.stage
+            guard, stage = free_travel_guard(opened, rig, tmp_path), opened.stage
             assert stage is not None
             stage.home(10.0, guard)
             contract = StageContract()

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from data_schemas import LaserSettings, OutsideLayer, RefusedError, RigFile
 from data_schemas.storage import read_toml
-from rigs import lone_laser, open_laser, paper_rig, write_rig
+from rigs import open_laser, open_rig_laser, paper_rig, write_rig
 from rigs.light_guard import TEST_HOLDS_DAYS, off_lines, require_outside_layer
 from rigs.light_guard._guarded_light import HAZARDOUS_CLASSES, refusal
 from tests.capture.drivers import file_switch
@@ -128,5 +128,5 @@ def test_lone_lasers_are_held_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """``pytest --pyargs rigs.contracts --with-laser`` and ``rig show`` open it so."""
     file_switch.install(monkeypatch)
     rig = paper_rig({}).model_copy(update={"laser": laser("4", address=str(tmp_path))})
-    with lone_laser(rig, tmp_path) as light, pytest.raises(RefusedError, match="class 4 laser"), light.lit():
+    with open_rig_laser(rig, tmp_path) as light, pytest.raises(RefusedError, match="class 4 laser"), light.lit():
         pytest.fail("lit")

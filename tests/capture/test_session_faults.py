@@ -39,7 +39,7 @@ from rigs.capture._journal import HealingTimeError, read_journal
 from rigs.capture._paint_session import capture_with
 from rigs.filter_wheels.thorlabs import open_wheel
 from rigs.light_guard import GuardedLight, LightLostError
-from rigs.transports import Fault, tell_fault
+from rigs.transports import Fault, report_fault
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.thorlabs_wheel import EmulatedWheel, emulated_wheel
 
@@ -554,7 +554,7 @@ def test_faults_are_noted_and_told_at_the_end(rig: RigFile, small: PaintPlan, tm
 
     class Repeating(TurningBench):
         def go_to(self, slot: int, deadline_s: float) -> None:
-            tell_fault(Fault("filter wheel at /dev/ttyUSB0", "did not answer within 1 s", 1, 1.25))
+            report_fault(Fault("filter wheel at /dev/ttyUSB0", "did not answer within 1 s", 1, 1.25))
             super().go_to(slot, deadline_s)
 
     def once(number: int, raw: RawFrame) -> RawFrame:
@@ -586,7 +586,7 @@ def test_faults_that_cost_more_than_the_session_stated_end_it_in_the_dark(
     class Repeating(TurningBench):
         def go_to(self, slot: int, deadline_s: float) -> None:
             if kind == "exchanges":
-                tell_fault(Fault("filter wheel at /dev/ttyUSB0", "did not answer", 1, each_s))
+                report_fault(Fault("filter wheel at /dev/ttyUSB0", "did not answer", 1, each_s))
             super().go_to(slot, deadline_s)
 
     def torn(number: int, raw: RawFrame) -> RawFrame:

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from data_schemas import DiedError, RecordError, RefusedError
-from finray_calib.demo import can_go_on
+from finray_calib.demo import can_continue
 from finray_calib.demo._report import write_report
 from finray_calib.demo._run import STAGES as REAL_STAGES
-from finray_calib.demo._run import whole_stages
+from finray_calib.demo._run import complete_stages
 from tests.command_line import small_demo
 from tests.command_line.running import succeed, tree
 from tests.documentation.example_records import example_results
@@ -114,11 +114,11 @@ def test_a_stage_that_hangs_ends_with_ctrl_c_and_the_demo_goes_on(tmp_path):
     assert children
     with pytest.raises(RecordError, match="another 'finray demo' is writing into it; wait, or choose another --out"):
         small_demo.run(out)
-    assert not can_go_on(out, small_demo.settings(out))
+    assert not can_continue(out, small_demo.settings(out))
     parent.send_signal(signal.SIGINT)
     assert "KeyboardInterrupt" in parent.communicate(timeout=30.0)[1]
     assert gone_within(children, 5.0)
-    assert can_go_on(out, small_demo.settings(out))
+    assert can_continue(out, small_demo.settings(out))
     assert small_demo.run(out)[0]["verdict"] == "done"
     assert computed(out) == ["one", "two", "three"]
 
@@ -190,7 +190,7 @@ def test_settings_are_not_mixed(tmp_path):
         RecordError, match=r"holds an unfinished demo with another seed 1 \(now 2\), whose files would mix"
     ):
         small_demo.run(out, seed=2)
-    assert not can_go_on(out, small_demo.settings(out, seed=2))
+    assert not can_continue(out, small_demo.settings(out, seed=2))
     (out / "demo.json").write_text((out / "demo.json").read_text().replace('"version": "', '"version": "9.'))
     with pytest.raises(RecordError, match=r"with another version 9\..*; choose another --out"):
         small_demo.run(out)
@@ -231,7 +231,7 @@ def test_every_stage_of_the_demo_names_its_inputs_before_they_are_needed():
         for product in stage.products:
             assert set(product.inputs) <= made
         made |= {product.file for product in stage.products}
-    assert whole_stages(Path("/nowhere"), REAL_STAGES) == set()
+    assert complete_stages(Path("/nowhere"), REAL_STAGES) == set()
 
 
 @pytest.mark.renderer

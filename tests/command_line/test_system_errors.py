@@ -13,7 +13,7 @@ import pytest
 from data_schemas import CameraSettings, FilterWheelSettings, FinrayError, system_words
 from data_schemas.storage import write_bytes
 from finray_calib.cli import main as command
-from rigs import TerminalOperator, lone_camera, lone_laser, lone_wheel, paper_rig
+from rigs import TerminalOperator, open_rig_camera, open_rig_laser, open_rig_wheel, paper_rig
 from tests.capture.drivers.programs import free_port
 from tests.command_line.running import finray
 
@@ -115,18 +115,18 @@ def wheel(driver: str, address: str) -> Callable[[], object]:
     rig = paper_rig({}).model_copy(
         update={"filter_wheel": FilterWheelSettings(driver=driver, address=address, filters=filters)}
     )
-    return lambda: lone_wheel(rig, Path(), TerminalOperator()).__enter__()
+    return lambda: open_rig_wheel(rig, Path(), TerminalOperator()).__enter__()
 
 
 def camera(driver: str, address: str) -> Callable[[], object]:
     rig = paper_rig({}).model_copy(update={"camera": CameraSettings(driver=driver, address=address, bit_depth=8)})
-    return lambda: lone_camera(rig, Path()).__enter__()
+    return lambda: open_rig_camera(rig, Path()).__enter__()
 
 
 def laser(driver: str, address: str) -> Callable[[], object]:
     settings = paper_rig({}).laser.model_copy(update={"driver": driver, "address": address})
     rig = paper_rig({}).model_copy(update={"laser": settings})
-    return lambda: lone_laser(rig, Path()).__enter__()
+    return lambda: open_rig_laser(rig, Path()).__enter__()
 
 
 @pytest.mark.parametrize(

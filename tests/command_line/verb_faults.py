@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from data_schemas.storage._product_set import is_whole
+from data_schemas.storage._product_set import is_complete
 from finray_calib.cli.main import main
 from tests.file_faults import KILLED, FileFaults, contents, in_child
 
@@ -175,10 +175,10 @@ class Tries:
         now = products(self.here, self.there)
         assert before.items() <= now.items(), what
         is_there = all(now.get(path) == content for path, content in self.whole.items())
-        assert is_whole(self.here / self.command.commit) == is_there, what
+        assert is_complete(self.here / self.command.commit) == is_there, what
         if not is_there:
             halves = [p for p in map(Path, now.keys() & self.whole.keys() - before.keys()) if not self._is_step(p)]
-            assert not any(is_whole(path) for path in halves if path.suffix == ".json"), what
+            assert not any(is_complete(path) for path in halves if path.suffix == ".json"), what
             self.ended[f"{kind}, half set named"] += bool(halves)
         self.ended[f"{kind}, {'whole' if is_there else 'absent'}"] += 1
         assert not (is_there and status == 2), f"{what}: told {said}, but it is stored"

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from finray_calib.compare import _input_draws as conditioning
-from finray_calib.compare._input_draws import Drawn, condition_on_levels
+from finray_calib.compare._input_draws import InputDraws, condition_on_levels
 
 DRAWS = 40_000
 LEVELS = (2, 3, 2)
@@ -17,7 +17,7 @@ NOISE = np.full(LEVELS, 0.01**2)
 
 def drawn(rng):
     z = PRIOR_SD * rng.standard_normal((DRAWS, 4))
-    return Drawn(np.ones((1, 2)), {"paint": z[:, None, :2]}, {"depth": z[:, 2]}, z[:, 3])
+    return InputDraws(np.ones((1, 2)), {"paint": z[:, None, :2]}, {"depth": z[:, 2]}, z[:, 3])
 
 
 def packed(draws):

@@ -6,7 +6,7 @@ import pytest
 from data_schemas import CompareError
 from finray_calib.compare._comparison import exposure_fit, part_levels
 from finray_calib.compare._image_noise import CaptureNoise
-from finray_calib.compare._input_draws import Drawn, Inputs
+from finray_calib.compare._input_draws import InputDraws, Inputs
 from finray_calib.compare._region_sums import render_layers
 from tests.command_line.records import press as made_up_press
 from tests.compare.layered_scenes import EVERYWHERE, MATRIX, SHAPE, captured_of, layers_of, smooth_layers
@@ -69,7 +69,7 @@ def test_levels_of_nine_parts_are_the_direct_means():
     assert levels.places == tuple((r, c) for r in range(3) for c in range(3))
     # 48 x 64 px in thirds
     assert levels.pixels.tolist() == [16 * n for n in (22, 21, 21)] * 3
-    drawn = Drawn(MATRIX, {}, {"depth": np.array([0.0, 0.5])}, np.array([0.0, 0.01]))
+    drawn = InputDraws(MATRIX, {}, {"depth": np.array([0.0, 0.5])}, np.array([0.0, 0.01]))
     found = levels.simulated(drawn, np.array([100.0, 200.0]))
     for i, part in enumerate(np.ix_(np.arange(16 * r, 16 * r + 16), c) for r in range(3) for c in _thirds()):
         for d, (k, move) in enumerate([(100.0, 0.0), (200.0, 0.5)]):
@@ -81,7 +81,7 @@ def test_levels_of_nine_parts_are_the_direct_means():
     # without contact the exposure takes all: nothing is left; with it 690 / 700, and the drift of the capture
     assert ratio[0, 0] == pytest.approx(0.0, abs=SINGLE)
     assert ratio[0, 1] == pytest.approx(np.log(690.0 / 700.0), abs=SINGLE)
-    still = levels.log_ratio(Drawn(MATRIX, {}, {"depth": np.array([0.5])}, np.zeros(1)), fit)
+    still = levels.log_ratio(InputDraws(MATRIX, {}, {"depth": np.array([0.5])}, np.zeros(1)), fit)
     assert ratio[1, 1] == pytest.approx(still[0, 1] - 0.01, abs=SINGLE)
 
 

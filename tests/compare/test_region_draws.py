@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from finray_calib.compare._image_noise import NOISE_EXCESS, CaptureNoise
-from finray_calib.compare._input_draws import Drawn, Inputs
+from finray_calib.compare._input_draws import InputDraws, Inputs
 from finray_calib.compare._photometric_error import RegionDraws, propagated_draws, resampled_draws
 from finray_calib.compare._region_sums import gradient_sums, image_sums
 from tests.compare.layered_scenes import EVERYWHERE, MATRIX, SHAPE, captured_of, layers_of, smooth_layers
@@ -82,7 +82,7 @@ def test_draws_of_paint_pose_exposure_and_drift_are_the_direct_sums(scene):
     layers, captured = layers_of(pressed, base, pose={"depth_mm": slope}), scene[1]
     rng = np.random.default_rng(2)
     draws = 5
-    drawn = Drawn(
+    drawn = InputDraws(
         MATRIX,
         {"paint": 0.1 * rng.standard_normal((draws, 3, 3)), "camera": 0.1 * rng.standard_normal((draws, 3, 3))},
         {"depth": 0.3 * rng.standard_normal(draws)},
@@ -163,7 +163,7 @@ def test_noise_spreads_the_draws_as_the_sums_say(scene):
         layers, captured_of(captured.contact, captured.no_contact, captured.repeat, noise), EVERYWHERE, DN, ()
     )
     draws = 20_000
-    drawn = Drawn(MATRIX, {}, {}, np.zeros(draws))
+    drawn = InputDraws(MATRIX, {}, {}, np.zeros(draws))
     found = propagated_draws(sums, drawn, np.full(draws, DN), np.random.default_rng(5))
     # four standard errors of a standard deviation
     margin = 4.0 / np.sqrt(2.0 * draws)

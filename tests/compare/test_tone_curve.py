@@ -6,8 +6,8 @@ import pytest
 
 from data_schemas import CompareError, DecideError, IndenterPose, PhotometricErrorReport, SimulatedPress, TactileCapture
 from finray_calib.compare import CheckOptions, compare_checked, compare_press, find_mismatches
-from finray_calib.compare._comparison import quiet_comparison
-from finray_calib.compare._photometric_error import _tiles_of, drawn_squares
+from finray_calib.compare._comparison import block_averaged_comparison
+from finray_calib.compare._photometric_error import _tiles_of, square_draws
 from finray_calib.compare._prepared_images import nuisances_of, prepare_images
 from finray_calib.compare._region_sums import render_layers
 from finray_calib.compare._tone_curve import encoded_layers, far_gain, fit_tone
@@ -187,14 +187,14 @@ def test_draws_at_the_pixels_of_the_region_are_those_of_whole_images(encoding):
     if encoding == "unknown":
         rest = capture.no_contact.astype(np.float32)
         press = press_of(rest, rest * (press.contact / press.no_contact) ** 0.45, "unknown")
-    _, comparison = quiet_comparison(prepare_images(press, capture), capture)
+    _, comparison = block_averaged_comparison(prepare_images(press, capture), capture)
     assert comparison.nuisances.is_corrected
     tiles = [_tiles_of(sums) for sums in comparison.sums]
-    found = drawn_squares(comparison, comparison.nuisances, tiles, np.random.default_rng(1))
+    found = square_draws(comparison, comparison.nuisances, tiles, np.random.default_rng(1))
     nuisances, rng = comparison.nuisances, np.random.default_rng(1)
     if nuisances.tone is None:
         layers, best = nuisances.best()
-        whole = ((layers, factors * best) for factors in nuisances.drawn_factors(rng))
+        whole = ((layers, factors * best) for factors in nuisances.factor_draws(rng))
     else:
         whole = nuisances.drawn(nuisances.tone, rng)
     rest = comparison.captured.no_contact

@@ -27,7 +27,7 @@ def worlds(truth, seed, shared=1.0, own=0.5):
 @pytest.mark.parametrize("choices", [2, 6])
 def test_equal_choices_are_told_apart_in_five_per_cent_at_most(choices):
     # however many are compared: the share of worlds where any two are told apart
-    share = np.mean([rank_by_draws(draws).told_apart.any() for draws in worlds([7.0] * choices, 3)])
+    share = np.mean([rank_by_draws(draws).distinguishable.any() for draws in worlds([7.0] * choices, 3)])
     assert share < 0.05 + 4.0 * SHARE_SD
     # and the method is no excuse to say nothing
     assert share > 0.02
@@ -36,7 +36,7 @@ def test_equal_choices_are_told_apart_in_five_per_cent_at_most(choices):
 def test_a_difference_of_five_standard_deviations_is_found_and_points_the_right_way():
     # the difference of two centres has a standard deviation of 0.71
     found = [rank_by_draws(draws) for draws in worlds([7.0, 7.0 + 5.0 * 0.5 * np.sqrt(2.0)], 4)]
-    told = np.mean([ranking.told_apart[0, 1] for ranking in found])
+    told = np.mean([ranking.distinguishable[0, 1] for ranking in found])
     # 0.998 for a normal difference and a limit of 1.96 to 2.2 standard deviations, 1,500 worlds
     assert told > 0.99
     assert np.mean([ranking.order[0] == 0 for ranking in found]) > 0.999
@@ -46,8 +46,10 @@ def test_what_all_choices_share_does_not_hide_a_difference():
     rng = np.random.default_rng(5)
     shared, own = 10.0 * rng.standard_normal(DRAWS), 0.1 * rng.standard_normal((2, DRAWS))
     ranking = rank_by_draws(np.array([[7.0], [8.0]]) + own + shared)
-    assert ranking.told_apart[0, 1]
-    assert not rank_by_draws(np.array([[7.0], [8.0]]) + own + 10.0 * rng.standard_normal((2, DRAWS))).told_apart.any()
+    assert ranking.distinguishable[0, 1]
+    assert not rank_by_draws(
+        np.array([[7.0], [8.0]]) + own + 10.0 * rng.standard_normal((2, DRAWS))
+    ).distinguishable.any()
 
 
 def test_two_choices_of_the_same_draws_are_one():
@@ -55,7 +57,9 @@ def test_two_choices_of_the_same_draws_are_one():
     ranking = rank_by_draws(np.stack([draws, draws, draws + 1.0]))
     assert ranking.order.tolist() == [0, 1, 2]
     assert ranking.best_share.tolist() == [0.5, 0.5, 0.0]
-    np.testing.assert_array_equal(ranking.told_apart, [[False, False, True], [False, False, True], [True, True, False]])
+    np.testing.assert_array_equal(
+        ranking.distinguishable, [[False, False, True], [False, False, True], [True, True, False]]
+    )
     np.testing.assert_allclose(ranking.above_best, [[0.0] * DRAWS, [0.0] * DRAWS, [1.0] * DRAWS])
 
 

@@ -311,14 +311,14 @@ def test_a_decision_over_places_begins_with_what_to_do_then_the_finger_then_the_
         "8 mm 33 % 63 deg 22 % 52 %",
         "Why, and how sure it is So says the simulation. It holds for touches at 8 to 50 mm.",
         "Best on average is 32 deg: 8.3 % on average and 22 % at most. Best at the worst place is 47 deg:",
-        "Chosen was the best on average (--criterion).",
+        "The best on average was chosen (--criterion).",
     ]
     text = plain(html[: html.index(TRUST)])
     places = [text.index(part) for part in order]
     assert places == sorted(places)
     for absent in ("model-limited", "Risk:", "On the drawing"):
         assert absent not in text
-    assert "Chosen was the best at the worst place" in plain(
+    assert "The best at the worst place was chosen" in plain(
         decision_page(over_places(criterion="worst"), [SWEEP] * 3, COMMAND, DIGESTS)
     )
     numbers = json.loads(re.search(r'id="summary">(.*?)</script>', html, re.DOTALL)[1])

@@ -434,23 +434,24 @@ def test_the_median_does_not_use_what_is_left_out(tmp_path):
     assert found.left_out["the recipe excludes it"] == list(names)
 
 
-def test_who_told_a_circle_is_kept(tmp_path, monkeypatch):
+def test_the_source_of_a_circle_is_kept(tmp_path, monkeypatch):
     """Circles that were searched for stay searched for, also when they come back by --circles."""
     write_digit(tmp_path / "digit")
     monkeypatch.chdir(tmp_path)
     options = f"digit --recipe fots-digit --ball-diameter-mm {2 * BALL_PX / 21.09}"
     assert finray(f"import captures {options} --out set").status == 0
     lines = (tmp_path / "set" / "circles.csv").read_text().splitlines()
-    assert lines[0] == "image,column_px,row_px,radius_px,told_by"
+    assert lines[0] == "image,column_px,row_px,radius_px,source"
     assert all(line.endswith(",search") for line in lines[1:])
     (tmp_path / "mine.csv").write_text("\n".join([*lines[:2], "0002,60,45,20,label", *lines[3:]]))
     assert finray(f"import captures {options} --circles mine.csv --out again").status == 0
     told = [read_record(tmp_path / "again" / f"000{k}.capture.json", TactileCapture) for k in (0, 2)]
     assert [capture.contact_told_by for capture in told] == ["search", "label"]
     assert [any(part.what == "a drawn contact" for part in capture.missing) for capture in told] == [True, False]
-    (tmp_path / "mine.csv").write_text("image,column_px,row_px,radius_px,told_by\n0001,60,45,20,hearsay\n")
-    failed = finray(f"import captures {options} --circles mine.csv --out no")
-    assert "mine.csv, line 2: told_by must be label or search, got 'hearsay'" in failed.err
+    for column in ("source", "told_by"):  # the column's name now, and before
+        (tmp_path / "mine.csv").write_text(f"image,column_px,row_px,radius_px,{column}\n0001,60,45,20,hearsay\n")
+        failed = finray(f"import captures {options} --circles mine.csv --out no")
+        assert f"mine.csv, line 2: {column} must be label or search, got 'hearsay'" in failed.err
 
 
 def test_presses_whose_names_give_one_file_name_are_all_kept(tmp_path, monkeypatch):

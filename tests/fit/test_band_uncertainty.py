@@ -12,7 +12,7 @@ from data_schemas import BandUncertainty
 from finray_calib.fit import band_data
 from finray_calib.fit._band_data import band_values
 from finray_calib.fit._filter_design import _known_rig
-from finray_calib.fit._measured_spectra import band_errors, components_of, drawn_paints, fit_spectrum, learned_spectra
+from finray_calib.fit._measured_spectra import band_errors, components_of, fit_spectrum, learned_spectra, random_paints
 from finray_calib.spectra import WAVELENGTH_NM, curve_quantities
 
 PAINTS, ERROR_RATE, LN_BLOCKING_SD = 60, 1e-3, 0.5
@@ -54,7 +54,7 @@ def outcomes(believed, real):
     """
     optics, rng, spectra = Rig(1, 5.0).optics, np.random.default_rng(20261129), learned_spectra()
     rig = _known_rig(optics)
-    curves = drawn_paints(components_of(spectra, WAVELENGTH_NM, optics.laser.wavelength_nm), PAINTS, rng)
+    curves = random_paints(components_of(spectra, WAVELENGTH_NM, optics.laser.wavelength_nm), PAINTS, rng)
     held, errors = np.zeros(2, int), []
     for curve in curves:
         data = stated_data(rig, curve, 0.2, believed)

@@ -32,8 +32,8 @@ from finray_calib.spectra import (
     FAMILIES,
     WAVELENGTH_NM,
     SkewCauchy,
+    extrapolated_shares,
     filter_transmission,
-    held_shares,
     photon_yield,
 )
 from rigs import simulated_rig
@@ -310,10 +310,10 @@ def test_held_share_of_a_curve_that_ends_early(optics):
         return curve.model_copy(update={"wavelength_nm": curve.wavelength_nm[kept], "values": curve.values[kept]})
 
     short = tuple(from_658_nm(c) for c in optics.camera_response)
-    shares = held_shares(optics.model_copy(update={"camera_response": short}))
+    shares = extrapolated_shares(optics.model_copy(update={"camera_response": short}))
     assert shares[0].min() == pytest.approx(1.0, abs=1e-6)
     assert 0.1 < shares[7].min() < 0.5
-    assert held_shares(optics).max() < 1e-6
+    assert extrapolated_shares(optics).max() < 1e-6
 
 
 @pytest.mark.parametrize("name", [name for name in FAMILIES if name != DEFAULT_FAMILY])

@@ -52,7 +52,7 @@ def test_what_the_library_stored_can_be_traced(lab):
     tree = finray.trace_record(lab / "red.paint.json")
     assert [part.kind for part in tree.all()] == ["PaintCalibration", "BandSignals", "CaptureSession", "file", "file"]
     assert findings(tree) == ()
-    assert tree.is_whole
+    assert tree.is_intact
 
 
 def test_a_record_that_was_read_is_written_with_its_history(lab, paint, tmp_path):

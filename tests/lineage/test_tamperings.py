@@ -28,7 +28,7 @@ def test_an_unchanged_demo_is_whole_where_it_is_and_moved(demo, tmp_path):
         files = {path for path in folder.rglob("*") if path.is_file()}
         assert check.hashed == len(files) - 1  # all but the folder's own checksums
         tree = Tracer(working=tmp_path).trace(folder / DECISION)
-        assert tree.is_whole
+        assert tree.is_intact
         assert sum(part.frames for part in tree.all() if not part.is_repeated) == len(
             list(folder.glob("*/session/frames/*"))
         )

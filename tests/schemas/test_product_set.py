@@ -13,7 +13,7 @@ import pytest
 
 from data_schemas import RecordError, TactileCapture, provenance
 from data_schemas.storage import ProductSet, clear_leftovers, read_record, write_bytes, write_record
-from data_schemas.storage._product_set import is_whole
+from data_schemas.storage._product_set import is_complete
 from tests.file_faults import KILLED, FileFaults, contents, in_child
 from tests.schemas.test_storage import capture
 
@@ -126,7 +126,7 @@ class Try:
         assert before.items() <= now.items()
         is_there = all(now.get(path) == content for path, content in whole.items())
         commits = [self.folder / name for name in COMMITS]
-        assert any(is_whole(path) for path in commits) == is_there
+        assert any(is_complete(path) for path in commits) == is_there
         for path in whole.keys() - before.keys():
             if not is_there and path.endswith(".json") and Path(path).exists():
                 with pytest.raises(RecordError, match="belongs to products that were not stored completely"):

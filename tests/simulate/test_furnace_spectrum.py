@@ -61,7 +61,7 @@ def test_a_conductor_without_its_ends_is_not_a_number(spectral):
     """The cause of the rare non-finite pixel: a curve that falls to zero where it ends; held ends cure it."""
     import mitsuba as mi
 
-    from sim.optics._fluorescent_paint import held_spectrum
+    from sim.optics._fluorescent_paint import extended_spectrum
     from tests.simulate.painted_scenes import spectrum
 
     wavelength, n, k = np.array([400.0, 550.0, 700.0]), np.array([0.49, 0.96, 1.83]), np.array([4.9, 6.7, 8.3])
@@ -76,7 +76,7 @@ def test_a_conductor_without_its_ends_is_not_a_number(spectral):
         return spectrum(values, w)
 
     assert np.isfinite(reflectance(ending)).tolist() == [True, True, False, False]
-    held = reflectance(held_spectrum)
+    held = reflectance(extended_spectrum)
     exact = ((1.83 - 1.0) ** 2 + 8.3**2) / ((1.83 + 1.0) ** 2 + 8.3**2)
     # the formula in single precision loses about 1e-5 next to one
     assert held[2:] == pytest.approx([exact, exact], abs=5e-5)

@@ -16,17 +16,17 @@ from sim.experiments import (
     FingerScene,
     PaintDraws,
     Rendering,
-    drawn_paints,
     paint_finger,
     recoloured,
     render_looks,
+    sampled_paints,
     simulate_press,
 )
 from sim.experiments._learning_samples import encoded_depth, encoded_normal, encoded_picture
 from sim.experiments._sensor_press import surface_of
 from sim.optics import RenderSettings, choose_variant, open_renderer, pixel_maps
 from sim.optics import _render as renders
-from sim.studies import DatasetTask, drawn_light, drawn_press, planned_shards, run_dataset
+from sim.studies import DatasetTask, planned_shards, run_dataset, sampled_light, sampled_press
 from sim.studies import _dataset as datasets
 from sim.studies import _engine as engines
 from sim.surface_meshes import FingerShape, contact_half_width_mm, gel_faces, pressed_shape, rest_shape
@@ -52,8 +52,8 @@ def task_of(folder, paints, **changes):
 
 def test_presses_are_drawn_by_their_number_alone_and_their_contact_lies_on_the_pad():
     plan = plan_of(shapes=("ball", "cylinder"))
-    designs = [drawn_press(plan, press) for press in range(400)]
-    assert designs[7] == drawn_press(plan, 7)
+    designs = [sampled_press(plan, press) for press in range(400)]
+    assert designs[7] == sampled_press(plan, 7)
     for design in designs:
         half, indenter = float(contact_half_width_mm(design)), design.indenter
         assert half <= indenter.position_mm <= design.pad.length_mm - half
@@ -69,7 +69,7 @@ def test_presses_are_drawn_by_their_number_alone_and_their_contact_lies_on_the_p
 
 def test_lights_turn_within_their_reach_and_differ_from_press_to_press():
     plan = plan_of(light_angle_reach_deg=3.0)
-    angles = [drawn_light(plan, plan.design, press, light).light.angle_deg for press in range(50) for light in (0, 1)]
+    angles = [sampled_light(plan, plan.design, press, light).light.angle_deg for press in range(50) for light in (0, 1)]
     assert len(set(angles)) == 100
     assert max(abs(angle - plan.design.light.angle_deg) for angle in angles) <= 3.0
     # the largest of 100 even draws stays within 0.9 of the reach with a probability below 1e-4
@@ -124,7 +124,7 @@ def test_a_shard_has_no_time_and_no_owner_and_reads_back_by_the_rules_of_webdata
 
 @pytest.mark.renderer
 def test_depth_and_normals_are_those_of_the_pressed_surface():
-    design = drawn_press(plan_of(depth_mm=(1.0, 1.2)), 3)
+    design = sampled_press(plan_of(depth_mm=(1.0, 1.2)), 3)
     rest, pressed = rest_shape(design), pressed_shape(design)
     maps = pixel_maps(design, pressed, rest, open_renderer(choose_variant("auto"), threads=1))
     seen = maps.sees("coat")
@@ -157,10 +157,10 @@ def test_depth_and_normals_are_those_of_the_pressed_surface():
 
 @pytest.mark.renderer
 def test_pictures_are_those_of_a_render_of_the_same_press_recoloured(paints):
-    design = drawn_press(plan_of(), 0)
+    design = sampled_press(plan_of(), 0)
     optics = {colour: paint.optics for colour, paint in paints.items()}
     finger = paint_finger(design, optics, None, open_renderer(choose_variant("auto"), threads=1))
-    look = drawn_paints(finger, paints, 1.5, np.random.default_rng(2))
+    look = sampled_paints(finger, paints, 1.5, np.random.default_rng(2))
     assert all(1.0 / 1.5 <= factor <= 1.5 for factor in look.factors.values())
     (truth,), render = render_looks(finger, [look], RenderSettings("b", 5, 2))
     press = simulate_press(FingerScene(finger), Rendering(seed=5, samples_per_pixel=2), {})
@@ -183,16 +183,16 @@ def test_a_paint_that_returns_more_light_than_it_gets_is_drawn_again(paints):
         for colour, p in paints.items()
     }
     rng = np.random.default_rng(0)
-    assert all(drawn_paints(Finger, bright, 1.0, rng).draws == {"red": 1, "green": 1} for _ in range(5))
+    assert all(sampled_paints(Finger, bright, 1.0, rng).draws == {"red": 1, "green": 1} for _ in range(5))
     hopeless = {colour: PaintDraws(p.optics, p.emission_per_nm[:1]) for colour, p in bright.items()}
     with pytest.raises(SimulateError, match="no draw of the paints out of 50 conserves energy"):
-        drawn_paints(Finger, hopeless, 1.0, rng)
+        sampled_paints(Finger, hopeless, 1.0, rng)
 
 
 def test_only_shapes_that_may_pass_through_themselves_are_searched(monkeypatch):
     searched = []
     monkeypatch.setattr(renders, "check_no_intersections", searched.append)
-    shape = pressed_shape(drawn_press(plan_of(), 0))
+    shape = pressed_shape(sampled_press(plan_of(), 0))
     renders.check_apart(shape, is_analytic=True)
     assert not searched
     renders.check_apart(shape, is_analytic=False)

@@ -79,7 +79,7 @@ def test_the_ranking_is_the_one_that_was_made(llvm, paints):
     mean = found.normal_error_deg.mean(axis=1)
 
     def is_worse(one, other):
-        return mean[number[one]] > mean[number[other]] and ranking.told_apart[number[one], number[other]]
+        return mean[number[one]] > mean[number[other]] and ranking.distinguishable[number[one], number[other]]
 
     # half the yield, the same colour
     assert is_worse(("dull", "green"), ("red", "green"))
@@ -88,9 +88,9 @@ def test_the_ranking_is_the_one_that_was_made(llvm, paints):
     assert is_worse(("red", "bluish"), ("red", "green"))
     assert is_worse(("bluish", "red"), ("green", "red"))
     # two calibrations of one paint
-    assert not ranking.told_apart[number["red", "green"], number["twin", "green"]]
+    assert not ranking.distinguishable[number["red", "green"], number["twin", "green"]]
     # the finger is the same from both sides
-    assert not ranking.told_apart[number["red", "green"], number["green", "red"]]
+    assert not ranking.distinguishable[number["red", "green"], number["green", "red"]]
     best = {name for pair, rank in zip(found.pairs, ranking.best_share, strict=True) if rank for name in pair}
     assert best <= {"red", "twin", "green"}
 

@@ -107,7 +107,7 @@ def test_refusals():
             teach_gel([*presses[:2], presses[2].model_copy(update=change)])
     with pytest.raises(SimulateError, match="press 2: has another ball, scale or size than press 0"):
         teach_gel([*presses[:2], presses[2].model_copy(update={"mm_per_px": 0.2})])
-    with pytest.raises(SimulateError, match="press 1: one contact image teaches twice"):
+    with pytest.raises(SimulateError, match="press 1: one contact image is given twice"):
         teach_gel([*presses[:2], presses[1]])
     away = ContactCircle(row_px=900.0, column_px=900.0, radius_px=10.0)
     wide = ContactCircle(row_px=60.0, column_px=80.0, radius_px=70.0)

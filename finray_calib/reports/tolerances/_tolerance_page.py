@@ -155,7 +155,7 @@ def _sections(found: FingerTolerances) -> tuple[Part, ...]:
 
 
 def limit_text(side: ToleranceSide, unit: str) -> str:
-    """Return how far one side goes: a distance, or the farthest that was evaluated."""
+    """Return the limit of one side: a distance, or the largest that was evaluated."""
     unit = "" if unit == "1" else f" {unit}"
     return f"over {side.tried:.3g}{unit}" if side.limit is None else f"{side.limit:.3g}{unit}"
 

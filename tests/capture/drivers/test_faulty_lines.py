@@ -15,7 +15,7 @@ import pytest
 
 from data_schemas import BandPassFilter, FilterWheelSettings, LostError, TimedOutError
 from rigs import TerminalOperator, open_wheel
-from rigs.transports import Fault, faults_told, repeated
+from rigs.transports import Fault, fault_listener, repeated
 from tests.capture.drivers.faulty_line import KINDS, FaultyLine, Kind, Mishap
 from tests.capture.drivers.programs import wait_until
 
@@ -79,7 +79,7 @@ def test_a_wheel_ends_at_its_slot_whatever_befalls_its_line(tmp_path: Path, kind
     with small_wheel() as device, FaultyLine(device.port, device.restart, port) as line:
         wait_until(lambda: os.path.lexists(port), "the pseudo-terminal")
         settings = FilterWheelSettings(driver="thorlabs", address=str(port), filters=filters)
-        with open_wheel(settings, TerminalOperator()) as wheel, faults_told(told.append):
+        with open_wheel(settings, TerminalOperator()) as wheel, fault_listener(told.append):
             for slot, to_device in ((3, True), (7, False), (2, True), (6, False)):
                 line.arm(Mishap(kind, to_device))
                 wheel.go_to(slot, MOVE_S)
@@ -98,7 +98,7 @@ def test_attempts_are_told_and_end_with_the_time() -> None:
             raise error
         return "answer"
 
-    with faults_told(told.append):
+    with fault_listener(told.append):
         assert repeated(attempt, time.monotonic() + 10.0, "wheel") == "answer"
     assert [(fault.device, fault.what, fault.attempt) for fault in told] == [
         ("wheel", "first", 1),

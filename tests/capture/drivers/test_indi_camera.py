@@ -14,7 +14,7 @@ from rigs.cameras import indi
 from rigs.cameras.indi import CardValue, FitsImage, IndiFrames, open_camera
 from rigs.filter_wheels.indi import open_wheel
 from rigs.lights.indi import open_switch
-from rigs.transports import Fault, IndiClient, faults_told
+from rigs.transports import Fault, IndiClient, fault_listener
 from tests.capture.drivers.indi_server import CCD, PANEL, SIMULATORS, WHEEL, IndiServer
 from tests.capture.drivers.rig_excerpts import camera_settings, wheel_settings
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
@@ -216,7 +216,7 @@ def test_a_driver_that_crashes_is_connected_again_with_its_settings(server: Indi
     with open_camera(camera_settings(server.address(CCD), gain_db=7.0), Path()) as camera:
         assert camera.expose(0.05, FRAME_S).settings["gain"] == 7.0
         server.crash_camera()
-        with faults_told(faults.append):
+        with fault_listener(faults.append):
             assert camera.expose(0.05, FRAME_S).settings["gain"] == 7.0
     assert "the driver withdrew the device: it crashed" in faults[0].what
 

@@ -108,7 +108,7 @@ def test_a_lit_light_that_another_program_switches_off_is_noticed(server: IndiSe
 @pytest.mark.rigs
 def test_a_remembered_off_is_no_confirmation(server: IndiServer, switch: LightSwitch) -> None:
     with server.frozen():
-        with pytest.raises(TimedOutError, match="did not say what FLAT_LIGHT_CONTROL is"):
+        with pytest.raises(TimedOutError, match="did not report FLAT_LIGHT_CONTROL"):
             switch.state(0.2)
         with pytest.raises(UnsafeError, match="off is not confirmed; cut the power of the light"):
             switch.switch(False, 0.2)

@@ -12,7 +12,7 @@ from data_schemas import LostError, RefusedError, TimedOutError, WrongPositionEr
 from rigs import FilterWheel, TerminalOperator
 from rigs.filter_wheels import Arrival, indi, require_slot, require_slots
 from rigs.filter_wheels.indi import open_wheel
-from rigs.transports import Fault, IndiClient, faults_told
+from rigs.transports import Fault, IndiClient, fault_listener
 from tests.capture.drivers.indi_server import REAL_WHEELS, WHEEL, IndiServer
 from tests.capture.drivers.programs import require_module
 from tests.capture.drivers.rig_excerpts import wheel_settings
@@ -205,7 +205,7 @@ def test_a_disconnected_driver_is_connected_again_and_its_slot_unknown(server: I
     faults: list[Fault] = []
     wheel.go_to(2, MOVE_S)
     server.put(WHEEL, "CONNECTION.DISCONNECT=On")
-    with faults_told(faults.append):
+    with fault_listener(faults.append):
         assert wheel.position() is None
     assert "the driver withdrew FILTER_SLOT" in faults[0].what
     wheel.go_to(2, MOVE_S)
@@ -214,7 +214,7 @@ def test_a_disconnected_driver_is_connected_again_and_its_slot_unknown(server: I
 
 @pytest.mark.rigs
 def test_a_mute_server_is_late_and_a_killed_one_lost_until_it_is_back(server: IndiServer, wheel: FilterWheel) -> None:
-    with server.frozen(), pytest.raises(TimedOutError, match="did not say what FILTER_SLOT is"):
+    with server.frozen(), pytest.raises(TimedOutError, match="did not report FILTER_SLOT"):
         wheel.go_to(2, 0.3)
     moving = threading.Thread(target=wheel.go_to, args=(6, 30.0))
     moving.start()

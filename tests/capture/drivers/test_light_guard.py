@@ -17,7 +17,7 @@ import pytest
 from data_schemas import CaptureError, LampSettings, LaserSettings, LostError, RefusedError, TimedOutError, UnsafeError
 from rigs import TerminalOperator, open_lamp, open_laser
 from rigs.light_guard import GuardedLight, guarded_light
-from rigs.light_guard._held_light import HungUpError, channel, error_from, error_words, receive, send
+from rigs.light_guard._reconnecting_light import HungUpError, channel, error_from, error_words, receive, send
 from rigs.light_guard.watch import GUARD_SILENT_S, LOOK_S, OtherProcess
 from rigs.lights.arduino import WentOffError
 from rigs.lights.indi import open_switch

@@ -11,7 +11,14 @@ import pytest
 
 from data_schemas import LostError
 from rigs.light_guard import guarded_light, watch
-from rigs.light_guard._held_light import LATE_ON_S, RETRY_FOR_S, HeldLight, HungUpError, channel, receive
+from rigs.light_guard._reconnecting_light import (
+    LATE_ON_S,
+    RETRY_FOR_S,
+    HungUpError,
+    ReconnectingLight,
+    channel,
+    receive,
+)
 from rigs.light_guard.guard_process import LOOK_ALONE_S, LOOK_EVERY_S
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.light_owner import guards, start_owner, the_guard
@@ -174,9 +181,9 @@ def test_a_light_that_was_closed_says_so(folder):
         pytest.fail("lit")
 
 
-def test_a_held_light_that_is_not_open_has_no_switch():
+def test_a_light_that_is_not_open_has_no_switch():
     with pytest.raises(LostError, match="laser: the connection is closed"):
-        HeldLight(lambda: file_switch.open_switch("", "laser", None), "laser").switch.keep_alive()
+        ReconnectingLight(lambda: file_switch.open_switch("", "laser", None), "laser").switch.keep_alive()
 
 
 def test_guard_without_owner_goes_on_trying_after_it_shouted(folder):

@@ -25,7 +25,7 @@ from rigs.cameras._image_files import decoded_jpeg, jpeg_size_px
 from rigs.cameras.mjpeg import open_camera
 from rigs.capture._exposure import CheckedCamera
 from rigs.capture._plan import Step
-from rigs.transports import Fault, MultipartStream, Part, faults_told
+from rigs.transports import Fault, MultipartStream, Part, fault_listener
 from tests.capture.drivers.programs import answers, free_port, require, wait_until
 
 TRANSCRIPTS = Path(__file__).parent / "transcripts"
@@ -228,7 +228,7 @@ def test_ended_stream_is_opened_again():
     with (
         serving(lambda: stream_of(*(jpeg(next(levels)) for _ in range(7))), every_s=0.05) as address,
         opened(address) as camera,
-        faults_told(faults.append),
+        fault_listener(faults.append),
     ):
         assert all(camera.expose(ASKED_S, 2.0).counts.any() for _ in range(5))
     assert all("the stream ended" in fault.what for fault in faults)

@@ -25,7 +25,7 @@ from data_schemas import (
 from rigs import FilterWheel, TerminalOperator, open_wheel
 from rigs.filter_wheels import thorlabs
 from rigs.filter_wheels.thorlabs import Dialogue
-from rigs.transports import Fault, SerialLink, faults_told
+from rigs.transports import Fault, SerialLink, fault_listener
 from rigs.transports._serial_link import UsbSerialPort
 from tests.capture.drivers.programs import free_port, others_python, require, wait_until
 from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
@@ -261,7 +261,7 @@ def test_a_wheel_that_lost_its_power_is_proven_again(device: EmulatedWheel) -> N
         wheel.go_to(5, MOVE_S)
         device.control.put(pos=1, sensors=1, speed=0, late_s=1.4)
         threading.Timer(0.2, lambda: device.control.put(late_s=0.0)).start()
-        with faults_told(faults.append):
+        with fault_listener(faults.append):
             wheel.go_to(7, MOVE_S)
         assert (device.control.get("pos"), device.control.get("sensors"), device.control.get("speed")) == (7, 0, 1)
     assert [(fault.device, fault.attempt) for fault in faults] == [(f"filter wheel at {device.address}", 1)]

@@ -38,10 +38,10 @@ NOBODY_ASKED: Final = "on although nothing had switched it on"
 
 
 class LightLostError(LostError):
-    """A light did not come on, or went off unasked; it is confirmed off, and may be lit anew by who needs it."""
+    """A light did not come on, or went off unasked; it is confirmed off, and may be lit again."""
 
 
-class HeldLight:
+class ReconnectingLight:
     """A light that is made to be off, over a new connection where the old one fails.
 
     Parameters
