@@ -630,7 +630,8 @@ class PartsContact:
     ) -> None:
         self._design, self._mesh, self._assembly, self._threads = design, mesh, assembly, threads
         self.surfaces = OwnSurfaces(mesh)
-        self._clean_mm, self._watched, self._since = begin_mm, True, ""
+        self._begin_mm = self._clean_mm = begin_mm
+        self._watched, self._since = True, ""
         self._contact: BarrierContact | None = None
 
     def refuse(self, state: State, pushed_mm: float) -> str:
@@ -642,7 +643,8 @@ class PartsContact:
             from sim.mechanics._barrier_contact import finger_parts_contact
 
             self._contact = finger_parts_contact(self._design, self._mesh, self._threads)
-            if self._contact.energy(self._clean_mm) > 0.0:  # the increments before are no equilibria of it
+            # the increments before are no equilibria of it; a press that is continued has had it, as it is stored
+            if self._contact.energy(self._clean_mm) > 0.0 and self._clean_mm is not self._begin_mm:
                 self._watched = False
                 return ""
         if self._contact.energy(state.u_mm) == 0.0 and not self.surfaces.crossing(state.u_mm):

@@ -9,7 +9,7 @@ from sim import preset_design
 from sim.experiments import press_records
 from sim.mechanics import STEPS, Block, FingerMesh, PressSettings, finger_mesh, press_finger
 from sim.mechanics import _press as press_module
-from sim.mechanics._assembly import Assembly, Elasticity
+from sim.mechanics._assembly import Assembly, Elasticity, State
 from sim.mechanics._contact_library import contact_library_failure
 from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._increments import Load, load_increments
@@ -203,6 +203,19 @@ def test_parts_that_come_near_keep_apart_from_there_on():
     said = parts.note("by penalty; contact between ribs is not computed", states[1.0])
     assert said.startswith("by penalty; parts of the finger keep apart by a barrier and touch at ")
     assert "they came within 0.02 mm before a push of 5 mm" in said
+
+
+@needs_the_toolkit
+def test_a_press_that_is_continued_takes_up_the_contact_that_it_had():
+    mesh, states, _, _ = pressed_together(acts_from_rest=False)
+    for goes_on in (True, False):
+        assembly = Assembly(Elasticity(mesh, {"material": neo_hooke(0.1333, 20.0)}))
+        begin = states[0.75] if goes_on else np.zeros_like(states[0.75])
+        parts = PartsContact(preset_design("flat-70x35"), mesh, assembly, 1, begin)
+        if not goes_on:
+            parts.accept(State(states[0.75], ()))
+        assert bool(parts.refuse(State(states[1.0], ()), 10.0)) == goes_on
+        assert len(assembly.terms) == int(goes_on)
 
 
 @needs_the_toolkit
