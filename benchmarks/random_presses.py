@@ -6,8 +6,9 @@ One line of JSON for each seed, written when its press has ended; seeds that sta
 interrupted run goes on and ranges of seeds add up. Coarse mesh, 5 mm in increments of 1 mm; cylinder, ball, cuboid or a
 closed STL, turned and beside the middle; gel and skeleton of any K/mu from 20 to 10,000. The table of all lines of the
 file is printed at the end. Bars: at least 99 % end within the budget of processor time, converged, free of
-intersections, with no node of the coat over 0.2 mm in the indenter and an energy within 5 % of the work of the indenter
-(trapezoids of a force that bends), or, at most 5 %, are refused before the solve. Exit status 1 when one is missed.
+intersections, at equilibria not known to be unstable, with no node of the coat over 0.2 mm in the indenter and an
+energy within 5 % of the work of the indenter (trapezoids of a force that bends), or, at most 5 %, are refused before
+the solve. Exit status 1 when one is missed.
 
 With --paths the 48 x 18 finger is pressed, dragged by up to 2 mm and twisted by up to 20 deg at any place, with any
 friction up to 1, and let go; each press must converge or end with an error that names its step.
@@ -35,6 +36,7 @@ ENERGY_REL = 0.05
 PENETRATION_MM = (
     0.2  # a tenth of a coarse element: the penalty sinks in by its pressure over 50 times the gel's modulus
 )
+UNSTABLE = "may stand at an unstable equilibrium"
 GOOD = ("converged", "refused before the solve")
 LEAST_GOOD, MOST_REFUSED = 0.99, 0.05
 
@@ -196,10 +198,10 @@ def measure_path(seed: int, budget_s: float) -> dict[str, Any]:
     except (SimulateError, ValidationError) as refused:
         found |= {"class": "refused before the solve", "why": " ".join(str(refused).split())}
     else:
-        kind = "passes through itself" if pressed.crossing else "converged"
+        kind = "passes through itself" if pressed.crossing else UNSTABLE if pressed.unstable else "converged"
         found |= {
             "class": "ended at a step that it names" if pressed.unreached else kind,
-            "why": pressed.unreached or pressed.crossing,
+            "why": pressed.unreached or pressed.crossing or pressed.unstable,
             "increments": len(pressed.depth_mm),
             "iterations": int(pressed.iterations.sum()),
             "largest_force_n": float(np.linalg.norm(pressed.force_n, axis=1).max()),
@@ -227,6 +229,8 @@ def kind_of(pressed: PressedFinger, energy_off_rel: float, penetration_mm: float
         return "passes through itself"
     if penetration_mm > PENETRATION_MM:
         return "the indenter is in the coat"
+    if pressed.unstable:
+        return UNSTABLE
     return "converged" if abs(energy_off_rel) <= ENERGY_REL else "energy is not the work"
 
 
@@ -251,7 +255,7 @@ def measure(seed: int, budget_s: float) -> dict[str, Any]:
         off = float(pressed.energy_n_mm[-1]) / work - 1.0 if work > 0.0 else np.inf
         found |= {
             "class": kind_of(pressed, off, penetration),
-            "why": pressed.unreached or pressed.crossing,
+            "why": pressed.unreached or pressed.crossing or pressed.unstable,
             "depth_mm": float(pressed.depth_mm[-1]),
             "force_n": float(pressed.force_n[-1, 1]),
             "contact": pressed.kind,

@@ -485,7 +485,7 @@ class PressMechanics(Record):
 class PressIncrement(Record):
     """The state of a finger at one increment of a press, from which the press can continue."""
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray simulate press'"
 
     preset: Preset
@@ -507,6 +507,11 @@ class PressIncrement(Record):
     displacement_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("node", "3"), "mm")]
     modes_mm: Annotated[NDArray[np.float64], ArraySpec("<f8", ("hexahedron", "3", "3"), "mm")] = Field(
         description="incompatible modes of the hexahedra that have them, in the order of the mesh's blocks"
+    )
+    unstable: str = Field(
+        default="",
+        description="at which push first the finger may stand at an unstable equilibrium; empty where the search found "
+        "none, or in increments of older versions",
     )
     design: FingerDesign
 

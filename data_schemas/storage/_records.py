@@ -503,6 +503,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("LightPowers", 1): _as_it_is,
     # which code computed each point; none: not known
     ("StudyResult", 1): _as_it_is,
+    # where a press may stand at an unstable equilibrium; none: not known
+    ("PressIncrement", 5): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

@@ -126,6 +126,7 @@ def increment_record(
         nodes_mm=pressed.mesh.nodes_mm,
         displacement_mm=pressed.displacement_mm[-1],
         modes_mm=np.concatenate([modes for modes in pressed.modes_mm if modes.shape[1]]),
+        unstable=pressed.unstable,
         design=design,
     )
 
@@ -228,6 +229,7 @@ def _as_press(record: PressIncrement, mesh: FingerMesh) -> PressedFinger:
         contact_energy_n_mm=record.contact_energy_n_mm,
         friction_work_n_mm=record.friction_work_n_mm,
         kind=record.contact or "unknown",
+        unstable=record.unstable,
     )
 
 

@@ -15,6 +15,7 @@ from sim.mechanics._assembly import State, Term
 from sim.mechanics._colliding_surfaces import CollidingSurfaces, Obstacle
 from sim.mechanics._contact_library import contact_library
 from sim.mechanics._indenters import RigidIndenter
+from sim.mechanics._materials import material_of
 from sim.mechanics._mesh import FingerMesh, outer_triangles
 from sim.mechanics._newton import Supports
 from sim.mechanics._rigid_bodies import TriangleMesh
@@ -77,6 +78,8 @@ class BarrierContact:
         forces have settled: far from an equilibrium that takes fewer steps, near to it more.
     threads
         Of the IPC Toolkit.
+    tied
+        Nodes of faces that are tied to each other, (k,).
 
     Raises
     ------
@@ -92,6 +95,7 @@ class BarrierContact:
         barrier: Barrier | None = None,
         project: bool = True,
         threads: int = 1,
+        tied: IntArray | None = None,
     ) -> None:
         ipctk.set_num_threads(threads)
         ipctk.set_logger_level(ipctk.LoggerLevel.error)
@@ -99,7 +103,7 @@ class BarrierContact:
         self.obstacle = obstacle
         self._count = len(nodes_mm)
         self._project = self._projects = project
-        self._surfaces = CollidingSurfaces(nodes_mm, triangles, obstacle, self.barrier.reach_mm)
+        self._surfaces = CollidingSurfaces(nodes_mm, triangles, obstacle, self.barrier.reach_mm, tied)
         self._mesh = self._surfaces.mesh
         self._potential = ipctk.BarrierPotential(self.barrier.reach_mm, self.barrier.stiffness_mpa, True)
         self._friction = ipctk.FrictionPotential(self.barrier.stick_mm)
@@ -376,7 +380,9 @@ class BarrierPress(DrivenContact):
         start = indenter.vertices_mm(barrier.reach_mm)
         near = _within_reach(start, indenter.surface, mesh.nodes_mm, design.indenter.depth_mm)
         obstacle = Obstacle(near.vertices_mm, near.triangles, reference)
-        contact = BarrierContact(self.mesh.nodes_mm, outer_triangles(mesh), obstacle, barrier, threads=threads)
+        contact = BarrierContact(
+            self.mesh.nodes_mm, outer_triangles(mesh), obstacle, barrier, threads=threads, tied=mesh.tied_nodes
+        )
         super().__init__(contact, Supports.at_rest(reference + 1, mesh.node_sets["fixed"]), reference)
         self._settled_mm = np.zeros_like(self.mesh.nodes_mm)
 
@@ -417,6 +423,13 @@ class BarrierPress(DrivenContact):
     def touch_mm(self) -> FloatArray:
         """Return where these lie in the undeformed pad, (f, 4, 3)."""
         return np.asarray(self.mesh.nodes_mm[self.mesh.surfaces["coat"]])
+
+
+def finger_parts_contact(design: FingerDesign, mesh: FingerMesh, threads: int) -> BarrierContact:
+    """Return the contact of a finger's parts among themselves, of the gel's stiffness, with its exact curvature."""
+    barrier = Barrier(stiffness_mpa=material_of(design.mechanics.gel, "mechanics.gel").shear_modulus_mpa)
+    surface = outer_triangles(mesh)
+    return BarrierContact(mesh.nodes_mm, surface, None, barrier, False, threads, mesh.tied_nodes)
 
 
 def _within_reach(vertices: FloatArray, surface: TriangleMesh, nodes_mm: FloatArray, depth_mm: float) -> TriangleMesh:

@@ -80,7 +80,10 @@ else:
     ipctk = contact_library()
 
 _KEPT_GAP = 0.9  # share of the way to a collision that a step may go: distances stay above zero
-_NEAR_AT_REST_MM = 0.2  # what lies closer at rest is joined, tied or one thin sheet, and never collides
+# what lies at rest within so many reaches of the barrier is joined or one thin sheet, and never collides: it would push
+# at rest; the sides of a corner that folds collide, but for their first elements
+_REACHES_AT_REST = 2.0
+_TIED_MM = 0.2  # faces that are tied lie this close at rest where they are curved, and never collide
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +114,8 @@ class CollidingSurfaces:
         The indenter; none for contact of the parts alone.
     reach_mm
         Distance below which pairs are near.
+    tied
+        Nodes of faces that are tied to each other, (k,).
 
     Raises
     ------
@@ -118,7 +123,14 @@ class CollidingSurfaces:
         When the obstacle starts inside the parts.
     """
 
-    def __init__(self, nodes_mm: FloatArray, triangles: IntArray, obstacle: Obstacle | None, reach_mm: float) -> None:
+    def __init__(
+        self,
+        nodes_mm: FloatArray,
+        triangles: IntArray,
+        obstacle: Obstacle | None,
+        reach_mm: float,
+        tied: IntArray | None = None,
+    ) -> None:
         self.nodes, local = np.unique(triangles, return_inverse=True)
         self.own = len(self.nodes)
         self._reach = reach_mm
@@ -137,7 +149,7 @@ class CollidingSurfaces:
         self._seen: tuple[FloatArray, ipctk.NormalCollisions] | None = None
         self._swept: tuple[FloatArray, FloatArray, ipctk.Candidates] | None = None
         self._check_apart()
-        self.mesh.can_collide = self._allowed()
+        self.mesh.can_collide = self._allowed(np.isin(self.nodes, [] if tied is None else tied))
 
     def _check_apart(self) -> None:
         """Check that the obstacle is outside the parts; what is tied may touch."""
@@ -149,13 +161,18 @@ class CollidingSurfaces:
                 "position_mm, across_mm and rotation_deg"
             )
 
-    def _allowed(self) -> "ipctk.CollisionFilter":
-        """Return which pairs of vertices may collide."""
+    def _allowed(self, tied: NDArray[np.bool_]) -> "ipctk.CollisionFilter":
+        """Return which pairs of vertices may collide; `tied` are those of the parts at a tie, (v,)."""
         parts = ipctk.make_static_obstacle_filter(self.own)
         self.mesh.can_collide = parts
+        joined_mm = _REACHES_AT_REST * self._reach
         # each box is made larger by this: half the distance finds them all
-        near = self._stencils(self.rest_mm, _NEAR_AT_REST_MM / 2.0)
-        pairs = near.closer_than(self.rest_mm, _NEAR_AT_REST_MM).vertex_pairs()
+        near = self._stencils(self.rest_mm, max(joined_mm, _TIED_MM) / 2.0)
+        pairs = near.closer_than(self.rest_mm, joined_mm).vertex_pairs()
+        if tied.any():
+            at_ties = near.closer_than(self.rest_mm, _TIED_MM).vertex_pairs()
+            at_ties = at_ties[at_ties[:, 1] < self.own]
+            pairs = np.concatenate([pairs, at_ties[tied[at_ties].all(axis=1)]])
         pairs = pairs[pairs[:, 1] < self.own]
         barred = {(int(a), int(b)): False for a, b in pairs}
         return parts & ipctk.make_sparse_filter(barred, True)

@@ -70,6 +70,12 @@ class FingerMesh:
         """Hexahedra of each block by its name."""
         return {block.name: block.hexahedra for block in self.blocks}
 
+    @property
+    def tied_nodes(self) -> NDArray[np.int64]:
+        """Nodes of both sides of the ties, (k,)."""
+        tied = [nodes.ravel() for tie in self.ties for nodes in (tie.slave_nodes, tie.master_quads)]
+        return np.unique(np.concatenate([np.empty(0, np.int64), *tied]))
+
 
 def check_unfolded(nodes_mm: NDArray[np.float64], hexahedra: NDArray[np.int64], name: str) -> None:
     """Check that the Jacobian of every hexahedron is positive at all eight corners.
@@ -231,13 +237,21 @@ class OwnSurfaces:
 
     def __init__(self, mesh: FingerMesh) -> None:
         self._mesh = mesh
+        self._seen: tuple[NDArray[np.float64], str] | None = None
         triangles = outer_triangles(mesh)
-        tied = [nodes.ravel() for tie in mesh.ties for nodes in (tie.slave_nodes, tie.master_quads)]
-        at_tie = np.isin(triangles, np.concatenate([np.empty(0, np.int64), *tied])).any(axis=1)
+        at_tie = np.isin(triangles, mesh.tied_nodes).any(axis=1)
         self._triangles = np.ascontiguousarray(triangles[~at_tie])
 
     def crossing(self, displacement_mm: NDArray[np.float64]) -> str:
-        """Return in words where surfaces pass through each other at a displacement (n, 3) of the nodes, or nothing."""
+        """Return in words where surfaces pass through each other at a displacement (n, 3) of the nodes, or nothing.
+
+        The answer to the last question is kept.
+        """
+        if self._seen is None or not np.array_equal(self._seen[0], displacement_mm):
+            self._seen = displacement_mm.copy(), self._crossing(displacement_mm)
+        return self._seen[1]
+
+    def _crossing(self, displacement_mm: NDArray[np.float64]) -> str:
         rest = self._mesh.nodes_mm
         found = crossing_pair(np.ascontiguousarray(rest + displacement_mm), self._triangles)
         if found is None:

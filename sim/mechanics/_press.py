@@ -23,7 +23,7 @@ from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import material_of
 from sim.mechanics._mesh import FingerMesh, OwnSurfaces
 from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports
-from sim.mechanics._penalty_contact import PenaltyPress, SlidingPress, penalty_mpa_per_mm
+from sim.mechanics._penalty_contact import PartsContact, PenaltyPress, SlidingPress, penalty_mpa_per_mm
 
 if TYPE_CHECKING:
     from sim.mechanics._barrier_contact import Barrier
@@ -224,6 +224,8 @@ class PressHistory:
         What is in equilibrium, and its parts whose energies are stated separately.
     before
         The press that is continued.
+    parts
+        Contact of the parts among themselves, where the press may take it up.
 
     Attributes
     ----------
@@ -232,10 +234,15 @@ class PressHistory:
     """
 
     def __init__(
-        self, assembly: Assembly, ties: Sequence[TiedNodes], touch: Touch, before: PressedFinger | None = None
+        self,
+        assembly: Assembly,
+        ties: Sequence[TiedNodes],
+        touch: Touch,
+        before: PressedFinger | None = None,
+        parts: PartsContact | None = None,
     ) -> None:
-        self._assembly, self._ties, self._touch, self._before = assembly, ties, touch, before
-        self._surfaces = OwnSurfaces(touch.mesh)
+        self._assembly, self._ties, self._touch, self._before, self._parts = assembly, ties, touch, before, parts
+        self._surfaces = OwnSurfaces(touch.mesh) if parts is None else parts.surfaces
         self.crossing, self.unstable = "", "" if before is None else before.unstable
         self._states: list[State] = []
         self._iterations: list[int] = []
@@ -250,6 +257,7 @@ class PressHistory:
         """Add an increment, before its contact is moved on."""
         state = equilibrium.state
         contact = self._touch.energy_n_mm(state.u_mm)
+        contact += 0.0 if self._parts is None else self._parts.energy_n_mm(state.u_mm)
         stored = self._assembly.elasticity.energy(state.u_mm, state.modes) + contact
         stored += sum(tie.energy(state.u_mm) for tie in self._ties)
         lost = self._touch.friction_work_n_mm(state.u_mm)
@@ -275,7 +283,7 @@ class PressHistory:
             pressure_mpa=self._touch.pressures_mpa(last.u_mm),
             touch_mm=self._touch.touch_mm(),
             unreached=unreached,
-            contact=self._touch.note,
+            contact=self._touch.note if self._parts is None else self._parts.note(self._touch.note, last.u_mm),
             contact_energy_n_mm=self._after("contact_energy_n_mm", rows[:, 2]),
             friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
             kind=self._touch.kind,
@@ -358,8 +366,9 @@ class PressSettings:
     threads
         Of elements and factorisation.
     contact
-        "auto": the penalty; a press whose parts pass through each other by it goes on with the barrier, from the
-        last increment where they do not.
+        "auto": the penalty; a press whose parts pass through each other by it goes on from the last increment where
+        they do not, with the barrier between its parts. Where parts were within the barrier's reach there, it begins
+        again with the barrier for all contact.
     budget_s
         Processor time that it may take, see :class:`~sim.mechanics._increments.Watch`; then it ends early.
     """
@@ -482,21 +491,35 @@ def _prepared(
         predict = _path_from_coarse(_first_on_coarse(design, settings, watch), touch.mesh, depth)
     else:
         predict = None if start is None else _path_of(start, touch.mesh, depth)
+    parts = None
+    if settings.contact == "auto" and _barrier_may_help(touch):
+        at_first = assembly.at_rest() if begin is None else begin[1]
+        parts = PartsContact(design, touch.mesh, assembly, settings.threads, at_first.u_mm)
     path = load_increments(
         assembly,
         linear_solver(threads=settings.threads),
-        Load(
-            at=lambda share: touch.push(share * depth),
-            settle=touch.settle,
-            refuse=lambda state, share: _passed_through(touch, state, share * depth, steps.pad_mm),
-            accept=touch.accept,
-        ),
+        _load(touch, parts, depth, steps.pad_mm),
         [stop for stop in settings.stops if stop > done + _SAME_SHARE],
         begin,
         options=NewtonOptions(tell=watch.tell),
         predict=predict,
     )
-    return touch, PressHistory(assembly, ties, touch, resume), _beyond(path, done)
+    return touch, PressHistory(assembly, ties, touch, resume, parts), path
+
+
+def _load(touch: PressContact, parts: PartsContact | None, depth_mm: float, pad_mm: float) -> Load:
+    """Return the push, with what refuses an equilibrium of it."""
+
+    def refuse(state: State, share: float) -> str:
+        behind = _passed_through(touch, state, share * depth_mm, pad_mm)
+        return behind or ("" if parts is None else parts.refuse(state, share * depth_mm))
+
+    def accept(state: State) -> None:
+        touch.accept(state)
+        if parts is not None:
+            parts.accept(state)
+
+    return Load(at=lambda share: touch.push(share * depth_mm), settle=touch.settle, refuse=refuse, accept=accept)
 
 
 def _begun(
@@ -508,16 +531,6 @@ def _begun(
     share, state = resumed(resume, touch.mesh, depth_mm)
     _take_up(touch, share, state, depth_mm)
     return (share, state), share
-
-
-def _beyond(path: Iterator[Increment], done: float) -> Iterator[Increment]:
-    """Yield the increments beyond a share that is done; the first one counts the iterations until there."""
-    spent = 0
-    for step in path:
-        spent += step.equilibrium.iterations
-        if step.fraction > done + _SAME_SHARE:
-            yield replace(step, equilibrium=replace(step.equilibrium, iterations=spent))
-            spent = 0
 
 
 def _pressed_again(

@@ -349,11 +349,9 @@ def crossing_pair(vertices_mm: FloatArray, triangles: IntArray) -> tuple[IntArra
     keys = np.unique(ends[:, 0] * len(vertices_mm) + ends[:, 1])
     edges = np.column_stack(np.divmod(keys, len(vertices_mm)))
     boxes = [(vertices_mm[of].min(axis=1), vertices_mm[of].max(axis=1)) for of in (edges, triangles)]
-    axis = min(range(3), key=lambda k: _count(*(end[:, k] for box in boxes for end in box)))
-    # sorted along the axis along which fewest boxes meet
-    first, second = (np.argsort(low[:, axis]) for low, _ in boxes)
-    edges, triangles = edges[first], triangles[second]
-    found = _first_meeting(vertices_mm, edges, triangles, axis)
+    # sorted into the squares of a grid across the axis along which most boxes meet
+    first, second, _ = sorted(range(3), key=lambda k: _count(*(end[:, k] for box in boxes for end in box)))
+    found = _first_meeting(vertices_mm, edges, triangles, first, second)
     return None if found[0] < 0 else (edges[found[0]], triangles[found[1]])
 
 
@@ -363,33 +361,63 @@ def _count(low: FloatArray, high: FloatArray, below: FloatArray, above: FloatArr
 
 
 @compiled
-def _first_meeting(vertices: FloatArray, edges: IntArray, triangles: IntArray, axis: int) -> tuple[int, int]:
+def _first_meeting(
+    vertices: FloatArray, edges: IntArray, triangles: IntArray, first: int, second: int
+) -> tuple[int, int]:
     """Return the numbers of an edge and a triangle that meet, or -1, -1.
 
-    Two intervals meet where the lower end of one lies in the other: edges are gone through from each triangle's lower
-    end to its upper one, and triangles from each edge's.
+    The plane of two axes is divided into about as many squares as there are triangles. Each square lists the triangles
+    whose boxes reach into it, and an edge is tried with those of the squares that its own box reaches into.
     """
-    low, high = np.empty(len(edges)), np.empty(len(edges))
-    for i in range(len(edges)):
-        a, b = vertices[edges[i, 0], axis], vertices[edges[i, 1], axis]
-        low[i], high[i] = min(a, b) - _TOUCH_MM, max(a, b) + _TOUCH_MM
-    below, above = np.empty(len(triangles)), np.empty(len(triangles))
+    side = max(1, int(math.sqrt(len(triangles))))
+    axes, low, per_mm = (first, second), np.empty(2), np.empty(2)
+    for t in range(2):
+        used = vertices[triangles.ravel(), axes[t]]
+        low[t] = used.min()
+        per_mm[t] = side / max(used.max() - low[t], _TOUCH_MM)
+    spans = np.empty((len(triangles), 4), np.int64)
+    begins = np.zeros(side * side + 1, np.int64)
     for j in range(len(triangles)):
-        a, b, c = vertices[triangles[j, 0], axis], vertices[triangles[j, 1], axis], vertices[triangles[j, 2], axis]
-        below[j], above[j] = min(a, b, c), max(a, b, c)
-    for i in range(len(edges)):
-        j = np.searchsorted(below, low[i])
-        while j < len(triangles) and below[j] <= high[i]:
-            if _meet(vertices, edges[i], triangles[j]):
-                return i, j
-            j += 1
+        _fill_span(vertices, triangles[j], axes, low, per_mm, side, spans[j])
+        for p in range(spans[j, 0], spans[j, 1]):
+            for q in range(spans[j, 2], spans[j, 3]):
+                begins[p * side + q + 1] += 1
+    begins = np.cumsum(begins)
+    ends, listed = begins[:-1].copy(), np.empty(begins[-1], np.int64)
     for j in range(len(triangles)):
-        i = np.searchsorted(low, below[j], side="right")
-        while i < len(edges) and low[i] <= above[j]:
-            if _meet(vertices, edges[i], triangles[j]):
-                return i, j
-            i += 1
+        for p in range(spans[j, 0], spans[j, 1]):
+            for q in range(spans[j, 2], spans[j, 3]):
+                listed[ends[p * side + q]] = j
+                ends[p * side + q] += 1
+    span = np.empty(4, np.int64)
+    for i in range(len(edges)):
+        _fill_span(vertices, edges[i], axes, low, per_mm, side, span)
+        for p in range(span[0], span[1]):
+            for q in range(span[2], span[3]):
+                for k in range(begins[p * side + q], begins[p * side + q + 1]):
+                    if _meet(vertices, edges[i], triangles[listed[k]]):
+                        return i, listed[k]
     return -1, -1
+
+
+@compiled_inside
+def _fill_span(
+    vertices: FloatArray,
+    corners: IntArray,
+    axes: tuple[int, int],
+    low: FloatArray,
+    per_mm: FloatArray,
+    side: int,
+    span: IntArray,
+) -> None:
+    """Fill the first square and the one behind the last that a box of corners reaches into, along both axes."""
+    for t in range(2):
+        least = most = vertices[corners[0], axes[t]]
+        for k in range(1, len(corners)):
+            least, most = min(least, vertices[corners[k], axes[t]]), max(most, vertices[corners[k], axes[t]])
+        begin = math.floor((least - _TOUCH_MM - low[t]) * per_mm[t])
+        end = math.floor((most + _TOUCH_MM - low[t]) * per_mm[t])
+        span[2 * t], span[2 * t + 1] = min(max(begin, 0), side - 1), min(max(end, 0), side - 1) + 1
 
 
 @compiled_inside

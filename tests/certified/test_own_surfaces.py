@@ -2,16 +2,26 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from data_schemas import NoEquilibriumError
 from sim import preset_design
 from sim.experiments import press_records
 from sim.mechanics import STEPS, Block, FingerMesh, PressSettings, finger_mesh, press_finger
 from sim.mechanics import _press as press_module
+from sim.mechanics._assembly import Assembly, Elasticity, State
 from sim.mechanics._contact_library import contact_library_failure
 from sim.mechanics._finger_mesh import MeshSteps
+from sim.mechanics._increments import Load, load_increments
+from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import OwnSurfaces, Tie
+from sim.mechanics._newton import NewtonOptions, Supports
+from sim.mechanics._penalty_contact import PartsContact
 from tests.certified.blocks import unit_cells
+
+if contact_library_failure() is None:
+    from sim.mechanics._barrier_contact import finger_parts_contact
 
 needs_the_toolkit = pytest.mark.skipif(
     contact_library_failure() is not None, reason=f"NO BARRIER CONTACT: {contact_library_failure()}"
@@ -129,3 +139,89 @@ def test_a_press_that_is_asked_for_by_the_penalty_tells_where_parts_meet():
     assert pressed.crossing.startswith("from a push of 0.6 mm on the finger passes through itself")
     mechanics, _ = press_records(SMALL, pressed)
     assert any("passes through itself" in note and "are not physical" in note for note in mechanics.notes)
+
+
+class Springs:
+    """Springs of 2 N/mm that pull nodes down to a target."""
+
+    def __init__(self, count, nodes):
+        self.target_mm, self._chosen = 0.0, np.zeros((count, 3))
+        self._chosen[nodes, 1] = 2.0
+
+    def energy(self, u):
+        return float((0.5 * self._chosen * (u - self.target_mm) ** 2).sum())
+
+    def gradient(self, u):
+        return self._chosen * (u - self.target_mm)
+
+    def hessian(self, u, project):
+        return sp.diags_array(self._chosen.ravel()).tocoo()
+
+    def max_step(self, u, du):
+        return 1.0
+
+
+def pressed_together(acts_from_rest):
+    """Two unit blocks 0.3 mm apart whose springs aim at 0.2, 0.4, 0.6 and 0.8 mm; states, contact, what was told."""
+    mesh, upper = two_blocks(0.3)
+    top = upper[np.isclose(mesh.nodes_mm[upper, 1], 2.3)]
+    springs = Springs(len(mesh.nodes_mm), top)
+    assembly = Assembly(Elasticity(mesh, {"material": neo_hooke(0.1333, 20.0)}), [springs])
+    parts = PartsContact(preset_design("flat-70x35"), mesh, assembly, 1, assembly.at_rest().u_mm)
+    if acts_from_rest:
+        assembly.terms += (finger_parts_contact(preset_design("flat-70x35"), mesh, 1),)
+    supports = Supports.at_rest(len(mesh.nodes_mm), np.flatnonzero(mesh.nodes_mm[:, 1] == 0.0))
+    supports.fixed[top] = (True, False, True)
+
+    def at(share):
+        springs.target_mm = -0.8 * share
+        return supports
+
+    refuse = None if acts_from_rest else lambda state, share: parts.refuse(state, 10.0 * share)
+    told = []
+    options = NewtonOptions(tell=told.append)
+    load = Load(at, refuse=refuse, accept=parts.accept)
+    path = load_increments(assembly, linear_solver("superlu"), load, [0.25, 0.5, 0.75, 1.0], options=options)
+    states = {step.fraction: step.equilibrium.state.u_mm for step in path}
+    return mesh, states, parts, [what for what in told if "meet" in what]
+
+
+@needs_the_toolkit
+def test_parts_that_come_near_keep_apart_from_there_on():
+    """The increments before are those of contact that acts from rest, and so are the ones after it is taken up."""
+    mesh, states, parts, told = pressed_together(acts_from_rest=False)
+    _, from_rest, _, _ = pressed_together(acts_from_rest=True)
+    surfaces = OwnSurfaces(mesh)
+    assert len(told) == 1
+    assert {0.25, 0.5, 0.75, 1.0} <= set(states)
+    assert not any(surfaces.crossing(u) for u in states.values())
+    # at 0.75 the flat faces have two places to rest, 0.004 mm apart
+    for share in (0.25, 0.5, 1.0):
+        assert states[share] == pytest.approx(from_rest[share], abs=1e-6)
+    assert parts.energy_n_mm(states[0.25]) == 0.0
+    assert parts.energy_n_mm(states[1.0]) > 0.0
+    said = parts.note("by penalty; contact between ribs is not computed", states[1.0])
+    assert said.startswith("by penalty; parts of the finger keep apart by a barrier and touch at ")
+    assert "they came within 0.02 mm before a push of 5 mm" in said
+
+
+@needs_the_toolkit
+def test_a_press_that_is_continued_takes_up_the_contact_that_it_had():
+    mesh, states, _, _ = pressed_together(acts_from_rest=False)
+    for goes_on in (True, False):
+        assembly = Assembly(Elasticity(mesh, {"material": neo_hooke(0.1333, 20.0)}))
+        begin = states[0.75] if goes_on else np.zeros_like(states[0.75])
+        parts = PartsContact(preset_design("flat-70x35"), mesh, assembly, 1, begin)
+        if not goes_on:
+            parts.accept(State(states[0.75], ()))
+        assert bool(parts.refuse(State(states[1.0], ()), 10.0)) == goes_on
+        assert len(assembly.terms) == int(goes_on)
+
+
+@needs_the_toolkit
+def test_contact_that_would_have_acted_before_is_not_taken_up(monkeypatch):
+    monkeypatch.setattr("sim.mechanics._penalty_contact._SHALLOW_MM", 6.0)
+    _, states, parts, told = pressed_together(acts_from_rest=False)
+    assert told == []
+    assert parts.note("by penalty", states[1.0]) == "by penalty"
+    assert parts.surfaces.crossing(states[1.0])

@@ -151,6 +151,9 @@ def test_a_finer_press_starts_from_the_first_increment_on_the_coarse_mesh(halfwa
 def test_a_stored_increment_must_fit(halfway):
     record = increment_record(to_depth(1.0), halfway, "coarse")
     assert stored_press(record, to_depth(3.0)).displacement_mm[-1] == pytest.approx(halfway.displacement_mm[-1])
+    told = "at a push of 0.5 mm the search could not leave an unstable equilibrium"
+    leaning = increment_record(to_depth(1.0), replace(halfway, unstable=told), "coarse")
+    assert (record.unstable, stored_press(leaning, to_depth(3.0)).unstable) == ("", told)
     softer = to_depth(1.0).model_copy(update={"name": "another"})
     with pytest.raises(SimulateError, match=r"another design: it differs in name; only indenter\.depth_mm may"):
         stored_press(record, softer)
