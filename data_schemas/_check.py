@@ -511,6 +511,11 @@ class StageStop(Model):
         default=None, description="time until the cell felt no more motion; None: it could not tell, or was not asked"
     )
     still_sd_s: DurationS | None = Field(default=None, description="standard uncertainty of that time")
+    unseen_creep_rel: Annotated[float, Field(ge=0.0)] | None = Field(
+        default=None,
+        description="speed at which the stage could creep on unseen by the cell, of the speed of the move; None: not "
+        "known",
+    )
 
 
 class ForceStop(Model):

@@ -324,7 +324,7 @@ def _moves_of(
             limits=ToleranceInterval(None, plan.limits.stage_report_mm),
         ),
     )  # fmt: skip
-    scale = _by_camera(axis, facts, plan) if axis == stage.pad_axis else _by_block(axis, facts, plan)
+    scale = _by_camera(axis, facts, plan) if axis == stage.pad_axis else _by_block(stage, facts, plan)
     if scale.verdict != "PASS":
         rows = rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
         if axis == stage.pad_axis:
@@ -362,19 +362,20 @@ def _by_camera(axis: str, facts: PressFacts, plan: TactileCheckPlan) -> CheckRes
     )
 
 
-def _by_block(axis: str, facts: PressFacts, plan: TactileCheckPlan) -> CheckResult:
-    """Judge the way of the press axis by a block of known thickness between two touches."""
+def _by_block(stage: StageSettings, facts: PressFacts, plan: TactileCheckPlan) -> CheckResult:
+    """Judge the way of the press axis by a block of known thickness, which is touched before the pad."""
+    axis = stage.press_axis
     name, what, most = *_names(axis, "a gauge block between two touches"), _most(plan)
     known, block, words = plan.gauge_block, facts.block, limit_text(-most, most, "%")
     if known is None or block is None:
         return unmeasured("stage", name, what, "UNDECIDED", NO_BLOCK, words)
     pad, on_block = np.array(block.pad_mm), np.array(block.block_mm)
-    way_mm = abs(float(on_block.mean() - pad.mean()))
+    way_mm = stage.into_pad * float(pad.mean() - on_block.mean())
     evidence = (
-        f"a block of {known.thickness_mm:g} +- {known.uncertainty_mm:.2g} mm was touched {way_mm:.4g} mm from the pad, "
-        f"by {axis}, {pad.size} times each"
+        f"a block of {known.thickness_mm:g} +- {known.uncertainty_mm:.2g} mm was touched {way_mm:.4g} mm before the "
+        f"pad, by {axis}, {pad.size} times each"
     )
-    if way_mm < LAID_SHARE * known.thickness_mm + 2.0 * block.touch_uncertainty_mm:
+    if abs(way_mm) < LAID_SHARE * known.thickness_mm + 2.0 * block.touch_uncertainty_mm:
         why = f"{evidence}; was it laid on the pad? Check again"
         return unmeasured("stage", name, what, "UNDECIDED", why, words)
     scatter_mm = math.sqrt((pad.var(ddof=1) + on_block.var(ddof=1)) / pad.size)
@@ -538,6 +539,9 @@ def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
     is_felt = all(one.still_after_s is not None for one in stops)
     who = "and the cell felt no more motion" if is_felt else "as the controller reports"
     evidence = f"slowest of {len(stops)} stops on the way out of the pad, {who}"
+    creeps = [one.unseen_creep_rel for one in stops if one.unseen_creep_rel is not None]
+    if creeps:
+        evidence += f"; a creep below {100 * max(creeps):.2g} % of its speed would not be felt"
     if stops[0].reason == "silent cell":
         evidence += "; readings were withheld from the stage, the cell's cable was not pulled"
     slowest_s = max(max(one.stood_after_s, one.still_after_s or 0.0) for one in stops)

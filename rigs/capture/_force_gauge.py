@@ -107,6 +107,7 @@ class ForceGauge:
         equal = max(LEAST_EQUAL, math.ceil(settings.silent_s * settings.rate_hz))
         self._newest: deque[int] = deque(maxlen=equal)
         self._zero, self._zero_readings, self.noise_n = math.nan, TARE_READINGS, math.nan
+        self._moved_s = self._made_s = -math.inf
         self._tared = self._first_zero = math.nan
         slope, masses = calibration.slope_n_per_count, np.array(calibration.masses_kg)
         unloaded = np.array(calibration.counts) - masses * calibration.gravity_m_per_s2 / slope
@@ -139,7 +140,7 @@ class ForceGauge:
 
     def _counts(self) -> int:
         """Return the next count, unless the cell is stuck."""
-        counts = self._cell.read(self._settings.silent_s).counts
+        counts, self._made_s = self._cell.read(self._settings.silent_s)
         self._newest.append(counts)
         if len(self._newest) == self._newest.maxlen and len(set(self._newest)) == 1:
             raise LostError(
@@ -147,6 +148,28 @@ class ForceGauge:
                 "amplifier and wiring"
             )
         return counts
+
+    def moved(self, now_s: float) -> None:
+        """Remember when a move ended: what was made before, however late it comes, says nothing of the force since."""
+        self._moved_s = now_s
+
+    def settle(self, take: Callable[[], object]) -> None:
+        """Have readings taken until so many were made after the last move that the amplifier's filter shows all of it.
+
+        Raises
+        ------
+        LostError
+            All came too late, for as long as the cell may be silent.
+        """
+        made, late, most_late = 0, 0, math.ceil(self._settings.silent_s * self._settings.rate_hz)
+        while made < SETTLING_READINGS:
+            take()
+            made, late = (made + 1, late) if self._made_s > self._moved_s else (made, late + 1)
+            if late > most_late:
+                raise LostError(
+                    f"load cell: {late} readings in a row were made before the stage stood, so they come too late to "
+                    "stop it; close other programs, and check the board's cable"
+                )
 
     def begin(self, now_s: Callable[[], float]) -> None:
         """Tare for the first time in a session, with nothing on the cell; `now_s` tells the time.
@@ -185,6 +208,7 @@ class ForceGauge:
         CaptureError
             It is far from the first one, or noise could hide a tenth of the force limit.
         """
+        self.settle(self._counts)
         counts = np.array([self._counts() for _ in range(TARE_READINGS)], dtype=float)
         self._zero = self._tared = float(counts.mean())
         self._zero_readings, self.noise_n = TARE_READINGS, float(counts.std(ddof=1)) * abs(self._slope)
@@ -205,8 +229,7 @@ class ForceGauge:
 
     def mean(self, readings: int = STEP_READINGS) -> Force:
         """Return the mean of readings that the amplifier's filter has forgotten the past in."""
-        for _ in range(SETTLING_READINGS):
-            self.reading_n()
+        self.settle(self.reading_n)
         mean_n = float(np.mean([self.reading_n() for _ in range(readings)]))
         return Force(mean_n, self.noise_n * math.sqrt(1.0 / readings + 1.0 / self._zero_readings))
 

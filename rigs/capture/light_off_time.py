@@ -37,13 +37,13 @@ from rigs import Clock, LightSwitch, OpenRig, driver_module, find_driver, open_c
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
 from rigs.capture._plan import Step
 from rigs.light_guard import (
-    LATENCY_S,
     MOST_LEVEL,
     GuardedLight,
     LightLostError,
     LightMeter,
     require_outside_layer,
 )
+from rigs.transports import LATENCY_S
 
 LONGEST_SIGHT_S: Final = 0.05
 """Exposure of the frames that watch the laser: they resolve the time in which it goes off."""

@@ -23,8 +23,6 @@ BAUD: Final = 57600
 FIRMWARE_MAJOR: Final = 1
 GREET_WITHIN_S: Final = 3.5
 MOST_LEVEL: Final = 1023
-LATENCY_S: Final = 0.03
-"""Longest time from a reading to the quickest arrival of a line: 5 ms on the wire, up to 20 ms in a USB adapter."""
 _LINE: Final = re.compile(rb"(L (\d{1,5}) (\d{1,10}) (\d{1,4})) ([0-9A-F]{2})\r?\n")
 _BANNER: Final = re.compile(rb"LIGHT (\d{1,3})\.(\d{1,3})\r?\n")
 
@@ -32,7 +30,7 @@ _BANNER: Final = re.compile(rb"LIGHT (\d{1,3})\.(\d{1,3})\r?\n")
 class LightLevel(NamedTuple):
     """One reading: its level, and when it was made, at the latest, by the monotonic clock of this computer.
 
-    It was made at most :data:`LATENCY_S` before.
+    It was made at most :data:`rigs.transports.LATENCY_S` before.
     """
 
     level: int

@@ -3,6 +3,7 @@
 import re
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -220,6 +221,61 @@ def test_a_pad_axis_that_only_reports_does_not_pass(practice: Path, monkeypatch)
     assert named(report, "X reports its position").verdict == "UNDECIDED"
     assert "nobody has proven that X goes as far" in named(report, "X reports its position").evidence
     assert named(report, "Z moves in time").verdict == "PASS"
+
+
+@pytest.mark.parametrize("readings_late", [12, 16])
+def test_readings_that_come_late_say_nothing_of_the_step(practice: Path, monkeypatch, readings_late: int) -> None:
+    """They wait for up to the 0.2 s that a driver allows: the touch was found 0.02 mm late, the stop 0.18 N beyond."""
+    waiting: deque[CellReading] = deque()
+
+    def late(opened: OpenTactileRig) -> OpenTactileRig:
+        cell = opened.load_cell
+
+        def read(deadline_s: float) -> CellReading:
+            while len(waiting) <= readings_late:
+                waiting.append(cell.read(deadline_s))
+            return waiting.popleft()
+
+        return replace(opened, load_cell=Wrapped(cell, read=read))
+
+    lying(monkeypatch, late)
+    report, _ = checked(practice)
+    assert report.facts.errors == {}
+    for touch in report.facts.touches:
+        assert abs(touch.touch_mm + 6.0) < 2.0 * touch.touch_uncertainty_mm
+    (stop,) = report.facts.force_stops
+    assert 0.0 < stop.peak_n - stop.limit_n < stop.stiffness_n_per_mm * stop.step_mm
+
+
+def test_readings_that_are_never_fresh_end_the_press(practice: Path, monkeypatch) -> None:
+    def old(opened: OpenTactileRig) -> OpenTactileRig:
+        cell = opened.load_cell
+        return replace(opened, load_cell=Wrapped(cell, read=lambda s: cell.read(s)._replace(at_s=0.0)))
+
+    lying(monkeypatch, old)
+    report, _ = checked(practice)
+    assert "were made before the stage stood" in named(report, "touches").evidence
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "touch_step", "title", "words"),
+    [
+        ("28.0", "0.02", "touches", "one step of 0.05 mm adds 1.4. N, which is too much to go deeper from the turning force"),
+        ("17.5", "0.02", "force limit holds", "one step of 0.05 mm adds 0.9.* N, which is too much to try a stop at 1.25 N"),
+        ("18.0", "0.05", "touches", "N at the first touch already, so nobody knows what one step of 0.05 mm adds"),
+    ],
+)
+def test_a_first_step_without_room_is_refused(
+    practice: Path, stiffness: str, touch_step: str, title: str, words: str
+) -> None:
+    """The check may go to 2.5 N: from the turning force of 0.63 N, and from the stop at 1.25 N."""
+    changed(
+        practice, "rig.toml",
+        ("stiffness_n_per_mm = 1.5", f"stiffness_n_per_mm = {stiffness}"),
+        ("touch_step_mm = 0.02 ", f"touch_step_mm = {touch_step} "),
+    )  # fmt: skip
+    report, _ = checked(practice)
+    assert re.search(words, named(report, title).evidence), named(report, title).evidence
 
 
 def test_play_of_the_press_axis_is_found(practice: Path, monkeypatch) -> None:

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from data_schemas import AcceptanceReport, CheckPlan, PressLimits
 from data_schemas.storage import read_record
+from finray_calib.acceptance import judge_pressing
 from rigs import RawFrame
 from rigs.capture import OpenTactileRig
 from rigs.capture._press_rounds import still_after
@@ -191,6 +192,46 @@ def test_a_stage_that_goes_otherwise_than_it_counts(practice: Path, monkeypatch,
     assert named(report, f"{name[0]} reports its position").verdict == "UNDECIDED"
 
 
+def test_a_block_that_nobody_takes_away_ends_all_moves(practice: Path, monkeypatch) -> None:
+    changed(practice, "check.toml", ("rest_s = 10.0\n", ALL.replace("60.0", "10.0", 1)))
+    moved_after: list[str] = []
+    refused: list[float] = []
+
+    def kept(opened: OpenTactileRig) -> OpenTactileRig:
+        def lay_block(thickness_mm: float) -> bool:
+            if thickness_mm == 0.0:
+                refused.append(thickness_mm)
+                return False
+            return opened.lay_block(thickness_mm)
+
+        def move(axis: str, to_mm: float, speed_mm_per_s: float, watch: Callable[[], None]) -> None:
+            if refused:
+                moved_after.append(axis)
+            opened.stage.move(axis, to_mm, speed_mm_per_s, watch)
+
+        return replace(opened, lay_block=lay_block, stage=Wrapped(opened.stage, move=move))
+
+    lying(monkeypatch, kept)
+    report, status = checked(practice)
+    assert (len(refused), moved_after, status) == (1, [], 1)
+    assert "nobody has confirmed that the block was taken off" in named(report, "touches").evidence
+    assert "nobody allowed the stage to move" in named(report, "devices come back").evidence
+    assert named(report, "Z goes as far as sent").verdict == "PASS"  # what was measured before stays
+
+
+def test_a_block_that_is_touched_behind_the_pad_fails(practice: Path) -> None:
+    """A direction that is the wrong way round has the right length."""
+    changed(practice, "check.toml", ("rest_s = 10.0\n", ALL.replace("60.0", "10.0", 1)))
+    report, _ = checked(practice)
+    assert named(report, "Z goes as far as sent").verdict == "PASS"
+    block = report.facts.block
+    behind = block.model_copy(update={"pad_mm": block.block_mm, "block_mm": block.pad_mm})
+    facts = report.facts.model_copy(update={"block": behind})
+    found = named(judge_pressing(facts, report.plan, report.rig), "Z goes as far as sent")
+    assert found.verdict == "FAIL"
+    assert found.value == pytest.approx(-200.0, abs=1.0)
+
+
 def test_a_block_without_room_is_refused(practice: Path) -> None:
     thick = ALL.replace("60.0", "10.0", 1).replace("thickness_mm = 3.0", "thickness_mm = 5.8")
     changed(practice, "check.toml", ("rest_s = 10.0\n", thick))
@@ -250,10 +291,33 @@ def test_when_the_force_falls_no_more(stands_s: float, drives: float, expected: 
     if expected is None:
         assert found is None
         return
-    value_s, sd_s = found
+    value_s, sd_s, creep_rel = found
     assert abs(value_s - expected) < 2.0 * sd_s
     assert 0.05 < sd_s < 0.2
+    assert 0.0 < creep_rel < 0.2 or stands_s == 3.0
 
+
+LISTENED_S = np.arange(round((1.0 + 5.0) * RATE_HZ)) / RATE_HZ
+"""A move of 1 s, then the 1 s that a stage may need to stop and the 4 s beyond that the check listens."""
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 1.3, 2.0, 5.0])
+def test_a_creep_beyond_what_the_row_says_is_felt(share: float) -> None:
+    """The stage stops 0.1 s after it was asked, and creeps on at a share of the speed that stays unseen."""
+    noise_n = 3e-4 * np.random.default_rng(6).standard_normal(LISTENED_S.size)
+
+    def force_n(creep_rel: float) -> np.ndarray:
+        after_s = np.maximum(LISTENED_S - 1.1, 0.0)
+        return 0.5 - 0.1 * (np.minimum(LISTENED_S, 1.1) + creep_rel * after_s) + noise_n
+
+    stands = still_after(LISTENED_S, force_n(0.0), 1.0, 3e-4, RATE_HZ)
+    assert stands is not None
+    unseen_rel = stands[2]
+    assert unseen_rel < 0.025
+    creeps = still_after(LISTENED_S, force_n(share * unseen_rel), 1.0, 3e-4, RATE_HZ)
+    assert creeps is not None
+    later_s = creeps[0] - stands[0]
+    assert later_s < 0.1 if share < 1.0 else later_s > 0.5
 
 def test_a_force_that_never_fell_tells_nothing() -> None:
     forces_n = 0.5 + 3e-4 * np.random.default_rng(5).standard_normal(TIMES_S.size)
