@@ -557,17 +557,31 @@ def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
 
 
 def _after_stops(facts: PressFacts, plan: TactileCheckPlan) -> tuple[CheckResult, ...]:
-    """Judge whether the touch after all stops is where it was before."""
+    r"""Judge whether the touch after all stops is where it was before.
+
+    The standard uncertainty of the difference of the means of m touches before and n after holds that of a touch, which
+    steps and noise bound, and their scatter s about the means with :math:`\nu = m + n - 2` degrees of freedom:
+
+    .. math:: s \sqrt{\nu / (\nu - 2)} \sqrt{1 / m + 1 / n},
+
+    or half of the distance between the touches after the stops where that is more.
+    """
     name, what = "position survives stops", "position of the touch after all stops less the mean of those before"
     most_mm = plan.limits.touch_repeat_mm
-    if not facts.after_stops or not facts.touches:
-        reason = "no touch was made after the stops"
+    if len(facts.after_stops) < 2 or len(facts.touches) < FEWEST_TOUCHES:
+        reason = "no two touches were made after the stops"
         return (unmeasured("stops", name, what, "UNDECIDED", reason, limit_text(-most_mm, most_mm, "mm")),)
-    before = float(np.mean([one.touch_mm for one in facts.touches]))
-    moved_mm = float(np.mean([one.touch_mm for one in facts.after_stops])) - before
-    sd_mm = max(one.touch_uncertainty_mm for one in (*facts.touches, *facts.after_stops)) * math.sqrt(2.0)
-    evidence = (
-        f"{len(facts.after_stops)} touches after {len(facts.stops)} stops; steps that a stop loses would show here"
-    )
-    limits = ToleranceInterval(-most_mm, most_mm)
-    return (measured("stops", name, what, moved_mm, sd_mm, "mm", evidence, limits=limits),)
+    before, after = (np.array([one.touch_mm for one in some]) for some in (facts.touches, facts.after_stops))
+    free = before.size + after.size - 2
+    squares = float(((before - before.mean()) ** 2).sum() + ((after - after.mean()) ** 2).sum())
+    scatter_mm = math.sqrt(squares / free * free / (free - 2) * (1.0 / before.size + 1.0 / after.size))
+    scatter_mm = max(scatter_mm, float(np.ptp(after)) / 2.0)
+    touch_mm = max(one.touch_uncertainty_mm for one in (*facts.touches, *facts.after_stops)) * math.sqrt(2.0)
+    evidence = f"{after.size} touches after {len(facts.stops)} stops, {1e3 * float(np.ptp(after)):.2g} um apart"
+    evidence += "; steps that a stop loses would show here"
+    return (
+        measured(
+            "stops", name, what, float(after.mean() - before.mean()), math.hypot(touch_mm, scatter_mm), "mm", evidence,
+            limits=ToleranceInterval(-most_mm, most_mm),
+        ),
+    )  # fmt: skip
