@@ -85,8 +85,12 @@ ONE_OF_THEM: Final = (
     "its certificate"
 )
 ONE_STEP: Final = (
-    "no move towards the pad is longer than one step, so that this shows only that no further step was begun, not that "
-    "a force stops a move"
+    "no move was long enough to be stopped within it, so that this shows only that no further step was begun, not that "
+    "a force stops a move; raise force_limit_n of the plan, or shorten step_mm of the rig file"
+)
+TO_ITS_END: Final = "a move was not seen to be stopped before its end"
+NO_FACTOR: Final = (
+    "the cell that saw it is not proven to be right in this check ('calibration holds'), so the true force is not known"
 )
 DENT_MOVED_PX: Final = 5.0
 MINUTE_S: Final = 60.0
@@ -135,7 +139,7 @@ def _of_stage_and_cell(
         "load cell": _at_rest(facts, plan, cell),
         "stage": _moves(facts, plan, stage),
         "touch": _touches(facts, plan, cell),
-        "force limit": _force_limit(facts),
+        "force limit": _force_limit(facts, plan, cell),
         "stops": _stops(facts, plan, cell),
     }
     if (lacking := unfelt(facts)) is not None:
@@ -326,9 +330,8 @@ def _moves_of(
     )  # fmt: skip
     scale = _by_camera(axis, facts, plan) if axis == stage.pad_axis else _by_block(stage, facts, plan)
     if scale.verdict != "PASS":
-        rows = rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
-        if axis == stage.pad_axis:
-            rows = not_proven(rows[0], f"nobody saw that {axis} goes as far as it was sent"), rows[1]
+        whys = (f"nobody saw that {axis} goes as far as it was sent", NO_SCALE.format(axis=axis))
+        rows = not_proven(rows[0], whys[0]), not_proven(rows[1], whys[1])
     return *rows, scale
 
 
@@ -488,22 +491,47 @@ def backlash_mm(touches: tuple[CheckedTouch, ...]) -> tuple[float, float, float]
     return float(np.mean(play)), math.hypot(scatter, gave_mm, float(np.mean(noise)) / math.sqrt(number)), gave_mm
 
 
-def _force_limit(facts: PressFacts) -> tuple[CheckResult, ...]:
-    """Judge the force beyond a limit at which the stage stopped: one more step of the pad's stiffness is allowed."""
-    if not facts.force_stops:
+def _force_limit(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) -> tuple[CheckResult, ...]:
+    """Judge the force beyond a limit at which the stage stopped: one more step of the pad's stiffness is allowed.
+
+    Between steps, no further one was begun. Within a move through depths that steps had measured before, the stage was
+    stopped where the force stayed below that of the move's end: the cell is the witness, and a known mass that of the
+    cell.
+    """
+    if not (stops := facts.force_stops):
         return ()
-    worst = max(facts.force_stops, key=lambda one: one.peak_n - one.limit_n - one.stiffness_n_per_mm * one.step_mm)
-    most_n = worst.stiffness_n_per_mm * worst.step_mm
-    found = (
-        measured(
-            "force limit", "force stops the stage", "largest force beyond a limit at which the stage was stopped",
-            worst.peak_n - worst.limit_n, 2.0 * worst.noise_n, "N",
-            f"worst of {len(facts.force_stops)} stops at {worst.limit_n:.3g} N; allowed is one step of "
-            f"{worst.step_mm:g} mm at {worst.stiffness_n_per_mm:.3g} N/mm",
-            limits=ToleranceInterval(None, most_n),
-        ),
+    moving = [one.moving for one in stops if one.moving is not None]
+    tries = [(one.peak_n, one.limit_n, one) for one in stops]
+    tries += [(one.moving.peak_n, one.moving.limit_n, one) for one in stops if one.moving is not None]
+    peak_n, limit_n, worst = max(tries, key=lambda one: one[0] - one[1] - one[2].stiffness_n_per_mm * one[2].step_mm)
+    evidence = (
+        f"worst of {len(tries)} stops, at {limit_n:.3g} N; allowed is one step of {worst.step_mm:g} mm at "
+        f"{worst.stiffness_n_per_mm:.3g} N/mm"
+    )
+    if moving:
+        longest = max(moving, key=lambda one: one.way_mm)
+        evidence += (
+            f"; {len(moving)} moves of up to {longest.way_mm:.2g} mm were stopped within by the cell's force, at "
+            f"{longest.peak_n:.3g} N where steps had led to {longest.unstopped_n:.3g} N"
+        )
+    found = measured(
+        "force limit", "force stops the stage", "largest force beyond a limit at which the stage was stopped",
+        peak_n - limit_n, 2.0 * worst.noise_n, "N", evidence,
+        limits=ToleranceInterval(None, worst.stiffness_n_per_mm * worst.step_mm),
     )  # fmt: skip
-    return tuple(not_proven(one, ONE_STEP) for one in found)
+    why = [] if len(moving) == len(stops) else [ONE_STEP]
+    if any(one.moving and one.moving.peak_n + FELT_SD * one.noise_n > one.moving.unstopped_n for one in stops):
+        why.append(TO_ITS_END)
+    if facts.calibration is None or _factor(facts, plan, cell, facts.calibration).verdict != "PASS":
+        why.append(NO_FACTOR)
+    if len(stops) < FEWEST_STOPS:
+        why.append(_few(len(stops)))
+    return (not_proven(found, "; ".join(why)) if why else found,)
+
+
+def _few(stops: int) -> str:
+    """Say that a stage that stops now and then could pass by chance."""
+    return f"{stops} stops are too few; set stops = {FEWEST_STOPS} or more"
 
 
 _REASONS: Final[dict[Literal["request", "silent cell"], tuple[str, str]]] = {
@@ -552,7 +580,7 @@ def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
     if lost:
         why.append(f"after {lost} of them its position was unknown")
     if len(stops) < FEWEST_STOPS:
-        why.append(f"{len(stops)} stops are too few; set stops = {FEWEST_STOPS} or more")
+        why.append(_few(len(stops)))
     return not_proven(found, "; ".join(why)) if why else found
 
 

@@ -1,6 +1,7 @@
 """What the stage does in a check while load cell and camera look on: moves, touches, presses and stops.
 
-Towards the pad the stage goes in steps that the cell watches; it is stopped on purpose only on its way out of the pad.
+Towards the pad the stage goes in steps that the cell watches. It is stopped on purpose on its way out of the pad, and
+in one slow move towards it that ends, whatever fails, where steps have led before.
 """
 
 import itertools
@@ -17,6 +18,7 @@ from data_schemas import (
     BlockTouches,
     CheckedTouch,
     ForceStop,
+    MovingStop,
     PlannedPress,
     PressDevice,
     RefusedError,
@@ -38,6 +40,10 @@ PRESS_SHARE: Final = 0.25
 """Of the check's force limit: the force at which the stage turns."""
 STOP_SHARE: Final = 0.5
 """Of the check's force limit: the force at which the stage is stopped to see how far it goes beyond."""
+MOVING_STEPS: Final = 3
+"""So much longer than a step must a move be for a stop within it to be told from its end."""
+STEPS_PER_S: Final = 1.0
+"""Of that move: a reading that comes 0.2 s late then adds a fifth of a step."""
 STEP_MARGIN: Final = 1.5
 """Forces that are left free for one more step, for a pad that becomes stiffer."""
 STOP_WAY_S: Final = 2.0
@@ -363,7 +369,29 @@ class PressRounds:
             noise_n=gauge.noise_n,
             stiffness_n_per_mm=float(slopes[-1]) + max(grows, 0.0),
             step_mm=stage.step_mm,
+            moving=self._within_a_move(start_mm),
         )
+
+    def _within_a_move(self, start_mm: float) -> MovingStop | None:
+        """Go back, and move slowly once more to where steps have just led; a force limit stops that move halfway.
+
+        Where nothing stops it, the move ends where the stage has stood before. None: the way is too short, or the force
+        grows too little, for a stop to be told from that end.
+        """
+        stage, gauge = self._settings, self._presser.gauge
+        end_mm, end_n = self._at_mm(), gauge.settled().mean_n
+        self._presser.press_to(start_mm, self._presser.guard(self._limit_n))
+        start_n, way_mm = gauge.settled().mean_n, stage.into_pad * (end_mm - start_mm)
+        if way_mm < MOVING_STEPS * stage.step_mm or end_n - start_n < CLEAR_SD * gauge.noise_n:
+            return None
+        limit_n, speed_mm_per_s = 0.5 * (start_n + end_n), min(STEPS_PER_S * stage.step_mm, stage.press_speed_mm_per_s)
+        self._cell.heard = []
+        with suppress(ForceLimitError):
+            self._presser.drive(stage.press_axis, end_mm, speed_mm_per_s, self._presser.guard(limit_n))
+        gauge.mean(SETTLING_READINGS + STEP_READINGS)
+        heard, self._cell.heard = self._cell.heard, None
+        peak_n = max(gauge.force_n(counts) for counts in heard)
+        return MovingStop(limit_n=limit_n, way_mm=way_mm, unstopped_n=end_n, peak_n=peak_n)
 
     def _is_too_deep(self, at_mm: float) -> bool:
         """Whether a place of the press axis lies deeper than the plan allows."""
