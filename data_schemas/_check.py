@@ -409,6 +409,7 @@ class DiodeLevels(Model):
     on_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser on")
     threshold_rel: Annotated[float, Field(ge=0.0)] = Field(description="readings below it count as dark")
     readings: Annotated[int, Field(ge=1)] = Field(description="so many in a row below it count as off")
+    sees_pulses: bool = Field(description="a reading holds all since the one before, so that no pulse is missed")
 
 
 class CheckFacts(Model):
