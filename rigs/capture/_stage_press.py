@@ -57,6 +57,7 @@ from rigs.capture._force_gauge import (
     ZERO_MOVED_SHARE,
     Force,
     ForceGauge,
+    mean_noise_n,
     read_cell_calibration,
 )
 
@@ -449,7 +450,8 @@ class StagePress:
                 )
             self.press_to(at_mm, watch)
             now = self.gauge.mean()
-            if abs(now.mean_n - before.mean_n) <= TOUCH_SD * self.gauge.noise_n * math.sqrt(2.0 / STEP_READINGS):
+            noise_n = math.sqrt(2.0) * mean_noise_n(self.gauge.noise_n, STEP_READINGS)
+            if abs(now.mean_n - before.mean_n) <= TOUCH_SD * noise_n:
                 return at_mm
             before = now
 
