@@ -108,17 +108,7 @@ READINGS_OF_A_BLOCK: Final = 4.0
 def judge_pressing(
     facts: PressFacts, plan: TactileCheckPlan, rig: TactileRig, notes: tuple[str, ...] = ()
 ) -> AcceptanceReport:
-    """Return the report of an acceptance check of a rig whose stage presses.
-
-    Parameters
-    ----------
-    facts
-        What the devices did.
-    plan, rig
-        The limits, and what the rig file claims.
-    notes
-        What the user should know about the rig.
-    """
+    """Return the report of an acceptance check of a rig whose stage presses; see :func:`judge` for what it takes."""
     limits, judged = plan.limits, _of_stage_and_cell(facts, plan, rig)
     judged["handshake"] = (
         *judge_handshakes(facts.handshakes, limits.handshake_s),
