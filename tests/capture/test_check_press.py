@@ -289,6 +289,32 @@ def test_a_first_step_without_room_is_refused(
     assert re.search(words, named(report, title).evidence), named(report, title).evidence
 
 
+@pytest.mark.parametrize(
+    ("deepest_mm", "title", "words"),
+    [
+        (0.36, "touches", "one step of 0.05 mm from the turning force leads deeper than deepest_mm = 0.36 mm"),
+        (0.5, "force limit holds", "N at deepest_mm = 0.5 mm, but the stop is tried at 1.25 N; raise deepest_mm"),
+    ],
+)
+def test_the_deepest_place_of_the_plan_is_kept(
+    practice: Path, monkeypatch, deepest_mm: float, title: str, words: str
+) -> None:
+    changed(practice, "check.toml", ("stops = 1", f"stops = 1\ndeepest_mm = {deepest_mm}"))
+    deepest = [0.0]
+
+    def watched(opened: OpenTactileRig) -> OpenTactileRig:
+        def read(deadline_s: float) -> CellReading:
+            deepest[0] = max(deepest[0], opened.stage.state.indentation_mm)
+            return opened.load_cell.read(deadline_s)
+
+        return replace(opened, load_cell=Wrapped(opened.load_cell, read=read))
+
+    lying(monkeypatch, watched)
+    report, _ = checked(practice)
+    assert words in named(report, title).evidence, named(report, title).evidence
+    assert 0.2 < deepest[0] < deepest_mm + 0.02  # the touch is known to a touch_step_mm
+
+
 def test_play_of_the_press_axis_is_found(practice: Path, monkeypatch) -> None:
     """A stage that stands deeper by its play while it comes out of the pad."""
     play_mm = 0.08
@@ -437,6 +463,8 @@ def on_boards(folder: Path, bench, monkeypatch, **given: object) -> tuple[PressF
 
     monkeypatch.setattr("rigs.capture._stage_press.open_camera", lambda *_: nullcontext(FlatCamera()))
     rig = real_rig(folder, bench)
+    # so short that a move may be three steps long between the turning force and the stop
+    rig = rig.model_copy(update={"stage": rig.stage.model_copy(update={"step_mm": 0.05})})
     plan = BENCH_PLAN.model_copy(update=given)
     return record_press_facts(rig, plan, folder, operator=Hands()), rig
 
