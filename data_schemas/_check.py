@@ -28,25 +28,9 @@ CheckVerdict = Literal["PASS", "FAIL", "UNDECIDED", "ERROR"]
 LightLayer = Literal["block", "guard", "dead-man"]
 Witness = Literal["its own connection", "a new connection", "the camera", "a photodiode"]
 Section = Literal[
-    "opening",
-    "handshake",
-    "wheel",
-    "dark frames",
-    "filters",
-    "revisits",
-    "exposures",
-    "warm-up",
-    "stray light",
-    "trigger latency",
-    "light off",
-    "closing",
-    "reconnect",
-    "load cell",
-    "stage",
-    "touch",
-    "stops",
-    "force limit",
-]
+    "opening", "handshake", "wheel", "dark frames", "filters", "revisits", "exposures", "warm-up", "stray light",
+    "trigger latency", "light off", "closing", "reconnect", "load cell", "stage", "touch", "stops", "force limit",
+]  # fmt: skip
 RateDnPerS = Annotated[float, Field(gt=0.0, le=65535.0, json_schema_extra={"unit": "DN/s"})]
 LimitDn = Annotated[float, Field(gt=0.0, le=65535.0, json_schema_extra={"unit": "DN"})]
 LimitRel = Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "1"})]
@@ -420,6 +404,20 @@ class LightOff(Model):
     error: str | None = None
 
 
+class DiodeLevels(Model):
+    """What a photodiode read before the mishaps, of its full scale: beam closed by hand, laser off, laser on."""
+
+    closed_rel: Annotated[float, Field(ge=0.0)] | None = Field(
+        description="mean while a person held the beam closed, with the laser on and off; None: nobody closed it"
+    )
+    closed_sd_rel: Annotated[float, Field(ge=0.0)] | None = Field(description="standard deviation of one such reading")
+    off_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser off by its controller")
+    on_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser on")
+    threshold_rel: Annotated[float, Field(ge=0.0)] = Field(description="readings below it count as dark")
+    readings: Annotated[int, Field(ge=1)] = Field(description="so many in a row below it count as off")
+    sees_pulses: bool = Field(description="a reading holds all since the one before, so that no pulse is missed")
+
+
 class CheckFacts(Model):
     """What the devices did, without judgement; only the filters are judged here, because that needs the frames."""
 
@@ -447,6 +445,7 @@ class CheckFacts(Model):
         default=(), description="identities that the devices reported after they were opened again"
     )
     light_off: tuple[LightOff, ...] = ()
+    diode: DiodeLevels | None = Field(default=None, description="the photodiode as a witness; None: there was none")
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 
 
@@ -524,6 +523,20 @@ class StageStop(Model):
         description="time until the cell measured no more motion; None: it could not be measured, or was not requested",
     )
     still_sd_s: DurationS | None = Field(default=None, description="standard uncertainty of that time")
+    unseen_creep_rel: Annotated[float, Field(ge=0.0)] | None = Field(
+        default=None,
+        description="speed at which the stage could creep on unseen by the cell, of the speed of the move; None: not "
+        "known",
+    )
+
+
+class MovingStop(Model):
+    """One slow move towards the pad that a force limit stopped, through depths that steps had measured before."""
+
+    limit_n: ForceN
+    way_mm: Annotated[float, Field(gt=0.0)] = Field(description="length of the move, had it not been stopped")
+    unstopped_n: float = Field(description="settled force at its end, as steps had reached it before")
+    peak_n: float = Field(description="largest force that the cell reported until the stage stood, and after")
 
 
 class ForceStop(Model):
@@ -536,6 +549,9 @@ class ForceStop(Model):
     noise_n: UncertaintyN = Field(description="standard deviation of one reading")
     stiffness_n_per_mm: Annotated[float, Field(gt=0.0)] = Field(description="in the last step before the stop")
     step_mm: Annotated[float, Field(gt=0.0)] = Field(description="longest step towards the pad")
+    moving: MovingStop | None = Field(
+        default=None, description="a stop in the middle of a move after it; None: there was no room for one"
+    )
 
 
 class PressFacts(Model):
@@ -589,7 +605,7 @@ class CheckResult(Model):
 class AcceptanceReport(Record):
     """The outcome of an acceptance check of a rig: one result for each check, and the facts they follow from."""
 
-    schema_version: ClassVar[int] = 10
+    schema_version: ClassVar[int] = 11
     written_by: ClassVar[str] = "'finray check run'"
     plan: CheckPlan | TactileCheckPlan = Field(discriminator="kind")
     rig: RigFile | TactileRig

@@ -234,6 +234,8 @@ class OpenRig:
         Gives the simulated rig a fault to practise on, or takes it away (None); does nothing to a real one.
     photodiode
         Opens the photodiode at an address, a witness of the laser.
+    close_beam
+        Has a person close the laser's beam by hand (True) or open it again, and returns whether that was done.
     """
 
     camera: Camera
@@ -248,10 +250,18 @@ class OpenRig:
     notes: tuple[str, ...] = ()
     practise: Callable[[PracticeFault | None], None] = lambda fault: None
     photodiode: Callable[[str], AbstractContextManager[LightMeter]] = open_photodiode
+    close_beam: Callable[[bool], bool] = lambda closed: False
 
     def identities(self) -> tuple[DeviceIdentity, ...]:
         """Return what the devices say they are."""
         return tuple(device.identity() for device in (self.camera, self.wheel, self.laser, self.lamp))
+
+
+CLOSE_BEAM: Final = (
+    "The laser is off. Close its beam with a cap or a shutter that no program moves, so that none of its light reaches "
+    "the photodiode; do not cover the photodiode. Close the box: the laser will be lit. Is that done?"
+)
+OPEN_BEAM: Final = "The laser is off. Take the cap away, or open the shutter, and close the box again. Is that done?"
 
 
 @contextmanager
@@ -287,6 +297,10 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
         yield _open_simulated(rig, folder, response, lamp, filter_curves, notes)
         return
     others = driver_notes(rig)
+
+    def close_beam(closed: bool) -> bool:
+        return hands.allows(CLOSE_BEAM if closed else OPEN_BEAM)
+
     hands, lease_s = operator or TerminalOperator(), 2.0 * rig.camera.longest_exposure_s + LEASE_S
     with ExitStack() as stack:
         laser = stack.enter_context(open_laser(rig.laser, lease_s))
@@ -301,6 +315,7 @@ def open_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> It
             lamp_spectrum=lamp,
             filter_curves=filter_curves,
             notes=(*notes, *others, *laser.notes),
+            close_beam=close_beam,
         )
 
 
@@ -346,6 +361,7 @@ def _open_simulated(
         notes=notes,
         practise=partial(_practise, state, rig),
         photodiode=lambda address: nullcontext(SimulatedPhotodiode(state)),
+        close_beam=state.close_beam,
     )
 
 

@@ -215,8 +215,8 @@ class CellReading(NamedTuple):
     counts
         As the amplifier gives it, signed.
     at_s
-        When it came, on the monotonic clock. It was made at most as long before as the driver lets readings wait
-        (HX711: 0.2 s).
+        When it was made, at the earliest, on the monotonic clock: by the board's own clock, less what a line takes at
+        most. A reading that is later than the end of a move was made after it.
     """
 
     counts: int

@@ -351,6 +351,22 @@ def _without_mean_of_skills(body: Body) -> Body:
     return {**kept, "notes": [*body["notes"], told]}
 
 
+LEAST_LIMIT: Final = 1e-9
+"""In place of a limit of 0, of which no rig keeps any more than of this one."""
+
+
+def _with_limits_that_can_be_kept(body: Body) -> Body:
+    """Return a check's report whose limits are above 0 and at most 1 where relative; its notes say what they were."""
+    limits, told = dict(body["plan"].get("limits", {})), []
+    for name, limit in limits.items():
+        most = 1.0 if name.endswith("_rel") else 65535.0
+        if (kept := min(max(limit, LEAST_LIMIT), most)) != limit:
+            limits[name] = kept
+            told.append(f"the limit {name} was {limit:g} in this report, and is read as {kept:g}")
+    plan = {**body["plan"], "limits": limits} if told else body["plan"]
+    return {**body, "plan": plan, "notes": [*body.get("notes", []), *told]}
+
+
 MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # a stage presses and a load cell says the force; none: a person pressed
     ("TactileRig", 2): _as_it_is,
@@ -410,7 +426,9 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # Limits are above 0, and at most 1 where they are relative
     ("CheckPlan", 4): _as_it_is,
     ("TactileCheckPlan", 1): _as_it_is,
-    ("AcceptanceReport", 9): _as_it_is,
+    ("AcceptanceReport", 9): _with_limits_that_can_be_kept,
+    # stops within a move, creep that stays unseen, levels of a photodiode with the beam closed; none: not tried
+    ("AcceptanceReport", 10): _as_it_is,
     # whole rows and columns in the fixed pattern; none: not separated
     ("CameraCharacterisation", 3): _as_it_is,
     # a fitted tone curve and the gains far from the contact; none: not known

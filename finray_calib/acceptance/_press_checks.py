@@ -85,8 +85,12 @@ ONE_OF_THEM: Final = (
     "its certificate"
 )
 ONE_STEP: Final = (
-    "no move towards the pad is longer than one step, so that this shows only that no further step was begun, not that "
-    "a force stops a move"
+    "no move was long enough to be stopped within it, so that this shows only that no further step was begun, not that "
+    "a force stops a move; raise force_limit_n of the plan, or shorten step_mm of the rig file"
+)
+TO_ITS_END: Final = "a move was not seen to be stopped before its end"
+NO_FACTOR: Final = (
+    "the cell that saw it is not proven to be right in this check ('calibration holds'), so the true force is not known"
 )
 DENT_MOVED_PX: Final = 5.0
 MINUTE_S: Final = 60.0
@@ -104,17 +108,7 @@ READINGS_OF_A_BLOCK: Final = 4.0
 def judge_pressing(
     facts: PressFacts, plan: TactileCheckPlan, rig: TactileRig, notes: tuple[str, ...] = ()
 ) -> AcceptanceReport:
-    """Return the report of an acceptance check of a rig whose stage presses.
-
-    Parameters
-    ----------
-    facts
-        What the devices did.
-    plan, rig
-        The limits, and what the rig file claims.
-    notes
-        What the user should know about the rig.
-    """
+    """Return the report of an acceptance check of a rig whose stage presses; see :func:`judge` for what it takes."""
     limits, judged = plan.limits, _of_stage_and_cell(facts, plan, rig)
     judged["handshake"] = (
         *judge_handshakes(facts.handshakes, limits.handshake_s),
@@ -135,7 +129,7 @@ def _of_stage_and_cell(
         "load cell": _at_rest(facts, plan, cell),
         "stage": _moves(facts, plan, stage),
         "touch": _touches(facts, plan, cell),
-        "force limit": _force_limit(facts),
+        "force limit": _force_limit(facts, plan, cell),
         "stops": _stops(facts, plan, cell),
     }
     if (lacking := unfelt(facts)) is not None:
@@ -324,11 +318,10 @@ def _moves_of(
             limits=ToleranceInterval(None, plan.limits.stage_report_mm),
         ),
     )  # fmt: skip
-    scale = _by_camera(axis, facts, plan) if axis == stage.pad_axis else _by_block(axis, facts, plan)
+    scale = _by_camera(axis, facts, plan) if axis == stage.pad_axis else _by_block(stage, facts, plan)
     if scale.verdict != "PASS":
-        rows = rows[0], not_proven(rows[1], NO_SCALE.format(axis=axis))
-        if axis == stage.pad_axis:
-            rows = not_proven(rows[0], f"nobody saw that {axis} goes as far as it was sent"), rows[1]
+        whys = (f"nobody saw that {axis} goes as far as it was sent", NO_SCALE.format(axis=axis))
+        rows = not_proven(rows[0], whys[0]), not_proven(rows[1], whys[1])
     return *rows, scale
 
 
@@ -362,19 +355,20 @@ def _by_camera(axis: str, facts: PressFacts, plan: TactileCheckPlan) -> CheckRes
     )
 
 
-def _by_block(axis: str, facts: PressFacts, plan: TactileCheckPlan) -> CheckResult:
-    """Judge the way of the press axis by a block of known thickness between two touches."""
+def _by_block(stage: StageSettings, facts: PressFacts, plan: TactileCheckPlan) -> CheckResult:
+    """Judge the way of the press axis by a block of known thickness, which is touched before the pad."""
+    axis = stage.press_axis
     name, what, most = *_names(axis, "a gauge block between two touches"), _most(plan)
     known, block, words = plan.gauge_block, facts.block, limit_text(-most, most, "%")
     if known is None or block is None:
         return unmeasured("stage", name, what, "UNDECIDED", NO_BLOCK, words)
     pad, on_block = np.array(block.pad_mm), np.array(block.block_mm)
-    way_mm = abs(float(on_block.mean() - pad.mean()))
+    way_mm = stage.into_pad * float(pad.mean() - on_block.mean())
     evidence = (
-        f"a block of {known.thickness_mm:g} +- {known.uncertainty_mm:.2g} mm was touched {way_mm:.4g} mm from the pad, "
-        f"by {axis}, {pad.size} times each"
+        f"a block of {known.thickness_mm:g} +- {known.uncertainty_mm:.2g} mm was touched {way_mm:.4g} mm before the "
+        f"pad, by {axis}, {pad.size} times each"
     )
-    if way_mm < LAID_SHARE * known.thickness_mm + 2.0 * block.touch_uncertainty_mm:
+    if abs(way_mm) < LAID_SHARE * known.thickness_mm + 2.0 * block.touch_uncertainty_mm:
         why = f"{evidence}; was it laid on the pad? Check again"
         return unmeasured("stage", name, what, "UNDECIDED", why, words)
     scatter_mm = math.sqrt((pad.var(ddof=1) + on_block.var(ddof=1)) / pad.size)
@@ -487,22 +481,47 @@ def backlash_mm(touches: tuple[CheckedTouch, ...]) -> tuple[float, float, float]
     return float(np.mean(play)), math.hypot(scatter, gave_mm, float(np.mean(noise)) / math.sqrt(number)), gave_mm
 
 
-def _force_limit(facts: PressFacts) -> tuple[CheckResult, ...]:
-    """Judge the force beyond a limit at which the stage stopped: one more step of the pad's stiffness is allowed."""
-    if not facts.force_stops:
+def _force_limit(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) -> tuple[CheckResult, ...]:
+    """Judge the force beyond a limit at which the stage stopped: one more step of the pad's stiffness is allowed.
+
+    Between steps, no further one was begun. Within a move through depths that steps had measured before, the stage was
+    stopped where the force stayed below that of the move's end: the cell is the witness, and a known mass that of the
+    cell.
+    """
+    if not (stops := facts.force_stops):
         return ()
-    worst = max(facts.force_stops, key=lambda one: one.peak_n - one.limit_n - one.stiffness_n_per_mm * one.step_mm)
-    most_n = worst.stiffness_n_per_mm * worst.step_mm
-    found = (
-        measured(
-            "force limit", "force stops the stage", "largest force beyond a limit at which the stage was stopped",
-            worst.peak_n - worst.limit_n, 2.0 * worst.noise_n, "N",
-            f"worst of {len(facts.force_stops)} stops at {worst.limit_n:.3g} N; allowed is one step of "
-            f"{worst.step_mm:g} mm at {worst.stiffness_n_per_mm:.3g} N/mm",
-            limits=ToleranceInterval(None, most_n),
-        ),
+    moving = [one.moving for one in stops if one.moving is not None]
+    tries = [(one.peak_n, one.limit_n, one) for one in stops]
+    tries += [(one.moving.peak_n, one.moving.limit_n, one) for one in stops if one.moving is not None]
+    peak_n, limit_n, worst = max(tries, key=lambda one: one[0] - one[1] - one[2].stiffness_n_per_mm * one[2].step_mm)
+    evidence = (
+        f"worst of {len(tries)} stops, at {limit_n:.3g} N; allowed is one step of {worst.step_mm:g} mm at "
+        f"{worst.stiffness_n_per_mm:.3g} N/mm"
+    )
+    if moving:
+        longest = max(moving, key=lambda one: one.way_mm)
+        evidence += (
+            f"; {len(moving)} moves of up to {longest.way_mm:.2g} mm were stopped within by the cell's force, at "
+            f"{longest.peak_n:.3g} N where steps had led to {longest.unstopped_n:.3g} N"
+        )
+    found = measured(
+        "force limit", "force stops the stage", "largest force beyond a limit at which the stage was stopped",
+        peak_n - limit_n, 2.0 * worst.noise_n, "N", evidence,
+        limits=ToleranceInterval(None, worst.stiffness_n_per_mm * worst.step_mm),
     )  # fmt: skip
-    return tuple(not_proven(one, ONE_STEP) for one in found)
+    why = [] if len(moving) == len(stops) else [ONE_STEP]
+    if any(one.moving and one.moving.peak_n + FELT_SD * one.noise_n > one.moving.unstopped_n for one in stops):
+        why.append(TO_ITS_END)
+    if facts.calibration is None or _factor(facts, plan, cell, facts.calibration).verdict != "PASS":
+        why.append(NO_FACTOR)
+    if len(stops) < FEWEST_STOPS:
+        why.append(_few(len(stops)))
+    return (not_proven(found, "; ".join(why)) if why else found,)
+
+
+def _few(stops: int) -> str:
+    """Say that a stage that stops now and then could pass by chance."""
+    return f"{stops} stops are too few; set stops = {FEWEST_STOPS} or more"
 
 
 _REASONS: Final[dict[Literal["request", "silent cell"], tuple[str, str]]] = {
@@ -538,6 +557,9 @@ def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
     is_felt = all(one.still_after_s is not None for one in stops)
     who = "and the cell felt no more motion" if is_felt else "as the controller reports"
     evidence = f"slowest of {len(stops)} stops on the way out of the pad, {who}"
+    creeps = [one.unseen_creep_rel for one in stops if one.unseen_creep_rel is not None]
+    if creeps:
+        evidence += f"; a creep below {100 * max(creeps):.2g} % of its speed would not be felt"
     if stops[0].reason == "silent cell":
         evidence += "; readings were withheld from the stage, the cell's cable was not pulled"
     slowest_s = max(max(one.stood_after_s, one.still_after_s or 0.0) for one in stops)
@@ -548,22 +570,36 @@ def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
     if lost:
         why.append(f"after {lost} of them its position was unknown")
     if len(stops) < FEWEST_STOPS:
-        why.append(f"{len(stops)} stops are too few; set stops = {FEWEST_STOPS} or more")
+        why.append(_few(len(stops)))
     return not_proven(found, "; ".join(why)) if why else found
 
 
 def _after_stops(facts: PressFacts, plan: TactileCheckPlan) -> tuple[CheckResult, ...]:
-    """Judge whether the touch after all stops is where it was before."""
+    r"""Judge whether the touch after all stops is where it was before.
+
+    The standard uncertainty of the difference of the means of m touches before and n after holds that of a touch, which
+    steps and noise bound, and their scatter s about the means with :math:`\nu = m + n - 2` degrees of freedom:
+
+    .. math:: s \sqrt{\nu / (\nu - 2)} \sqrt{1 / m + 1 / n},
+
+    or half of the distance between the touches after the stops where that is more.
+    """
     name, what = "position survives stops", "position of the touch after all stops less the mean of those before"
     most_mm = plan.limits.touch_repeat_mm
-    if not facts.after_stops or not facts.touches:
-        reason = "no touch was made after the stops"
+    if len(facts.after_stops) < 2 or len(facts.touches) < FEWEST_TOUCHES:
+        reason = "no two touches were made after the stops"
         return (unmeasured("stops", name, what, "UNDECIDED", reason, limit_text(-most_mm, most_mm, "mm")),)
-    before = float(np.mean([one.touch_mm for one in facts.touches]))
-    moved_mm = float(np.mean([one.touch_mm for one in facts.after_stops])) - before
-    sd_mm = max(one.touch_uncertainty_mm for one in (*facts.touches, *facts.after_stops)) * math.sqrt(2.0)
-    evidence = (
-        f"{len(facts.after_stops)} touches after {len(facts.stops)} stops; steps that a stop loses would show here"
-    )
-    limits = ToleranceInterval(-most_mm, most_mm)
-    return (measured("stops", name, what, moved_mm, sd_mm, "mm", evidence, limits=limits),)
+    before, after = (np.array([one.touch_mm for one in some]) for some in (facts.touches, facts.after_stops))
+    free = before.size + after.size - 2
+    squares = float(((before - before.mean()) ** 2).sum() + ((after - after.mean()) ** 2).sum())
+    scatter_mm = math.sqrt(squares / free * free / (free - 2) * (1.0 / before.size + 1.0 / after.size))
+    scatter_mm = max(scatter_mm, float(np.ptp(after)) / 2.0)
+    touch_mm = max(one.touch_uncertainty_mm for one in (*facts.touches, *facts.after_stops)) * math.sqrt(2.0)
+    evidence = f"{after.size} touches after {len(facts.stops)} stops, {1e3 * float(np.ptp(after)):.2g} um apart"
+    evidence += "; steps that a stop loses would show here"
+    return (
+        measured(
+            "stops", name, what, float(after.mean() - before.mean()), math.hypot(touch_mm, scatter_mm), "mm", evidence,
+            limits=ToleranceInterval(-most_mm, most_mm),
+        ),
+    )  # fmt: skip

@@ -27,7 +27,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import BandSignals, EmissionDetection
+from data_schemas import BandSignals, BandUncertainty, EmissionDetection
 from finray_calib.fit._band_data import BandData
 from finray_calib.fit._prior import EmissionPrior
 from finray_calib.spectra import family_named
@@ -52,7 +52,9 @@ STRAY_PER_NM: Final = 1e-6
 """Standard deviation of the light beside the laser's line, per nm, over the light in the line: the tail of a diode
 laser, and what filters, lens and enclosure fluoresce. 0.03 % of the laser over the visible range; half of its variance
 is common to all bands, half is of each band and channel. A tail of 5e-5 of the line's peak, 30 nm wide, shows behind
-filters of 6 OD in how the channels share the leak, and was taken for emission without this."""
+filters of 6 OD in how the channels share the leak, and was taken for emission without this. It grows with the stray
+light that the rig file states, beyond the usual one, and does not shrink: that is relative to other light than the
+laser's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,8 @@ class BlankModel:
         (K,) expected value for a reflectance of 1 at the laser.
     reflectance_at_laser
         That of the sample.
+    stray_per_nm
+        Standard deviation of the light beside the laser's line over the light in the line, 1/nm.
     """
 
     rows: NDArray[np.int64]
@@ -78,6 +82,7 @@ class BlankModel:
     covariance: Floats
     per_reflectance: Floats
     reflectance_at_laser: float
+    stray_per_nm: float
 
 
 def detect_emission(bands: BandSignals, data: BandData, prior: EmissionPrior, seed: int) -> EmissionDetection:
@@ -166,8 +171,10 @@ def blank_model(bands: BandSignals, data: BandData, ln_blocking_sd: float) -> Bl
     ln_covariance = ln_blocking_sd**2 + np.equal.outer(band, band) * np.outer(data.leak_sd[rows], data.leak_sd[rows])
     covariance = data.covariance_without_tile(rows) + np.outer(spread, spread) * np.expm1(ln_covariance)
     mean = reflectance * per_reflectance
-    columns = _imperfections(data, rows, mean, reflectance)
-    return BlankModel(rows, mean, covariance + columns @ columns.T, per_reflectance, reflectance)
+    usual_rel, stated_rel = BandUncertainty().stray_light_rel, bands.optics.band_uncertainty.stray_light_rel
+    stray_per_nm = STRAY_PER_NM * max(stated_rel / usual_rel, 1.0)
+    columns = _imperfections(data, rows, mean, reflectance, stray_per_nm)
+    return BlankModel(rows, mean, covariance + columns @ columns.T, per_reflectance, reflectance, stray_per_nm)
 
 
 def draw_blanks(
@@ -180,7 +187,7 @@ def draw_blanks(
     rho = blank.reflectance_at_laser
     reflected = weights.reflected_laser[rows] + (leak - 1) * weights.leaked_laser[rows]
     values = rho * reflected / (1 + (leak - 1) * weights.leaked_white[rows])
-    columns = _imperfections(data, rows, blank.mean, rho)
+    columns = _imperfections(data, rows, blank.mean, rho, blank.stray_per_nm)
     values += rng.standard_normal((number, columns.shape[1])) @ columns.T
     noise = np.linalg.cholesky(data.covariance_without_tile(rows))
     return np.asarray(values + rng.standard_normal((number, rows.size)) @ noise.T)
@@ -195,11 +202,13 @@ def _reflectance(data: BandData, rows: NDArray[np.int64], per_reflectance: Float
     return max(float(data.y.ravel()[rows][brightest] / per_reflectance[brightest]), _LEAST_REFLECTANCE)
 
 
-def _imperfections(data: BandData, rows: NDArray[np.int64], mean: Floats, reflectance: float) -> Floats:
+def _imperfections(
+    data: BandData, rows: NDArray[np.int64], mean: Floats, reflectance: float, stray_per_nm: float
+) -> Floats:
     """Return the columns (K, M) of calibration, white reference, stray light, and each filter, at a blank."""
     weights = data.weights
     per_band = np.equal.outer(weights.band_index[rows], np.arange(weights.bands))
-    stray = STRAY_PER_NM / np.sqrt(2) * reflectance * weights.emission[rows].sum(axis=1)
+    stray = stray_per_nm / np.sqrt(2) * reflectance * weights.emission[rows].sum(axis=1)
     tile = data.tile_uncertainty_rel * mean[:, None]
     columns = [data.band_calibration_rel * mean[:, None] * per_band, tile, stray[:, None], np.diag(stray)]
     if data.tolerances is not None:

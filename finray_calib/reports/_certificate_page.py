@@ -129,7 +129,7 @@ def certificate_of(
         statements=(
             ("Method", _method(paint)),
             ("Conditions", _conditions(paint, details, session)),
-            ("Uncertainty", _uncertainty(bool(budget))),
+            ("Uncertainty", _uncertainty(paint, has_budget=bool(budget))),
             ("Decision rule", _rule(results)),
             ("Limits of this certificate", _limits(paint)),
             ("Origin", f"{lineage} SHA-256 of the calibration {sha256}; finray-calib {package_version()}.".strip()),
@@ -318,8 +318,9 @@ def _conditions(paint: PaintCalibration, details: CertificateDetails, session: C
     )
 
 
-def _uncertainty(has_budget: bool) -> str:
-    """Say what U and k are."""
+def _uncertainty(paint: PaintCalibration, has_budget: bool) -> str:
+    """Say what U and k are, and what the uncertainty of band values was stated to be."""
+    stated = paint.optics.band_uncertainty
     told = (
         "U is half of the interval that holds 95 % of the posterior draws, symmetric in probability (JCGM 101), and k "
         "is U over their standard deviation."
@@ -328,7 +329,13 @@ def _uncertainty(has_budget: bool) -> str:
         "The budget holds standard uncertainties (k = 1): sensitivity of the posterior mean times the standard "
         "uncertainty of each source (GUM 5.1.2), and the rest comes from the prior."
     )
-    return f"{told} {budget}" if has_budget else f"{told} A budget by source was not requested."
+    assumed = (
+        "A budget by source was not requested. Beside the noise of the frames, the rig file states relative standard "
+        f"uncertainties of {percent(stated.calibration_rel)} for the calibration of each filter, "
+        f"{percent(stated.response_rel)} for each channel's response, and {percent(stated.stray_light_rel)} of the "
+        "brightest filter for stray light."
+    )
+    return f"{told} {budget if has_budget else assumed}"
 
 
 def _rule(results: Sequence[CertifiedResult]) -> str:

@@ -181,7 +181,7 @@ class _Recorder(CheckRecorder[PressFacts]):
         self._attempt("force limit", lambda: checks.force_stops(self._keep))
         self._attempt("stops", lambda: checks.stops(self._keep))
         if self._plan.gauge_block is not None:
-            self._attempt("touch", lambda: self._keep(block=checks.block(opened.lay_block)))
+            self._attempt("touch", lambda: checks.block(opened.lay_block, self._keep))
         self._keep(moves=timed.moves())
 
     def _rest(self, opened: OpenTactileRig) -> CellAtRest:
@@ -232,6 +232,8 @@ class _Recorder(CheckRecorder[PressFacts]):
             return "the stage did not leave the pad by itself; free the pad by hand"
         if self._presser is not None and str(error).startswith("load cell"):
             return "the load cell failed, so nothing would stop the stage"
+        if isinstance(error, NotAllowedError):
+            return "nobody allowed the stage to move"
         return None
 
     def _note(self, event: str, **what: object) -> None:

@@ -453,11 +453,7 @@ class _Recorder(CheckRecorder[CheckFacts]):
         else:
             with opened.photodiode(self._plan.photodiode) as diode:
                 self._contrast = find_contrast(opened, diode)
-                if self._contrast is None:
-                    raise CaptureError(
-                        f"photodiode at {self._plan.photodiode}: does not see the difference between laser on and off, "
-                        "so it is no witness; point it at the spot, check its wires and cover it from room light"
-                    )
+                self._keep(diode=self._contrast.recorded())
                 self._keep(light_off=(after_exception(opened, repeats, PhotodiodeWatch(diode, self._contrast)),))
             return
         if self._has_dead_man is not None and self._frames is not None:

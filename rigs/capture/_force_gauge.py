@@ -31,12 +31,26 @@ STEP_READINGS: Final = 8
 SETTLING_READINGS: Final = 4
 """The HX711's filter has taken in a change after four readings (its data sheet: 50 ms at 80 Hz, 400 ms at 10 Hz)."""
 COARSE_SD: Final = 8.0
+
+
+def mean_noise_n(noise_n: float, readings: int) -> float:
+    r"""Return the standard uncertainty of a mean (N) by the noise of one reading: the filter has neighbours share it.
+
+    An amplifier that gives the running mean of four conversions needs four readings for one that is new:
+
+    .. math:: u = s \sqrt{4 / n}
+
+    is a little more than it is for such a filter, and twice that of readings which share nothing.
+    """
+    return noise_n * math.sqrt(SETTLING_READINGS / max(readings, SETTLING_READINGS))
+
+
 LEAST_EQUAL: Final = 4
 ZERO_MOVED_SHARE: Final = 0.1
 """Of the force limit: a zero that moved by more tells of a loose cell or a warm amplifier; noise must stay below."""
 UNLOADED_SHARE: Final = 0.25
 """Of the force limit: so far from the empty cell of its calibration may a session begin."""
-FOLLOWED_SD: Final = 2.0
+FOLLOWED_SD: Final = 1.0
 """A drift moves a mean by less from step to step; a pad soon moves it by more, and is not taken for a drift."""
 BUFFERED_S: Final = 0.2
 
@@ -107,6 +121,7 @@ class ForceGauge:
         equal = max(LEAST_EQUAL, math.ceil(settings.silent_s * settings.rate_hz))
         self._newest: deque[int] = deque(maxlen=equal)
         self._zero, self._zero_readings, self.noise_n = math.nan, TARE_READINGS, math.nan
+        self._moved_s = self._made_s = -math.inf
         self._tared = self._first_zero = math.nan
         slope, masses = calibration.slope_n_per_count, np.array(calibration.masses_kg)
         unloaded = np.array(calibration.counts) - masses * calibration.gravity_m_per_s2 / slope
@@ -139,7 +154,7 @@ class ForceGauge:
 
     def _counts(self) -> int:
         """Return the next count, unless the cell is stuck."""
-        counts = self._cell.read(self._settings.silent_s).counts
+        counts, self._made_s = self._cell.read(self._settings.silent_s)
         self._newest.append(counts)
         if len(self._newest) == self._newest.maxlen and len(set(self._newest)) == 1:
             raise LostError(
@@ -147,6 +162,28 @@ class ForceGauge:
                 "amplifier and wiring"
             )
         return counts
+
+    def moved(self, now_s: float) -> None:
+        """Remember when a move ended: what was made before, however late it comes, says nothing of the force since."""
+        self._moved_s = now_s
+
+    def settle(self, take: Callable[[], object]) -> None:
+        """Have readings taken until so many were made after the last move that the amplifier's filter shows all of it.
+
+        Raises
+        ------
+        LostError
+            All came too late, for as long as the cell may be silent.
+        """
+        made, late, most_late = 0, 0, math.ceil(self._settings.silent_s * self._settings.rate_hz)
+        while made < SETTLING_READINGS:
+            take()
+            made, late = (made + 1, late) if self._made_s > self._moved_s else (made, late + 1)
+            if late > most_late:
+                raise LostError(
+                    f"load cell: {late} readings in a row were made before the stage stood, so they come too late to "
+                    "stop it; close other programs, and check the board's cable"
+                )
 
     def begin(self, now_s: Callable[[], float]) -> None:
         """Tare for the first time in a session, with nothing on the cell; `now_s` tells the time.
@@ -162,7 +199,7 @@ class ForceGauge:
             self._counts()
         began_s = now_s()
         self.tare()
-        rate_hz = TARE_READINGS / max(now_s() - began_s, 1e-9)
+        rate_hz = (SETTLING_READINGS + TARE_READINGS) / max(now_s() - began_s, 1e-9)
         if not 0.5 < rate_hz / settings.rate_hz < 2.0:
             raise CaptureError(
                 f"load cell: sends {rate_hz:.3g} readings a second, but rate_hz of the rig file is "
@@ -185,6 +222,7 @@ class ForceGauge:
         CaptureError
             It is far from the first one, or noise could hide a tenth of the force limit.
         """
+        self.settle(self._counts)
         counts = np.array([self._counts() for _ in range(TARE_READINGS)], dtype=float)
         self._zero = self._tared = float(counts.mean())
         self._zero_readings, self.noise_n = TARE_READINGS, float(counts.std(ddof=1)) * abs(self._slope)
@@ -205,10 +243,10 @@ class ForceGauge:
 
     def mean(self, readings: int = STEP_READINGS) -> Force:
         """Return the mean of readings that the amplifier's filter has forgotten the past in."""
-        for _ in range(SETTLING_READINGS):
-            self.reading_n()
+        self.settle(self.reading_n)
         mean_n = float(np.mean([self.reading_n() for _ in range(readings)]))
-        return Force(mean_n, self.noise_n * math.sqrt(1.0 / readings + 1.0 / self._zero_readings))
+        noise_n = math.hypot(mean_noise_n(self.noise_n, readings), mean_noise_n(self.noise_n, self._zero_readings))
+        return Force(mean_n, noise_n)
 
     def follow(self, force: Force) -> None:
         """Take a mean of a step that touched nothing for no force, by two standard deviations at most: it drifts."""
@@ -219,7 +257,8 @@ class ForceGauge:
     def absorbed_n(self) -> float:
         """Return the force of the pad that the zero may have followed since the tare (N)."""
         followed_n = (self._zero - self._tared) * self._slope
-        return max(followed_n, 0.0) + FOLLOWED_SD * self.noise_n / math.sqrt(STEP_READINGS) if followed_n else 0.0
+        noise_n = mean_noise_n(self.noise_n, STEP_READINGS)
+        return max(followed_n, 0.0) + FOLLOWED_SD * noise_n if followed_n else 0.0
 
     def settled(self) -> Force:
         """Return the force when two means in a row agree, or after the longest wait that the rig file allows."""
@@ -227,7 +266,7 @@ class ForceGauge:
         rounds = int(self._settings.settle_s * self._settings.rate_hz / (STEP_READINGS + SETTLING_READINGS))
         for _ in range(max(rounds, 1)):
             now = self.mean()
-            if abs(now.mean_n - before.mean_n) <= 3.0 * self.noise_n * math.sqrt(2.0 / STEP_READINGS):
+            if abs(now.mean_n - before.mean_n) <= 3.0 * math.sqrt(2.0) * mean_noise_n(self.noise_n, STEP_READINGS):
                 return now
             before = now
         return before

@@ -1,6 +1,7 @@
 """What the stage does in a check while load cell and camera look on: moves, touches, presses and stops.
 
-Towards the pad the stage goes in steps that the cell watches; it is stopped on purpose only on its way out of the pad.
+Towards the pad the stage goes in steps that the cell watches. It is stopped on purpose on its way out of the pad, and
+in one slow move towards it that ends, whatever fails, where steps have led before.
 """
 
 import itertools
@@ -17,6 +18,7 @@ from data_schemas import (
     BlockTouches,
     CheckedTouch,
     ForceStop,
+    MovingStop,
     PlannedPress,
     PressDevice,
     RefusedError,
@@ -29,7 +31,8 @@ from data_schemas import (
 from rigs import CellReading, Clock, ForceLimitError, LoadCell, Stage
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
 from rigs.capture._force_gauge import SETTLING_READINGS, STEP_READINGS, Force
-from rigs.capture._stage_press import PRESS_LESS, OpenTactileRig, StagePress
+from rigs.capture._stage_press import PRESS_LESS, NotAllowedError, OpenTactileRig, StagePress
+from rigs.transports import LATENCY_S
 
 LIMIT_SHARE: Final = 0.5
 """Of the rig's force limit: what the check allows itself where its plan names no limit."""
@@ -37,20 +40,22 @@ PRESS_SHARE: Final = 0.25
 """Of the check's force limit: the force at which the stage turns."""
 STOP_SHARE: Final = 0.5
 """Of the check's force limit: the force at which the stage is stopped to see how far it goes beyond."""
+MOVING_STEPS: Final = 3
+"""So much longer than a step must a move be for a stop within it to be told from its end."""
+STEPS_PER_S: Final = 1.0
+"""Of that move: a reading that comes 0.2 s late then adds a fifth of a step."""
 STEP_MARGIN: Final = 1.5
 """Forces that are left free for one more step, for a pad that becomes stiffer."""
 STOP_WAY_S: Final = 2.0
 """How long a move takes that is stopped on its way, beside the time that the cell may be silent."""
 STOP_AT_SHARE: Final = 0.3
-LISTEN_S: Final = 0.5
+LISTEN_S: Final = 4.0
 """Beyond the longest allowed time: how long the cell feels whether a stage stands that was stopped."""
 STILL_SHARE: Final = 0.1
 STILL_SD: Final = 7.0
 """Of one reading: two differ by more once in 10^6."""
 CLEAR_SD: Final = 50.0
 CONTACT_SHARE: Final = 0.1
-LATE_S: Final = 0.2
-"""So old may a reading be by the drivers' promise (FRESH_S of rigs/load_cells/hx711.py)."""
 BLOCK_TOUCHES: Final = 3
 ROOM_STEPS: Final = 12
 """The search of a touch goes back by nine steps from the first force, and needs some before clear_mm."""
@@ -100,7 +105,7 @@ class TappedCell:
             self.feel(deadline_s)
             raise _SilencedError(f"load cell: made silent by the check; no reading came within {deadline_s:g} s")
         reading = self._read(deadline_s)
-        self.last_s = self.clock.monotonic_s()
+        self.last_s = reading.at_s
         if self.heard is not None:
             self.heard.append(reading.counts)
         return reading
@@ -113,10 +118,10 @@ class TappedCell:
                 self._read(left_s)
 
     def _read(self, deadline_s: float) -> CellReading:
-        """Return the next reading, and remember it with its time."""
+        """Return the next reading, and remember it with the time at which it was made."""
         reading = self.cell.read(deadline_s)
         if self.felt is not None:
-            self.felt.append((self.clock.monotonic_s(), reading.counts))
+            self.felt.append((reading.at_s, reading.counts))
         return reading
 
 
@@ -225,7 +230,7 @@ class PressRounds:
         self._presser.away(self._presser.guard(self._limit_n))
         stage = self._settings
         at_mm = stage.base_mm + stage.from_base * (self._plan.position_mm + away_mm)
-        self._stage.move(stage.pad_axis, at_mm, stage.travel_speed_mm_per_s, self._presser.guard(self._limit_n))
+        self._presser.drive(stage.pad_axis, at_mm, stage.travel_speed_mm_per_s, self._presser.guard(self._limit_n))
 
     def touch(self, keep: Callable[..., None]) -> None:
         """Return to the position from both sides, touch, press, turn and leave."""
@@ -276,7 +281,7 @@ class PressRounds:
         side = self._beside(turn)
         number = self._press()
         touched = self._presser.measured[number]
-        from_above, deeper, from_below, deeper_mm = self._turn()
+        from_above, deeper, from_below, deeper_mm = self._turn(number)
         self._presser.leave()
         return CheckedTouch(
             side=side,
@@ -291,26 +296,27 @@ class PressRounds:
             zero_shift_n=self._presser.measured[number].zero_shift_n or 0.0,
         )
 
-    def _turn(self) -> tuple[Force, Force, Force, float]:
+    def _turn(self, number: int) -> tuple[Force, Force, Force, float]:
         """Go some steps deeper and back to the same position: forces before, deepest and after, and how deep (mm)."""
         stage, gauge, watch = self._settings, self._presser.gauge, self._presser.guard(self._limit_n)
         start_mm, before = self._at_mm(), gauge.settled()
+        self._require_room(before.mean_n, self._rise_n(number), "go deeper from the turning force")
         wanted = math.ceil(2.0 * self._plan.limits.backlash_mm / stage.step_mm)
         force, deeper_mm = before, 0.0
-        for number, at_mm in enumerate(self._presser.steps(start_mm, stage.step_mm), 1):
+        for steps, at_mm in enumerate(self._presser.steps(start_mm, stage.step_mm), 1):
             if self._is_too_deep(at_mm):
                 break
             self._presser.step_to(at_mm, watch)
             last, force = force, gauge.settled()
-            deeper_mm = number * stage.step_mm
-            if number >= wanted or force.mean_n + STEP_MARGIN * abs(force.mean_n - last.mean_n) > self._limit_n:
+            deeper_mm = steps * stage.step_mm
+            if steps >= wanted or force.mean_n + STEP_MARGIN * abs(force.mean_n - last.mean_n) > self._limit_n:
                 break
         if deeper_mm == 0.0:
             raise RefusedError(
                 f"stage: one step of {stage.step_mm:g} mm from the turning force leads deeper than deepest_mm = "
                 f"{self._plan.deepest_mm:g} mm; raise deepest_mm, or lower force_limit_n of the plan"
             )
-        self._stage.move(stage.press_axis, start_mm, stage.press_speed_mm_per_s, watch)
+        self._presser.press_to(start_mm, watch)
         return before, force, gauge.settled(), deeper_mm
 
     def _at_mm(self) -> float:
@@ -325,17 +331,16 @@ class PressRounds:
         found: list[ForceStop] = []
         for turn in range(self._plan.stops):
             self._beside(turn)
-            self._press()
-            found.append(self._into_a_limit())
+            found.append(self._into_a_limit(self._press()))
             self._presser.leave()
             keep(force_stops=tuple(found))
 
-    def _into_a_limit(self) -> ForceStop:
+    def _into_a_limit(self, number: int) -> ForceStop:
         """Go on in steps until the force limit of this part stops the stage, and return how far the force went."""
         stage, gauge = self._settings, self._presser.gauge
         start_mm, points = self._at_mm(), [gauge.settled().mean_n]
         stop_n = STOP_SHARE * self._limit_n
-        watch = self._presser.guard(stop_n)
+        watch, rise_n = self._presser.guard(stop_n), self._rise_n(number)
         try:
             for at_mm in self._presser.steps(start_mm, stage.step_mm):
                 if self._is_too_deep(at_mm):
@@ -343,7 +348,8 @@ class PressRounds:
                         f"stage: {points[-1]:.3g} N at deepest_mm = {self._plan.deepest_mm:g} mm, but the stop is "
                         f"tried at {stop_n:g} N; raise deepest_mm, or lower force_limit_n of the plan"
                     )
-                self._require_room(points, stop_n)
+                rise_n = points[-1] - points[-2] if len(points) > 1 else rise_n
+                self._require_room(stop_n, rise_n, f"try a stop at {stop_n:g} N")
                 self._cell.heard = []
                 self._presser.step_to(at_mm, watch)
                 points.append(gauge.settled().mean_n)
@@ -363,20 +369,56 @@ class PressRounds:
             noise_n=gauge.noise_n,
             stiffness_n_per_mm=float(slopes[-1]) + max(grows, 0.0),
             step_mm=stage.step_mm,
+            moving=self._within_a_move(start_mm),
         )
+
+    def _within_a_move(self, start_mm: float) -> MovingStop | None:
+        """Go back, and move slowly once more to where steps have just led; a force limit stops that move halfway.
+
+        Where nothing stops it, the move ends where the stage has stood before. None: the way is too short, or the force
+        grows too little, for a stop to be told from that end.
+        """
+        stage, gauge = self._settings, self._presser.gauge
+        end_mm, end_n = self._at_mm(), gauge.settled().mean_n
+        self._presser.press_to(start_mm, self._presser.guard(self._limit_n))
+        start_n, way_mm = gauge.settled().mean_n, stage.into_pad * (end_mm - start_mm)
+        if way_mm < MOVING_STEPS * stage.step_mm or end_n - start_n < CLEAR_SD * gauge.noise_n:
+            return None
+        limit_n, speed_mm_per_s = 0.5 * (start_n + end_n), min(STEPS_PER_S * stage.step_mm, stage.press_speed_mm_per_s)
+        self._cell.heard = []
+        with suppress(ForceLimitError):
+            self._presser.drive(stage.press_axis, end_mm, speed_mm_per_s, self._presser.guard(limit_n))
+        gauge.mean(SETTLING_READINGS + STEP_READINGS)
+        heard, self._cell.heard = self._cell.heard, None
+        peak_n = max(gauge.force_n(counts) for counts in heard)
+        return MovingStop(limit_n=limit_n, way_mm=way_mm, unstopped_n=end_n, peak_n=peak_n)
 
     def _is_too_deep(self, at_mm: float) -> bool:
         """Whether a place of the press axis lies deeper than the plan allows."""
         touch_mm = self._presser.touches[self._plan.position_mm][0]
         return self._settings.into_pad * (at_mm - touch_mm) > self._plan.deepest_mm
 
-    def _require_room(self, points: list[float], stop_n: float) -> None:
-        """Refuse a step that could lead beyond the force limit of the check."""
-        rise_n = points[-1] - points[-2] if len(points) > 1 else 0.0
-        if stop_n + STEP_MARGIN * rise_n > self._limit_n:
+    def _rise_n(self, number: int) -> float:
+        """Return what the next step adds by the stiffness over the last step of a press, shorter ones joined (N)."""
+        pressed, step_mm = self._presser.measured[number], self._settings.step_mm
+        points = list(zip(pressed.point_depths_mm, pressed.point_forces_n, strict=True))
+        if len(points) < 2:
             raise RefusedError(
-                f"stage: one step of {self._settings.step_mm:g} mm adds {rise_n:.3g} N, which is too much to try a "
-                f"stop at {stop_n:g} N below force_limit_n = {self._limit_n:g} N; {PRESS_LESS}"
+                f"stage: {points[0][1]:.3g} N at the first touch already, so nobody knows what one step of "
+                f"{step_mm:g} mm adds; raise force_limit_n of the plan, or shorten touch_step_mm of the rig file"
+            )
+        end_mm, end_n = points[-1]
+        begin_mm, begin_n = next(
+            (point for point in reversed(points[:-1]) if end_mm - point[0] >= 0.5 * step_mm), points[0]
+        )
+        return max(end_n - begin_n, 0.0) / (end_mm - begin_mm) * step_mm
+
+    def _require_room(self, from_n: float, rise_n: float, what: str) -> None:
+        """Refuse a step that could lead beyond the force limit of the check."""
+        if from_n + STEP_MARGIN * rise_n > self._limit_n:
+            raise RefusedError(
+                f"stage: one step of {self._settings.step_mm:g} mm adds {rise_n:.3g} N, which is too much to {what} "
+                f"below force_limit_n = {self._limit_n:g} N; {PRESS_LESS}"
             )
 
     def stops(self, keep: Callable[..., None]) -> None:
@@ -392,11 +434,17 @@ class PressRounds:
             touches.append(self._round(turn))
         keep(after_stops=tuple(touches))
 
-    def block(self, lay_block: Callable[[float], bool]) -> BlockTouches | None:
-        """Touch the pad, have a block laid on it, and touch that; None: there is none, or nobody laid it."""
+    def block(self, lay_block: Callable[[float], bool], keep: Callable[..., None]) -> None:
+        """Touch the pad, have a block laid on it where there is one, touch that, and have it taken away.
+
+        Raises
+        ------
+        NotAllowedError
+            Nobody says that it was taken away: nothing moves any more.
+        """
         known, stage = self._plan.gauge_block, self._settings
         if known is None:
-            return None
+            return
         pad = [self._touch() for _ in range(BLOCK_TOUCHES)]
         room_mm = stage.into_pad * (pad[0][0] - stage.clear_mm) - known.thickness_mm
         if room_mm < ROOM_STEPS * stage.step_mm:
@@ -405,14 +453,19 @@ class PressRounds:
                 f"{stage.clear_mm:g} mm, but {ROOM_STEPS * stage.step_mm:g} mm are needed; take a thinner one"
             )
         if not lay_block(known.thickness_mm):
-            return None
+            return
         on_block = [self._touch() for _ in range(BLOCK_TOUCHES)]
-        lay_block(0.0)
-        return BlockTouches(
+        touched = BlockTouches(
             pad_mm=tuple(at_mm for at_mm, _ in pad),
             block_mm=tuple(at_mm for at_mm, _ in on_block),
             touch_uncertainty_mm=max(sd_mm for _, sd_mm in (*pad, *on_block)),
         )
+        keep(block=touched)
+        if not lay_block(0.0):
+            raise NotAllowedError(
+                "stage: nobody has confirmed that the block was taken off the pad, so nothing moves any more; take it "
+                "away, and check again"
+            )
 
     def _touch(self) -> tuple[float, float]:
         """Touch what lies at the position, leave it, and return where it was touched, with the uncertainty (mm)."""
@@ -453,6 +506,9 @@ class PressRounds:
         times_s = np.array([at_s for at_s, _ in felt])
         forces_n = np.array([self._presser.gauge.force_n(counts) for _, counts in felt])
         still = still_after(times_s, forces_n, asked_s, self._presser.gauge.noise_n, self._rate_hz)
+        most_s = self._plan.limits.halt_s + (self._silent_s if reason == "silent cell" else 0.0)
+        if still is None and (left_s := left_after_s(times_s, forces_n)) is not None and left_s - asked_s > most_s:
+            still = left_s - asked_s, LATENCY_S, math.inf  # it moved until then at least
         places = self._stage.places_mm()
         return StageStop(
             reason=reason,
@@ -462,22 +518,31 @@ class PressRounds:
             stood_mm=None if places is None else places[stage.press_axis],
             still_after_s=None if still is None else still[0],
             still_sd_s=None if still is None else still[1],
+            unseen_creep_rel=None if still is None or math.isinf(still[2]) else still[2],
         )
 
 
 def still_after(
     times_s: Floats, forces_n: Floats, asked_s: float, noise_n: float, rate_hz: float
-) -> tuple[float, float] | None:
-    """Return how long after `asked_s` the force of a stage that leaves the pad fell no more, with its uncertainty (s).
+) -> tuple[float, float, float] | None:
+    r"""Return how long after `asked_s` the force fell no more, with its uncertainty (s), and what creep stays unseen.
 
     The stage stands from the first reading after which the force falls by less than a tenth of its fall until then, or
     than noise. A pad that recovers presses more; a stage that goes on presses less. None where the cell cannot tell:
     the force did not fall clearly before, or was gone in the end, so that nothing touched any more.
 
+    A force that falls by less than the threshold T in the time t until the last reading, where it fell by F in
+    :math:`t_0` before, hides a stage that creeps on at up to
+
+    .. math:: v / v_0 = (T / t) / (F / t_0)
+
+    of its speed, on a pad that does not recover meanwhile.
+
     Parameters
     ----------
     times_s, forces_n
-        Readings from the beginning of the move until well after the stop, shape (n,).
+        Readings from the beginning of the move until well after the stop, shape (n,), by when they were made at the
+        earliest.
     asked_s
         When the stage was asked to stop, or when the last reading was passed on.
     noise_n
@@ -494,10 +559,18 @@ def still_after(
     threshold_n = max(STILL_SHARE * fell_n, STILL_SD * noise_n)
     lowest_to_come = np.minimum.accumulate(forces_n[::-1])[::-1]
     falls_no_more = after & (forces_n - lowest_to_come <= threshold_n)
-    at_s = float(times_s[falls_no_more][0])
+    at_s = float(times_s[falls_no_more][0]) + 0.5 * LATENCY_S
     speed_n_per_s = fell_n / max(asked_s - float(times_s[0]), 1.0 / rate_hz)
-    sd_s = math.hypot(threshold_n / speed_n_per_s, SETTLING_READINGS / rate_hz, LATE_S / math.sqrt(12.0))
-    return at_s - asked_s, sd_s
+    sd_s = math.hypot(threshold_n / speed_n_per_s, SETTLING_READINGS / rate_hz, LATENCY_S / math.sqrt(12.0))
+    left_s = max(float(times_s[-1]) - at_s, 1.0 / rate_hz)
+    return at_s - asked_s, sd_s, threshold_n / left_s / speed_n_per_s
+
+
+def left_after_s(times_s: Floats, forces_n: Floats) -> float | None:
+    """Return when the stage had left the pad by the force (s); None: it still presses at the end."""
+    gone = np.flatnonzero(forces_n < CONTACT_SHARE * forces_n[0]) if forces_n.size else np.array([])
+    still_presses = forces_n.size == 0 or forces_n[-SETTLING_READINGS:].mean() >= CONTACT_SHARE * forces_n[0]
+    return None if still_presses or not gone.size else float(times_s[gone[0]])
 
 
 def dent_column_px(before: NDArray[np.float64], during: NDArray[np.float64]) -> float | None:

@@ -57,6 +57,7 @@ from rigs.capture._force_gauge import (
     ZERO_MOVED_SHARE,
     Force,
     ForceGauge,
+    mean_noise_n,
     read_cell_calibration,
 )
 
@@ -351,15 +352,25 @@ class StagePress:
             at_mm += stage.into_pad * stage.step_mm
             self.step_to(at_mm, careful)
         if stage.into_pad * (stage.clear_mm - at_mm) > 0.0:
-            self._stage.move(stage.press_axis, stage.clear_mm, stage.press_speed_mm_per_s, careful)
+            self.press_to(stage.clear_mm, careful)
             return
-        self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, watch)
+        self.drive(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, watch)
+
+    def drive(self, axis: str, to_mm: float, speed_mm_per_s: float, watch: Callable[[], None]) -> None:
+        """Move one axis; the force is then that of readings which were made after the move ended."""
+        try:
+            self._stage.move(axis, to_mm, speed_mm_per_s, watch)
+        finally:
+            self.gauge.moved(self._clock.monotonic_s())
+
+    def press_to(self, to_mm: float, watch: Callable[[], None]) -> None:
+        """Move the press axis at the speed of presses."""
+        self.drive(self._settings.press_axis, to_mm, self._settings.press_speed_mm_per_s, watch)
 
     def step_to(self, to_mm: float, watch: Callable[[], None]) -> None:
         """Move one step towards the pad, and go on only when the amplifier's filter has shown all of its force."""
-        self._stage.move(self._settings.press_axis, to_mm, self._settings.press_speed_mm_per_s, watch)
-        for _ in range(SETTLING_READINGS):
-            watch()
+        self.press_to(to_mm, watch)
+        self.gauge.settle(watch)
 
     def press(self, press: PlannedPress, contact: int) -> None:
         """Touch the pad at the place of a press and press as it asks; the stage then stands.
@@ -378,7 +389,7 @@ class StagePress:
         limit_n = min(self.limit_n, press.force_limit_n or math.inf)
         self.away(self.guard(limit_n))
         place_mm = stage.base_mm + stage.from_base * press.position_mm
-        self._stage.move(stage.pad_axis, place_mm, stage.travel_speed_mm_per_s, self.guard(limit_n))
+        self.drive(stage.pad_axis, place_mm, stage.travel_speed_mm_per_s, self.guard(limit_n))
         above_mm, force = self._find_touch(limit_n)
         absorbed_n = self.gauge.absorbed_n()
         touched = _Touched(contact, above_mm, 0.0, [(above_mm, force)], press, force, absorbed_n)
@@ -414,7 +425,7 @@ class StagePress:
         back_mm = self._step_back(at_mm, watch)
         self.gauge.tare()
         for at_mm in self.steps(back_mm, stage.touch_step_mm):
-            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
+            self.press_to(at_mm, watch)
             force = self.gauge.mean()
             if abs(force.mean_n) > TOUCH_SD * force.noise_n and self._is_touched():
                 if force.mean_n < 0.0:
@@ -437,9 +448,10 @@ class StagePress:
                     "touch; its zero drifts, or clear_mm of the rig file is less than "
                     f"{3 * BACK_STEPS * stage.step_mm:g} mm from the pad"
                 )
-            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
+            self.press_to(at_mm, watch)
             now = self.gauge.mean()
-            if abs(now.mean_n - before.mean_n) <= TOUCH_SD * self.gauge.noise_n * math.sqrt(2.0 / STEP_READINGS):
+            noise_n = math.sqrt(2.0) * mean_noise_n(self.gauge.noise_n, STEP_READINGS)
+            if abs(now.mean_n - before.mean_n) <= TOUCH_SD * noise_n:
                 return at_mm
             before = now
 
@@ -465,7 +477,7 @@ class StagePress:
             if step_mm < 0.5 * LEAST_STEP_MM:
                 break
             at_mm = next(self.steps(at_mm, step_mm))
-            self._stage.move(stage.press_axis, at_mm, stage.press_speed_mm_per_s, watch)
+            self.press_to(at_mm, watch)
             touched.points.append((at_mm, self.gauge.mean()))
             if len(touched.points) <= FIRST_POINTS:
                 self._place_touch(touched)

@@ -14,9 +14,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from data_schemas import (
     BadFrameError,
     CaptureError,
+    DiodeLevels,
     FinrayError,
     LaserSettings,
     LightLayer,
@@ -37,13 +38,14 @@ from rigs import Clock, LightSwitch, OpenRig, driver_module, find_driver, open_c
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
 from rigs.capture._plan import Step
 from rigs.light_guard import (
-    LATENCY_S,
     MOST_LEVEL,
     GuardedLight,
+    LightLevel,
     LightLostError,
     LightMeter,
     require_outside_layer,
 )
+from rigs.transports import LATENCY_S
 
 LONGEST_SIGHT_S: Final = 0.05
 """Exposure of the frames that watch the laser: they resolve the time in which it goes off."""
@@ -51,7 +53,14 @@ LEAST_CONTRAST: Final = 0.05  # of full scale, between laser on and off
 DARK_SHARE: Final = 0.1
 """Of the signal with the laser on: a frame below it was lit for less than a tenth of its exposure."""
 CONTRAST_SD: Final = 10.0
-CONTRAST_READINGS: Final = 20
+CONTRAST_READINGS: Final = 50
+"""Half a second of them: flicker of room light is in their scatter."""
+CLOSED_SD: Final = 6.0
+"""Standard deviations of a reading with the beam closed: by noise one is beyond once in 10^9."""
+LEAST_STEPS: Final = 1.5
+"""Of the converter: a level between two of them reads as either."""
+DARK_IN_A_ROW: Final = 5
+"""Readings that must be dark for the laser to be off: 50 ms, in which any pulsed light is lit."""
 DIODE_SILENT_S: Final = 0.3
 SEEING: Final[tuple[Witness, ...]] = ("the camera", "a photodiode")
 SEEN_WITHIN_S: Final = 2.0
@@ -208,34 +217,103 @@ class ConnectionWatch:
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Levels that a photodiode read with the laser off and on, of its full scale."""
+    """Levels that a photodiode read with the laser off and on, of its full scale, and with its beam closed by hand.
+
+    Without the closed beam, nobody but the laser's controller says what dark is.
+    """
 
     off_rel: float
     on_rel: float
+    closed_rel: float | None = None
+    closed_sd_rel: float = 0.0
+    sees_pulses: bool = False
 
     @property
     def threshold_rel(self) -> float:
-        """Below it the laser is off."""
-        return self.off_rel + DARK_SHARE * (self.on_rel - self.off_rel)
+        """Below it the laser is off: so many standard deviations above the closed beam, or a tenth of the light."""
+        if self.closed_rel is None:
+            return self.off_rel + DARK_SHARE * (self.on_rel - self.off_rel)
+        return self.closed_rel + max(CLOSED_SD * self.closed_sd_rel, LEAST_STEPS / MOST_LEVEL)
+
+    def recorded(self) -> DiodeLevels:
+        """Return what the facts of a check hold."""
+        is_closed = self.closed_rel is not None
+        return DiodeLevels(
+            closed_rel=self.closed_rel,
+            closed_sd_rel=self.closed_sd_rel if is_closed else None,
+            off_rel=self.off_rel,
+            on_rel=self.on_rel,
+            threshold_rel=self.threshold_rel,
+            readings=DARK_IN_A_ROW,
+            sees_pulses=self.sees_pulses,
+        )
 
 
-def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast | None:
-    """Read the photodiode with the laser off, on and off again; None if it does not see the difference.
+def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
+    """Read the photodiode with the laser off, on and off again, and with its beam closed by a person, on and off.
 
-    A photodiode that is unplugged, covered or looks elsewhere is dark all the while: it has to see the light first.
+    A photodiode that is unplugged, covered or looks elsewhere is dark all the while: it has to see the light first. A
+    laser that is only dimmed reads more than with its beam closed.
+
+    Raises
+    ------
+    CaptureError
+        It does not see the difference, is saturated, or reads light where there should be none.
     """
-    with shine(opened, "off"):
-        before = _levels(diode, opened.clock)
-    with shine(opened, "laser"):
-        lit = _levels(diode, opened.clock)
-    with shine(opened, "off"):
-        after = _levels(diode, opened.clock)
-    dark = np.concatenate([before, after])
-    contrast = Contrast(float(dark.mean()), float(lit.mean()))
-    scatter_rel = max(float(dark.std()), float(lit.std()), 0.5 / MOST_LEVEL)
+    before, lit, after = (_read_with(opened, diode, light) for light in ("off", "laser", "off"))
+    off = np.concatenate([before, after])
+    if lit.max() * MOST_LEVEL >= MOST_LEVEL:
+        raise CaptureError(
+            "photodiode: reads its full scale with the laser on, so it is saturated and no witness; take a smaller "
+            "resistor, or move it away from the spot"
+        )
+    contrast = _with_closed_beam(
+        opened, diode, Contrast(float(off.mean()), float(lit.mean()), sees_pulses=diode.sees_pulses)
+    )
+    scatter_rel = max(float(off.std()), float(lit.std()), 0.5 / MOST_LEVEL)
     rises_rel = contrast.on_rel - contrast.off_rel
-    is_seen = rises_rel > max(LEAST_CONTRAST, CONTRAST_SD * scatter_rel)
-    return contrast if is_seen and float(after.max()) < contrast.threshold_rel < float(lit.min()) else None
+    is_seen = rises_rel > max(LEAST_CONTRAST, CONTRAST_SD * scatter_rel) and contrast.threshold_rel < float(lit.min())
+    if not is_seen or contrast.threshold_rel > contrast.off_rel + DARK_SHARE * rises_rel:
+        raise CaptureError(
+            "photodiode: does not see the difference between laser on and off, so it is no witness; point it at the "
+            "spot, check its wires and cover it from room light"
+        )
+    if float(off.max()) >= contrast.threshold_rel:
+        raise CaptureError(
+            f"photodiode: reads {100 * off.max():.2g} % of its scale with the laser off, and less than "
+            f"{100 * contrast.threshold_rel:.2g} % with its beam closed: the laser is not off but dimmed, or something "
+            "else than its beam was covered; find out which before anybody opens the box"
+        )
+    return contrast
+
+
+def _with_closed_beam(opened: OpenRig, diode: LightMeter, contrast: Contrast) -> Contrast:
+    """Add what dark is, where a person closes the beam: with the laser off and on, so that it is seen to be closed."""
+    if not opened.close_beam(True):
+        return contrast
+    closed_off = _read_with(opened, diode, "off")
+    closed_on = _read_with(opened, diode, "laser")
+    closed = np.concatenate([closed_off, closed_on])
+    found = replace(
+        contrast,
+        closed_rel=float(closed_off.mean()),
+        closed_sd_rel=max(float(part.std(ddof=1)) for part in (closed_off, closed_on)),
+    )
+    if float(closed.max()) >= found.threshold_rel:
+        raise CaptureError(
+            f"photodiode: reads up to {100 * closed.max():.2g} % of its scale with the beam closed, so the cap or "
+            "shutter lets light of the laser through, or room light flickers; close the beam tightly, shade the "
+            "photodiode, and check again"
+        )
+    if not opened.close_beam(False):
+        raise CaptureError("laser: nobody has confirmed that its beam is open again; open it, and check again")
+    return found
+
+
+def _read_with(opened: OpenRig, diode: LightMeter, light: Literal["off", "laser"]) -> NDArray[np.float64]:
+    """Return readings with the laser on, or with all lights off."""
+    with shine(opened, light):
+        return _levels(diode, opened.clock)
 
 
 def _levels(diode: LightMeter, clock: Clock) -> NDArray[np.float64]:
@@ -265,11 +343,16 @@ class PhotodiodeWatch:
         self._diode, self._contrast = diode, contrast
 
     def look(self) -> Reading:
-        """Return the next reading; where it fell silent, the error of the photodiode is raised."""
-        reading = self._diode.read(DIODE_SILENT_S)
-        return Reading(
-            reading.at_s - LATENCY_S, reading.at_s, reading.level > MOST_LEVEL * self._contrast.threshold_rel
-        )
+        """Return the next reading that is lit, or the first of some dark ones in a row.
+
+        Where the photodiode fell silent, its error is raised.
+        """
+        readings = list[LightLevel]()
+        while len(readings) < DARK_IN_A_ROW:
+            readings.append(self._diode.read(DIODE_SILENT_S))
+            if readings[-1].level > MOST_LEVEL * self._contrast.threshold_rel:
+                return Reading(readings[-1].at_s - LATENCY_S, readings[-1].at_s, on=True)
+        return Reading(readings[0].at_s - LATENCY_S, readings[0].at_s, on=False)
 
 
 def require_seen(watch: LaserWatch, now_s: Callable[[], float] = time.monotonic) -> None:

@@ -22,13 +22,12 @@ if TYPE_CHECKING:
         require_outside_layer,
         safety_lines,
     )
-    from rigs.light_guard._photodiode import LATENCY_S, MOST_LEVEL, LightLevel, LightMeter, open_photodiode
+    from rigs.light_guard._photodiode import MOST_LEVEL, LightLevel, LightMeter, open_photodiode
     from rigs.light_guard._reconnecting_light import LightLostError
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "LATENCY_S",
     "LEASE_S",
     "MOST_LEVEL",
     "TEST_HOLDS_DAYS",

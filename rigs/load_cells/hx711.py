@@ -18,7 +18,7 @@ from typing import Final
 
 from data_schemas import CaptureError, LoadCellSettings, LostError, PressDevice, RefusedError, TimedOutError
 from rigs import CellReading, OverloadError
-from rigs.transports import BoardClock, SerialLink, check_byte, usb_serial_ports
+from rigs.transports import LATENCY_S, BoardClock, SerialLink, check_byte, usb_serial_ports
 
 BAUD: Final = 57600
 FIRMWARE_MAJOR: Final = 1
@@ -89,8 +89,9 @@ class Hx711Cell:
                 raise OverloadError(
                     f"{self._name}: reads the end of its scale; take the load away and check the wiring"
                 )
-            if self._clock.waited_s(int(match[3]), now_s) <= FRESH_S and not is_backlog:
-                return CellReading(counts, now_s)
+            waited_s = self._clock.waited_s(int(match[3]), now_s)
+            if waited_s <= FRESH_S and not is_backlog:
+                return CellReading(counts, now_s - waited_s - LATENCY_S)
             if now_s >= end_s:
                 raise TimedOutError(
                     f"{self._name}: its readings arrive more than {FRESH_S:g} s late; close other programs"

@@ -283,6 +283,12 @@ class BenchState:
     tilt_deg: float = 0.0
     sample_dose_j: float = 0.0
     fault: BenchFault | None = None
+    beam_is_closed: bool = False
+
+    def close_beam(self, closed: bool) -> bool:
+        """Close the laser's beam before the photodiode, or open it, by hand."""
+        self.beam_is_closed = closed
+        return True
 
     def advance(self, duration_s: float) -> None:
         """Let time pass: the clock runs, and a shining laser doses the sample in view."""
@@ -462,11 +468,13 @@ class SimulatedPhotodiode:
     """Photodiode that sees the laser of the bench."""
 
     state: BenchState
+    sees_pulses: bool = True
 
     def read(self, deadline_s: float) -> LightLevel:
         """Return the next reading."""
         self.state.clock.sleep(min(LEVEL_EVERY_S, deadline_s))
-        return LightLevel(LIT_LEVEL if self.state.laser else DARK_LEVEL, self.state.clock.monotonic_s())
+        is_lit = self.state.laser and not self.state.beam_is_closed
+        return LightLevel(LIT_LEVEL if is_lit else DARK_LEVEL, self.state.clock.monotonic_s())
 
 
 @dataclass(slots=True)

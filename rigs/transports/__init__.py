@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     )
     from rigs.transports._indi_messages import blob_bytes, new_vector
     from rigs.transports._repeated_exchange import RECOVERS_WITHIN_S, Fault, fault_listener, repeated, report_fault
-    from rigs.transports._serial_link import BoardClock, SerialLink, check_byte, usb_serial_ports
+    from rigs.transports._serial_link import LATENCY_S, BoardClock, SerialLink, check_byte, usb_serial_ports
     from rigs.transports._timed_http import MultipartStream, NewestPart, Part, TimedConnection
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -38,6 +38,7 @@ __all__ = [
     "CAMERA_INTERFACE",
     "FILTER_WHEEL_INTERFACE",
     "INDI_OPENS_WITHIN_S",
+    "LATENCY_S",
     "LIGHT_INTERFACE",
     "RECOVERS_WITHIN_S",
     "AlpacaClient",

@@ -277,6 +277,8 @@ class SerialLink:
         )
 
 
+LATENCY_S: Final = 0.03
+"""Longest time from a reading to the quickest arrival of a line: 5 ms on the wire, up to 20 ms in a USB adapter."""
 CREEP_REL: Final = 0.01
 """By how much the board's clock may be wrong: the ceramic resonator of an Uno is allowed 0.5 % and ages."""
 MILLISECONDS: Final = 2**32

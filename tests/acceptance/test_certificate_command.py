@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import CERTIFIED, CertificateDetails, SessionScatter, provenance
+from data_schemas import CERTIFIED, BandUncertainty, CertificateDetails, SessionScatter, provenance
 from data_schemas.storage import sha256_of, write_record
 from finray_calib.acceptance import certified_results
 from finray_calib.cli.main import main
@@ -127,6 +127,18 @@ def test_the_budget_stands_on_the_page_and_adds_up():
     assert re.search(r"together.*?100\.0\s%", table, re.DOTALL)
     assert "Stokes" not in table[: table.index("</table>")]
     assert re.search(r"50\.0\s%", table)
+
+
+def test_without_a_budget_the_stated_uncertainties_of_band_values_stand_there():
+    paint = example()
+    stated = BandUncertainty(calibration_rel=0.02, response_rel=0.004, stray_light_rel=0.006)
+    paint = paint.model_copy(update={"optics": paint.optics.model_copy(update={"band_uncertainty": stated})})
+    details = CertificateDetails()
+    bare = certificate_of(paint, certified_results(paint, details, MEASURED_ON), details, "0" * 64, MEASURED_ON)
+    told = dict(bare.statements)["Uncertainty"]
+    assert "was not requested" in told
+    assert re.search(r"2.*% for the calibration of each filter, 0\.4.*% for each channel's response, and 0\.6.*%", told)
+    assert "for the calibration of each filter" not in dict(certificate(paint).statements)["Uncertainty"]
 
 
 def test_scatter_of_combined_sessions_stands_on_the_certificate():

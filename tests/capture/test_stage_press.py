@@ -109,7 +109,8 @@ def test_force_limit_stops_the_stage_and_it_leaves(practice):
     [
         ("stuck cell, 30 s", "so it is stuck"),
         ("silent cell, 30 s", "did not answer within 0.5 s"),
-        ("drifting cell, 60 mN/s", "its zero drifts"),
+        ("drifting cell, 60 mN/s", "can be distinguished from noise and drift"),
+        ("drifting cell, 100 mN/s", "its zero drifts"),
     ],
 )
 def test_faults_of_the_cell_stop_the_stage(practice, fault, words):
@@ -273,7 +274,7 @@ def random_finger(rng: np.random.Generator, seed: int) -> TactileRig:
     rig["simulated"] |= {
         "seed": seed,
         "relaxing_share": 0.0,
-        "noise_counts": int(np.exp(rng.uniform(np.log(30), np.log(300)))),
+        "noise_counts": int(np.exp(rng.uniform(np.log(15), np.log(150)))),
         "surface_mm": rng.uniform(-2.0, -1.0),
         "stiffness_n_per_mm": np.exp(rng.uniform(np.log(0.3), np.log(5.0))),
         "stiffening_n_per_mm2": rng.uniform(0.0, 3.0),

@@ -21,7 +21,7 @@ from benchmarks.emission_detection import (
     limits_hold,
     weak,
 )
-from data_schemas import PaintCalibration, PaintWithoutEmission, RecordError, provenance
+from data_schemas import BandUncertainty, PaintCalibration, PaintWithoutEmission, RecordError, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.cli.main import main
 from finray_calib.fit import EmissionPrior, FitOptions, band_data, calibrate_paint, detect_emission
@@ -148,6 +148,30 @@ def test_the_yield_that_is_seen_through_a_wrong_white_reference():
         missed = (seen * (1 + tile_rel * tile) + reach / 1.644854 * scatter < threshold).mean()
         assert missed == pytest.approx(MISSED, abs=0.0014)
     assert _seen_from_sd(threshold, np.array([2.0]), 0.0)[0] == pytest.approx(5.2)
+
+
+def test_stated_stray_light_makes_the_limit_larger(plastic):
+    """Ten times the usual one raises it, a tenth of it does not lower it: the laser's tail is another light."""
+
+    def stated(stray_light_rel):
+        optics = plastic.optics.model_copy(
+            update={"band_uncertainty": BandUncertainty(stray_light_rel=stray_light_rel)}
+        )
+        bands = plastic.model_copy(update={"optics": optics})
+        return blank_model(bands, band_data(plastic), 0.0)
+
+    usual, more, less = (stated(rel) for rel in (0.003, 0.03, 0.0003))
+    assert more.stray_per_nm == pytest.approx(10.0 * usual.stray_per_nm)
+    assert less.stray_per_nm == usual.stray_per_nm
+    extra, rows = more.covariance - usual.covariance, np.arange(usual.rows.size)
+    assert (extra[rows, rows] > 0.0).all()
+    assert np.linalg.eigvalsh(extra).min() > -1e-12 * np.linalg.eigvalsh(extra).max()
+    many = [draw_blanks(band_data(plastic), one, 0.0, 4000, np.random.default_rng(3)) for one in (usual, more)]
+    grown = many[1].var(axis=0) - many[0].var(axis=0)
+    # where stray light is more than half of what varies; a variance of 4000 draws is good to 2 %
+    ruled = np.diag(extra) > 0.5 * np.diag(more.covariance)
+    assert ruled.sum() > 3
+    assert grown[ruled] == pytest.approx(np.diag(extra)[ruled], rel=0.1)
 
 
 def test_a_lost_laser_filter_makes_the_limit_larger(plastic):

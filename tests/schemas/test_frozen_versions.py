@@ -10,6 +10,7 @@ import pytest
 from pydantic import create_model
 
 from data_schemas import (
+    AcceptanceReport,
     ChecksumError,
     FingerDesign,
     LightAngleDecision,
@@ -100,6 +101,22 @@ def test_frozen_folders_are_those_of_the_kinds():
     for record_type in ALL:
         names = {path.name for path in (FROZEN / record_type.__name__).iterdir()}
         assert names == {f"v{version}" for version in range(1, record_type.schema_version + 1)}
+
+
+def test_limits_that_no_rig_keeps_are_read_from_old_reports(tmp_path):
+    """A limit of 0, and a relative one above 1, could be stored in version 9 and earlier."""
+    stored = json.loads((FROZEN / "AcceptanceReport" / "v9" / "example.json").read_text(encoding="utf-8"))
+    stored["record"]["plan"]["limits"] |= {"revisit_rel": 0.0, "read_noise_rel": 2.5, "move_s": 4.0}
+    stored["content_sha256"] = content_sha256(stored)
+    path = tmp_path / "check.json"
+    path.write_text(json.dumps(stored), encoding="utf-8")
+    report = read_record(path, AcceptanceReport)
+    limits = report.plan.limits
+    assert (limits.revisit_rel, limits.read_noise_rel, limits.move_s) == (1e-9, 1.0, 4.0)
+    assert report.notes[-2:] == (
+        "the limit revisit_rel was 0 in this report, and is read as 1e-09",
+        "the limit read_noise_rel was 2.5 in this report, and is read as 1",
+    )
 
 
 def test_a_version_that_cannot_be_migrated_says_why_and_what_to_run():

@@ -1,6 +1,8 @@
 """The photodiode as a witness of the laser: a board of our own, the unchanged firmware in QEMU, and how it may lie."""
 
 import contextlib
+import itertools
+import math
 import socket
 import subprocess
 import threading
@@ -13,9 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import CaptureError, CheckPlan, LaserSettings, RefusedError, TimedOutError
-from rigs import SystemClock, lights, open_rig, paint_plan, simulated_rig
+from data_schemas import CaptureError, CheckPlan, LaserSettings, LostError, RefusedError, TimedOutError
+from finray_calib.acceptance import judge
+from rigs import OpenRig, SystemClock, lights, open_rig, paint_plan, simulated_rig
 from rigs.capture import _check_session as check_session
+from rigs.capture import record_facts
 from rigs.capture.light_off_time import (
     Contrast,
     PhotodiodeWatch,
@@ -39,7 +43,7 @@ class DiodeBoard:
 
     def __init__(self, port: Port, light: Callable[[], bool]) -> None:
         self.port, self.light, self.is_unplugged, self.is_silent, self.is_damaged = port, light, False, False, False
-        self.greets = b"LIGHT 1.0\n"
+        self.greets, self.is_stuck = b"LIGHT 1.1\n", False
         self._end, self._heard = threading.Event(), b""
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
@@ -59,7 +63,7 @@ class DiodeBoard:
             level = 700 if self.light() and not self.is_unplugged else 3
             at_ms = int(1e3 * (time.monotonic() - began_s))
             text = f"L {number % 65536} {at_ms} {level + number % 3}".encode()
-            number += 1
+            number += not self.is_stuck
             if not self.is_silent:
                 self.port.say(text + b" %02X\n" % (crc8(text) ^ (0x55 if self.is_damaged else 0)))
 
@@ -102,23 +106,143 @@ def test_other_boards_are_refused(tmp_path: Path) -> None:
 class Level:
     """A photodiode whose reading is told."""
 
-    def __init__(self, level: Callable[[], int]) -> None:
-        self._level = level
+    def __init__(self, level: Callable[[], int], sees_pulses: bool = True) -> None:
+        self._level, self.sees_pulses = level, sees_pulses
 
     def read(self, deadline_s: float) -> LightLevel:
         time.sleep(0.001)
         return LightLevel(self._level(), time.monotonic())
 
 
-def test_one_that_reads_dark_all_the_while_has_no_contrast() -> None:
-
-    with open_rig(simulated_rig("red", width_px=64, height_px=64), Path()) as opened:
-        real_time = replace(opened, clock=SystemClock())
-        assert find_contrast(real_time, Level(lambda: 3)) is None  # unplugged
-        assert find_contrast(real_time, Level(lambda: 900)) is None  # room light
-        assert find_contrast(real_time, Level(lambda: 30 if opened.laser.state() else 3)) is None  # too faint
-        seen = find_contrast(real_time, Level(lambda: 700 if opened.laser.state() else 3))
+def test_one_that_sees_the_laser_learns_what_dark_is_from_a_closed_beam() -> None:
+    with opened_bench() as (opened, closed):
+        nobody = replace(opened, close_beam=lambda shut: False)
+        seen = find_contrast(nobody, Level(lambda: 700 if opened.laser.state() else 3))
         assert (seen.off_rel, seen.on_rel) == pytest.approx((SEEN.off_rel, SEEN.on_rel))
+        assert seen.recorded().closed_rel is None
+        seen = find_contrast(opened, Level(lambda: 700 if opened.laser.state() and not closed[0] else 3))
+        assert seen.threshold_rel == pytest.approx(4.5 / 1023)
+        noisy = itertools.cycle([3, 7, 5, 1])
+        seen = find_contrast(
+            opened, Level(lambda: next(noisy) + (700 if opened.laser.state() and not closed[0] else 0))
+        )
+        assert seen.threshold_rel == pytest.approx((4.0 + 6.0 * math.sqrt(5.0)) / 1023, rel=0.05)
+        assert closed == [False]
+
+
+@contextmanager
+def opened_bench() -> Iterator[tuple[OpenRig, list[bool]]]:
+    """The simulated rig on the clock of this computer, and whether its beam is closed."""
+    with open_rig(simulated_rig("red", width_px=64, height_px=64), Path()) as opened:
+        closed = [False]
+
+        def close_beam(shut: bool) -> bool:
+            assert not opened.laser.state()
+            closed[0] = shut
+            return True
+
+        yield replace(opened, clock=SystemClock(), close_beam=close_beam), closed
+
+
+PULSES = itertools.cycle([700, 3])
+
+
+@pytest.mark.parametrize(
+    ("level", "words"),
+    [
+        (lambda on, shut: 3, "does not see the difference"),  # unplugged
+        (lambda on, shut: 900, "does not see the difference"),  # room light, or constant
+        (lambda on, shut: 30 if on and not shut else 3, "does not see the difference"),  # too faint
+        (lambda on, shut: 1023 if on and not shut else 3, "is saturated and no witness"),
+        (lambda on, shut: next(PULSES) if on and not shut else 3, "does not see the difference"),  # pulses half missed
+        (lambda on, shut: 3 if shut else 700 if on else 40, "the laser is not off but dimmed"),
+        (lambda on, shut: 700 if on else 3, "lets light of the laser through"),  # nothing was closed
+        (lambda on, shut: 60 if on and shut else 700 if on else 3, "lets light of the laser through"),
+        (lambda on, shut: 0 if shut else 700 if on else 30, "or something else than its beam was covered"),
+    ],
+    ids=["dark", "bright", "faint", "saturated", "pulsed", "dimmed", "not closed", "half closed", "diode covered"],
+)
+def test_one_that_is_no_witness_is_told(level: Callable[[bool, bool], int], words: str) -> None:
+    with opened_bench() as (opened, closed), pytest.raises(CaptureError, match=words):
+        find_contrast(opened, Level(lambda: level(bool(opened.laser.state()), closed[0])))
+
+
+def test_a_beam_that_nobody_opens_again_is_told() -> None:
+    with opened_bench() as (opened, closed):
+        half = replace(opened, close_beam=lambda shut: opened.close_beam(shut) and shut)
+        with pytest.raises(CaptureError, match="nobody has confirmed that its beam is open again"):
+            find_contrast(half, Level(lambda: 700 if opened.laser.state() and not closed[0] else 3))
+
+
+def test_off_takes_several_dark_readings_in_a_row() -> None:
+    """One that is dark now and then sees a light that is pulsed, not one that is off."""
+    levels = iter([700, 3, 3, 3, 3, 700, 3, 3, 3, 3, 3])
+    watch = PhotodiodeWatch(Level(lambda: next(levels)), SEEN)
+    assert [watch.look().on for _ in range(3)] == [True, True, False]
+
+
+def test_a_board_that_repeats_itself_is_stuck(tmp_path: Path) -> None:
+    with diode_board(tmp_path, lambda: True) as board, open_photodiode(str(board.port.path)) as diode:
+        diode.read(0.5)
+        board.is_stuck = True
+        with pytest.raises(LostError, match=r"repeats reading \d+, so its board is stuck"):
+            read_on(diode)
+
+
+def read_on(diode) -> None:
+    """Read more than was said before it was stuck."""
+    for _ in range(30):
+        diode.read(0.5)
+
+
+def test_firmware_that_misses_pulses_does_not_pass(tmp_path: Path) -> None:
+    with diode_board(tmp_path, lambda: True) as board:
+        for greets, sees_pulses in ((b"LIGHT 1.0\n", False), (b"LIGHT 1.1\n", True)):
+            board.greets = greets
+            with open_photodiode(str(board.port.path)) as diode:
+                assert diode.sees_pulses == sees_pulses
+
+
+@pytest.mark.parametrize(
+    ("closes", "sees_pulses", "verdict", "words"),
+    [
+        (True, True, "PASS", "less than 0.19 % of the laser's light would not be seen"),
+        (False, True, "UNDECIDED", "learned what dark is from the controller's word"),
+        (True, False, "UNDECIDED", "a pulsed laser may look off"),
+    ],
+)
+def test_a_check_passes_with_a_closed_beam_only(
+    tmp_path: Path, monkeypatch, closes: bool, sees_pulses: bool, verdict: str, words: str
+) -> None:
+    """All of the check's own code, with the photodiode of the practice rig."""
+    rig = simulated_rig("red", width_px=320, height_px=256)
+    plan = CheckPlan(
+        check_name="x", region=paint_plan("red", rig.camera).region, photodiode="simulated", filters=("405", "450"),
+        wheel_moves=1, revisits=1, warm_up_s=0.0, exposure_rounds=4, darks_per_exposure=2,
+    )  # fmt: skip
+    opening = check_session.open_rig
+
+    @contextmanager
+    def opened_rig(*given: object) -> Iterator[OpenRig]:
+        with opening(*given) as opened:
+            shut = opened.close_beam if closes else (lambda closed: False)
+
+            @contextmanager
+            def photodiode(address: str):
+                with opened.photodiode(address) as diode:
+                    diode.sees_pulses = sees_pulses
+                    yield diode
+
+            yield replace(opened, close_beam=shut, photodiode=photodiode)
+
+    monkeypatch.setattr(check_session, "open_rig", opened_rig)
+    facts, notes = record_facts(rig, plan, tmp_path)
+    assert facts.errors == {}
+    assert facts.diode.sees_pulses == sees_pulses
+    assert (facts.diode.closed_rel is None) == (not closes)
+    assert next(layer.witness for layer in facts.light_off) == "a photodiode"
+    (row,) = (r for r in judge(facts, plan, rig, notes).results if r.name == "laser off after an exception")
+    assert (row.verdict, words in row.evidence) == (verdict, True), row
 
 
 def test_one_that_goes_blind_proves_nothing(monkeypatch) -> None:
@@ -132,7 +256,7 @@ def test_one_that_goes_blind_proves_nothing(monkeypatch) -> None:
         with pytest.raises(CaptureError, match="a photodiode does not see it"):
             after_exception(real_time, 1, PhotodiodeWatch(Level(lambda: 3), SEEN))
         # unplugged in the very mishap: it read "off" at once, and does not see the laser on afterwards
-        looks = iter([700, 3, *([3] * 10_000)])
+        looks = iter([700, *([3] * 10_000)])
         with pytest.raises(CaptureError, match="does not see it"):
             after_exception(real_time, 1, PhotodiodeWatch(Level(lambda: next(looks)), SEEN))
         # stuck bright: a laser that is off is said to be on
@@ -229,7 +353,7 @@ def test_unchanged_firmware_in_qemu(tmp_path: Path) -> None:
         finally:
             board.kill()
     first, *lines = text.split(b"\n")[:-1]
-    assert first == b"LIGHT 1.0"
+    assert first == b"LIGHT 1.1"
     readings = [line.split() for line in lines if line.startswith(b"L ")]
     assert [int(r[1]) for r in readings] == list(range(len(readings)))
     assert {r[3] for r in readings} == {b"0"}
@@ -248,7 +372,7 @@ def heard(port: int) -> bytes:
         while text.count(b"\n") < 60:
             text += line.recv(4096)
         line.sendall(b"I\n")
-        while b"LIGHT 1.0\n" not in text.partition(b"\nL ")[2]:
+        while b"LIGHT 1.1\n" not in text.partition(b"\nL ")[2]:
             text += line.recv(4096)
     return text
 
