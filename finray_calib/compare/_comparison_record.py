@@ -32,6 +32,7 @@ from finray_calib.compare._candidate_errors import packaged_metric, region_recor
 from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison, quiet_comparison
 from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate, full_frame_ssim, shown_candidates
 from finray_calib.compare._error_attribution import attribute_error
+from finray_calib.compare._image_noise import mean_level
 from finray_calib.compare._input_draws import POSE, Drawn, Inputs, Propagated, generator_of
 from finray_calib.compare._mismatch import mismatches, require_no_mismatch
 from finray_calib.compare._photometric_error import (
@@ -103,9 +104,28 @@ def compare_checked(
     Returns
     -------
     PhotometricErrorReport
-        What the checks found stands in its `findings`; `forced_mismatch` where they would have refused it.
+        As :func:`checked_report` returns it.
     SimulatedPress
         The press as it was compared: moved, if that was asked for and the camera has drifted.
+
+    Raises
+    ------
+    CompareError
+        See :func:`checked_report`.
+    """
+    report, compared, estimated = _checked(press, capture, seed, options or CheckOptions())
+    return report, _as_compared(compared, capture, estimated or nuisances_of(compared, capture))
+
+
+def checked_report(
+    press: SimulatedPress, capture: TactileCapture, seed: int, options: CheckOptions | None = None
+) -> PhotometricErrorReport:
+    """Return the report alone, of a press and a capture that belong together.
+
+    Returns
+    -------
+    PhotometricErrorReport
+        What the checks found stands in its `findings`; `forced_mismatch` where they would have refused it.
 
     Raises
     ------
@@ -113,7 +133,13 @@ def compare_checked(
         The images do not belong together, cannot be compared (see `compare_press`), or the registration that was asked
         for cannot be trusted.
     """
-    chosen = options or CheckOptions()
+    return _checked(press, capture, seed, options or CheckOptions())[0]
+
+
+def _checked(
+    press: SimulatedPress, capture: TactileCapture, seed: int, chosen: CheckOptions
+) -> tuple[PhotometricErrorReport, SimulatedPress, Nuisances | None]:
+    """Return the report, the press where it was compared, and curve and gains, where they are known."""
     # before the images: a press elsewhere looks like another exposure
     require_same_conditions(press, capture)
     findings, estimated = mismatches(press, capture)
@@ -133,9 +159,7 @@ def compare_checked(
         checks = checks if other is None else (*checks, other)
     forced = any(f.severity == "refuse" for f in findings)
     found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
-    return report.model_copy(update=found), _as_compared(
-        compared, capture, estimated or nuisances_of(compared, capture)
-    )
+    return report.model_copy(update=found), compared, estimated
 
 
 def shown_press(press: SimulatedPress, capture: TactileCapture, registered: bool = False) -> SimulatedPress:
@@ -375,7 +399,7 @@ def _sensing(
 def _error_map(simulated: Floats, comparison: Comparison) -> NDArray[np.float32]:
     """Return the error per pixel: rms over channels of (simulated - captured) / mean no-contact level."""
     captured = comparison.captured
-    level = np.nanmean(captured.no_contact, axis=(0, 1))
+    level = mean_level(captured.no_contact)
     squares = ((simulated - captured.contact) / level) ** 2
     # numpy's mean over so short an axis takes many times as long, for the same digits
     error: Floats = np.sqrt((squares[..., 0] + squares[..., 1] + squares[..., 2]) / 3.0)

@@ -350,7 +350,7 @@ def image_sums(
         repeat_variance=None if repeat is None else captured.variance(repeat),
     )
     halves = layers.halves("contact", used, pose_names)
-    render_variance = exposure_k**2 * layers.contact_variance[used]
+    render_variance = exposure_k**2 * layers.rgb(pixels_within(layers.contact_half, used)) ** 2
     return _sums(used, halves, values, exposure_k, layers.matrix, render_variance, contact, 1.0)
 
 

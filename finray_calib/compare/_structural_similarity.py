@@ -344,8 +344,8 @@ def windowed_factors(
 ) -> None:
     """Put the factors of two images, (rows, columns x channels), into the last two, which have no border.
 
-    luminance = (2 mu_x mu_y + c1) / (mu_x^2 + mu_y^2 + c1), structure = (2 cov + c2) / (var_x + var_y + c2). Each row is
-    averaged across once, and then enters the windows of the eleven rows around it.
+    luminance = (2 mu_x mu_y + c1) / (mu_x^2 + mu_y^2 + c1), structure = (2 cov + c2) / (var_x + var_y + c2). Each row
+    is averaged across once, and then enters the windows of the eleven rows around it.
     """
     c1, c2 = constants
     window, values = weights.size, luminance.shape[1]

@@ -198,7 +198,9 @@ def test_two_processes_give_the_numbers_of_one(folders: Path, monkeypatch: pytes
     monkeypatch.setattr(_compare_folders, "_TASK_PAIRS", 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     started: list[Child] = []
-    monkeypatch.setattr(_compare_folders, "Child", lambda imports: started.append(Child(imports)) or started[-1])
+    monkeypatch.setattr(
+        _compare_folders, "Child", lambda *told, **how: started.append(Child(*told, **how)) or started[-1]
+    )
     together = finray(f"{pairs} --out {folders}/n2")
     assert (together.status, len(started)) == (0, 2)
     told = [re.sub(r"(?m)^compare: .*\n", "", outcome.err) for outcome in (together, alone)]
