@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from data_schemas import CauseParameter, ErrorAttribution, ErrorCause
 from finray_calib.compare._comparison import Comparison
-from finray_calib.compare._image_noise import block_mean, mean_level
+from finray_calib.compare._image_noise import NO_NOISE, block_mean, mean_level
 from finray_calib.compare._regions import every_channel, tile_indices
 
 Floats = NDArray[np.float64]
@@ -277,8 +277,11 @@ def _scene(comparison: Comparison, distance: Floats, block_px: int, full_scale_d
 def _known_variance(comparison: Comparison, scene: _Scene, window: _Window) -> Floats:
     """Return the variance (3,) of a pixel's noise by what is known of both sides; 0 where nothing is."""
     captured, layers = comparison.captured, comparison.layers
+    half = window.cut(layers.contact_half)
+    if captured.noise is NO_NOISE and not half.any():
+        return np.zeros(3)
     known = captured.variance(np.nan_to_num(window.cut(captured.contact)))
-    known = known + comparison.best_exposure**2 * layers.rgb(window.cut(layers.contact_half)) ** 2
+    known = known + comparison.best_exposure**2 * layers.rgb(half) ** 2
     return np.asarray(np.nan_to_num(window.averaged(known))[scene.fitted].mean(axis=0) / window.side_px**2)
 
 

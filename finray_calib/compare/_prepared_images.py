@@ -204,7 +204,10 @@ def prepare_images(
         Light, indenter or push of both differ (see `require_same_conditions`), the images differ in size, the render
         holds encoded values and the capture light, or the render is not finite.
     """
-    contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
+    if estimated is None:
+        contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
+    else:
+        contact, no_contact = estimated.contact.copy(), estimated.no_contact.copy()
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
     _require_comparable(press, capture, contact.shape)
     images = [contact, no_contact] if repeat is None else [contact, no_contact, repeat]

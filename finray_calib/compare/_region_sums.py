@@ -63,6 +63,8 @@ class RenderLayers:
     @property
     def contact_variance(self) -> Floats:
         """Variance (H, W, 3) of the contact render."""
+        if not self.contact_half.any():
+            return np.zeros((*self.contact_half.shape[:2], 3))
         return self.rgb(self.contact_half) ** 2
 
     @property
