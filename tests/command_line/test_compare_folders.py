@@ -222,7 +222,7 @@ def test_no_more_processes_are_started_than_the_memory_takes(
     monkeypatch.setattr(_compare_folders, "_LEAST_PAIRS_EACH", 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3})
     started: list[object] = []
-    monkeypatch.setattr(_compare_folders, "Child", lambda imports: started.append(imports) or _Silent())
+    monkeypatch.setattr(_compare_folders, "Child", lambda imports, **_: started.append(imports) or _Silent())
     jobs = [_job(folders, name) for name in ("one", "two", "bgr", "none")]
     with _compare_folders._Workers(None, jobs):  # noqa: SLF001 - nothing is done
         assert len(started) == processes
