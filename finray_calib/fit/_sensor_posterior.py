@@ -215,7 +215,7 @@ class _Tangent:
 
 
 def _noise_of_halves(halves: Floats) -> tuple[Floats, Floats]:
-    """Return the covariance of channels (picture, channel, channel), and how many times as large that of each block is, (block,).
+    """Return the covariance of channels, (picture, channel, channel), and how much larger that of a block is, (block,).
 
     Pictures that are rendered with common random numbers share most of their noise: it is apart for the mean of the
     pictures and for their contrasts. Channels that see the same light share its noise. Few blocks, where light has
@@ -459,7 +459,7 @@ def _widening(tangent: _Tangent, features: Floats, pair: tuple[float, float], co
 
 
 def _scores_by_block(both: Floats, covariance: Floats) -> Floats:
-    r"""Return slopes of the log likelihood by block, (block, n), of slopes and residual (picture, channel, block, n + 1).
+    r"""Return slopes of the log likelihood, (block, n), of slopes and residual (picture, channel, block, n + 1).
 
     A fit draws the residual of a block to zero by :math:`1 - H, H = X \Sigma X^T`; its size is restored by
     :math:`(1 - H)^{-1/2}`. Source: R. M. Bell, D. F. McCaffrey, Survey Methodology 28 (2002) 169.

@@ -115,10 +115,10 @@ def _require_alike(captures: Sequence[TactileCapture]) -> None:
 class PictureModel:
     """Predicts the block means of all pictures from standardised numbers.
 
-    ``mix`` (channel, layer) is what each channel sees of each layer by the design, ``exponents`` (number, channel, layer) with what
-    power of a number it grows. ``base`` are the layers of the design (:class:`Layers`); ``slopes`` and ``bends`` hold,
-    by place of a number, how they change to first and second order about ``centre``. ``seen`` are the channels that are
-    fitted, 0 to 2 for red, green and blue: those of ``mix``, ``exponents`` and ``captured``.
+    ``mix`` (channel, layer) is what each channel sees of each layer by the design, ``exponents`` (number, channel,
+    layer) with what power of a number it grows. ``base`` are the layers of the design (:class:`Layers`); ``slopes`` and
+    ``bends`` hold, by place of a number, how they change to first and second order about ``centre``. ``seen`` are the
+    channels that are fitted, 0 to 2 for red, green and blue: those of ``mix``, ``exponents`` and ``captured``.
     """
 
     numbers: tuple[FreeNumber, ...]
