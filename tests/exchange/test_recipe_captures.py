@@ -26,7 +26,7 @@ from finray_calib.exchange._capture_recipe import pickle_words
 from finray_calib.sensing import _contact_place as contact_place
 from finray_calib.sensing import contact_distance, find_contact_circle
 from finray_calib.sensing._contact_place import _coarse
-from sim import read_design
+from sim import read_sensor
 from sim.experiments import pressed_coat
 from sim.mechanics import read_triangles
 from tests.command_line.running import finray, succeed
@@ -576,12 +576,12 @@ def test_a_design_presses_that_prism_where_the_picture_shows_it(tmp_path):
         'kind = "sensor"\npreset = "gelsight-flat"\nname = "flat"\n[indenter]\nshape = "mesh"\nfile = "prism.stl"\n'
         "depth_mm = 0.5\nposition_mm = 10.0\n"
     )
-    coat = pressed_coat(read_design(tmp_path / "d.toml"), tmp_path)
+    coat = pressed_coat(read_sensor(tmp_path / "d.toml"), tmp_path)
     sunk = coat.rest.height_mm - coat.pressed.height_mm
     x, z = np.meshgrid(coat.rest.x_mm, coat.rest.z_mm, indexing="ij")
     # the outline's corners are (20, 10), (60, 20), (40, 50) px: its middle is 40 px, 26.7 px
     middle = (40 - 79.5) * 0.1, 10.0 - (80 / 3 - 59.5) * 0.1
     inside = np.hypot(x - middle[0], z - middle[1]) < 0.5
-    np.testing.assert_allclose(sunk[inside], 0.5, atol=1e-6)
+    np.testing.assert_allclose(sunk[inside], 0.5, atol=1e-3)  # of the contact that the layer is solved for
     deep = sunk > 0.4
     assert (x[deep].mean(), z[deep].mean()) == pytest.approx(middle, abs=0.15)
