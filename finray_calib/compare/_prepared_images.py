@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import CompareError, Indenter, IndenterPose, SimulatedPress, TactileCapture
-from finray_calib.compare._image_noise import NO_NOISE, block_mean, capture_noise, high_passed
+from finray_calib.compare._image_noise import NO_NOISE, block_mean, capture_noise, high_passed, missing_pixels
 from finray_calib.compare._region_sums import Captured, RenderLayers, render_layers
 from finray_calib.compare._regions import every_channel
 from finray_calib.compare._tone_curve import (
@@ -211,11 +211,13 @@ def prepare_images(
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
     _require_comparable(press, capture, contact.shape)
     images = [contact, no_contact] if repeat is None else [contact, no_contact, repeat]
-    clipped = ~every_channel(~np.isnan(np.concatenate(images, axis=2)))
+    clipped = missing_pixels(*images)
+    if clipped is None:
+        clipped = np.zeros(contact.shape[:2], dtype=np.bool_)
     noise = NO_NOISE
     if repeat is not None and capture.encoding == "linear":
         noise = capture_noise(no_contact, repeat)
-    for image in images:
+    for image in images if clipped.any() else ():
         image[clipped] = np.nan
     nuisances = estimated or nuisances_of(press, capture)
     nuisances = replace(nuisances, contact=contact, no_contact=no_contact)
