@@ -291,7 +291,9 @@ def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeNumber, ..
                 f"--free {name}: powers are always fitted, and so is a press whose capture states the uncertainty of "
                 f"its depth_mm or position_mm; leave it out"
             )
-        stated, origin = design.uncertainty_rel.get(name), design.origin.get(name, "assumed")
+        # of entries of a list the design states one uncertainty and one origin, that of all
+        field = ".".join(part for part in name.split(".") if not part.isdecimal())
+        stated, origin = design.uncertainty_rel.get(field), design.origin.get(field, "assumed")
         u = stated if stated else USUAL_U_REL[origin]
         told = "design: uncertainty_rel" if stated else f"usual for the origin '{origin}': {100 * u:.0f} %"
         unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "1")

@@ -10,7 +10,7 @@ from data_schemas import FittedNumber, SensorFit, SimulateError, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.fit import PictureBlocks, sample_picture_posterior
 from sim.experiments import fit_sensor, fitted_design
-from tests.simulate.drawn_sensor import COLUMNS, ROWS, DrawnSensor, captured, formula, hidden_sensor
+from tests.simulate.drawn_sensor import COLUMNS, DESIGN, ROWS, DrawnSensor, captured, formula, hidden_sensor
 
 NOISE_REL = 0.05
 FREE = ["pad.thickness_mm"]
@@ -204,6 +204,16 @@ def test_a_design_without_light_in_a_channel_leaves_it_out():
     fit = fit_sensor(OneColour(noise_rel=NOISE_REL), [capture], seed=3)
     left_out = [note for note in fit.notes if "left out of the fit: drawn has no light in it" in note]
     assert [note.split()[1] for note in left_out] == ["green", "blue"]
+
+
+def test_the_uncertainty_that_a_design_states_of_all_lights_is_that_of_each():
+    design = DESIGN.model_copy(update={"uncertainty_rel": {"lights.distance_mm": 0.3}})
+    fit = fit_sensor(
+        DrawnSensor(design, noise_rel=NOISE_REL), [hidden_sensor(3, NOISE_REL)[1]], ["lights.0.distance_mm"]
+    )
+    prior = of(fit, "lights.0.distance_mm")
+    assert prior.prior_origin == "design: uncertainty_rel"
+    assert prior.prior.high95 / prior.prior.estimate == pytest.approx(np.exp(1.96 * 0.3), rel=0.02)
 
 
 def test_captures_and_design_without_a_common_channel_are_refused():
