@@ -367,7 +367,7 @@ class _Rows:
         found: list[Floats] = [(row * image).sum(axis=0) for row in self.wide]
         found += [row * image[channel] for row, channel in self._narrow()]
         sums = np.stack([np.bincount(tile, weights=products) for products in found], axis=1)
-        ordered = np.empty_like(sums)
+        ordered = np.empty(sums.shape)
         ordered[:, self.places] = sums
         return ordered
 

@@ -352,7 +352,8 @@ def image_sums(
         repeat_variance=None if repeat is None else captured.variance(repeat),
     )
     halves = layers.halves("contact", used, pose_names)
-    render_variance = exposure_k**2 * layers.rgb(pixels_within(layers.contact_half, used)) ** 2
+    half = layers.contact_half.reshape(used.size, -1).take(np.flatnonzero(used), axis=0)
+    render_variance = exposure_k**2 * layers.rgb(half) ** 2
     return _sums(used, halves, values, exposure_k, layers.matrix, render_variance, contact, 1.0)
 
 

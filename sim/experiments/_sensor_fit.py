@@ -365,8 +365,8 @@ def _without_dark_channels(model: PictureModel, name: str) -> tuple[PictureModel
             "design the channels that the camera sees them in (lights.channel), or check the exposure of the captures"
         )
     blocks = replace(model.captured, values=model.captured.values[:, kept], variance=model.captured.variance[:, kept])
-    of_kept = {"mix": model.mix[kept], "exponents": model.exponents[:, kept], "seen": tuple(kept.tolist())}
-    return replace(model, captured=blocks, **of_kept), told
+    mix, exponents = model.mix[kept], model.exponents[:, kept]
+    return replace(model, captured=blocks, mix=mix, exponents=exponents, seen=tuple(kept.tolist())), told
 
 
 #: A channel of a lower mean holds no light: half of the smallest count.
