@@ -75,7 +75,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     out = _place(arguments.out or Path("photometric-errors"), jobs)
     work = _Work(
         out, command_line(), arguments.seed, arguments.register, arguments.despite_mismatch, arguments.normal_map,
-        arguments.scale,
+        arguments.scale, arguments.relative,
     )  # fmt: skip
     with _Workers(work, jobs) as workers:
         # while the processes start, too
@@ -224,6 +224,7 @@ class _Work:
     despite_mismatch: bool
     normal_map: Path | None
     scale: Path | None
+    relative: bool = False
 
     @property
     def listed(self) -> list[Path]:
@@ -240,7 +241,7 @@ def _options(work: _Work) -> "CheckOptions":
 
     normal_map = None if work.normal_map is None else read_record(work.normal_map, NormalMapRecord)
     scale = None if work.scale is None else read_record(work.scale, PixelScale)
-    return CheckOptions(work.registered, work.despite_mismatch, normal_map, scale)
+    return CheckOptions(work.registered, work.despite_mismatch, normal_map, scale, relative=work.relative)
 
 
 def _as_json(record: "_Job | _Work") -> dict[str, Any]:
@@ -532,7 +533,7 @@ def _page(job: _Job, work: _Work) -> dict[str, Any]:
 
     report = read_record(work.out / job.report, PhotometricErrorReport)
     press, capture = _read_pair(job)
-    shown = shown_press(press, capture, work.registered)
+    shown = shown_press(press, capture, work.registered, work.relative)
     digests: Mapping[str, str] = {} if report.provenance is None else report.provenance.input_sha256
     link = job.report.with_suffix(".html").as_posix()
     small = press_pictures(job.simulator, job.name, link, report, shown, capture)

@@ -51,6 +51,7 @@ from finray_calib.compare._prepared_images import (
     PreparedImages,
     nuisances_of,
     prepare_images,
+    relative_press,
     require_same_conditions,
 )
 from finray_calib.compare._regions import DILATED, FACTORS, every_channel
@@ -87,6 +88,8 @@ class CheckOptions:
         Of the capture's camera, for the sizes of patch and halo in mm; it takes the place of what the capture states.
     metrics : tuple of str
         Names of metrics that other packages bring, which stand beside ours.
+    relative : bool
+        Judge the change by contact alone, see `relative_press`.
     """
 
     registered: bool = False
@@ -94,6 +97,7 @@ class CheckOptions:
     normal_map: NormalMapRecord | None = None
     pixel_scale: PixelScale | None = None
     metrics: tuple[str, ...] = ()
+    relative: bool = False
 
 
 def compare_checked(
@@ -142,6 +146,8 @@ def _checked(
     """Return the report, the press where it was compared, and curve and gains, where they are known."""
     # before the images: a press elsewhere looks like another exposure
     require_same_conditions(press, capture)
+    if chosen.relative:
+        press = relative_press(press, capture)
     findings, estimated = mismatches(press, capture)
     if not chosen.despite_mismatch:
         require_no_mismatch(findings)
@@ -162,8 +168,11 @@ def _checked(
     return report.model_copy(update=found), compared, estimated
 
 
-def shown_press(press: SimulatedPress, capture: TactileCapture, registered: bool = False) -> SimulatedPress:
+def shown_press(
+    press: SimulatedPress, capture: TactileCapture, registered: bool = False, relative: bool = False
+) -> SimulatedPress:
     """Return the press as :func:`compare_checked` compared it: moved if asked, through the camera's curve and gains."""
+    press = relative_press(press, capture) if relative else press
     placed = _placed_press(press, capture, registered)[0]
     return _as_compared(placed, capture, nuisances_of(placed, capture))
 

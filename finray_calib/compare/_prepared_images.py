@@ -143,6 +143,50 @@ def nuisances_of(
 _TONE_SEED = 20_040
 
 
+def relative_press(press: SimulatedPress, capture: TactileCapture) -> SimulatedPress:
+    """Return a render at the light of the capture: S = B L1 / L0, with B the captured image without contact.
+
+    The render's own light field without contact is then not judged: its level, colours and shading. The noise of B is
+    in S, too, and is not taken out of the error. What is known of paints and camera acts on the light field, and is
+    left out.
+
+    Raises
+    ------
+    CompareError
+        One of both is not linear light; encoded values are compared in this way through their tone curve.
+    """
+    if press.encoding != "linear" or capture.encoding != "linear":
+        raise CompareError(
+            f"--relative: needs linear values on both sides; {press.name} holds {press.encoding} and {capture.name} "
+            f"{capture.encoding} ones. Leave it out: a render is compared with encoded captures in this way anyway"
+        )
+    rest = rgb_image(capture.no_contact, capture)
+    if press.no_contact.shape != rest.shape:
+        return press  # refused with both sizes where images are compared
+    layers = encoded_layers(render_layers(press), rest, 1.0, 0.0)
+    dropped = dict.fromkeys(
+        (
+            "no_contact_bands", "contact_bands", "contact_bands_variance", "no_contact_chains", "contact_chains",
+            "known_inputs", "pose_response", "camera_matrix",
+        )
+    )  # fmt: skip
+    return press.model_copy(
+        update={
+            **dropped,
+            "bands": (), "chains": (), "layer_matrix": np.eye(3), "variance": None,
+            "contact": layers.contact, "no_contact": np.nan_to_num(rest).astype(np.float32),
+            "contact_half_difference": layers.contact_half, "no_contact_half_difference": layers.no_contact_half,
+            "notes": (*press.notes, RELATIVE),
+        }
+    )  # fmt: skip
+
+
+RELATIVE = (
+    "compared relative to the capture's own image without contact, which stands in the place of the render's: only the "
+    "change by contact is judged, and not the level, colours and shading of the render without contact"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class PreparedImages:
     """Both sides of a comparison; captured values are DN above black level.
