@@ -9,7 +9,7 @@ channel. Causes are chosen one by one, by what they explain of the residual, and
 Gauss-Newton steps, over pixels up to 3.5 half-widths from the contact that are not nearly clipped.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeVar, get_args
 
@@ -121,10 +121,9 @@ class _Scene:
         """Return an image with gain and shading."""
         if "gain" not in theta and "shading" not in theta:
             return image
-        log_gain = np.zeros(3) if "gain" not in theta else theta["gain"]
+        log_gain = theta.get("gain", np.zeros(3))
         if "shading" in theta:
-            slope = theta["shading"].reshape(2, 3)
-            by = np.concatenate([log_gain, theta["shading"]])
+            slope, by = theta["shading"].reshape(2, 3), np.concatenate([log_gain, theta["shading"]])
             return np.asarray(image * self._once("light", by, lambda: np.exp(log_gain + self.place @ slope)))
         return np.asarray(image * np.exp(log_gain))
 
@@ -136,8 +135,7 @@ class _Scene:
             zoom = float(np.exp(theta["size"][0])) if "size" in theta else 1.0
             x, y = self.centre_px
             matrix = np.array([[zoom, 0.0, x + dx - zoom * x], [0.0, zoom, y + dy - zoom * y]])
-            size = (change.shape[1], change.shape[0])
-            change = self._once("moved", matrix, lambda: _moved(self.change, matrix, size))
+            change = self._once("moved", matrix, lambda: _moved(self.change, matrix, self.change.shape[1::-1]))
         if "depth" in theta:
             change = change * (1.0 + theta["depth"][0])
         if "halo" in theta:
@@ -324,16 +322,15 @@ class _Rows:
     places: NDArray[np.intp]
 
     @classmethod
-    def of(cls, parts: "Sequence[Floats]") -> "_Rows":
+    def of(cls, parts: Sequence[Floats]) -> "_Rows":
         """Return the rows of causes in their order: (k, 3, P), or (k, P) in red, green, blue, red ... for light."""
         count, places = 0, ([], [])  # type: ignore[var-annotated]
         for part in parts:
             places[part.ndim == 2].extend(range(count, count := count + len(part)))
         pixels = parts[0].shape[-1]
-        wide = [part for part in parts if part.ndim == 3] or [np.zeros((0, 3, pixels))]
-        narrow = [part for part in parts if part.ndim == 2] or [np.zeros((0, pixels))]
-        channels = np.concatenate([np.arange(len(part)) % 3 for part in narrow])
-        return cls(np.concatenate(wide), np.concatenate(narrow), channels, np.array(places[0] + places[1], np.intp))
+        wide = np.concatenate([np.zeros((0, 3, pixels)), *(part for part in parts if part.ndim == 3)])
+        narrow = np.concatenate([np.zeros((0, pixels)), *(part for part in parts if part.ndim == 2)])
+        return cls(wide, narrow, np.arange(len(narrow)) % 3, np.array(places[0] + places[1], np.intp))
 
     @property
     def flat(self) -> Floats:
@@ -351,15 +348,13 @@ class _Rows:
             products[np.ix_(n + own, n + own)] = rows @ rows.T
             products[n + own, :n] = rows @ self.wide[:, channel].T
             products[:n, n + own] = products[n + own, :n].T
-        ordered = np.empty_like(products)
-        ordered[np.ix_(self.places, self.places)] = products
-        return ordered
+        order = np.argsort(self.places)
+        return np.asarray(products[np.ix_(order, order)])
 
     def with_image(self, image: Floats) -> Floats:
         """Return the products of the rows with a listed image (3, P)."""
         found = np.empty(len(self.places))
-        found[self.places[: len(self.wide)]] = self.flat @ image.ravel()
-        found[self.places[len(self.wide) :]] = [row @ image[channel] for row, channel in self._narrow()]
+        found[self.places] = [*(self.flat @ image.ravel()), *(row @ image[channel] for row, channel in self._narrow())]
         return found
 
     def in_tiles(self, image: Floats, tile: NDArray[np.intp]) -> Floats:
@@ -367,19 +362,17 @@ class _Rows:
         found: list[Floats] = [(row * image).sum(axis=0) for row in self.wide]
         found += [row * image[channel] for row, channel in self._narrow()]
         sums = np.stack([np.bincount(tile, weights=products) for products in found], axis=1)
-        ordered = np.empty(sums.shape)
-        ordered[:, self.places] = sums
-        return ordered
+        return np.asarray(sums[:, np.argsort(self.places)])
 
-    def _narrow(self) -> "Iterator[tuple[Floats, int]]":
-        """Yield the narrow rows, each with its channel."""
-        return zip(self.narrow, self.channels.tolist(), strict=True)
+    def _narrow(self) -> list[tuple[Floats, int]]:
+        """Return the narrow rows, each with its channel."""
+        return list(zip(self.narrow, self.channels.tolist(), strict=True))
 
     def plus(self, steps: Floats) -> Floats:
         """Return the listed image (3, P) of all rows, each times its step."""
-        by_row = steps[self.places]
-        image = np.tensordot(by_row[: len(self.wide)], self.wide, axes=1)
-        for step, (row, channel) in zip(by_row[len(self.wide) :], self._narrow(), strict=True):
+        n, by_row = len(self.wide), steps[self.places]
+        image = np.tensordot(by_row[:n], self.wide, axes=1)
+        for step, (row, channel) in zip(by_row[n:], self._narrow(), strict=True):
             image[channel] += step * row
         return np.asarray(image)
 
@@ -394,12 +387,9 @@ class _Fit:
         The second with a smooth change: derivatives of noise are none of a cause.
     fitted : ndarray of int, shape (P,)
         Pixels that the fit uses.
-    first : dict
-        The derivatives (parameters, H, W, 3) where nothing is changed yet, of causes that change more than the light.
-    listed_first : dict
-        The rows of all causes there.
-    gram : ndarray
-        Products of these rows with each other.
+    first, listed_first, all_rows, gram
+        Where nothing is changed yet: derivatives (parameters, H, W, 3) by causes that change more than the light, rows
+        of each cause and of all, and their products.
     """
 
     scene: _Scene
@@ -421,17 +411,13 @@ class _Fit:
         rows = _Rows.of([listed[c] for c in CAUSES])
         return cls(scene, smooth, fitted, first, listed, rows, rows.with_each_other())
 
-    def listed(self, image: Floats) -> Floats:
-        """Return the fitted pixels of an image (H, W, 3), weighted, as lists (3, P)."""
-        return _listed(self.scene, self.fitted, image)
-
     def noise(self, variance: Floats) -> float:
         """Return the mean variance of a weighted number, of the variances (3,) of a pixel."""
         return float(variance @ self.scene.weights) / 3.0
 
     def choose(self, variance: float) -> tuple[Cause, ...]:
         """Return the causes by forward selection, on one linearisation of all."""
-        residual = self.listed(self.scene.residual({}))
+        residual = _listed(self.scene, self.fitted, self.scene.residual({}))
         right = self.all_rows.with_image(residual)
         total = float((residual**2).sum())
         chosen: list[Cause] = []
@@ -463,7 +449,7 @@ class _Fit:
         for number in range(_PASSES):
             image = self.scene.changed(theta)
             images, rows, hessian = self._linearised(chosen, theta, image, first=number == 0)
-            residual = self.listed(self.scene.captured - image)
+            residual = _listed(self.scene, self.fitted, self.scene.captured - image)
             # a move along a strip changes nothing: what the image does not tell stays where it is
             prior = noise / np.concatenate([np.full(len(theta[c]), _PRIOR_SD[c]) for c in chosen]) ** 2
             hessian += _RIDGE * np.diag(np.diag(hessian)) + np.diag(prior)
@@ -505,7 +491,7 @@ class _Fit:
 
     def alike(self, cause: Cause, effect: Floats) -> tuple[str, ...]:
         """Return the causes that could imitate an effect."""
-        wanted = self.listed(effect)
+        wanted = _listed(self.scene, self.fitted, effect)
         size = float((wanted**2).sum())
         if not size > 0.0:
             return ()
@@ -662,26 +648,22 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
         )
     if cause == "gain":
         worst = float(theta[int(np.abs(theta).argmax())])
+        how = f"{100 * abs(np.expm1(worst)):.1f} % {'brighter' if worst > 0 else 'darker'}"
         return (
-            f"a channel of the contact image is {100 * abs(np.expm1(worst)):.1f} % "
-            f"{'brighter' if worst > 0 else 'darker'} "
-            "than simulated, everywhere: lock exposure and white balance, and take an image without contact just before"
+            f"a channel of the contact image is {how} than simulated, everywhere: lock exposure and white balance, and "
+            "take an image without contact just before"
         )
     if cause == "shading":
         return (
             f"the change of light across the picture differs by up to {100 * float(np.abs(theta).max()):.1f} % from "
-            f"the "
-            f"simulated one: "
-            "check how the lights fall off, and let them warm up"
+            "the simulated one: check how the lights fall off, and let them warm up"
         )
     if cause == "blur":
         sigma = px * np.sqrt(abs(first))
-        return (
-            f"the capture is blurred by {sigma:.2g} px beyond the simulation: check the focus, or add the blur of lens "
-            "and gel to the simulation"
-            if first > 0.0
-            else f"the simulation is blurred by {sigma:.2g} px beyond the capture: blur less, or render on a finer mesh"
-        )
+        if first > 0.0:
+            what = "check the focus, or add the blur of lens and gel to the simulation"
+            return f"the capture is blurred by {sigma:.2g} px beyond the simulation: {what}"
+        return f"the simulation is blurred by {sigma:.2g} px beyond the capture: blur less, or render on a finer mesh"
     return (
         f"the change around the contact is {share} {'stronger' if first > 0.0 else 'weaker'} than simulated: the gel "
         "bulges there; use finite elements in place of a table or of rigid shapes"
