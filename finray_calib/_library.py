@@ -503,6 +503,7 @@ def compare_press(
     *,
     register: bool = False,
     despite_mismatch: bool = False,
+    relative: bool = False,
     normal_map: NormalMapRecord | PathLike | None = None,
     pixel_scale: PixelScale | PathLike | None = None,
     seed: int = 1,
@@ -517,6 +518,8 @@ def compare_press(
         Whether to move the render by the drift of the camera; otherwise the drift is only told.
     despite_mismatch
         Whether to compare images that do not belong together; the report says so.
+    relative
+        Judge the change by contact alone: the captured image without contact stands in the place of the render's.
     normal_map
         Of the capture's sensor: normals and depth are then compared too.
     pixel_scale
@@ -532,7 +535,7 @@ def compare_press(
     from finray_calib.compare import CheckOptions, compare_checked
 
     seed = checked_seed(seed)
-    require_truths(register=register, despite_mismatch=despite_mismatch)
+    require_truths(register=register, despite_mismatch=despite_mismatch, relative=relative)
     press, files = given(simulated, SimulatedPress)
     captured, read = given(capture, TactileCapture)
     files += read
@@ -544,7 +547,8 @@ def compare_press(
         scale, read = given(pixel_scale, PixelScale)
         files += read
     with naming(CompareError, *files):
-        report, _ = compare_checked(press, captured, seed, CheckOptions(register, despite_mismatch, normals, scale))
+        options = CheckOptions(register, despite_mismatch, normals, scale, relative=relative)
+        report, _ = compare_checked(press, captured, seed, options)
     return made(report, "compare_press", files, seed)
 
 

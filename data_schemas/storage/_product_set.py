@@ -141,9 +141,9 @@ def _unfinished_set_of(path: Path) -> Path | None:
 
 
 def _names(folder: Path) -> list[str]:
-    """Return the names in a folder that can be listed."""
+    """Return the hidden names in a folder that can be listed: those of parts and set files are."""
     try:
-        return os.listdir(folder)
+        return [name for name in os.listdir(folder) if name[0] == "."]
     except OSError:
         return []
 

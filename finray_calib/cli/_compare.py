@@ -53,6 +53,11 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         help="compare images that do not belong together; say so in the report",
     )
     parser.add_argument(
+        "--relative", action="store_true",
+        help="judge the change by contact alone: the captured image without contact replaces that of the render "
+             "(linear values)",
+    )  # fmt: skip
+    parser.add_argument(
         "--normal-map", type=Path, metavar="FILE",
         help="also compare normals and depth, by the map that 'finray sense teach' wrote",
     )  # fmt: skip
@@ -128,8 +133,9 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
     normal_map = read_record(maps[0], NormalMapRecord) if maps else None
     scale = None if arguments.scale is None else read_record(arguments.scale, PixelScale)
     options = CheckOptions(
-        arguments.register, arguments.despite_mismatch, normal_map, scale, tuple(dict.fromkeys(arguments.metric))
-    )
+        arguments.register, arguments.despite_mismatch, normal_map, scale, tuple(dict.fromkeys(arguments.metric)),
+        arguments.relative,
+    )  # fmt: skip
     with naming(CompareError, simulated, arguments.capture):
         report, shown = compare_checked(press, capture, arguments.seed, options)
     inputs = input_digests([simulated, arguments.capture, *maps, *([arguments.scale] if arguments.scale else [])])

@@ -10,6 +10,7 @@ import re
 import signal
 import threading
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import zip_longest
@@ -74,7 +75,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     out = _place(arguments.out or Path("photometric-errors"), jobs)
     work = _Work(
         out, command_line(), arguments.seed, arguments.register, arguments.despite_mismatch, arguments.normal_map,
-        arguments.scale,
+        arguments.scale, arguments.relative,
     )  # fmt: skip
     with _Workers(work, jobs) as workers:
         # while the processes start, too
@@ -223,6 +224,7 @@ class _Work:
     despite_mismatch: bool
     normal_map: Path | None
     scale: Path | None
+    relative: bool = False
 
     @property
     def listed(self) -> list[Path]:
@@ -239,7 +241,7 @@ def _options(work: _Work) -> "CheckOptions":
 
     normal_map = None if work.normal_map is None else read_record(work.normal_map, NormalMapRecord)
     scale = None if work.scale is None else read_record(work.scale, PixelScale)
-    return CheckOptions(work.registered, work.despite_mismatch, normal_map, scale)
+    return CheckOptions(work.registered, work.despite_mismatch, normal_map, scale, relative=work.relative)
 
 
 def _as_json(record: "_Job | _Work") -> dict[str, Any]:
@@ -265,7 +267,8 @@ _BYTES_EACH, _BYTES_PER_PIXEL = 250 << 20, 1400
 #: Other programs, and the summary in this process, get this share of the memory that is free.
 _MEMORY_SHARE = 0.8
 _SIZES_LOOKED_AT = 32
-_TASK_PAIRS = 3
+#: Pairs that a process is given at once, where there are enough of them: the last of each is waited for on the disk.
+_TASK_PAIRS, _TASKS_EACH = 8, 16
 
 
 class _Workers:
@@ -284,7 +287,9 @@ class _Workers:
                 "comparison takes longer. End other programs, or compare fewer pairs at once"
             )
             count = room
-        self._children = [Child([__name__, "finray_calib.compare"]) for _ in range(count if count > 1 else 0)]
+        self._children = [
+            Child([__name__, "finray_calib.compare"], keeps_memory=True) for _ in range(count if count > 1 else 0)
+        ]
 
     def __enter__(self) -> "_Workers":
         return self
@@ -312,7 +317,9 @@ class _Workers:
 
     def _side_by_side(self, what: str, jobs: "Sequence[_Job]", progress: Progress) -> list[Any]:
         """Return the results of all processes."""
-        size = _TASK_PAIRS if what == "compare" else 1
+        size = 1
+        if what == "compare":
+            size = min(max(len(jobs) // (_TASKS_EACH * len(self._children)), 3), _TASK_PAIRS)
         todo: queue.SimpleQueue[int] = queue.SimpleQueue()
         done: queue.SimpleQueue[tuple[int, list[Any] | BaseException]] = queue.SimpleQueue()
         for start in range(0, len(jobs), size):
@@ -407,11 +414,19 @@ def do_jobs(what: Literal["compare", "page"], jobs: list[dict[str, Any]], work: 
 
     # sums then come in one order, whatever the machine
     threads = cv2.getNumThreads()
-    do, chosen = {"compare": _compare_pair, "page": _page}[what], _of_json(_Work, work)
+    todo, chosen = [_of_json(_Job, job) for job in jobs], _of_json(_Work, work)
     try:
         cv2.setNumThreads(1)
         with threadpool_limits(limits=1):
-            return [do(_of_json(_Job, job), chosen) for job in jobs]
+            if what == "page":
+                return [_page(job, chosen) for job in todo]
+            # a report goes to the disk while the next pair is computed; all are there before the pairs count as done
+            with ThreadPoolExecutor(max_workers=1) as storing:
+                begun = [_compare_pair(job, chosen, storing) for job in todo]
+            for _, stored in begun:
+                if stored is not None:
+                    stored.result()
+            return [result for result, _ in begun]
     finally:
         cv2.setNumThreads(threads)
 
@@ -428,44 +443,46 @@ def _compare_all(jobs: Sequence[_Job], workers: _Workers) -> "tuple[list[Compare
     return [ComparedPair.model_validate(result["pair"]) for result in told], read
 
 
-def _compare_pair(job: _Job, work: _Work) -> dict[str, Any]:
-    """Compare one pair and store its report, or tell why not; a report that is there already is taken."""
+def _compare_pair(job: _Job, work: _Work, storing: Executor) -> "tuple[dict[str, Any], Future[Path] | None]":
+    """Compare one pair and begin to store its report, or tell why not; a report that is there already is taken."""
     from data_schemas import ComparedPair
     from data_schemas.storage import digest_as_read
 
+    told, stored = _compared(job, work, storing)
     pair = ComparedPair.model_validate(
         {
             "name": job.name, "simulated": str(job.simulated), "captured": str(job.captured),
             "simulator": job.simulator, "press": job.press, "session": job.session, "sensor": job.sensor,
-            **_compared(job, work),
+            **told,
         }
     )  # fmt: skip
     read = {file.as_posix(): digest_as_read(file) for file in (job.simulated, job.captured)}
     return {
         "pair": pair.model_dump(mode="json"),
         "read": {name: digest for name, digest in read.items() if digest is not None},
-    }
+    }, stored
 
 
-def _compared(job: _Job, work: _Work) -> dict[str, Any]:
-    """Return what the comparison of a pair adds to the summary."""
+def _compared(job: _Job, work: _Work, storing: Executor) -> "tuple[dict[str, Any], Future[Path] | None]":
+    """Return what the comparison of a pair adds to the summary, and the report that is on its way to the disk."""
     from data_schemas import provenance
     from data_schemas.storage import write_record
-    from finray_calib.compare import compare_checked
+    from finray_calib.compare import checked_report
 
     path = work.out / job.report
     try:
         press, capture = _read_pair(job)
         options = _options(work)
         origin = provenance(work.command, input_digests([job.simulated, job.captured, *work.listed]), work.seed)
-        report = None if path.exists() else compare_checked(press, capture, work.seed, options)[0]
+        report = None if path.exists() else checked_report(press, capture, work.seed, options)
     except (FinrayError, OSError) as error:
-        return {"error": str(error)}
+        return {"error": str(error)}, None
     # A disk that takes no more is no fault of the pair: it ends the command, which goes on here when run again.
+    stored = None
     if report is None:
         report = _stored_report(path, origin)
     else:
-        write_record(report, path, origin)
+        stored = storing.submit(write_record, report, path, origin)
     region = next(r for r in report.regions if r.region == report.headline_region)
     floors = [row.skill for row in region.rows if row.candidate == "floor"]
     return {
@@ -475,7 +492,7 @@ def _compared(job: _Job, work: _Work) -> dict[str, Any]:
         "floor_skill": floors[0] if floors else None,
         "contact_signal": report.contact_signal,
         "findings": report.findings,
-    }
+    }, stored
 
 
 def _read_pair(job: _Job) -> "tuple[SimulatedPress, TactileCapture]":
@@ -516,7 +533,7 @@ def _page(job: _Job, work: _Work) -> dict[str, Any]:
 
     report = read_record(work.out / job.report, PhotometricErrorReport)
     press, capture = _read_pair(job)
-    shown = shown_press(press, capture, work.registered)
+    shown = shown_press(press, capture, work.registered, work.relative)
     digests: Mapping[str, str] = {} if report.provenance is None else report.provenance.input_sha256
     link = job.report.with_suffix(".html").as_posix()
     small = press_pictures(job.simulator, job.name, link, report, shown, capture)

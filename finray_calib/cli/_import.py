@@ -404,7 +404,7 @@ With --predict-from N, presses spread over the set teach a table, and what it pr
 beside its capture: 'finray compare OUT OUT' then scores these as a yardstick for simulators. Files with pickled objects
 are never opened."""
 CAPTURE, PRESS = ".capture.json", ".press.json"
-CONTACTS, CIRCLES = "contacts.png", "circles.csv"
+CONTACTS, CIRCLES, SOLID = "contacts.png", "circles.csv", ".indenter.stl"
 
 
 def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -439,7 +439,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
     """Import and report."""
     from data_schemas import ImportFormatError, provenance
     from data_schemas.storage import ProductSet, write_record
-    from finray_calib.exchange import read_by_recipe, read_circles, recipe_names
+    from finray_calib.exchange import outline_solid_stl, read_by_recipe, read_circles, recipe_names
     from finray_calib.reports import ContactSheet
 
     if arguments.list:
@@ -467,6 +467,9 @@ def run_captures(arguments: argparse.Namespace) -> None:
             told.add(capture)
             made_of[name] = read
             store(capture, f"{files.of(name)}{CAPTURE}", read)
+            if recipe.indenter.extruded_mm is not None:
+                solid = outline_solid_stl(capture, recipe.indenter.extruded_mm)
+                products.add(out / f"{files.of(name)}{SOLID}", solid)
 
         with progress_bar("import") as progress:
             found = read_by_recipe(folder, recipe, circles, progress, take)

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from finray_calib.compare._comparison_record import (
         NO_DRIFT,
         CheckOptions,
+        checked_report,
         compare_checked,
         compare_press,
         shown_press,
@@ -60,6 +61,7 @@ __all__ = [
     "Region",
     "capture_noise",
     "check_metric",
+    "checked_report",
     "ciede2000",
     "compare_checked",
     "compare_press",

@@ -32,6 +32,7 @@ from finray_calib.compare._candidate_errors import packaged_metric, region_recor
 from finray_calib.compare._comparison import LARGEST_HEADLINE_NOISE, Comparison, block_averaged_comparison
 from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate, full_frame_ssim, shown_candidates
 from finray_calib.compare._error_attribution import attribute_error
+from finray_calib.compare._image_noise import mean_level
 from finray_calib.compare._input_draws import POSE, InputDraws, Inputs, Propagated, generator_of
 from finray_calib.compare._mismatch import mismatches, require_no_mismatch
 from finray_calib.compare._photometric_error import (
@@ -50,6 +51,7 @@ from finray_calib.compare._prepared_images import (
     PreparedImages,
     nuisances_of,
     prepare_images,
+    relative_press,
     require_same_conditions,
 )
 from finray_calib.compare._regions import DILATED, FACTORS, every_channel
@@ -86,6 +88,8 @@ class CheckOptions:
         Of the capture's camera, for the sizes of patch and halo in mm; it takes the place of what the capture states.
     metrics : tuple of str
         Names of metrics that other packages bring, which stand beside ours.
+    relative : bool
+        Judge the change by contact alone, see `relative_press`.
     """
 
     registered: bool = False
@@ -93,6 +97,7 @@ class CheckOptions:
     normal_map: NormalMapRecord | None = None
     pixel_scale: PixelScale | None = None
     metrics: tuple[str, ...] = ()
+    relative: bool = False
 
 
 def compare_checked(
@@ -103,9 +108,28 @@ def compare_checked(
     Returns
     -------
     PhotometricErrorReport
-        What the checks found stands in its `findings`; `forced_mismatch` where they would have refused it.
+        As :func:`checked_report` returns it.
     SimulatedPress
         The press as it was compared: moved, if that was asked for and the camera has drifted.
+
+    Raises
+    ------
+    CompareError
+        See :func:`checked_report`.
+    """
+    report, compared, estimated = _checked(press, capture, seed, options or CheckOptions())
+    return report, _as_compared(compared, capture, estimated or nuisances_of(compared, capture))
+
+
+def checked_report(
+    press: SimulatedPress, capture: TactileCapture, seed: int, options: CheckOptions | None = None
+) -> PhotometricErrorReport:
+    """Return the report alone, of a press and a capture that belong together.
+
+    Returns
+    -------
+    PhotometricErrorReport
+        What the checks found stands in its `findings`; `forced_mismatch` where they would have refused it.
 
     Raises
     ------
@@ -113,9 +137,17 @@ def compare_checked(
         The images do not belong together, cannot be compared (see `compare_press`), or the registration that was asked
         for cannot be trusted.
     """
-    chosen = options or CheckOptions()
+    return _checked(press, capture, seed, options or CheckOptions())[0]
+
+
+def _checked(
+    press: SimulatedPress, capture: TactileCapture, seed: int, chosen: CheckOptions
+) -> tuple[PhotometricErrorReport, SimulatedPress, Nuisances | None]:
+    """Return the report, the press where it was compared, and curve and gains, where they are known."""
     # before the images: a press elsewhere looks like another exposure
     require_same_conditions(press, capture)
+    if chosen.relative:
+        press = relative_press(press, capture)
     findings, estimated = mismatches(press, capture)
     if not chosen.despite_mismatch:
         require_no_mismatch(findings)
@@ -133,13 +165,14 @@ def compare_checked(
         checks = checks if other is None else (*checks, other)
     forced = any(f.severity == "refuse" for f in findings)
     found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
-    return report.model_copy(update=found), _as_compared(
-        compared, capture, estimated or nuisances_of(compared, capture)
-    )
+    return report.model_copy(update=found), compared, estimated
 
 
-def shown_press(press: SimulatedPress, capture: TactileCapture, registered: bool = False) -> SimulatedPress:
+def shown_press(
+    press: SimulatedPress, capture: TactileCapture, registered: bool = False, relative: bool = False
+) -> SimulatedPress:
     """Return the press as :func:`compare_checked` compared it: moved if asked, through the camera's curve and gains."""
+    press = relative_press(press, capture) if relative else press
     placed = _placed_press(press, capture, registered)[0]
     return _as_compared(placed, capture, nuisances_of(placed, capture))
 
@@ -180,10 +213,10 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
 def _begins_from(press: SimulatedPress, capture: TactileCapture) -> bool:
     """Return whether the image without contact of a press is that of the capture itself."""
     own = rgb_image(capture.no_contact, capture)
-    seen = np.isfinite(own)
-    return press.no_contact.shape == own.shape and np.array_equal(
-        press.no_contact[seen], own[seen].astype(press.no_contact.dtype)
-    )
+    if press.no_contact.shape != own.shape:
+        return False
+    alike = press.no_contact == own.astype(press.no_contact.dtype)
+    return bool(alike.all() or (alike | ~np.isfinite(own)).all())
 
 
 Floats = NDArray[np.float64]
@@ -375,8 +408,10 @@ def _sensing(
 def _error_map(simulated: Floats, comparison: Comparison) -> NDArray[np.float32]:
     """Return the error per pixel: rms over channels of (simulated - captured) / mean no-contact level."""
     captured = comparison.captured
-    level = np.nanmean(captured.no_contact, axis=(0, 1))
-    squares = ((simulated - captured.contact) / level) ** 2
+    level = mean_level(captured.no_contact)
+    squares = simulated - captured.contact
+    squares /= level
+    squares *= squares
     # numpy's mean over so short an axis takes many times as long, for the same digits
     error: Floats = np.sqrt((squares[..., 0] + squares[..., 1] + squares[..., 2]) / 3.0)
     return error.astype(np.float32)

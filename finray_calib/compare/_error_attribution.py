@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from data_schemas import CauseParameter, ErrorAttribution, ErrorCause
 from finray_calib.compare._comparison import Comparison
-from finray_calib.compare._image_noise import block_mean
+from finray_calib.compare._image_noise import NO_NOISE, block_mean, mean_level
 from finray_calib.compare._regions import every_channel, tile_indices
 
 Floats = NDArray[np.float64]
@@ -50,7 +50,8 @@ _OWN: Final[Mapping[Cause, NDArray[np.intp]]] = dict(
 _PRIOR_SD: Final[Mapping[Cause, float]] = {
     "pose": 10.0, "size": 0.5, "depth": 1.0, "gain": 0.5, "shading": 0.5, "blur": 40.0, "halo": 1.0,
 }  # fmt: skip
-_STEPS: Final[Mapping[Cause, float]] = {"pose": 0.5, "size": 0.02, "depth": 0.05, "blur": 1.5, "halo": 0.05}
+_STEPS: Final[Mapping[Cause, float]] = {"pose": 0.5, "size": 0.02, "blur": 1.5}
+_LIGHT: Final = ("gain", "shading")
 REACH: Final = 3.5
 _NEARLY_CLIPPED: Final = 0.88
 _LARGEST_SIDE_PX: Final = 176
@@ -109,33 +110,41 @@ class _Scene:
 
     def changed(self, theta: Mapping[Cause, Floats]) -> Floats:
         """Return the simulation with these changes."""
-        image = self._contact(theta)
+        return self._lit(self.rest + self._change(theta), theta)
+
+    def by_strength(self, cause: Literal["depth", "halo"], theta: Mapping[Cause, Floats]) -> Floats:
+        """Return the derivative of the changed simulation by the strength of the change, or of its halo."""
+        others = {c: value for c, value in theta.items() if c != cause}
+        return self._lit(self._change(others, None if cause == "depth" else self.outside), theta)
+
+    def _lit(self, image: Floats, theta: Mapping[Cause, Floats]) -> Floats:
+        """Return an image with gain and shading."""
         if "gain" not in theta and "shading" not in theta:
             return image
-        log_gain = np.zeros(3) if "gain" not in theta else theta["gain"]
+        log_gain = theta.get("gain", np.zeros(3))
         if "shading" in theta:
-            slope = theta["shading"].reshape(2, 3)
-            by = np.concatenate([log_gain, theta["shading"]])
+            slope, by = theta["shading"].reshape(2, 3), np.concatenate([log_gain, theta["shading"]])
             return np.asarray(image * self._once("light", by, lambda: np.exp(log_gain + self.place @ slope)))
         return np.asarray(image * np.exp(log_gain))
 
-    def _contact(self, theta: Mapping[Cause, Floats]) -> Floats:
-        """Return the image before gain and shading."""
+    def _change(self, theta: Mapping[Cause, Floats], times: Floats | None = None) -> Floats:
+        """Return what contact adds, before gain and shading; multiplied by something before it is blurred."""
         change = self.change
         if "pose" in theta or "size" in theta:
             dx, dy = theta.get("pose", np.zeros(2))
             zoom = float(np.exp(theta["size"][0])) if "size" in theta else 1.0
             x, y = self.centre_px
             matrix = np.array([[zoom, 0.0, x + dx - zoom * x], [0.0, zoom, y + dy - zoom * y]])
-            size = (change.shape[1], change.shape[0])
-            change = self._once("moved", matrix, lambda: _moved(self.change, matrix, size))
+            change = self._once("moved", matrix, lambda: _moved(self.change, matrix, self.change.shape[1::-1]))
         if "depth" in theta:
             change = change * (1.0 + theta["depth"][0])
         if "halo" in theta:
             change = change * (1.0 + theta["halo"][0] * self.outside)
+        if times is not None:
+            change = change * times
         if "blur" in theta:
             change = _blurred(change, float(theta["blur"][0]))
-        return np.asarray(self.rest + change)
+        return change
 
     def residual(self, theta: Mapping[Cause, Floats]) -> Floats:
         """Return captured minus changed simulation."""
@@ -266,8 +275,11 @@ def _scene(comparison: Comparison, distance: Floats, block_px: int, full_scale_d
 def _known_variance(comparison: Comparison, scene: _Scene, window: _Window) -> Floats:
     """Return the variance (3,) of a pixel's noise by what is known of both sides; 0 where nothing is."""
     captured, layers = comparison.captured, comparison.layers
+    half = window.cut(layers.contact_half)
+    if captured.noise is NO_NOISE and not half.any():
+        return np.zeros(3)
     known = captured.variance(np.nan_to_num(window.cut(captured.contact)))
-    known = known + comparison.best_exposure**2 * layers.rgb(window.cut(layers.contact_half)) ** 2
+    known = known + comparison.best_exposure**2 * layers.rgb(half) ** 2
     return np.asarray(np.nan_to_num(window.averaged(known))[scene.fitted].mean(axis=0) / window.side_px**2)
 
 
@@ -291,6 +303,81 @@ def _noise_variance(scene: _Scene, known: Floats, theta: Mapping[Cause, Floats])
 
 
 @dataclass(frozen=True, slots=True)
+class _Rows:
+    """Weighted derivatives at the P fitted pixels; those by gain and shading are 0 but in one channel.
+
+    Attributes
+    ----------
+    wide : ndarray, shape (n, 3, P)
+    narrow : ndarray, shape (m, P)
+    channels : ndarray of int, shape (m,)
+        Of the narrow ones.
+    places : ndarray of int, shape (n + m,)
+        Where each row stands among all: the wide ones first.
+    """
+
+    wide: Floats
+    narrow: Floats
+    channels: NDArray[np.intp]
+    places: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, parts: Sequence[Floats]) -> "_Rows":
+        """Return the rows of causes in their order: (k, 3, P), or (k, P) in red, green, blue, red ... for light."""
+        count, places = 0, ([], [])  # type: ignore[var-annotated]
+        for part in parts:
+            places[part.ndim == 2].extend(range(count, count := count + len(part)))
+        pixels = parts[0].shape[-1]
+        wide = np.concatenate([np.zeros((0, 3, pixels)), *(part for part in parts if part.ndim == 3)])
+        narrow = np.concatenate([np.zeros((0, pixels)), *(part for part in parts if part.ndim == 2)])
+        return cls(wide, narrow, np.arange(len(narrow)) % 3, np.array(places[0] + places[1], np.intp))
+
+    @property
+    def flat(self) -> Floats:
+        """The wide ones, (n, 3 P)."""
+        return self.wide.reshape(len(self.wide), self.wide.shape[1] * self.wide.shape[2])
+
+    def with_each_other(self) -> Floats:
+        """Return the products of the rows with each other."""
+        n, flat = len(self.wide), self.flat
+        products = np.zeros((len(self.places), len(self.places)))
+        products[:n, :n] = flat @ flat.T
+        for channel in range(3):
+            own = np.flatnonzero(self.channels == channel)
+            rows = self.narrow[own]
+            products[np.ix_(n + own, n + own)] = rows @ rows.T
+            products[n + own, :n] = rows @ self.wide[:, channel].T
+            products[:n, n + own] = products[n + own, :n].T
+        order = np.argsort(self.places)
+        return np.asarray(products[np.ix_(order, order)])
+
+    def with_image(self, image: Floats) -> Floats:
+        """Return the products of the rows with a listed image (3, P)."""
+        found = np.empty(len(self.places))
+        found[self.places] = [*(self.flat @ image.ravel()), *(row @ image[channel] for row, channel in self._narrow())]
+        return found
+
+    def in_tiles(self, image: Floats, tile: NDArray[np.intp]) -> Floats:
+        """Return the products (tiles, rows) of the rows with a listed image, over the pixels of each tile."""
+        found: list[Floats] = [(row * image).sum(axis=0) for row in self.wide]
+        found += [row * image[channel] for row, channel in self._narrow()]
+        sums = np.stack([np.bincount(tile, weights=products) for products in found], axis=1)
+        return np.asarray(sums[:, np.argsort(self.places)])
+
+    def _narrow(self) -> list[tuple[Floats, int]]:
+        """Return the narrow rows, each with its channel."""
+        return list(zip(self.narrow, self.channels.tolist(), strict=True))
+
+    def plus(self, steps: Floats) -> Floats:
+        """Return the listed image (3, P) of all rows, each times its step."""
+        n, by_row = len(self.wide), steps[self.places]
+        image = np.tensordot(by_row[:n], self.wide, axes=1)
+        for step, (row, channel) in zip(by_row[n:], self._narrow(), strict=True):
+            image[channel] += step * row
+        return np.asarray(image)
+
+
+@dataclass(frozen=True, slots=True)
 class _Fit:
     """Choose and fit causes on one scene.
 
@@ -300,68 +387,29 @@ class _Fit:
         The second with a smooth change: derivatives of noise are none of a cause.
     fitted : ndarray of int, shape (P,)
         Pixels that the fit uses.
-    rows : ndarray, shape (parameters of all causes, 3 P)
-        Derivatives by every cause where nothing is changed yet, weighted, at these pixels.
-    gram : ndarray
-        Products of the rows with each other.
-    first : dict
-        The derivatives (parameters, H, W, 3) where nothing is changed yet, of the causes that were asked for.
+    first, listed_first, all_rows, gram
+        Where nothing is changed yet: derivatives (parameters, H, W, 3) by causes that change more than the light, rows
+        of each cause and of all, and their products.
     """
 
     scene: _Scene
     smooth: _Scene
     fitted: NDArray[np.intp]
-    rows: Floats
+    first: Mapping[Cause, Floats]
+    listed_first: Mapping[Cause, Floats]
+    all_rows: _Rows
     gram: Floats
-    first: dict[Cause, Floats] = field(init=False, default_factory=dict)
 
     @classmethod
     def of(cls, scene: _Scene) -> "_Fit":
         """Return the fit of a scene."""
         soft = cv2.GaussianBlur(scene.change, (0, 0), _SMOOTH_PX)
         smooth = replace(scene, change=np.asarray(soft, dtype=np.float64))
-        fit = cls(scene, smooth, np.flatnonzero(scene.fitted), np.zeros((0, 0)), np.zeros((0, 0)))
-        image = scene.changed({})
-        light = fit._light_rows(image)
-        of_light: dict[Cause, Floats] = {"gain": light[:3], "shading": light[3:]}
-        found = {c: fit.derivatives(c, {}, image) for c in CAUSES if c not in of_light}
-        rows = np.concatenate([of_light[c] if c in of_light else fit.listed(found[c]) for c in CAUSES])
-        fit = replace(fit, rows=rows, gram=rows @ rows.T)
-        fit.first.update(found)
-        return fit
-
-    def _light_rows(self, image: Floats) -> Floats:
-        """Return the listed derivatives (9, 3 P) by gain and shading, which are none of the other channels'."""
-        pixels = image.reshape(-1, 3).take(self.fitted, axis=0) * np.sqrt(self.scene.weights)
-        place = self.scene.place.reshape(-1, 2).take(self.fitted, axis=0)
-        rows = np.zeros((3, 3, len(pixels), 3))
-        for c in range(3):
-            rows[0, c, :, c] = pixels[:, c]
-            for way in range(2):
-                rows[1 + way, c, :, c] = place[:, way] * pixels[:, c]
-        return rows.reshape(9, -1)
-
-    def derivatives(self, cause: Cause, theta: Mapping[Cause, Floats], image: Floats) -> Floats:
-        """Return the derivatives (parameters, H, W, 3) of the changed simulation `image` by a cause's parameters."""
-        if cause in ("gain", "shading"):
-            alone = np.zeros((3, *image.shape))
-            for c in range(3):
-                alone[c, ..., c] = image[..., c]
-            if cause == "gain":
-                return alone
-            return np.concatenate([self.scene.place[..., way, None] * alone for way in (0, 1)])
-        start = theta.get(cause, np.zeros(len(_PARAMETERS[cause])))
-        found = []
-        for move in _STEPS[cause] * np.eye(len(start)):
-            low = self.smooth.changed({**theta, cause: start - move})
-            high = self.smooth.changed({**theta, cause: start + move})
-            found.append((high - low) / (2.0 * move.sum()))
-        return np.array(found)
-
-    def listed(self, images: Floats) -> Floats:
-        """Return the fitted pixels of images (n, H, W, 3), weighted, as lists (n, 3 P)."""
-        pixels = images.reshape(len(images), -1, 3).take(self.fitted, axis=1)
-        return np.asarray((pixels * np.sqrt(self.scene.weights)).reshape(len(images), -1))
+        fitted, image = np.flatnonzero(scene.fitted), scene.changed({})
+        first = {c: _derivatives(smooth, c, {}) for c in CAUSES if c not in _LIGHT}
+        listed = {c: _cause_rows(scene, fitted, c, image, first) for c in CAUSES}
+        rows = _Rows.of([listed[c] for c in CAUSES])
+        return cls(scene, smooth, fitted, first, listed, rows, rows.with_each_other())
 
     def noise(self, variance: Floats) -> float:
         """Return the mean variance of a weighted number, of the variances (3,) of a pixel."""
@@ -369,9 +417,9 @@ class _Fit:
 
     def choose(self, variance: float) -> tuple[Cause, ...]:
         """Return the causes by forward selection, on one linearisation of all."""
-        residual = self.listed(self.scene.residual({})[None])[0]
-        right = self.rows @ residual
-        total = float(residual @ residual)
+        residual = _listed(self.scene, self.fitted, self.scene.residual({}))
+        right = self.all_rows.with_image(residual)
+        total = float((residual**2).sum())
         chosen: list[Cause] = []
         explained = 0.0
         while len(chosen) < len(CAUSES):
@@ -397,23 +445,23 @@ class _Fit:
         if not chosen:
             return theta, effects, u
         noise = max(variance, 1e-12)
-        tile = np.repeat(tile_indices(self.scene.fitted, _TILE_PX), 3)
+        tile = tile_indices(self.scene.fitted, _TILE_PX)
         for number in range(_PASSES):
             image = self.scene.changed(theta)
             images, rows, hessian = self._linearised(chosen, theta, image, first=number == 0)
-            residual = self.listed((self.scene.captured - image)[None])[0]
+            residual = _listed(self.scene, self.fitted, self.scene.captured - image)
             # a move along a strip changes nothing: what the image does not tell stays where it is
             prior = noise / np.concatenate([np.full(len(theta[c]), _PRIOR_SD[c]) for c in chosen]) ** 2
             hessian += _RIDGE * np.diag(np.diag(hessian)) + np.diag(prior)
             moved = np.concatenate([theta[c] for c in chosen])
-            step = np.linalg.solve(hessian, rows @ residual - prior * moved)
+            step = np.linalg.solve(hessian, rows.with_image(residual) - prior * moved)
             is_last = number == _PASSES - 1 or _is_small(step, hessian, noise)
-            spread = _spread(rows, residual - step @ rows, tile, hessian, noise) if is_last else moved
+            spread = _spread(rows, residual - rows.plus(step), tile, hessian, noise) if is_last else moved
             at = 0
             for c in chosen:
                 own = slice(at, at := at + len(theta[c]))
                 moves = np.clip(step[own], -_limit(c), _limit(c))
-                effects[c] = effects[c] + sum(m * image for m, image in zip(moves, images[c], strict=True))
+                effects[c] = effects[c] + self._effect(c, moves, image, images)
                 theta[c] = theta[c] + moves
                 u[c] = spread[own]
             if is_last:
@@ -422,27 +470,32 @@ class _Fit:
 
     def _linearised(
         self, chosen: Sequence[Cause], theta: Mapping[Cause, Floats], image: Floats, first: bool
-    ) -> tuple[Mapping[Cause, Floats], Floats, Floats]:
-        """Return derivatives by causes, as images and listed, and their products; known where nothing is changed."""
+    ) -> tuple[Mapping[Cause, Floats], _Rows, Floats]:
+        """Return derivatives by causes as images and as rows, and the rows' products; known for the first image."""
         if first:
-            for c in chosen:
-                if c not in self.first:
-                    self.first[c] = self.derivatives(c, {}, image)
             of = np.concatenate([_OWN[c] for c in chosen])
-            return self.first, self.rows[of], self.gram[np.ix_(of, of)].copy()
+            return self.first, _Rows.of([self.listed_first[c] for c in chosen]), self.gram[np.ix_(of, of)].copy()
         # pose and size last: the others share one moved change
-        order = sorted(chosen, key=lambda c: c in ("pose", "size"))
-        images = {c: self.derivatives(c, theta, image) for c in order}
-        rows = np.concatenate([self.listed(images[c]) for c in chosen])
-        return images, rows, rows @ rows.T
+        order = sorted((c for c in chosen if c not in _LIGHT), key=lambda c: c in ("pose", "size"))
+        images = {c: _derivatives(self.smooth, c, theta) for c in order}
+        rows = _Rows.of([_cause_rows(self.scene, self.fitted, c, image, images) for c in chosen])
+        return images, rows, rows.with_each_other()
+
+    def _effect(self, cause: Cause, moves: Floats, image: Floats, images: Mapping[Cause, Floats]) -> Floats:
+        """Return what moves of a cause's parameters change, to first order, in the image (H, W, 3)."""
+        if cause == "gain":
+            return image * moves
+        if cause == "shading":
+            return np.asarray(image * (self.scene.place @ moves.reshape(2, 3)))
+        return np.asarray(sum(m * one for m, one in zip(moves, images[cause], strict=True)))
 
     def alike(self, cause: Cause, effect: Floats) -> tuple[str, ...]:
         """Return the causes that could imitate an effect."""
-        wanted = self.listed(effect[None])[0]
-        size = float(wanted @ wanted)
+        wanted = _listed(self.scene, self.fitted, effect)
+        size = float((wanted**2).sum())
         if not size > 0.0:
             return ()
-        right = self.rows @ wanted
+        right = self.all_rows.with_image(wanted)
         like = {c: self._explained_by((c,), right) for c in CAUSES if c != cause}
         return tuple(c for c, explained in like.items() if np.sqrt(max(explained, 0.0) / size) >= _ALIKE)
 
@@ -452,9 +505,41 @@ class _Fit:
         return _explained(self.gram[np.ix_(of, of)], right[of])
 
 
-def _spread(rows: Floats, left: Floats, tile: NDArray[np.intp], hessian: Floats, noise: float) -> Floats:
+def _listed(scene: _Scene, fitted: NDArray[np.intp], image: Floats) -> Floats:
+    """Return some pixels of an image (H, W, 3), weighted, as lists (3, P)."""
+    pixels = image.reshape(-1, 3).take(fitted, axis=0)
+    return np.multiply(pixels.T, np.sqrt(scene.weights)[:, None], order="C")
+
+
+def _cause_rows(
+    scene: _Scene, fitted: NDArray[np.intp], cause: Cause, image: Floats, images: Mapping[Cause, Floats]
+) -> Floats:
+    """Return the listed derivatives of the changed simulation `image` by a cause: (k, P) by gain and shading."""
+    if cause not in _LIGHT:
+        return np.stack([_listed(scene, fitted, one) for one in images[cause]])
+    pixels = _listed(scene, fitted, image)
+    if cause == "gain":
+        return pixels
+    place = scene.place.reshape(-1, 2).take(fitted, axis=0)
+    return np.concatenate([place[:, way] * pixels for way in range(2)])
+
+
+def _derivatives(smooth: _Scene, cause: Cause, theta: Mapping[Cause, Floats]) -> Floats:
+    """Return the derivatives (parameters, H, W, 3) of a smooth simulation by a cause's parameters."""
+    if cause in ("depth", "halo"):  # the image is linear in them
+        return smooth.by_strength(cause, theta)[None]
+    start = theta.get(cause, np.zeros(len(_PARAMETERS[cause])))
+    found = []
+    for move in _STEPS[cause] * np.eye(len(start)):
+        low = smooth.changed({**theta, cause: start - move})
+        high = smooth.changed({**theta, cause: start + move})
+        found.append((high - low) / (2.0 * move.sum()))
+    return np.array(found)
+
+
+def _spread(rows: _Rows, left: Floats, tile: NDArray[np.intp], hessian: Floats, noise: float) -> Floats:
     """Return standard uncertainties: residuals may be alike over tiles (sandwich), and noise is the least."""
-    scores = np.stack([np.bincount(tile, weights=row * left) for row in rows], axis=1)
+    scores = rows.in_tiles(left, tile)
     inverse = np.linalg.inv(hessian)
     of_tiles = np.diag(inverse @ (scores.T @ scores) @ inverse)
     return np.asarray(np.sqrt(np.maximum(of_tiles, noise * np.diag(inverse))))
@@ -497,7 +582,7 @@ def _attribution(
     parts = {c: scene.energy(np.where(dark, left, 0.0), effects[c]) / signal for c in effects}
     order = sorted(parts, key=lambda c: -scene.energy(effects[c]))
     remainder = lost - saturation - noise - sum(parts.values())
-    level = float(np.nanmean(comparison.captured.no_contact))
+    level = float(mean_level(comparison.captured.no_contact).mean())
     shape = (comparison.used[-1].shape[0], comparison.used[-1].shape[1])
     maps = [window.back(effects[c].mean(axis=-1) / level, shape) for c in order]
     return ErrorAttribution(
@@ -563,26 +648,22 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
         )
     if cause == "gain":
         worst = float(theta[int(np.abs(theta).argmax())])
+        how = f"{100 * abs(np.expm1(worst)):.1f} % {'brighter' if worst > 0 else 'darker'}"
         return (
-            f"a channel of the contact image is {100 * abs(np.expm1(worst)):.1f} % "
-            f"{'brighter' if worst > 0 else 'darker'} "
-            "than simulated, everywhere: lock exposure and white balance, and take an image without contact just before"
+            f"a channel of the contact image is {how} than simulated, everywhere: lock exposure and white balance, and "
+            "take an image without contact just before"
         )
     if cause == "shading":
         return (
             f"the change of light across the picture differs by up to {100 * float(np.abs(theta).max()):.1f} % from "
-            f"the "
-            f"simulated one: "
-            "check how the lights fall off, and let them warm up"
+            "the simulated one: check how the lights fall off, and let them warm up"
         )
     if cause == "blur":
         sigma = px * np.sqrt(abs(first))
-        return (
-            f"the capture is blurred by {sigma:.2g} px beyond the simulation: check the focus, or add the blur of lens "
-            "and gel to the simulation"
-            if first > 0.0
-            else f"the simulation is blurred by {sigma:.2g} px beyond the capture: blur less, or render on a finer mesh"
-        )
+        if first > 0.0:
+            what = "check the focus, or add the blur of lens and gel to the simulation"
+            return f"the capture is blurred by {sigma:.2g} px beyond the simulation: {what}"
+        return f"the simulation is blurred by {sigma:.2g} px beyond the capture: blur less, or render on a finer mesh"
     return (
         f"the change around the contact is {share} {'stronger' if first > 0.0 else 'weaker'} than simulated: the gel "
         "bulges there; use finite elements in place of a table or of rigid shapes"

@@ -18,6 +18,7 @@ from finray_calib.compare._prepared_images import Nuisances, nuisances_of
 from finray_calib.compare._regions import FACTORS, every_channel
 from finray_calib.compare._tone_curve import FAR, REFUSED_GAIN_REL
 from finray_calib.sensing import full_scale_dn, rgb_image
+from finray_calib.spectra import compiled
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -467,7 +468,8 @@ def _depth_findings(name: str, counts: Counts, full_scale_dn: int, bits: int) ->
     highest = int(counts.max())
     if highest > full_scale_dn:
         return [(True, f"{name} holds {highest} DN, above the full scale of {bits} bit ({full_scale_dn} DN): {_MEND}")]
-    pixels = np.bincount(counts.ravel())
+    pixels = np.zeros(highest + 1, dtype=np.int64)
+    count_levels(counts.ravel(), pixels)
     levels = np.flatnonzero(pixels)
     pixels = pixels[levels]
     findings = []
@@ -493,6 +495,13 @@ def _depth_findings(name: str, counts: Counts, full_scale_dn: int, bits: int) ->
             )
         )
     return findings
+
+
+@compiled
+def count_levels(counts: Counts, pixels: NDArray[np.int64]) -> None:
+    """Add to the number of pixels of each level; numpy makes 64-bit integers of all counts first."""
+    for i in range(counts.size):
+        pixels[counts[i]] += 1
 
 
 _MEND = "record the bit depth of the camera's own counts"

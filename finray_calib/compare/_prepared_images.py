@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import CompareError, Indenter, IndenterPose, SimulatedPress, TactileCapture
-from finray_calib.compare._image_noise import NO_NOISE, block_mean, capture_noise, high_passed
+from finray_calib.compare._image_noise import NO_NOISE, block_mean, capture_noise, high_passed, missing_pixels
 from finray_calib.compare._region_sums import Captured, RenderLayers, render_layers
 from finray_calib.compare._regions import every_channel
 from finray_calib.compare._tone_curve import (
@@ -143,6 +143,50 @@ def nuisances_of(
 _TONE_SEED = 20_040
 
 
+def relative_press(press: SimulatedPress, capture: TactileCapture) -> SimulatedPress:
+    """Return a render at the light of the capture: S = B L1 / L0, with B the captured image without contact.
+
+    The render's own light field without contact is then not judged: its level, colours and shading. The noise of B is
+    in S, too, and is not taken out of the error. What is known of paints and camera acts on the light field, and is
+    left out.
+
+    Raises
+    ------
+    CompareError
+        One of both is not linear light; encoded values are compared in this way through their tone curve.
+    """
+    if press.encoding != "linear" or capture.encoding != "linear":
+        raise CompareError(
+            f"--relative: needs linear values on both sides; {press.name} holds {press.encoding} and {capture.name} "
+            f"{capture.encoding} ones. Leave it out: a render is compared with encoded captures in this way anyway"
+        )
+    rest = rgb_image(capture.no_contact, capture)
+    if press.no_contact.shape != rest.shape:
+        return press  # refused with both sizes where images are compared
+    layers = encoded_layers(render_layers(press), rest, 1.0, 0.0)
+    dropped = dict.fromkeys(
+        (
+            "no_contact_bands", "contact_bands", "contact_bands_variance", "no_contact_chains", "contact_chains",
+            "known_inputs", "pose_response", "camera_matrix",
+        )
+    )  # fmt: skip
+    return press.model_copy(
+        update={
+            **dropped,
+            "bands": (), "chains": (), "layer_matrix": np.eye(3), "variance": None,
+            "contact": layers.contact, "no_contact": np.nan_to_num(rest).astype(np.float32),
+            "contact_half_difference": layers.contact_half, "no_contact_half_difference": layers.no_contact_half,
+            "notes": (*press.notes, RELATIVE),
+        }
+    )  # fmt: skip
+
+
+RELATIVE = (
+    "compared relative to the capture's own image without contact, which stands in the place of the render's: only the "
+    "change by contact is judged, and not the level, colours and shading of the render without contact"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class PreparedImages:
     """Both sides of a comparison; captured values are DN above black level.
@@ -204,15 +248,20 @@ def prepare_images(
         Light, indenter or push of both differ (see `require_same_conditions`), the images differ in size, the render
         holds encoded values and the capture light, or the render is not finite.
     """
-    contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
+    if estimated is None:
+        contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
+    else:
+        contact, no_contact = estimated.contact.copy(), estimated.no_contact.copy()
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
     _require_comparable(press, capture, contact.shape)
     images = [contact, no_contact] if repeat is None else [contact, no_contact, repeat]
-    clipped = ~every_channel(~np.isnan(np.concatenate(images, axis=2)))
+    clipped = missing_pixels(*images)
+    if clipped is None:
+        clipped = np.zeros(contact.shape[:2], dtype=np.bool_)
     noise = NO_NOISE
     if repeat is not None and capture.encoding == "linear":
         noise = capture_noise(no_contact, repeat)
-    for image in images:
+    for image in images if clipped.any() else ():
         image[clipped] = np.nan
     nuisances = estimated or nuisances_of(press, capture)
     nuisances = replace(nuisances, contact=contact, no_contact=no_contact)

@@ -63,6 +63,8 @@ class RenderLayers:
     @property
     def contact_variance(self) -> Floats:
         """Variance (H, W, 3) of the contact render."""
+        if not self.contact_half.any():
+            return np.zeros((*self.contact_half.shape[:2], 3))
         return self.rgb(self.contact_half) ** 2
 
     @property
@@ -350,7 +352,8 @@ def image_sums(
         repeat_variance=None if repeat is None else captured.variance(repeat),
     )
     halves = layers.halves("contact", used, pose_names)
-    render_variance = exposure_k**2 * layers.contact_variance[used]
+    half = layers.contact_half.reshape(used.size, -1).take(np.flatnonzero(used), axis=0)
+    render_variance = exposure_k**2 * layers.rgb(half) ** 2
     return _sums(used, halves, values, exposure_k, layers.matrix, render_variance, contact, 1.0)
 
 

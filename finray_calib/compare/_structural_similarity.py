@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from data_schemas import CompareError
 from finray_calib.compare._image_noise import block_mean, missing_pixels
-from finray_calib.spectra import compiled
+from finray_calib.spectra import compiled, compiled_inside
 
 Floats = NDArray[np.float64]
 WINDOW_PX = 11
 _BORDER_PX = WINDOW_PX // 2
 _SIGMA_PX = 1.5
+_WEIGHTS = np.exp(-0.5 * (np.arange(-_BORDER_PX, _BORDER_PX + 1) / _SIGMA_PX) ** 2)
+_WEIGHTS /= _WEIGHTS.sum()
 _K1, _K2 = 0.01, 0.03
-#: Rows worked at once, in buffers that are allocated once: fresh memory for each band costs more than its arithmetic.
+#: Rows worked at once, in buffers that are allocated once: fresh memory costs more than the arithmetic.
 _BAND_ROWS = 128
 
 
@@ -140,19 +142,14 @@ def similarity_bands(x: Floats, y: Floats, data_range_dn: float) -> Iterator[tup
     """
     c1, c2 = (_K1 * data_range_dn) ** 2, (_K2 * data_range_dn) ** 2
     height, width, channels = x.shape
-    columns = slice(_BORDER_PX, -_BORDER_PX)
     x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
-    buffers = np.empty((6, _BAND_ROWS + 2 * _BORDER_PX, width, channels))
+    buffers = np.empty((2, _BAND_ROWS, width - 2 * _BORDER_PX, channels))
     for start in range(_BORDER_PX, height - _BORDER_PX, _BAND_ROWS):
         stop = min(start + _BAND_ROWS, height - _BORDER_PX)
         band = slice(start - _BORDER_PX, stop + _BORDER_PX)
-        mean_x, mean_y, squares, product, *sources = buffers[:, : stop - start + 2 * _BORDER_PX]
-        second_moments(_rows(x[band]), _rows(y[band]), *map(_rows, sources))
-        for source, mean in ((x[band], mean_x), (y[band], mean_y), (sources[0], squares), (sources[1], product)):
-            cv2.GaussianBlur(source, (WINDOW_PX, WINDOW_PX), _SIGMA_PX, dst=mean)
-        similarity_factors(_rows(mean_x), _rows(mean_y), _rows(squares), _rows(product), c1, c2)
-        # the rows and columns without a full window are wrong, and left out
-        yield slice(start, stop), mean_x[_BORDER_PX:-_BORDER_PX, columns], product[_BORDER_PX:-_BORDER_PX, columns]
+        luminance, structure = buffers[:, : stop - start]
+        windowed_factors(_rows(x[band]), _rows(y[band]), (c1, c2), _WEIGHTS, _rows(luminance), _rows(structure))
+        yield slice(start, stop), luminance, structure
 
 
 def _rows(image: Floats) -> Floats:
@@ -342,27 +339,69 @@ def _mean_factors(
 
 
 @compiled
-def second_moments(x: Floats, y: Floats, squares: Floats, product: Floats) -> None:
-    """Put x^2 + y^2 and x y of two (rows, values) arrays into the last two."""
-    for row in range(x.shape[0]):
-        for i in range(x.shape[1]):
-            a, b = x[row, i], y[row, i]
-            squares[row, i] = a * a + b * b
-            product[row, i] = a * b
+def windowed_factors(
+    x: Floats, y: Floats, constants: tuple[float, float], weights: Floats, luminance: Floats, structure: Floats
+) -> None:
+    """Put the factors of two images, (rows, columns x channels), into the last two, which have no border.
 
-
-@compiled
-def similarity_factors(mean_x: Floats, mean_y: Floats, squares: Floats, product: Floats, c1: float, c2: float) -> None:
-    """Turn windowed moments, (rows, values), into the factors luminance and structure, in place of the first and last.
-
-    luminance = (2 mu_x mu_y + c1) / (mu_x^2 + mu_y^2 + c1), structure = (2 cov + c2) / (var_x + var_y + c2).
+    luminance = (2 mu_x mu_y + c1) / (mu_x^2 + mu_y^2 + c1), structure = (2 cov + c2) / (var_x + var_y + c2). Each row
+    is averaged across once, and then enters the windows of the eleven rows around it.
     """
-    for row in range(mean_x.shape[0]):
-        for i in range(mean_x.shape[1]):
-            a, b = mean_x[row, i], mean_y[row, i]
-            ab, aabb = a * b, a * a + b * b
-            mean_x[row, i] = (2.0 * ab + c1) / (aabb + c1)
-            product[row, i] = (2.0 * (product[row, i] - ab) + c2) / (squares[row, i] - aabb + c2)
+    c1, c2 = constants
+    window, values = weights.size, luminance.shape[1]
+    channels = (x.shape[1] - values) // (window - 1)
+    moments, means = np.empty((4, x.shape[1])), np.empty((4, values))
+    # every row stands here twice, so that the last eleven always follow each other
+    across = np.empty((2 * window, 4, values))
+    listed = across.ravel()
+    for row in range(x.shape[0]):
+        moments_of_row(x[row], y[row], moments[0], moments[1], moments[2], moments[3])
+        for kind in range(4):
+            weighted_sum(moments[kind], channels, weights, across[row % window, kind])
+        across[row % window + window] = across[row % window]
+        if row < window - 1:
+            continue
+        first = (row + 1) % window
+        for kind in range(4):
+            weighted_sum(listed[(4 * first + kind) * values :], 4 * values, weights, means[kind])
+        factors_of_row(means, c1, c2, luminance[row - window + 1], structure[row - window + 1])
+
+
+@compiled_inside
+def moments_of_row(x: Floats, y: Floats, first: Floats, second: Floats, squares: Floats, product: Floats) -> None:
+    """Put x, y, x^2 + y^2 and x y into the last four."""
+    for i in range(x.size):
+        a, b = x[i], y[i]
+        first[i], second[i] = a, b
+        squares[i], product[i] = a * a + b * b, a * b
+
+
+@compiled_inside
+def weighted_sum(values: Floats, apart: int, weights: Floats, result: Floats) -> None:
+    """Put the sum of eleven values that stand apart by a number, with weights that read alike both ways, into the last.
+
+    Written out, as loops over the eleven are not turned into vector instructions.
+    """
+    n = result.size
+    w0, w1, w2, w3, w4, w5 = weights[0], weights[1], weights[2], weights[3], weights[4], weights[5]
+    v0, v1, v2 = values[:n], values[apart : apart + n], values[2 * apart : 2 * apart + n]
+    v3, v4, v5 = values[3 * apart : 3 * apart + n], values[4 * apart : 4 * apart + n], values[5 * apart : 5 * apart + n]
+    v6, v7, v8 = values[6 * apart : 6 * apart + n], values[7 * apart : 7 * apart + n], values[8 * apart : 8 * apart + n]
+    v9, v10 = values[9 * apart : 9 * apart + n], values[10 * apart : 10 * apart + n]
+    for i in range(n):
+        inner = w5 * v5[i] + w4 * (v4[i] + v6[i]) + w3 * (v3[i] + v7[i])
+        result[i] = inner + w2 * (v2[i] + v8[i]) + w1 * (v1[i] + v9[i]) + w0 * (v0[i] + v10[i])
+
+
+@compiled_inside
+def factors_of_row(means: Floats, c1: float, c2: float, luminance: Floats, structure: Floats) -> None:
+    """Put luminance and structure of windowed x, y, x^2 + y^2 and x y into the last two."""
+    mean_x, mean_y, squares, product = means[0], means[1], means[2], means[3]
+    for i in range(luminance.size):
+        a, b = mean_x[i], mean_y[i]
+        ab, aabb = a * b, a * a + b * b
+        luminance[i] = (2.0 * ab + c1) / (aabb + c1)
+        structure[i] = (2.0 * (product[i] - ab) + c2) / (squares[i] - aabb + c2)
 
 
 @compiled

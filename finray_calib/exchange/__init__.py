@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         parquet_table,
         read_shard,
     )
-    from finray_calib.exchange._mesh_files import PrintFormat, printable_parts, vtu_bytes
+    from finray_calib.exchange._mesh_files import PrintFormat, outline_solid_stl, printable_parts, vtu_bytes
     from finray_calib.exchange._nexus import write_bluesky_documents, write_nexus
     from finray_calib.exchange._nine_dtact import nine_dtact_capture, nine_dtact_prediction
     from finray_calib.exchange._ome_tiff import write_ome_tiff
@@ -103,6 +103,7 @@ __all__ = [
     "led_camera_matrix",
     "nine_dtact_capture",
     "nine_dtact_prediction",
+    "outline_solid_stl",
     "paint_spectra",
     "parquet_table",
     "press_request",

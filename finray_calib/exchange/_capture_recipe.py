@@ -26,6 +26,8 @@ Pattern = Annotated[str, Field(min_length=1, max_length=300)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 Quantity = Annotated[str, Field(min_length=1, max_length=100)] | Positive
 """A number, or the column of a table or the array of an npz file that holds it; ``center[0]`` is an entry of one."""
+OfPress = dict[str, Positive] | Quantity
+"""The same, or a number for each press by its name."""
 Corner = tuple[float, float]
 
 
@@ -157,7 +159,26 @@ class RecipeIndenter(Model):
     diameter_mm: Quantity | None = Field(
         default=None, description="diameter of a ball or cylinder; width of other shapes"
     )
-    depth_mm: Quantity | None = None
+    depth_mm: OfPress | None = Field(
+        default=None, description="from first touch; a number, a column, or a number for each press: { name = 0.5 }"
+    )
+    depth_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the depth")
+    position_mm: OfPress | None = Field(default=None, description="place along the pad, from its base")
+    position_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the position")
+    extruded_mm: Positive | None = Field(
+        default=None,
+        description="height of a straight solid over the hull of the contact's outline, which is written as STL beside "
+        "each capture, for the indenter of a design; its origin is the middle of the picture",
+    )
+
+    @model_validator(mode="after")
+    def _uncertainties_have_a_value(self) -> "RecipeIndenter":
+        for name in ("depth", "position"):
+            if getattr(self, f"{name}_uncertainty_mm") is not None and getattr(self, f"{name}_mm") is None:
+                raise ValueError(f"{name}_uncertainty_mm needs {name}_mm; give it too, or leave the uncertainty out")
+        if self.extruded_mm is not None and self.shape != "mesh":
+            raise ValueError(f'extruded_mm belongs to shape = "mesh", not to a {self.shape}; leave it out')
+        return self
 
 
 class RecipeForce(Model):
@@ -182,6 +203,16 @@ class Recipe(Model):
     indenter: RecipeIndenter
     force: RecipeForce | None = None
     lacks: tuple[MissingPart, ...] = Field(default=(), description="what else the data set lacks")
+
+    @model_validator(mode="after")
+    def _solid_has_an_outline_in_mm(self) -> "Recipe":
+        has_outline = self.contact is not None and self.contact.circle is None and self.contact.search != "circle"
+        if self.indenter.extruded_mm is not None and not (has_outline and self.scale is not None):
+            raise ValueError(
+                "indenter.extruded_mm needs an outline of the contact in mm: give [contact] outline, outline_px or "
+                'search = "outline", and [scale]'
+            )
+        return self
 
 
 def recipe_names() -> tuple[str, ...]:

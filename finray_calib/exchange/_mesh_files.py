@@ -12,12 +12,13 @@ from functools import partial
 from typing import Any, Literal
 from xml.etree import ElementTree as ET
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import FingerDesign, SimulateError
+from data_schemas import FingerDesign, ImportFormatError, SimulateError, TactileCapture
 from sim.mechanics import FingerMesh, Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
-from sim.surface_meshes import Edge, EllipseArc, Face, HollowCylinder, HollowEllipsoid, Plane, Solid
+from sim.surface_meshes import Edge, EllipseArc, Face, HollowCylinder, HollowEllipsoid, Plane, Solid, stl_bytes
 
 PrintFormat = Literal["stl", "step"]
 
@@ -376,3 +377,42 @@ def _fill(piece: ET.Element, section: str, arrays: Mapping[str, NDArray[Any]]) -
         content = np.ascontiguousarray(values).tobytes()
         array = ET.SubElement(parent, "DataArray", attributes)
         array.text = base64.b64encode(np.uint64(len(content)).tobytes() + content).decode("ascii")
+
+
+def outline_solid_stl(capture: TactileCapture, height_mm: float) -> bytes:
+    """Return the straight solid over the hull of a capture's contact outline as an STL file, mm.
+
+    Its axes are those of a design's indenter: x along the picture's columns, z against its rows, y up from the face
+    that touches. Its origin lies in the middle of the picture, so that a design places it where the camera looks:
+    ``indenter.position_mm`` is the pad's middle plus ``camera.along_mm``, and ``indenter.across_mm`` is
+    ``camera.across_mm``.
+
+    Parameters
+    ----------
+    capture
+        With an outline and a scale.
+    height_mm
+        Of the solid.
+
+    Raises
+    ------
+    ImportFormatError
+        The capture has no outline or no scale.
+    """
+    if not capture.contact_outline or capture.mm_per_px is None:
+        raise ImportFormatError(f"{capture.name}: has no outline of its contact in mm; give [contact] and [scale]")
+    places = np.array([(p.column_px, p.row_px) for p in capture.contact_outline], dtype=np.float32)
+    corners = cv2.convexHull(places)[:, 0].astype(np.float64)
+    rows, columns = capture.contact.shape[:2]
+    x, z = capture.mm_per_px * (corners - np.array([columns - 1, rows - 1]) / 2.0).T * np.array([[1.0], [-1.0]])
+    if (x * np.roll(z, -1) - z * np.roll(x, -1)).sum() < 0.0:
+        x, z = x[::-1], z[::-1]
+    n = len(x)
+    vertices = np.concatenate([np.column_stack([x, np.full(n, y), z]) for y in (0.0, height_mm)])
+    fan = np.array([(0, k, k + 1) for k in range(1, n - 1)])
+    after = np.roll(np.arange(n), -1)
+    sides = [(k, k + n, after[k]) for k in range(n)] + [(after[k], k + n, after[k] + n) for k in range(n)]
+    # seen along +y, from below, a turn from x to z is counter-clockwise
+    triangles = np.concatenate([fan, fan[:, ::-1] + n, np.array(sides)])
+    title = f"contact of {capture.name}"[:80].encode("ascii", "replace").decode()
+    return stl_bytes(triangles.astype(np.int64), vertices, title)

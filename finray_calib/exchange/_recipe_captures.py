@@ -5,7 +5,6 @@ which that is so of all presses is refused.
 """
 
 import re
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -25,13 +24,14 @@ from data_schemas import (
     PlaceInImage,
     TactileCapture,
 )
-from data_schemas.storage import files_below, finite_number, folder_at, has_file, read_bytes, read_npy
+from data_schemas.storage import files_below, finite_number, folder_at, has_file, read_npy
 from finray_calib.exchange._ball_presses import MOST_PRESSES, SourcedCircle, read_npz
 from finray_calib.exchange._capture_recipe import (
     PICKLED,
     PRESS,
     LabelTable,
     LeftOutError,
+    OfPress,
     Quantity,
     Recipe,
     label_array,
@@ -40,7 +40,7 @@ from finray_calib.exchange._capture_recipe import (
     pickle_words,
     read_label_table,
 )
-from finray_calib.exchange._render_files import exr_rgb
+from finray_calib.exchange._render_files import exr_rgb, motion_jpeg_frames
 from finray_calib.sensing import contact_distance, find_contact_circle, find_contact_outline
 from rigs.cameras import decoded_picture, read_picture
 
@@ -217,7 +217,6 @@ class _Folder:
     def _unplaced(self, name: str, images: list[Counts], force_n: float | None) -> TactileCapture:
         """Return the capture of contact, no contact and repeat; where the contact is, is not known yet."""
         recipe = self.recipe
-        diameter_mm, depth_mm = (self._of_indenter(name, of) for of in ("diameter_mm", "depth_mm"))
         return TactileCapture(
             name=name,
             contact=images[0],
@@ -229,12 +228,7 @@ class _Folder:
             black_level_dn=0.0,
             exposure_s=None,
             light_angle_deg=None,
-            indenter=IndenterPose(
-                shape=recipe.indenter.shape,
-                radius_mm=None if diameter_mm is None else diameter_mm / 2.0,
-                depth_mm=depth_mm,
-                position_mm=None,
-            ),
+            indenter=self._pose(name),
             contact_circle=None,
             mm_per_px=None if recipe.scale is None else recipe.scale.side_mm,
             source=recipe.what,
@@ -388,10 +382,27 @@ class _Folder:
             )
         return np.asarray(values * source.factor)
 
+    def _pose(self, name: str) -> IndenterPose:
+        """Return what was pressed in, how deep and where."""
+        indenter = self.recipe.indenter
+        diameter_mm, depth_mm, position_mm = (
+            self._of_indenter(name, of) for of in ("diameter_mm", "depth_mm", "position_mm")
+        )
+        return IndenterPose(
+            shape=indenter.shape,
+            radius_mm=None if diameter_mm is None else diameter_mm / 2.0,
+            depth_mm=depth_mm,
+            position_mm=position_mm,
+            depth_uncertainty_mm=None if depth_mm is None else indenter.depth_uncertainty_mm,
+            position_uncertainty_mm=None if position_mm is None else indenter.position_uncertainty_mm,
+        )
+
     def _of_indenter(self, name: str, what: str) -> float | None:
-        """Return diameter or depth of the indenter."""
+        """Return diameter, depth or position of the indenter."""
         indenter, contact = self.recipe.indenter, self.recipe.contact
-        value: Quantity | None = getattr(indenter, what)
+        value: OfPress | None = getattr(indenter, what)
+        if isinstance(value, dict):
+            return value.get(name)
         if value is None or isinstance(value, float):
             return value
         file, press = indenter.file, indenter.press
@@ -627,41 +638,3 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     surface = np.exp(terms @ np.linalg.lstsq(terms[far], values[far], rcond=None)[0])
     limited = np.clip(np.rint(surface), 0.0, 2**capture.bit_depth - 1).astype(np.uint16)
     return capture.model_copy(update={"no_contact": limited, "no_contact_from": "pixels far from the contact"})
-
-
-LARGEST_VIDEO_BYTES = 512 << 20
-MOST_FRAMES = 20_000
-_HEADER_BYTES = 8
-_DEEPEST_LIST = 6
-_CONVERT = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
-
-
-def motion_jpeg_frames(path: Path) -> list[bytes]:
-    """Return the JPEG bytes of every frame of an AVI file, in order.
-
-    Raises
-    ------
-    ImportFormatError
-        The file is missing, no AVI, its frames are no JPEG pictures, or there are too many.
-    """
-    content = read_bytes(path, "a Motion-JPEG video (AVI)", ImportFormatError, LARGEST_VIDEO_BYTES)
-    if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
-        raise ImportFormatError(f"{path}: is not an AVI video; {_CONVERT}")
-    frames = [part for part in _video_parts(content, 0, len(content), 0) if part]
-    if not frames or len(frames) > MOST_FRAMES:
-        raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
-    if not all(frame.startswith(b"\xff\xd8") for frame in frames):
-        raise ImportFormatError(f"{path}: its frames are not JPEG pictures (Motion JPEG); {_CONVERT}")
-    return frames
-
-
-def _video_parts(content: bytes, at: int, end: int, depth: int) -> Iterator[bytes]:
-    """Return the video chunks between two places; lists are entered, what is cut off is left out."""
-    while at + _HEADER_BYTES <= end:
-        name, size = content[at : at + 4], struct.unpack("<I", content[at + 4 : at + 8])[0]
-        start, stop = at + _HEADER_BYTES, at + _HEADER_BYTES + size
-        if name in (b"RIFF", b"LIST") and depth < _DEEPEST_LIST:
-            yield from _video_parts(content, start + 4, min(stop, end), depth + 1)
-        elif name[2:] in (b"dc", b"db") and stop <= end:
-            yield content[start:stop]
-        at = stop + size % 2

@@ -9,7 +9,8 @@ nothing by itself.
 """
 
 import json
-from collections.abc import Mapping
+import struct
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from data_schemas import ContactCircle, ImportFormatError, Model, Provenance, SimulatedPress, TactileCapture, explain
-from data_schemas.storage import ProductSet, read_json, read_npy, refuse_taken
+from data_schemas.storage import ProductSet, read_bytes, read_json, read_npy, refuse_taken
 from finray_calib.exchange._paint_reradiation import exr_pixels
 from finray_calib.sensing import contact_distance, outline_distance
 from rigs.cameras import read_picture
@@ -427,3 +428,41 @@ def _counts_png(counts: NDArray[np.uint16], capture: TactileCapture) -> bytes:
     above = np.maximum(counts.astype(np.int64) - round(capture.black_level_dn), 0)
     image = above.astype(np.uint8 if capture.bit_depth == 8 else np.uint16)
     return cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1].tobytes()
+
+
+LARGEST_VIDEO_BYTES = 512 << 20
+MOST_FRAMES = 20_000
+_HEADER_BYTES = 8
+_DEEPEST_LIST = 6
+_CONVERT = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
+
+
+def motion_jpeg_frames(path: Path) -> list[bytes]:
+    """Return the JPEG bytes of every frame of an AVI file, in order.
+
+    Raises
+    ------
+    ImportFormatError
+        The file is missing, no AVI, its frames are no JPEG pictures, or there are too many.
+    """
+    content = read_bytes(path, "a Motion-JPEG video (AVI)", ImportFormatError, LARGEST_VIDEO_BYTES)
+    if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
+        raise ImportFormatError(f"{path}: is not an AVI video; {_CONVERT}")
+    frames = [part for part in _video_parts(content, 0, len(content), 0) if part]
+    if not frames or len(frames) > MOST_FRAMES:
+        raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
+    if not all(frame.startswith(b"\xff\xd8") for frame in frames):
+        raise ImportFormatError(f"{path}: its frames are not JPEG pictures (Motion JPEG); {_CONVERT}")
+    return frames
+
+
+def _video_parts(content: bytes, at: int, end: int, depth: int) -> Iterator[bytes]:
+    """Return the video chunks between two places; lists are entered, what is cut off is left out."""
+    while at + _HEADER_BYTES <= end:
+        name, size = content[at : at + 4], struct.unpack("<I", content[at + 4 : at + 8])[0]
+        start, stop = at + _HEADER_BYTES, at + _HEADER_BYTES + size
+        if name in (b"RIFF", b"LIST") and depth < _DEEPEST_LIST:
+            yield from _video_parts(content, start + 4, min(stop, end), depth + 1)
+        elif name[2:] in (b"dc", b"db") and stop <= end:
+            yield content[start:stop]
+        at = stop + size % 2

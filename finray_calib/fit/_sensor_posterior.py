@@ -19,7 +19,6 @@ from data_schemas import FitError
 
 Floats = NDArray[np.float64]
 Predict = Callable[[Floats], Floats]
-CHANNELS = 3
 BLOCKS: Final = (24, 16)
 """Along the longer and the shorter side of the pad's picture."""
 _LEAST_BLOCK_PX = 6
@@ -57,12 +56,12 @@ _LEAST_OF_USUAL = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class PictureBlocks:
-    """Means over blocks of several pictures, in the order picture, channel, block.
+    """Means over blocks of several pictures, in the order picture, channel, block; of all channels or some.
 
     Attributes
     ----------
     values, variance
-        (picture, 3, block) means and their known variance.
+        (picture, channel, block) means and their known variance.
     places
         (block, 2) middles, in lengths of the pad's picture.
     averaging
@@ -75,7 +74,7 @@ class PictureBlocks:
     averaging: csr_matrix
 
     def means(self, pictures: Floats) -> Floats:
-        """Return block means (picture, 3, block) of pictures (picture, 3, row, column)."""
+        """Return block means (picture, channel, block) of pictures (picture, channel, row, column)."""
         flat = pictures.reshape(-1, pictures.shape[-2] * pictures.shape[-1])
         return np.asarray((self.averaging @ flat.T).T).reshape(*pictures.shape[:2], -1)
 
@@ -99,11 +98,11 @@ class PictureBlocks:
         order = np.argsort(sizes)[::-1]
         kept = 1 + int(np.searchsorted(np.cumsum(sizes[order]) / sizes.sum(), _KEPT_VARIANCE))
         over_places = vectors[:, order[:kept]] * np.sqrt(sizes[order[:kept]])
-        pictures = len(self.values)
+        pictures, channels = self.values.shape[:2]
         groups = (
-            np.ones((pictures * CHANNELS, 1)),
-            np.tile(np.eye(CHANNELS), (pictures, 1)),
-            np.eye(pictures * CHANNELS),
+            np.ones((pictures * channels, 1)),
+            np.tile(np.eye(channels), (pictures, 1)),
+            np.eye(pictures * channels),
         )
         return np.concatenate(
             [np.sqrt(s) * np.kron(g, over_places) for s, g in zip(_SHARES, groups, strict=True)], axis=1
@@ -186,7 +185,7 @@ class _Tangent:
     """The model about a point, all relative to the picture, as root(pictures) times their mean, then contrasts.
 
     Columns (value, 2 parameters + 2): slopes, residual, slopes of the half differences, half differences. ``seen``
-    (picture, 3, block) is the camera's variance.
+    (picture, channel, block) is the camera's variance.
     """
 
     point: Floats
@@ -194,7 +193,7 @@ class _Tangent:
     seen: Floats
 
     def noise(self, independent_rel: float, blocks_alike: bool = False) -> Floats:
-        """Return the covariance of the channels of each block, (picture, block, 3, 3).
+        """Return the covariance of the channels of each block, (picture, block, channel, channel).
 
         That of the model is told by its half differences (:func:`_noise_of_halves`). An unexplained error of a block
         is taken to be shared by pictures, channels and blocks in the same ratios.
@@ -211,12 +210,12 @@ class _Tangent:
         if blocks_alike:
             by_block = np.ones_like(by_block)
         own = max(independent_rel, 1e-4) ** 2 * unexplained * _correlation(of_model.sum(axis=0))
-        seen = np.moveaxis(self.seen, 1, 2)[..., None] * np.eye(CHANNELS)
+        seen = np.moveaxis(self.seen, 1, 2)[..., None] * np.eye(self.seen.shape[1])
         return np.asarray(seen + by_block[:, None, None] * (of_model + own)[:, None])
 
 
 def _noise_of_halves(halves: Floats) -> tuple[Floats, Floats]:
-    """Return the covariance of channels (picture, 3, 3), and how many times as large that of each block is, (block,).
+    """Return the covariance of channels, (picture, channel, channel), and how much larger that of a block is, (block,).
 
     Pictures that are rendered with common random numbers share most of their noise: it is apart for the mean of the
     pictures and for their contrasts. Channels that see the same light share its noise. Few blocks, where light has
@@ -225,7 +224,7 @@ def _noise_of_halves(halves: Floats) -> tuple[Floats, Floats]:
     Parameters
     ----------
     halves
-        (picture, 3, block) half differences of the model, as mean and contrasts of pictures.
+        (picture, channel, block) half differences of the model, as mean and contrasts of pictures.
     """
     by_picture, by_block = halves.transpose(0, 2, 1), np.ones(halves.shape[2])
     for _ in range(_NOISE_ROUNDS):
@@ -235,7 +234,7 @@ def _noise_of_halves(halves: Floats) -> tuple[Floats, Floats]:
             break
         roots = np.linalg.cholesky(np.array([_correlation(one) for one in covariance]))
         whitened = np.linalg.solve(roots[:, None], (by_picture / spread[:, None])[..., None])
-        by_block = _variances_by_block((whitened**2).mean(axis=(0, 2, 3)), halves.shape[0] * CHANNELS)
+        by_block = _variances_by_block((whitened**2).mean(axis=(0, 2, 3)), halves.shape[0] * halves.shape[1])
     return covariance, by_block
 
 
@@ -267,15 +266,15 @@ def _correlation(covariance: Floats) -> Floats:
     """Return a covariance (3, 3) as correlations, of which each channel keeps a part of its own."""
     spread = np.sqrt(np.diagonal(covariance))
     if not (spread > 0.0).all():
-        return np.eye(CHANNELS)
+        return np.eye(len(covariance))
     correlation = covariance / np.outer(spread, spread)
-    return np.asarray((1.0 - _LEAST_APART) * correlation + _LEAST_APART * np.eye(CHANNELS))
+    return np.asarray((1.0 - _LEAST_APART) * correlation + _LEAST_APART * np.eye(len(covariance)))
 
 
 def _whitened(columns: Floats, noise: Floats) -> Floats:
-    """Return columns (value, k) in units of the noise (picture, block, 3, 3)."""
-    pictures, blocks = noise.shape[:2]
-    by_block = columns.reshape(pictures, CHANNELS, blocks, -1).transpose(0, 2, 1, 3)
+    """Return columns (value, k) in units of the noise (picture, block, channel, channel)."""
+    pictures, blocks, channels = noise.shape[:3]
+    by_block = columns.reshape(pictures, channels, blocks, -1).transpose(0, 2, 1, 3)
     return np.asarray(np.linalg.solve(np.linalg.cholesky(noise), by_block).reshape(columns.shape))
 
 
@@ -449,7 +448,7 @@ def _widening(tangent: _Tangent, features: Floats, pair: tuple[float, float], co
     if pair[0] > 0.0:
         inner = np.eye(features.shape[1]) / pair[0] ** 2 + smooth.T @ smooth
         both = both - smooth @ np.linalg.solve(inner, smooth.T @ both)
-    scores = _scores_by_block(both.reshape(len(tangent.seen), CHANNELS, -1, count + 1), covariance)
+    scores = _scores_by_block(both.reshape(*tangent.seen.shape[:2], -1, count + 1), covariance)
     information = np.linalg.inv(covariance) - (1.0 - _LEAST_INFORMATION) * np.eye(count)
     root = np.linalg.cholesky(0.5 * (information + information.T))
     whitened = np.linalg.solve(root, np.linalg.solve(root, scores.T @ scores).T)
@@ -460,7 +459,7 @@ def _widening(tangent: _Tangent, features: Floats, pair: tuple[float, float], co
 
 
 def _scores_by_block(both: Floats, covariance: Floats) -> Floats:
-    r"""Return slopes of the log likelihood by block, (block, n), of slopes and residual (picture, 3, block, n + 1).
+    r"""Return slopes of the log likelihood, (block, n), of slopes and residual (picture, channel, block, n + 1).
 
     A fit draws the residual of a block to zero by :math:`1 - H, H = X \Sigma X^T`; its size is restored by
     :math:`(1 - H)^{-1/2}`. Source: R. M. Bell, D. F. McCaffrey, Survey Methodology 28 (2002) 169.

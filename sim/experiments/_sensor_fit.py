@@ -115,9 +115,10 @@ def _require_alike(captures: Sequence[TactileCapture]) -> None:
 class PictureModel:
     """Predicts the block means of all pictures from standardised numbers.
 
-    ``mix`` (3, layer) is what each channel sees of each layer by the design, ``exponents`` (number, 3, layer) with what
-    power of a number it grows. ``base`` are the layers of the design (:class:`Layers`); ``slopes`` and ``bends`` hold,
-    by place of a number, how they change to first and second order about ``centre``.
+    ``mix`` (channel, layer) is what each channel sees of each layer by the design, ``exponents`` (number, channel,
+    layer) with what power of a number it grows. ``base`` are the layers of the design (:class:`Layers`); ``slopes`` and
+    ``bends`` hold, by place of a number, how they change to first and second order about ``centre``. ``seen`` are the
+    channels that are fitted, 0 to 2 for red, green and blue: those of ``mix``, ``exponents`` and ``captured``.
     """
 
     numbers: tuple[FreeNumber, ...]
@@ -128,6 +129,7 @@ class PictureModel:
     centre: Floats
     slopes: Mapping[int, Floats]
     bends: Mapping[int, Floats]
+    seen: tuple[int, ...] = (0, 1, 2)
 
     def layers(self, theta: Floats) -> Floats:
         """Return layers at these numbers, (2, picture, layer, row, column)."""
@@ -138,12 +140,12 @@ class PictureModel:
         return pictures
 
     def growth(self, theta: Floats) -> Floats:
-        """Return by how much each layer has grown in each channel, (..., 3, layer), of (..., number)."""
+        """Return by how much each layer has grown in each channel, (..., channel, layer), of (..., number)."""
         logs = np.array([n.u if n.place == "layer" or n.name == GAIN else 0.0 for n in self.numbers])
         return np.asarray(np.exp(np.einsum("...k,kcl->...cl", theta * logs, self.exponents)))
 
     def channels(self, theta: Floats, layers: Floats) -> Floats:
-        """Return block means (2, picture, 3, block) of layers."""
+        """Return block means (2, picture, channel, block) of layers."""
         of = {n.name: float(n.at(theta[k])) for k, n in enumerate(self.numbers) if n.place == "picture"}
         gain = next(n.value for n in self.numbers if n.name == GAIN)
         mixed = np.einsum("cl,...lij->...cij", gain * self.mix * self.growth(theta), layers)
@@ -202,7 +204,9 @@ def fit_sensor(
             f"{pictures.shape[3]} x {pictures.shape[2]} px (of a Bayer picture one for each cell): change "
             "camera.width_px and camera.height_px of the design"
         )
-    model = _model(scene, moving, picture_blocks(pictures, noise, base.on_pad), base)
+    model, dark = _without_dark_channels(
+        _model(scene, moving, picture_blocks(pictures, noise, base.on_pad), base), scene.design.name
+    )
     renders = _Renders(scene, presses, model.numbers, steps)
     model = renders.about(model, np.zeros(len(model.numbers)), base.pictures, np.ones(len(model.numbers)))
     rng, emulator_rel = np.random.default_rng(seed), None
@@ -218,7 +222,7 @@ def fit_sensor(
         model = renders.about(model, at, truth, np.clip(2.0 * posterior.theta.std(axis=0), _SHORTEST_STEP, 1.0))
         posterior = _posterior(model, rng, at)
     steps.done("the fitted numbers")
-    return _record(scene, captures, model, posterior, emulator_rel)
+    return _record(scene, captures, model, posterior, emulator_rel, dark)
 
 
 GAIN: Final = "picture.gain"
@@ -287,7 +291,9 @@ def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeNumber, ..
                 f"--free {name}: powers are always fitted, and so is a press whose capture states the uncertainty of "
                 f"its depth_mm or position_mm; leave it out"
             )
-        stated, origin = design.uncertainty_rel.get(name), design.origin.get(name, "assumed")
+        # of entries of a list the design states one uncertainty and one origin, that of all
+        field = ".".join(part for part in name.split(".") if not part.isdecimal())
+        stated, origin = design.uncertainty_rel.get(field), design.origin.get(field, "assumed")
         u = stated if stated else USUAL_U_REL[origin]
         told = "design: uncertainty_rel" if stated else f"usual for the origin '{origin}': {100 * u:.0f} %"
         unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "1")
@@ -333,6 +339,38 @@ def _model(scene: SensorScene, moving: tuple[FreeNumber, ...], captured: Picture
             "the captured pictures are dark where the design shows the pad: check the camera of the design"
         )
     return replace(model, numbers=tuple(replace(n, value=gain) if n.name == GAIN else n for n in numbers))
+
+
+def _without_dark_channels(model: PictureModel, name: str) -> tuple[PictureModel, tuple[str, ...]]:
+    """Return the model of the channels that hold light, and what to tell of the others.
+
+    Raises
+    ------
+    SimulateError
+        None does.
+    """
+    designed = model.channels(np.zeros(len(model.numbers)), model.base)[0].mean(axis=(0, 2)) > 0.0
+    captured = model.captured.values.mean(axis=(0, 2)) >= _DARK_DN
+    told = tuple(
+        f"the {channel} channel is left out of the fit: "
+        + (f"the captures hold no light in it (mean below {_DARK_DN:g} DN)" if lit else f"{name} has no light in it")
+        + "; what shines in it alone is not determined"
+        for channel, lit, seen in zip(CHANNELS, designed, captured, strict=True)
+        if not (lit and seen)
+    )
+    kept = np.flatnonzero(designed & captured)
+    if not len(kept):
+        raise SimulateError(
+            f"no channel holds light both in the captures and by the design: {'; '.join(told)}; give the lights of the "
+            "design the channels that the camera sees them in (lights.channel), or check the exposure of the captures"
+        )
+    blocks = replace(model.captured, values=model.captured.values[:, kept], variance=model.captured.variance[:, kept])
+    mix, exponents = model.mix[kept], model.exponents[:, kept]
+    return replace(model, captured=blocks, mix=mix, exponents=exponents, seen=tuple(kept.tolist())), told
+
+
+#: A channel of a lower mean holds no light: half of the smallest count.
+_DARK_DN: Final = 0.5
 
 
 def _exponents(scene: SensorScene, mix: Floats, number: FreeNumber) -> Floats:
@@ -430,12 +468,13 @@ def _record(
     model: PictureModel,
     posterior: PicturePosterior,
     emulator_rel: float | None,
+    dark: tuple[str, ...],
 ) -> SensorFit:
     """Return the record of a fit."""
     design, theta = scene.design, posterior.theta
     draws = np.stack([n.at(theta[:, k]) for k, n in enumerate(model.numbers)], axis=-1)
     far = [n.name for k, n in enumerate(model.numbers) if n.name != GAIN and abs(theta[:, k].mean()) > _FAR_SD]
-    notes = [*_NOTES_OF_EVERY_FIT]
+    notes = [*dark, *_NOTES_OF_EVERY_FIT]
     if not posterior.converged:
         notes.append("the search has not converged: give more --samples, or state smaller uncertainties")
     if far:
@@ -486,11 +525,12 @@ def _fitted(number: FreeNumber, theta: Floats, is_noisy: bool) -> FittedNumber:
 
 
 def _brightness(scene: SensorScene, model: PictureModel, theta: Floats) -> tuple[LayerBrightness, ...]:
-    """Return what each layer adds to the channel that sees it best, over the design's."""
+    """Return what each layer adds to the fitted channel that sees it best, over the design's."""
     growth, seen = model.growth(theta), np.argmax(model.mix, axis=0)
     return tuple(
-        LayerBrightness(layer=name, channel=CHANNELS[c], over_design_rel=estimate(growth[:, c, layer]))
+        LayerBrightness(layer=name, channel=CHANNELS[model.seen[c]], over_design_rel=estimate(growth[:, c, layer]))
         for layer, (name, c) in enumerate(zip(scene.layer_names, seen.tolist(), strict=True))
+        if model.mix[c, layer] > 0.0
     )
 
 

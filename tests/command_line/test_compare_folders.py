@@ -198,7 +198,9 @@ def test_two_processes_give_the_numbers_of_one(folders: Path, monkeypatch: pytes
     monkeypatch.setattr(_compare_folders, "_TASK_PAIRS", 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     started: list[Child] = []
-    monkeypatch.setattr(_compare_folders, "Child", lambda imports: started.append(Child(imports)) or started[-1])
+    monkeypatch.setattr(
+        _compare_folders, "Child", lambda *told, **how: started.append(Child(*told, **how)) or started[-1]
+    )
     together = finray(f"{pairs} --out {folders}/n2")
     assert (together.status, len(started)) == (0, 2)
     told = [re.sub(r"(?m)^compare: .*\n", "", outcome.err) for outcome in (together, alone)]
@@ -220,7 +222,7 @@ def test_no_more_processes_are_started_than_the_memory_takes(
     monkeypatch.setattr(_compare_folders, "_LEAST_PAIRS_EACH", 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3})
     started: list[object] = []
-    monkeypatch.setattr(_compare_folders, "Child", lambda imports: started.append(imports) or _Silent())
+    monkeypatch.setattr(_compare_folders, "Child", lambda imports, **_: started.append(imports) or _Silent())
     jobs = [_job(folders, name) for name in ("one", "two", "bgr", "none")]
     with _compare_folders._Workers(None, jobs):  # noqa: SLF001 - nothing is done
         assert len(started) == processes
@@ -352,6 +354,49 @@ def test_the_same_command_continues_after_a_process_ended(
     again = finray(command)
     assert again.status == 0, again.err
     assert "2 of 3 pairs compared" in again.out
+
+
+_KILLED_AT_A_NAME = """
+import os, signal, sys
+from data_schemas.storage import _product_set as storage
+left, give_name = int(sys.argv.pop(1)), storage.give_name
+
+def strike(part, path):
+    global left
+    left -= 1
+    if left < 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    give_name(part, path)
+
+storage.give_name = strike
+from finray_calib.cli.main import main
+sys.argv[0] = "finray"
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("names", [1, 2, 4])
+def test_a_command_that_is_killed_between_two_files_continues_with_the_same_numbers(folders: Path, names: int) -> None:
+    """Two reports of an array file and a record each, then the summary: SIGKILL before each name is given."""
+
+    words = ["compare", f"{folders}/simulated", f"{folders}/captured", "--out"]
+
+    def run(left: int) -> int:
+        command = [sys.executable, "-c", _KILLED_AT_A_NAME, str(left), *words, f"{folders}/out"]
+        return subprocess.run(command, capture_output=True, check=False).returncode
+
+    assert run(names) == -signal.SIGKILL
+    assert len(list((folders / "out").glob("[!.]*.json"))) == names // 2
+    assert run(99) == 0
+    assert finray(" ".join([*words, f"{folders}/whole"])).status == 0
+    names_of = [sorted(path.name for path in (folders / out).iterdir()) for out in ("out", "whole")]
+    assert names_of[0] == names_of[1]
+    for name in ("one", "two"):
+        found, wanted = (
+            read_record(folders / out / f"{name}.photometric-error.json", PhotometricErrorReport)
+            for out in ("out", "whole")
+        )
+        assert found.model_copy(update={"provenance": wanted.provenance}) == wanted
 
 
 def test_a_system_that_tells_no_cores_compares_all_the_same(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:

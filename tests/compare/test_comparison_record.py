@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data_schemas import CompareError
-from finray_calib.compare import DILATED, compare_press
+from finray_calib.compare import DILATED, CheckOptions, compare_checked, compare_press
 from finray_calib.compare import _input_draws as stopping_rule
 from finray_calib.compare._candidate_errors import chromaticity_error, skill_interval
 from finray_calib.compare._comparison_record import ALWAYS_UNKNOWN, COVERS_INPUTS, COVERS_PARTS
@@ -338,3 +338,39 @@ def test_a_channel_that_contact_does_not_change_has_no_skill_of_its_own():
     for row in rows.values():
         assert row.skill_per_channel[0] is None
         assert row.skill_per_channel[1] is not None
+
+
+def test_relative_to_the_captured_rest_a_wrong_light_field_is_not_judged():
+    """Light that falls off otherwise, and other powers: the change by contact is the same, and so is the score."""
+    press = made_up_press()
+    capture = capture_of(press, 200.0)
+    rows, columns = np.mgrid[0:60, 0:80]
+    field = np.stack([1.0 + columns / 80, 0.5 + rows / 60, 3.0 - columns / 80], axis=2)
+    weaker = press.no_contact + 0.7 * (press.contact - press.no_contact)
+    right = press.model_copy(update={"contact": weaker})
+    wrong = right.model_copy(update={n: field * getattr(right, n) for n in ("contact", "no_contact")})
+    options = CheckOptions(relative=True)
+    found, again = (compare_checked(one, capture, 1, options)[0] for one in (right, wrong))
+    # 0.7 of the change leaves 0.3^2 of its energy
+    assert found.headline_skill.estimate == pytest.approx(1.0 - 0.09, abs=0.01)
+    assert again.headline_skill.estimate == pytest.approx(found.headline_skill.estimate, abs=1e-6)
+    assert any("only the change by contact is judged" in note for note in again.notes)
+    absolute = compare_checked(wrong, capture, 1, CheckOptions(despite_mismatch=True))[0]
+    assert absolute.headline_skill.estimate < 0.0
+    blank = wrong.model_copy(update={"contact": wrong.no_contact})
+    assert compare_checked(blank, capture, 1, options)[0].headline_skill.estimate == pytest.approx(0.0, abs=1e-3)
+
+
+def test_relative_noise_of_the_render_is_taken_out_by_its_halves(pair):
+    """A rendered twin has noise in both of its images, and its score hardly changes."""
+    press, capture = pair
+    report, shown = compare_checked(press, capture, 1, CheckOptions(relative=True))
+    assert 0.85 < report.headline_skill.estimate < 1.01
+    rest = capture.no_contact.astype(np.float64) - capture.black_level_dn
+    np.testing.assert_allclose(shown.no_contact, rest, rtol=1e-6)
+
+
+def test_relative_needs_linear_values():
+    press = made_up_press("unknown")
+    with pytest.raises(CompareError, match="--relative: needs linear values on both sides; strip holds unknown"):
+        compare_checked(press, capture_of(press, 2.0, encoding="unknown"), 1, CheckOptions(relative=True))

@@ -13,11 +13,22 @@ import pytest
 from data_schemas import CompareError, ImportFormatError, IndenterPose, PlaceInImage, SimulatedPress, TactileCapture
 from data_schemas.storage import read_record
 from finray_calib.compare import predict_press, teach_table
-from finray_calib.exchange import Recipe, read_by_recipe, read_circles, read_recipe, recipe_names, with_sizes
+from finray_calib.exchange import (
+    Recipe,
+    outline_solid_stl,
+    read_by_recipe,
+    read_circles,
+    read_recipe,
+    recipe_names,
+    with_sizes,
+)
 from finray_calib.exchange._capture_recipe import pickle_words
 from finray_calib.sensing import _contact_place as contact_place
 from finray_calib.sensing import contact_distance, find_contact_circle
 from finray_calib.sensing._contact_place import _coarse
+from sim import read_sensor
+from sim.experiments import pressed_coat
+from sim.mechanics import read_triangles
 from tests.command_line.running import finray, succeed
 from tests.exchange.ball_press_folders import Trap
 from tests.exchange.recipe_folders import (
@@ -52,6 +63,11 @@ file = "rest.png"
 shape = "ball"
 diameter_mm = 4.0
 """
+PRISM = (
+    PICTURES.replace('shape = "ball"\ndiameter_mm = 4.0', 'shape = "mesh"\nextruded_mm = 5.0')
+    + "depth_mm = { a = 0.5, b = 1.0 }\ndepth_uncertainty_mm = 0.05\n[scale]\nmm_per_px = 0.1\n"
+    + "[contact.outline_px]\na = [[20, 10], [60, 20], [40, 50]]\nb = [[20, 10], [60, 20], [40, 50]]\n"
+)
 
 
 def recipe(text):
@@ -323,6 +339,9 @@ def test_what_a_recipe_and_a_folder_contradict_is_told(tmp_path, change, of_cont
         (PICTURES + "[contact]\noutline = ['a']\n", "file: missing"),
         (PICTURES + "[picture]\nsize_px = [100, 100]\n", "corners_px and size_px go together"),
         (PICTURES.replace("shape =", "form ="), "form"),
+        (PICTURES + "depth_uncertainty_mm = 0.1\n", "depth_uncertainty_mm needs depth_mm"),
+        (PICTURES + "extruded_mm = 5.0\n", 'extruded_mm belongs to shape = "mesh", not to a ball'),
+        (PRISM.replace("[scale]\nmm_per_px = 0.1\n", ""), "extruded_mm needs an outline of the contact in mm"),
         (PICTURES.replace("file = \"rest.png\"", "far_pixels = true\nrepeat_file = 'x'"), "repeat_file needs file"),
     ],
 )  # fmt: skip
@@ -529,3 +548,41 @@ def test_an_outline_outside_the_image_has_no_distance(tmp_path):
     ):
         contact_distance(moved)
     assert contact_distance(capture.model_copy(update={"contact_circle": None})) is None
+
+
+def test_a_prism_has_a_depth_of_each_press_and_is_written_as_a_solid(tmp_path):
+    for name in ("a", "b", "rest"):
+        save(tmp_path / f"{name}.png", flat())
+    found = read_by_recipe(tmp_path, recipe(PRISM))
+    poses = [capture.indenter for capture in found.captures.values()]
+    assert [(p.depth_mm, p.depth_uncertainty_mm) for p in poses] == [(0.5, 0.05), (1.0, 0.05)]
+    (tmp_path / "prism.stl").write_bytes(outline_solid_stl(found.captures["a"], 5.0))
+    vertices, triangles = read_triangles(tmp_path / "prism.stl", "a prism")
+    corners = vertices[triangles]
+    volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    # half of |40 x 10, 20 x 40| pixels; positive where facets look outwards
+    assert volume == pytest.approx(0.5 * (40 * 40 - 20 * 10) * 0.01 * 5.0, rel=1e-6)
+    # the picture's middle is the origin, its columns run along x, its rows against z
+    np.testing.assert_allclose(corners[..., 0].min(), (20 - 79.5) * 0.1, rtol=1e-6)
+    np.testing.assert_allclose(corners[..., 2].max(), -(10 - 59.5) * 0.1, rtol=1e-6)
+    np.testing.assert_allclose((corners[..., 1].min(), corners[..., 1].max()), (0.0, 5.0))
+
+
+def test_a_design_presses_that_prism_where_the_picture_shows_it(tmp_path):
+    for name in ("a", "rest"):
+        save(tmp_path / f"{name}.png", flat())
+    capture = read_by_recipe(tmp_path, recipe(PRISM)).captures["a"]
+    (tmp_path / "prism.stl").write_bytes(outline_solid_stl(capture, 5.0))
+    (tmp_path / "d.toml").write_text(
+        'kind = "sensor"\npreset = "gelsight-flat"\nname = "flat"\n[indenter]\nshape = "mesh"\nfile = "prism.stl"\n'
+        "depth_mm = 0.5\nposition_mm = 10.0\n"
+    )
+    coat = pressed_coat(read_sensor(tmp_path / "d.toml"), tmp_path)
+    sunk = coat.rest.height_mm - coat.pressed.height_mm
+    x, z = np.meshgrid(coat.rest.x_mm, coat.rest.z_mm, indexing="ij")
+    # the outline's corners are (20, 10), (60, 20), (40, 50) px: its middle is 40 px, 26.7 px
+    middle = (40 - 79.5) * 0.1, 10.0 - (80 / 3 - 59.5) * 0.1
+    inside = np.hypot(x - middle[0], z - middle[1]) < 0.5
+    np.testing.assert_allclose(sunk[inside], 0.5, atol=1e-3)  # of the contact that the layer is solved for
+    deep = sunk > 0.4
+    assert (x[deep].mean(), z[deep].mean()) == pytest.approx(middle, abs=0.15)

@@ -10,7 +10,7 @@ from data_schemas import FittedNumber, SensorFit, SimulateError, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.fit import PictureBlocks, sample_picture_posterior
 from sim.experiments import fit_sensor, fitted_design
-from tests.simulate.drawn_sensor import COLUMNS, ROWS, DrawnSensor, captured, formula, hidden_sensor
+from tests.simulate.drawn_sensor import COLUMNS, DESIGN, ROWS, DrawnSensor, captured, formula, hidden_sensor
 
 NOISE_REL = 0.05
 FREE = ["pad.thickness_mm"]
@@ -176,3 +176,59 @@ def test_intervals_hold_where_channels_share_noise_and_edges_hold_most_of_it():
         away.append((truth - found.theta.mean(axis=0)) / found.theta.std(axis=0))
     # 120 of them: 1.23 is 3.5 standard errors above 1
     assert np.sqrt(np.mean(np.square(away))) < 1.23
+
+
+def test_a_black_channel_is_left_out_and_the_others_are_fitted():
+    """A sensor of two colours, whose blue sees nothing, loses nothing that red and green tell."""
+    _, capture = hidden_sensor(3, NOISE_REL)
+    whole = fit_sensor(DrawnSensor(noise_rel=NOISE_REL), [capture], FREE, seed=3)
+
+    def black(counts):
+        return np.stack([counts[..., 0], counts[..., 1], np.full_like(counts[..., 2], 64)], axis=-1)
+
+    dark = capture.model_copy(
+        update={n: black(getattr(capture, n)) for n in ("contact", "no_contact", "repeat_no_contact")}
+    )
+    fit = fit_sensor(DrawnSensor(noise_rel=NOISE_REL), [dark], FREE, seed=3)
+    assert any("the blue channel is left out of the fit: the captures hold no light" in note for note in fit.notes)
+    assert of(fit, "lights.2.power_rel").left_of_prior_rel == pytest.approx(1.0, abs=0.1)
+    assert [layer.channel for layer in fit.brightness] == ["red", "green"]
+    # of the gel's thickness two channels tell what three do, within their joint uncertainty
+    two, three = (of(f, "pad.thickness_mm").posterior for f in (fit, whole))
+    assert abs(two.estimate - three.estimate) < 2.0 * np.hypot(two.sd, three.sd)
+    assert of(fit, "pad.thickness_mm").left_of_prior_rel < 0.5
+
+
+def test_a_design_without_light_in_a_channel_leaves_it_out():
+    _, capture = hidden_sensor(3, NOISE_REL)
+    fit = fit_sensor(OneColour(noise_rel=NOISE_REL), [capture], seed=3)
+    left_out = [note for note in fit.notes if "left out of the fit: drawn has no light in it" in note]
+    assert [note.split()[1] for note in left_out] == ["green", "blue"]
+
+
+def test_the_uncertainty_that_a_design_states_of_all_lights_is_that_of_each():
+    design = DESIGN.model_copy(update={"uncertainty_rel": {"lights.distance_mm": 0.3}})
+    fit = fit_sensor(
+        DrawnSensor(design, noise_rel=NOISE_REL), [hidden_sensor(3, NOISE_REL)[1]], ["lights.0.distance_mm"]
+    )
+    prior = of(fit, "lights.0.distance_mm")
+    assert prior.prior_origin == "design: uncertainty_rel"
+    assert prior.prior.high95 / prior.prior.estimate == pytest.approx(np.exp(1.96 * 0.3), rel=0.02)
+
+
+def test_captures_and_design_without_a_common_channel_are_refused():
+    _, capture = hidden_sensor(3, NOISE_REL)
+    images = {n: np.array(getattr(capture, n)) for n in ("contact", "no_contact", "repeat_no_contact")}
+    for image in images.values():
+        image[..., 0] = 64
+        image[::5, ::5, 0] = 65
+    with pytest.raises(SimulateError, match="no channel holds light both in the captures and by the design"):
+        fit_sensor(OneColour(noise_rel=NOISE_REL), [capture.model_copy(update=images)], seed=3)
+
+
+class OneColour(DrawnSensor):
+    """All lights are red."""
+
+    def mix(self, factors):
+        powers = super().mix(factors)
+        return np.stack([powers.sum(axis=0), np.zeros(3), np.zeros(3)])
