@@ -646,9 +646,7 @@ class PaintMap(Record):
         description="region's signal over its family curve; NaN where a filter and channel is not used"
     )
     fitted_pixels: Annotated[int, Field(ge=1)]
-    unusable_pixels: Annotated[int, Field(ge=0)] = Field(
-        description="pixels that are masked, or have too few usable bands"
-    )
+    unusable_pixels: Annotated[int, Field(ge=0)] = Field(description="masked, or with too few usable bands")
     unconverged_pixels: Annotated[int, Field(ge=0)]
     uniformity: dict[MappedQuantity, PaintSpread]
     block_px: Annotated[int, Field(ge=2)] = Field(description="side of a block")

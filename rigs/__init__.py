@@ -2,7 +2,7 @@
 
 ``with open_rig(rig, folder) as opened:`` turns a rig file into a camera, a filter wheel, a laser, a lamp, an operator
 and a clock that keep the protocols of this room, whether they are real, behind a server or simulated. Every exchange
-has a deadline, and what a device says is asked afresh.
+has a deadline, and a device is asked anew instead of remembering its last answer.
 
 Drivers lie in ``cameras``, ``filter_wheels``, ``lights``, ``stages`` and ``load_cells``, one file per make or protocol,
 over the framed exchanges of ``transports``, or in other packages (docs/how-to/write-a-driver.md); ``light_guard`` alone

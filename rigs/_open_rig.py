@@ -160,7 +160,7 @@ def rig_locked(rig: RigFile) -> Iterator[None]:
 
 @contextmanager
 def device_locked(role: str, driver: str, address: str) -> Iterator[None]:
-    """Hold the lock of one device for a ``with`` block; what is no device, such as a folder of images, has none.
+    """Hold the lock of one device for a ``with`` block; a folder of images is no device and has no lock.
 
     Raises
     ------

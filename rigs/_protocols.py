@@ -305,7 +305,7 @@ class Stage(Protocol):
 
 
 def missing_members(device: object, protocol: type) -> tuple[str, ...]:
-    """Return the methods and properties of a protocol that a device lacks; no property of it is asked."""
+    """Return the methods and properties of a protocol that a device lacks; its properties are not read."""
     names = [
         name
         for above in reversed(protocol.__mro__)

@@ -104,7 +104,7 @@ def paint_plan(paint_name: str, camera: CameraSettings | None = None) -> PaintPl
 def camera_plan(
     camera_name: str, camera: CameraSettings | None = None, filter_name: str | None = CAMERA_FILTER
 ) -> CameraPlan:
-    """Return a plan whose region is the middle of the white tile, lit through one filter (none: the wheel is out).
+    """Return a plan whose region is the middle of the white tile, lit through one filter (None: without the wheel).
 
     The filter at 532 nm lets the lamp saturate green first, and red and blue within the longest exposure.
     """

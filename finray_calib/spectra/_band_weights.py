@@ -497,7 +497,7 @@ def lamp_response(optics: Optics, channel_weights: ArrayLike) -> Floats:
 
 
 def extrapolated_shares(optics: Optics) -> Floats:
-    """Return the share of each band's weight over which the response or the lamp holds an end value, (B, 3)."""
+    """Return the share of each band's weight over which the response or the lamp was not measured, (B, 3)."""
     shares = []
     blocked = tuple(band.model_copy(update={"blocking_od": 12.0}) for band in optics.filters)
     for passed in transmissions(optics.model_copy(update={"filters": blocked})):

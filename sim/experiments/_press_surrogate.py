@@ -357,9 +357,7 @@ def teach_surrogate(
     """
     settings, begun = settings or TeachSettings(), time.process_time()
     if settings.presses < FEWEST_PRESSES:
-        raise SimulateError(
-            f"{settings.presses} presses are too few to teach a surrogate; at least {FEWEST_PRESSES} are needed"
-        )
+        raise SimulateError(f"{settings.presses} presses are too few; at least {FEWEST_PRESSES} are needed")
     preset, family = settings.preset or design.mesh.preset, press_family(design)
     condensed = condense_finger(design, preset, settings.threads, progress)
     finger = CondensedFinger(design, preset, condensed)

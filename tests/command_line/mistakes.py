@@ -681,7 +681,7 @@ CASES = (
     Case(
         "too few presses for teaching",
         "simulate teach {tmp}/finger.toml --presses 3",
-        r"finger\.toml: 3 presses are too few to teach a surrogate; at least 20 are needed",
+        r"finger\.toml: 3 presses are too few; at least 20 are needed",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(
