@@ -185,13 +185,12 @@ if TYPE_CHECKING:
         PatchDistance,
         PriorSensitivity,
         PriorShare,
-        PropagatedDraws,
         Reradiation,
         SamplingMethod,
         SessionScatter,
     )
     from data_schemas._lazy_exports import register_record_methods
-    from data_schemas._model import Estimate, Model, Quantity, Record, explain
+    from data_schemas._model import Estimate, Model, PropagatedDraws, Quantity, Record, explain
     from data_schemas._plain_sensor import (
         CHANNELS,
         CameraBelow,
@@ -225,6 +224,7 @@ if TYPE_CHECKING:
     )
     from data_schemas._radiometry import (
         FEWEST_LEVELS,
+        BandFolder,
         BandSignals,
         Bleaching,
         CameraCharacterisation,
@@ -233,13 +233,24 @@ if TYPE_CHECKING:
         ChannelCharacterisation,
         ChannelName,
         Flag,
+        ImageLayout,
+        ImportedCamera,
+        ImportedFilter,
         Optics,
         PhotonTransferCurve,
         PixelSignals,
         Resolvable,
         TiltRatio,
     )
-    from data_schemas._record_text import decimals_for, fixed, interval_text, kind_in_words, needed_kind, significant
+    from data_schemas._record_text import (
+        decimals_for,
+        fixed,
+        interval_text,
+        kind_in_words,
+        needed_kind,
+        percent,
+        significant,
+    )
     from data_schemas._rig import (
         EXCHANGED_FILTERS,
         PRACTICE_FAULTS,
@@ -350,6 +361,7 @@ if TYPE_CHECKING:
         CurveError,
         DecideError,
         DiedError,
+        FieldError,
         FinrayError,
         FitError,
         FrameSizeError,
@@ -398,6 +410,7 @@ __all__ = [
     "Backing",
     "BadFrameError",
     "BandFit",
+    "BandFolder",
     "BandPassFilter",
     "BandResidual",
     "BandSignals",
@@ -479,6 +492,7 @@ __all__ = [
     "ExposureLevel",
     "ExposureS",
     "FamilyResult",
+    "FieldError",
     "Film",
     "FilterProof",
     "FilterUncertaintyNm",
@@ -511,7 +525,10 @@ __all__ = [
     "GelPad",
     "Handshake",
     "HiddenPaint",
+    "ImageLayout",
     "ImportFormatError",
+    "ImportedCamera",
+    "ImportedFilter",
     "ImpossibleFingerError",
     "Indenter",
     "IndenterPose",
@@ -713,6 +730,7 @@ __all__ = [
     "note_renderer",
     "numbers_of",
     "package_version",
+    "percent",
     "plug_ins",
     "practice_fault",
     "provenance",

@@ -1,14 +1,18 @@
 """The base of every model that crosses a file or the command line: frozen, and unknown keys are errors.
 
-With the estimate, one number with its uncertainty, and plain-language explanations of what is wrong with a record.
+With the estimate, one number with its uncertainty, :class:`PropagatedDraws`, what a function of the user makes of
+posterior draws, and plain-language explanations of what is wrong with a record.
 """
 
 import difflib
+import inspect
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
@@ -16,11 +20,12 @@ from pydantic_core import CoreSchema, core_schema
 from data_schemas._lazy_exports import call_record_method
 from data_schemas._provenance import Provenance
 from data_schemas._record_text import array_text, interval_text, record_html, record_text
-from data_schemas.errors import RecordError
+from data_schemas.errors import FieldError, RecordError
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
+Floats = NDArray[np.float64]
 _NUMBERS: Final = {"float", "int"}
 _PLAIN_VALUES: Final = frozenset({float, int, bool, str, type(None)})
 # Where pydantic's schema of a type holds those of its parts.
@@ -46,6 +51,8 @@ def _number(value: Any) -> Any:
     """Refuse what is not a number, although pydantic would make one of it."""
     if isinstance(value, bool | str | bytes):
         raise ValueError(f"must be a number, got {value!r}"[:120])
+    if isinstance(value, Estimate):  # float() would take its median, in whatever unit
+        raise ValueError(f"must be a number, got {value} with its uncertainty; give its .estimate in the field's unit")
     return value
 
 
@@ -56,8 +63,32 @@ class _Size(str):
     __repr__ = str.__str__
 
 
-class Model(BaseModel):
-    """Frozen pydantic model; an unknown or misspelt key is an error, never a silent default."""
+if TYPE_CHECKING:
+    _MadeInPython = BaseModel
+else:
+
+    class _Type(type(BaseModel)):
+        """Says what is wrong with the values of a model that is made in Python as of one that is read from a file."""
+
+        def __call__(cls, *given: Any, **values: Any) -> Any:
+            try:
+                return super().__call__(*given, **values)
+            except ValidationError as refused:
+                told = explain(refused, cls)
+            raise FieldError(told)
+
+    class _MadeInPython(BaseModel, metaclass=_Type):
+        """The same as pydantic's base in all else."""
+
+
+class Model(_MadeInPython):
+    """Frozen pydantic model; an unknown or misspelt key is an error, never a silent default.
+
+    Raises
+    ------
+    FieldError
+        When it is made with a value that is not allowed; the message names field, value and what is allowed.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True)
 
@@ -222,7 +253,8 @@ class Record(Model):
 class Estimate(Model):
     """Posterior summary of one number: median, standard deviation and equal-tailed intervals.
 
-    Its text is the median with the 95 % interval, ``0.231 [0.210, 0.252]``.
+    Its text is the median with the 95 % interval, ``0.231 [0.210, 0.252]``; with a format such as ``f"{yield:.1f}"``
+    each of the three numbers has it. ``float`` returns the median alone.
     """
 
     estimate: float
@@ -238,6 +270,12 @@ class Estimate(Model):
     def __repr__(self) -> str:
         return str(self)
 
+    def __format__(self, form: str) -> str:
+        return f"{self.estimate:{form}} [{self.low95:{form}}, {self.high95:{form}}]" if form else str(self)
+
+    def __float__(self) -> float:
+        return self.estimate
+
 
 class Quantity(Estimate):
     """An estimate with its unit: ``598.1 [586.5, 603.5] nm``."""
@@ -251,6 +289,118 @@ class Quantity(Estimate):
 
     def __str__(self) -> str:
         return interval_text(self.estimate, self.low95, self.high95, self.unit)
+
+    def __format__(self, form: str) -> str:
+        return f"{super().__format__(form)} {self.unit}".strip() if form else str(self)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class PropagatedDraws:
+    """What a function made of each posterior draw.
+
+    Attributes
+    ----------
+    draws
+        (N, ...) what the function returned for draw 1 to N, in its own unit.
+    """
+
+    draws: Floats
+
+    @property
+    def estimate(self) -> Any:
+        """Median over the draws: a number, or an array of the shape that the function returns."""
+        return np.median(self.draws, axis=0)
+
+    @property
+    def sd(self) -> Any:
+        """Standard deviation over the draws, shaped as `estimate`."""
+        return self.draws.std(axis=0, ddof=1)
+
+    @property
+    def low95(self) -> Any:
+        """Lower end of the equal-tailed 95 % interval, shaped as `estimate`."""
+        return np.quantile(self.draws, 0.025, axis=0)
+
+    @property
+    def high95(self) -> Any:
+        """Upper end of the equal-tailed 95 % interval, shaped as `estimate`."""
+        return np.quantile(self.draws, 0.975, axis=0)
+
+    def as_estimate(self) -> Estimate:
+        """Return the summary of a function that returns one number.
+
+        Raises
+        ------
+        RecordError
+            The function returns an array.
+        """
+        if self.draws.ndim != 1:
+            raise RecordError(
+                f"an estimate holds one number, but the function returned arrays of shape {self.draws.shape[1:]}; take "
+                "estimate, sd, low95 and high95, which have that shape"
+            )
+        low95, low68, estimate, high68, high95 = np.quantile(self.draws, [0.025, 0.16, 0.5, 0.84, 0.975])
+        sd = float(self.draws.std(ddof=1))
+        return Estimate(estimate=estimate, sd=sd, low68=low68, high68=high68, low95=low95, high95=high95)
+
+    def __format__(self, form: str) -> str:
+        return format(self.as_estimate(), form) if form else str(self)
+
+    def __float__(self) -> float:
+        return self.as_estimate().estimate
+
+    def __repr__(self) -> str:
+        if self.draws.ndim == 1:
+            return interval_text(float(self.estimate), float(self.low95), float(self.high95))
+        return f"PropagatedDraws: {len(self.draws)} draws of shape {self.draws.shape[1:]}; see estimate, low95, high95"
+
+
+def propagate_draws(draws: Floats, function: Callable[[Floats], ArrayLike]) -> PropagatedDraws:
+    """Call a function once for each draw.
+
+    Parameters
+    ----------
+    draws
+        (N, ...) posterior draws, N at least 2.
+    function
+        Takes one draw; returns a number or an array, of the same shape each time.
+
+    Raises
+    ------
+    RecordError
+        What was given is no function, or it returned different shapes, or what is not a finite number.
+    """
+    if not callable(function):
+        raise RecordError(f"a function of an emission is needed, such as numpy.max, and no {type(function).__name__}")
+    _require_one_argument(function)
+    made = [np.asarray(function(draw)) for draw in draws]
+    shapes = {one.shape for one in made}
+    if len(shapes) != 1 or any(one.dtype.kind not in "fuib" for one in made):
+        found = ", ".join(sorted({f"{one.dtype} of shape {one.shape}" for one in made}))
+        raise RecordError(f"the function must return a number, or an array of one shape, for every draw; not {found}")
+    values = np.array(made, dtype=np.float64)
+    if not np.isfinite(values).all():
+        bad = int((~np.isfinite(values)).reshape(len(values), -1).any(axis=1).sum())
+        raise RecordError(
+            f"the function returned NaN or an infinite value for {bad} of {len(values)} draws, so that no interval can "
+            "be given; make it return a number for every emission, also where a draw is slightly below 0"
+        )
+    return PropagatedDraws(values)
+
+
+def _require_one_argument(function: Callable[[Floats], ArrayLike]) -> None:
+    """Refuse a function that cannot be called with one emission alone."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # compiled functions may have none
+        return
+    try:
+        signature.bind(None)
+    except TypeError:
+        raise RecordError(
+            f"the function takes {signature}, but it is called with one argument, a draw of the emission; give a "
+            "function of one argument, such as lambda emission_per_nm: f(emission_per_nm, wavelength_nm)"
+        ) from None
 
 
 LARGEST_NUMBER_OF_FAULTS = 5

@@ -149,3 +149,8 @@ def significant(value: float, digits: int = 3) -> str:
     if not 1e-4 <= abs(value) < 1e5:
         return f"{value:.{digits - 1}e}"
     return fixed(value, digits - 1 - math.floor(math.log10(abs(value))))
+
+
+def percent(fraction: float) -> str:
+    """Return a fraction as per cent with two significant digits: ``0.34 %``, ``100 %``."""
+    return f"{float(f'{100 * fraction:.2g}'):g} %"

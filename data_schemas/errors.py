@@ -4,6 +4,7 @@ The tree (the command line prints the message and ends with status 2; no traceba
 
     FinrayError
     ├── RecordError            a stored record, plan, rig or design file is not what it must be
+    │   ├── FieldError         a record or design made in Python has a value that is not allowed
     │   ├── NewerSchemaError   written by a newer finray
     │   └── ChecksumError      a stored file was changed or is missing
     ├── ImportFormatError      a foreign file or folder is not in the format it claims
@@ -44,6 +45,10 @@ class FinrayError(Exception):
 
 class RecordError(FinrayError):
     """A stored record, plan, rig or design file is not what it must be."""
+
+
+class FieldError(RecordError, ValueError):
+    """A record, a design or a part of one was made in Python with a value that is not allowed."""
 
 
 class NewerSchemaError(RecordError):

@@ -6,6 +6,7 @@ from typing import Any
 
 from data_schemas import (
     AcceptanceReport,
+    BandFolder,
     BandSignals,
     CameraCharacterisation,
     CameraPlan,
@@ -67,6 +68,7 @@ WRITTEN_BY_PEOPLE: tuple[type[Record], ...] = (
     RigFile,
     TactileRig,
     PaintPlan,
+    BandFolder,
     CameraPlan,
     TactilePlan,
     CheckPlan,

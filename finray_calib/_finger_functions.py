@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import isfinite
@@ -27,18 +27,20 @@ from data_schemas import (
     TactileCapture,
     explain,
     look_like_radians,
-    naming,
     narrow_sweep_text,
 )
-from finray_calib._library import (
+from data_schemas.storage import given_path
+from finray_calib._arguments import (
     NOT_IN_ORDER,
     PathLike,
+    Progress,
     checked_seed,
     digest_of,
     given,
     given_list,
     made,
-    path_of,
+    naming,
+    require_progress,
     require_truths,
 )
 
@@ -49,7 +51,6 @@ if TYPE_CHECKING:
     from sim.mechanics import ContactChoice
     from sim.optics import Preference, RenderLevel
 
-Progress = Callable[[int, int, str], None]
 Paint = PaintCalibration | PathLike
 D = TypeVar("D", FingerDesign, PlainSensor)
 DEFAULT_SAMPLES_PER_PIXEL = 128
@@ -140,7 +141,7 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
 
     if isinstance(given_design, FingerDesign):
         return _Design(_valid(given_design), Path(), [])
-    path = path_of(given_design, "design")
+    path = given_path(given_design, "design")
     if path.name.endswith(SURFACES_SUFFIX):
         return _design_of_surfaces(path)
     if not path.exists() and (os.fspath(given_design) in PRESETS or path.suffix != ".toml"):
@@ -244,6 +245,7 @@ def press_finger(
     from sim.mechanics import PressSettings, press_to_force
     from sim.mechanics import press_as_designed as press
 
+    require_progress(progress)
     _whole("increments", increments, 1)
     _require_options({"contact": contact}, frozenset({"contact"}))
     for name, value, unit in (("force_n", force_n, "N"), ("budget_s", budget_s, "s")):
@@ -300,6 +302,7 @@ def render_press(
     """
     from sim.experiments import simulate_press
 
+    require_progress(progress)
     seed = checked_seed(seed)
     _require_options(options, _OF_A_PRESS)
     rendering = _rendering(seed, options)
@@ -332,6 +335,7 @@ def render_images(
     """
     from sim.experiments import simulate_images
 
+    require_progress(progress)
     seed = checked_seed(seed)
     _require_options(options, _OF_A_PRESS)
     rendering = _rendering(seed, options)
@@ -414,6 +418,7 @@ def fit_sensor(
     """
     from sim.experiments import fit_sensor as fit_scene
 
+    require_progress(progress)
     seed = checked_seed(seed)
     _require_options(options, _OF_A_FIT)
     read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
@@ -454,7 +459,7 @@ def _is_classic(design: FingerDesign | PathLike) -> bool:
 
     if isinstance(design, FingerDesign):
         return False
-    path = path_of(design, "design")
+    path = given_path(design, "design")
     return is_sensor(path) if path.exists() else os.fspath(design) in SENSORS
 
 
@@ -466,7 +471,7 @@ def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainS
         return _valid(sensor), Path(), []
     if isinstance(sensor, FingerDesign):
         raise SimulateError(f"{sensor.name} is a painted finger, and this function takes a classic sensor")
-    path = path_of(sensor, "sensor")
+    path = given_path(sensor, "sensor")
     if not path.exists() and os.fspath(sensor) in SENSORS:
         return preset_sensor(os.fspath(sensor)), Path(), []
     design = read_sensor(path)
@@ -507,6 +512,7 @@ def sweep_light_angle(
     from sim.experiments import light_angle_sweep
     from sim.optics import ProbePaths
 
+    require_progress(progress)
     seed = checked_seed(seed)
     _require_options(options, _OF_A_SWEEP)
     angles_deg = _angles(angles_deg)
@@ -555,14 +561,14 @@ def _scene(
     if "position_mm" in options:
         indenter = found.design.indenter.model_copy(update={"position_mm": options["position_mm"]})
         found = found._replace(design=_valid(found.design.model_copy(update={"indenter": indenter})))
-    if surfaces is None and not isinstance(design, FingerDesign) and Path(design).name.endswith(SURFACES_SUFFIX):
+    if surfaces is None and not isinstance(design, FingerDesign) and os.fspath(design).endswith(SURFACES_SUFFIX):
         surfaces = design
     read = {colour: given(paint, PaintCalibration) for colour, paint in paints.items()}
     calibrations = {colour: paint for colour, (paint, _) in read.items()}
     if not options.get("paints_as_given", False):
         modes_nm = {colour: paint.mode_nm.estimate for colour, paint in calibrations.items()}
         names = {colour: str(paint[1][0]) if paint[1] else paint[0].paint_name for colour, paint in read.items()}
-        require_paints_in_order(modes_nm, names, "paints_as_given=True (--paints-as-given)")
+        require_paints_in_order(modes_nm, names, "paints_as_given=True")
     meshes, mesh_files = (None, []) if surfaces is None else given(surfaces, FingerSurfaces)
     with naming(SimulateError, *found.files[:1]):
         renderer = _renderer(options.get("engine", "auto"))
@@ -618,10 +624,11 @@ def recolour_press(
         raise SimulateError("no change is given: give red and green, camera or white_balance")
     rendered, files = given(press, SimulatedPress)
     paints = {c: given(p, PaintCalibration) for c, p in (("red", red), ("green", green)) if p is not None}
-    response = None if camera is None else read_camera_response(path_of(camera, "camera"))
+    camera_file = None if camera is None else given_path(camera, "camera")
+    response = None if camera_file is None else read_camera_response(camera_file)
     optics = {colour: paint_optics(paint) for colour, (paint, _) in paints.items()}
     digests = {colour: digest_of(paint, read) for colour, (paint, read) in paints.items()}
     with naming(SimulateError, *files):
         shown = recoloured(rendered, optics or None, response, white_balance, digests or None)
     read_files = [*files, *(file for _, read in paints.values() for file in read)]
-    return made(shown, "recolour_press", [*read_files, *([] if camera is None else [Path(camera)])])
+    return made(shown, "recolour_press", [*read_files, *([] if camera_file is None else [camera_file])])

@@ -4,14 +4,12 @@ Those of the finger stand in :mod:`finray_calib._finger_functions`. Where a file
 names it with its SHA-256, so that a stored result can be traced.
 """
 
-import hashlib
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import ValidationError
 
@@ -44,126 +42,28 @@ from data_schemas import (
     SimulatedPress,
     TactileCapture,
     explain,
-    naming,
-    needed_kind,
     provenance,
 )
-from data_schemas.storage import digest_as_read
+from data_schemas.storage import given_path
 from data_schemas.storage import read_record as read_stored
 from data_schemas.storage import write_record as write_stored
+from finray_calib._arguments import (
+    PathLike,
+    Progress,
+    checked_seed,
+    digests_of,
+    given,
+    given_list,
+    made,
+    naming,
+    require_progress,
+    require_truths,
+)
 
 if TYPE_CHECKING:
     from data_schemas import ColourCheckerMatch, SessionScatter
     from finray_calib.lineage import Traced
     from rigs import OpenRig
-
-R = TypeVar("R", bound=Record)
-PathLike = str | os.PathLike[str]
-NOT_IN_ORDER: Final = (str, bytes, Mapping, Set)
-"""What Python can walk through, yet is no list: a text by its characters, a dict and a set in no order of the user."""
-
-
-def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
-    """Return a record that was given as itself or as the path of a stored one, and the files that were read.
-
-    Raises
-    ------
-    RecordError
-        It is neither, of another kind, or cannot be read.
-    """
-    if isinstance(what, kind):
-        return what, []
-    if isinstance(what, str | os.PathLike):
-        path = Path(what)
-        return read_stored(path, kind), [path]
-    raise RecordError(
-        f"{needed_kind(kind.__name__)}, as a {kind.__name__} or the path of a stored one; a {type(what).__name__} was "
-        "given"
-    )
-
-
-def path_of(what: object, argument: str) -> Path:
-    """Return the path that was given as an argument.
-
-    Raises
-    ------
-    RecordError
-        It is no path.
-    """
-    if not isinstance(what, str | os.PathLike):
-        raise RecordError(
-            f"{argument}: the path of a file or folder is needed; what was given is of type {type(what).__name__}"
-        )
-    return Path(what)
-
-
-def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
-    """Return the records and paths of a list that the user gave.
-
-    Raises
-    ------
-    RecordError
-        It is no list, such as a record or a path alone, a dict or a set.
-    """
-    if isinstance(what, (Record, os.PathLike, *NOT_IN_ORDER)) or not isinstance(what, Iterable):
-        raise RecordError(
-            f"{argument}: a list is needed, each a {kind.__name__} or the path of a stored one; a "
-            f"{type(what).__name__} was given"
-        )
-    return list(what)
-
-
-def checked_seed(seed: int) -> int:
-    """Return a seed that the random generators and the record can hold; asked for before any work is done.
-
-    Raises
-    ------
-    RecordError
-        It is not a whole number from 0 to 2^63 - 1.
-    """
-    try:
-        number = -1 if isinstance(seed, bool) else index(seed)
-    except TypeError:
-        number = -1
-    if not 0 <= number < 2**63:
-        raise RecordError(f"seed={seed!r}: a seed is a whole number from 0 to 2^63 - 1; give one, such as 1")
-    return number
-
-
-def require_truths(**options: object) -> None:
-    """Refuse options that are neither true nor false, before any work is done: the text "no" would count as true.
-
-    Raises
-    ------
-    RecordError
-        One is something else; the message names it.
-    """
-    for name, value in options.items():
-        if not isinstance(value, bool) and type(value).__name__ not in ("bool", "bool_"):  # numpy's, not imported here
-            raise RecordError(f"{name}={value!r}: this option is on or off; give True or False")
-
-
-def made(record: R, call: str, inputs: Iterable[Path], seed: int | None = None) -> R:
-    """Return a record with its origin: the function of the library, the files that went in, and the seed."""
-    return record.model_copy(
-        update={"provenance": provenance(f"finray_calib.{call}, from Python", digests_of(inputs), seed)}
-    )
-
-
-def digests_of(paths: Iterable[Path]) -> dict[str, str]:
-    """Return path as given -> SHA-256 of the bytes that were read, of the files that were."""
-    read = {path.as_posix(): digest_as_read(path) for path in paths}
-    return {name: digest for name, digest in read.items() if digest is not None}
-
-
-def digest_of(record: Record, files: list[Path]) -> str:
-    """Return the SHA-256 that stands for a record: of its file, or of its content where it has none."""
-    if files and (digest := digest_as_read(files[0])) is not None:
-        return digest
-    return hashlib.sha256(record.model_dump_json(exclude={"provenance"}).encode()).hexdigest()
-
-
-Progress = Callable[[int, int, str], None]
 
 
 def read_record(path: PathLike) -> Record:
@@ -180,7 +80,7 @@ def read_record(path: PathLike) -> Record:
     from data_schemas.storage import A_RECORD, read_json
     from rigs.capture import SESSION_NAME
 
-    file = path_of(path, "path")
+    file = given_path(path, "path")
     file = file / SESSION_NAME if file.is_dir() else file
     if file.suffix == ".toml":
         raise RecordError(f"{file}: is a TOML file, not a stored record; read a finger's design with finger_design")
@@ -219,7 +119,7 @@ def write_record(record: Record, path: PathLike) -> Path:
     elif not origin.command.endswith(", from Python"):
         command = f"finray_calib.write_record, of what was made by: {origin.command}, from Python"
         origin = provenance(command, origin.input_sha256, origin.seed)
-    return write_stored(record, path_of(path, "path"), origin)
+    return write_stored(record, given_path(path, "path"), origin)
 
 
 def trace_record(path: PathLike) -> "Traced":
@@ -229,7 +129,7 @@ def trace_record(path: PathLike) -> "Traced":
     """
     from finray_calib.lineage import Tracer
 
-    return Tracer().trace(path_of(path, "path"))
+    return Tracer().trace(given_path(path, "path"))
 
 
 @contextmanager
@@ -245,7 +145,7 @@ def open_rig(rig: PathLike) -> "Iterator[OpenRig]":
     from rigs import open_rig as open_devices
     from rigs import rig_locked
 
-    path = path_of(rig, "rig")
+    path = given_path(rig, "rig")
     settings = read_toml(path, RigFile)
     with rig_locked(settings), open_devices(settings, path.parent) as opened:
         yield opened
@@ -275,7 +175,8 @@ def capture_session(
     from rigs.capture import SessionRequest, camera_step, capture_camera_session, capture_paint_session, paint_steps
     from rigs.light_guard import require_outside_layer, safety_lines
 
-    plan_file, rig_file, folder = path_of(plan, "plan"), path_of(rig, "rig"), path_of(out, "out")
+    require_progress(progress)
+    plan_file, rig_file, folder = given_path(plan, "plan"), given_path(rig, "rig"), given_path(out, "out")
     kind = read_toml_tables(plan_file).get("kind", "paint")
     if kind not in ("paint", "camera"):
         raise CaptureError(
@@ -326,7 +227,7 @@ def reduce_session(
     from rigs.capture import SESSION_NAME, read_camera_session, read_frame_of, session_kind
 
     require_truths(accept_repeat=accept_repeat)
-    folder = path_of(session, "session")
+    folder = given_path(session, "session")
     if session_kind(folder) == "paint":
         return _reduced(folder, camera, accept_repeat, None)[0]
     if camera is not None or accept_repeat:
@@ -356,7 +257,7 @@ def reduce_pixels(
         Whether to take every pixel of the frame.
     """
     require_truths(whole_frame=whole_frame, accept_repeat=accept_repeat)
-    pixels = _reduced(path_of(session, "session"), camera, accept_repeat, whole_frame)[1]
+    pixels = _reduced(given_path(session, "session"), camera, accept_repeat, whole_frame)[1]
     if pixels is None:
         raise RadiometryError(f"{session}: gave no signals of pixels, which is a fault of finray; report it")
     return pixels
@@ -386,7 +287,7 @@ def import_bands(folder: PathLike) -> BandSignals:
     """Reduce a folder of another lab's band images, described by its ``bands.toml``, to band signals."""
     from finray_calib.exchange import import_band_folder
 
-    images = path_of(folder, "folder")
+    images = given_path(folder, "folder")
     with naming(RadiometryError, images):
         bands, digests = import_band_folder(images)
     inputs = {(images / name).as_posix(): digest for name, digest in digests.items()}
@@ -446,7 +347,7 @@ def fit_paint(
         discrepancy=PAINT_DISCREPANCY if discrepancy else NO_DISCREPANCY,
         check_by_emcee=check,
     )
-    match = None if room_light is None else _room_light_match(path_of(room_light, "room_light"), signals)
+    match = None if room_light is None else _room_light_match(given_path(room_light, "room_light"), signals)
     with naming(FitError, *files):
         paint = calibrate_paint(signals, seed, options, [other for other, _ in others], match)
     if scatter is not None and isinstance(paint, PaintCalibration):
@@ -455,7 +356,7 @@ def fit_paint(
     if room_light is not None:
         from rigs.capture import SESSION_NAME
 
-        files.append(Path(room_light) / SESSION_NAME)
+        files.append(given_path(room_light, "room_light") / SESSION_NAME)
     return made(paint, "fit_paint", files, seed)
 
 
@@ -584,10 +485,11 @@ def compare_force(
     require_truths(known_first_touch=known_first_touch)
     mechanics, files = given(press, PressMechanics)
     other, read = (None, []) if other_mesh is None else given(other_mesh, PressMechanics)
-    measured = read_force_csv(path_of(force_csv, "force_csv"))
+    force_file = given_path(force_csv, "force_csv")
+    measured = read_force_csv(force_file)
     with naming(CompareError, *files):
         compared = compare(mechanics, measured, np.random.default_rng(seed), not known_first_touch, other)
-    return made(compared, "compare_force", [*files, Path(force_csv), *read], seed)
+    return made(compared, "compare_force", [*files, force_file, *read], seed)
 
 
 def decide_light_angle(

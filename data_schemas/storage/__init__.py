@@ -78,7 +78,15 @@ if TYPE_CHECKING:
         write_manifest,
     )
     from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, write_record
-    from data_schemas.storage._whole_files import lock, refuse_taken, sha256_of, write_bytes, write_whole, write_zip
+    from data_schemas.storage._whole_files import (
+        given_path,
+        lock,
+        refuse_taken,
+        sha256_of,
+        write_bytes,
+        write_whole,
+        write_zip,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -105,6 +113,7 @@ __all__ = [
     "files_in",
     "finite_number",
     "folder_at",
+    "given_path",
     "halogen_lamp",
     "has_file",
     "is_child",

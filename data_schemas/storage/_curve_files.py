@@ -15,9 +15,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from data_schemas import BandPassFilter, CurveError, DonaldsonMatrix, LampSettings, SpectralCurve
+from data_schemas import BandPassFilter, CurveError, DonaldsonMatrix, FieldError, LampSettings, SpectralCurve
 from data_schemas.storage._foreign_files import finite_number, read_csv, read_text
 
 Floats = NDArray[np.float64]
@@ -127,8 +126,8 @@ def _curve(path: Path, name: str, wavelength_nm: Floats, values: Floats) -> Spec
     """Build a curve and report its faults with the name of the file."""
     try:
         return SpectralCurve(name=name, wavelength_nm=wavelength_nm, values=values, source=path.name)
-    except ValidationError as error:
-        raise CurveError(f"{path}: {_first_message(error)}") from None
+    except FieldError as error:
+        raise CurveError(f"{path}: {error}") from None
 
 
 def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
@@ -176,8 +175,8 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
             ),
             source=path.name,
         )
-    except ValidationError as error:
-        raise CurveError(f"{path}: {_first_message(error)}") from None
+    except FieldError as error:
+        raise CurveError(f"{path}: {error}") from None
 
 
 def _require_reflectance(path: Path, emission_nm: Floats, values: Floats) -> None:
@@ -225,11 +224,6 @@ def _diagonal(emission: Floats, excitation: Floats, values: Floats, wavelength_n
     column = np.flatnonzero(excitation == wavelength_nm)
     row = np.flatnonzero(emission == wavelength_nm)
     return float(values[row[0], column[0]]) if len(column) else float("nan")
-
-
-def _first_message(error: ValidationError) -> str:
-    """Return the text of the first fault that pydantic found."""
-    return error.errors()[0]["msg"].removeprefix("Value error, ")
 
 
 SECOND_RADIATION_CONSTANT_NM_K = 1.438776877e7
@@ -296,8 +290,8 @@ def read_light(path: Path) -> SpectralCurve:
         raise CurveError(f"{path}: power_rel must be 0 or more and somewhere above 0; correct or remove the rows")
     try:
         return SpectralCurve(name=path.stem, wavelength_nm=table[:, 0], values=power, source=path.name)
-    except ValidationError as error:
-        raise CurveError(f"{path}: {_first_message(error)}") from None
+    except FieldError as error:
+        raise CurveError(f"{path}: {error}") from None
 
 
 def lamp_curve(lamp: LampSettings, folder: Path) -> SpectralCurve:

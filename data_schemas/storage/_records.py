@@ -416,6 +416,7 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("AcceptanceReport", 8): _as_it_is,
     # uncertainty of band values beside the noise of their frames; before, the same values for every rig
     ("RigFile", 5): _as_it_is,
+    ("BandFolder", 1): _as_it_is,
     ("CaptureSession", 6): _as_it_is,
     ("CameraSession", 6): _as_it_is,
     ("BandSignals", 5): _as_it_is,

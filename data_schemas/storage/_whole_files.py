@@ -32,6 +32,28 @@ LONGEST_NAME_BYTES = 180
 """Of a name within a hidden name; file systems take 255 in all."""
 
 
+def given_path(what: object, argument: str) -> Path:
+    """Return the path that a user gave as an argument; a first part ``~`` is the user's home, as in a shell.
+
+    Raises
+    ------
+    RecordError
+        It is no path, an empty one, or there is no home.
+    """
+    if not isinstance(what, str | os.PathLike) or isinstance(path := os.fspath(what), bytes):
+        raise RecordError(
+            f"{argument}: the path of a file or folder is needed; what was given is of type {type(what).__name__}"
+        )
+    if not path:
+        raise RecordError(f"{argument}: the path is empty; give the name of a file or folder")
+    if Path(path).parts[:1] != ("~",):
+        return Path(path)
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise RecordError(f"{path}: the home folder, ~, is not known here; write the whole path") from None
+
+
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a regular file as it is now; provenance takes that of the bytes that were read instead.
 

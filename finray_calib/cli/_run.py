@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from data_schemas import DiedError, FinrayError, RecordError, SimulateError
 from data_schemas import naming as naming
-from data_schemas.storage import Child, tell
+from data_schemas.storage import Child, given_path, tell
 from finray_calib.cli._output import AS_JSON, QUIET, how_to_speak, leave_to_other_process
 from finray_calib.cli._output import Progress as Progress
 from finray_calib.cli._output import progress_bar as progress_bar
@@ -100,7 +100,7 @@ def _paint_file(text: str) -> tuple[str, Path]:
     colour, separator, file = text.partition("=")
     if not separator or colour not in {"red", "green"} or not file:
         raise argparse.ArgumentTypeError(f"{text!r} must be red=FILE or green=FILE")
-    return colour, Path(file)
+    return colour, given_path(file, "--paint")
 
 
 def paint_files(arguments: argparse.Namespace, without: str = "", dest: str = "paint") -> dict[str, Path]:

@@ -212,9 +212,7 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
 
 def _board(arguments: argparse.Namespace) -> "CharucoBoard":
     """Return the board of the plan or of the options."""
-    from pydantic import ValidationError
-
-    from data_schemas import CharucoBoard, CompareError, TactilePlan, explain
+    from data_schemas import CharucoBoard, CompareError, FieldError, TactilePlan
     from data_schemas.storage import read_toml
 
     given = {name: getattr(arguments, name) for name in ("squares", "square_mm", "marker_mm")}
@@ -241,8 +239,8 @@ def _board(arguments: argparse.Namespace) -> "CharucoBoard":
             marker_mm=given["marker_mm"],
             dictionary=arguments.dictionary,
         )
-    except ValidationError as error:
-        raise CompareError(f"board: {explain(error, CharucoBoard)}") from None
+    except FieldError as error:
+        raise CompareError(f"board: {error}") from None
 
 
 def tolerances(arguments: argparse.Namespace, square_mm: float) -> tuple[float, float, float]:

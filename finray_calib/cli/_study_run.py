@@ -316,9 +316,7 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
 
 def _dataset_plan(arguments: argparse.Namespace) -> "tuple[DatasetPlan, Path | None]":
     """Return what the presses are drawn from, and the file of the design if it is one."""
-    from pydantic import ValidationError
-
-    from data_schemas import DatasetPlan, SimulateError, explain
+    from data_schemas import DatasetPlan, FieldError, SimulateError
     from sim import given_design
 
     design, files, _ = given_design(Path(arguments.design))
@@ -341,8 +339,8 @@ def _dataset_plan(arguments: argparse.Namespace) -> "tuple[DatasetPlan, Path | N
             presses_per_shard=arguments.presses_per_shard,
             seed=arguments.seed,
         )
-    except ValidationError as error:
-        raise SimulateError(f"finray study dataset: {explain(error, DatasetPlan)}") from None
+    except FieldError as error:
+        raise SimulateError(f"finray study dataset: {error}") from None
     return plan, files[0] if files else None
 
 

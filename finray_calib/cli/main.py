@@ -15,8 +15,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from data_schemas import DiedError, FinrayError, system_words
-from data_schemas.storage import OBJECTS_PER_COLLECTION
+from data_schemas import DiedError, FinrayError, RecordError, system_words
+from data_schemas.storage import OBJECTS_PER_COLLECTION, given_path
 from finray_calib.cli import (
     add_bench,
     add_capture,
@@ -176,12 +176,21 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, *given: Any, **options: Any) -> None:
         options["formatter_class"] = _Help
         super().__init__(*given, **options)
+        self.register("type", Path, _path)
 
     def error(self, message: str) -> NoReturn:
         """Print the usage and what is wrong with it, and end with exit status 2."""
         self.print_usage(sys.stderr)
         fail(f"{self.prog}: error: {_with_a_guess(message)} '{self.prog} --help' explains the options")
         raise SystemExit(USER_MISTAKE)
+
+
+def _path(text: str) -> Path:
+    """Parse a path; a shell leaves the ~ of ``--out=~/x`` as it is."""
+    try:
+        return given_path(text, "path")
+    except RecordError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 class _Help(argparse.HelpFormatter):

@@ -206,7 +206,8 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
     if not found.significant:
         return press, [f"{NO_DRIFT}, by the images with {state}: {found}"]
     if not registered:
-        return press, [f"the camera has drifted, as the images with {state} show: {found}; --register moves the render"]
+        seen = f"the camera has drifted, as the images with {state} show: {found}"
+        return press, [f"{seen}; the option 'register' moves the render"]
     return move_press(press, found.to_render), [f"the render was moved, by the images with {state}: {found}"]
 
 
@@ -468,7 +469,7 @@ def monte_carlo(draws: Propagated | None, press: SimulatedPress, inputs: Inputs 
     ]
     left_out += [
         f"the {POSE[name]}: the capture states no uncertainty of it, or the render has no derivative for it "
-        "(--pose-response)"
+        "(option 'pose-response')"
         for name in POSE
         if name not in inputs.pose_names
     ]

@@ -22,6 +22,7 @@ from data_schemas import (
     LightAngleSweep,
     OtherObjective,
     PhotometricErrorReport,
+    percent,
 )
 from finray_calib.decide._capture_errors import UNSTATED_ANGLE_SD_DEG, CaptureErrors, capture_errors, require_one_finger
 from finray_calib.decide._gaussian_process import knowledge_gradient
@@ -590,8 +591,3 @@ def _at(contact: DecidedContact) -> str:
     """Return where the pad is touched."""
     beside = f" and {contact.across_mm:g} mm beside its middle" if contact.across_mm else ""
     return f"{contact.position_mm:g} mm from the base{beside}"
-
-
-def percent(fraction: float) -> str:
-    """Return a fraction as per cent with two significant digits."""
-    return f"{float(f'{100 * fraction:.2g}'):g} %"

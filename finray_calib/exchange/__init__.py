@@ -19,7 +19,7 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.exchange._ball_presses import DATA_PACK, PARAMETERS, read_ball_presses, read_circles, read_taxim
-    from finray_calib.exchange._band_folder import BandFolder, import_band_folder
+    from finray_calib.exchange._band_folder import import_band_folder
     from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
     from finray_calib.exchange._capture_request import PlannedView, capture_request
     from finray_calib.exchange._lab_measurements import calibration_yaml, read_board_picture, read_force_csv
@@ -77,7 +77,6 @@ __all__ = [
     "IMPORT_FORMATS",
     "PAINT_FORMATS",
     "PARAMETERS",
-    "BandFolder",
     "CaptureContainer",
     "ExportOptions",
     "ImportFormat",

@@ -9,41 +9,32 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, model_validator
 
 from data_schemas import (
+    BandFolder,
     BandPassFilter,
     BandSignals,
-    BandUncertainty,
     CameraSettings,
     CaptureSession,
-    ChargeE,
     CurveError,
-    ExposureS,
-    FilterUncertaintyNm,
+    FieldError,
     FilterWheelSettings,
     Frame,
     FrameType,
+    ImageLayout,
+    ImportedCamera,
+    ImportedFilter,
     ImportFormatError,
     LampSettings,
-    LaserSettings,
     LightState,
-    Model,
-    OpticalDensity,
     PaintPlan,
-    Record,
-    RegionOfInterest,
     RigFile,
-    SignalDn,
     SpectralCurve,
     Target,
-    WavelengthNm,
-    WhiteReference,
-    WidthNm,
     coverage_notes,
     digest_of_input,
     half_maximum_nm,
@@ -60,129 +51,6 @@ from data_schemas.storage import (
     tiff_image,
 )
 from finray_calib.radiometry import band_signals, monochrome_bands
-
-Layout = Literal["monochrome", "RGB", "Bayer RGGB", "Bayer BGGR", "Bayer GRBG", "Bayer GBRG"]
-Pattern = Annotated[str, Field(min_length=1, description="file name below the folder; {filter} and * are filled in")]
-ExposurePerFilter = ExposureS | dict[str, ExposureS]
-
-
-class ImportedCamera(Model):
-    """The camera that took the images; values must be proportional to light above the black level."""
-
-    encoding: Literal["linear"] = Field(description="images that went through a gamma or tone curve cannot be reduced")
-    layout: Layout
-    bit_depth: Literal[8, 10, 12, 14, 16]
-    left_aligned_bits: Annotated[int, Field(ge=0, le=8)] = Field(
-        default=0, description="bits by which the values are shifted up in the file (12 bit stored as 16: 4)"
-    )
-    black_level_dn: SignalDn = Field(default=0.0, description="used where no dark frames are given")
-    black_level_uncertainty_dn: SignalDn = 0.5
-    gain_e_per_dn: Annotated[float, Field(gt=0.0, le=1e4, json_schema_extra={"unit": "e/DN"})]
-    read_noise_e: ChargeE
-    response: str = Field(
-        default="assumed",
-        description="CSV: wavelength_nm,red_percent,green_percent,blue_percent, or wavelength_nm,response_percent of a "
-        "monochrome camera; assumed: smooth stand-in curves, flat for a monochrome camera",
-    )
-
-
-class ImportedFilter(Model):
-    """One band-pass filter, by its nominal values or by a measured curve (CSV: wavelength_nm,transmission)."""
-
-    name: Annotated[str, Field(min_length=1)]
-    center_nm: WavelengthNm | None = None
-    fwhm_nm: WidthNm | None = None
-    curve: str | None = None
-    center_uncertainty_nm: FilterUncertaintyNm | None = Field(
-        default=None,
-        description=("standard uncertainty; if it is left out, that of a measured curve or of a catalogue's data"),
-    )
-    fwhm_uncertainty_nm: FilterUncertaintyNm | None = None
-    blocking_od: OpticalDensity = 4.0
-    blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.3
-
-    @model_validator(mode="after")
-    def _known_by_one_way(self) -> "ImportedFilter":
-        nominal = (self.center_nm is not None, self.fwhm_nm is not None)
-        if self.curve is None and not all(nominal):
-            raise ValueError(f"filter {self.name!r} needs center_nm and fwhm_nm, or curve (a CSV file)")
-        if self.curve is not None and any(nominal):
-            raise ValueError(
-                f"filter {self.name!r}: curve and center_nm or fwhm_nm contradict each other; give only one of them"
-            )
-        return self
-
-
-class ImageFiles(Model):
-    """Where the images are: file names below the folder, with {filter} for a filter's name and * for anything."""
-
-    white: Pattern = Field(description="white reference under the lamp, through each filter")
-    reflectance: Pattern = Field(description="paint under the lamp, through each filter")
-    fluorescence: Pattern = Field(description="paint under the laser, through each filter")
-    laser_white: Pattern = Field(description="white reference under the laser, through the excitation filter")
-
-    @model_validator(mode="after")
-    def _filter_is_named(self) -> "ImageFiles":
-        for field in ("white", "reflectance", "fluorescence"):
-            if "{filter}" not in getattr(self, field):
-                raise ValueError(
-                    f"{field} = {getattr(self, field)!r} must contain {{filter}}, which stands for the filter's name"
-                )
-        return self
-
-
-class Exposures(Model):
-    """Exposure times (s): one number, or one per filter by its name; `files` says single files, and wins."""
-
-    white: ExposurePerFilter
-    reflectance: ExposurePerFilter
-    fluorescence: ExposurePerFilter
-    laser_white: ExposureS
-    files: dict[str, ExposureS] = Field(default_factory=dict)
-
-
-class DarkFrames(Model):
-    """Dark frames of one exposure time."""
-
-    exposure_s: ExposureS
-    files: Pattern
-
-
-class BandFolder(Record):
-    """Description of a folder of band images (TOML)."""
-
-    paint_name: Annotated[str, Field(min_length=1)]
-    excitation_filter: str = Field(description="name of the filter that passes the laser line")
-    camera: ImportedCamera
-    region: RegionOfInterest
-    laser: LaserSettings = LaserSettings()
-    lamp: str = Field(
-        default="planck-2856K", description="or a CSV file (wavelength_nm,power_rel) of its relative spectral power"
-    )
-    white_reference: WhiteReference = WhiteReference()
-    band_uncertainty: BandUncertainty = BandUncertainty()
-    filters: Annotated[tuple[ImportedFilter, ...], Field(min_length=1)]
-    files: ImageFiles
-    exposure_s: Exposures
-    darks: tuple[DarkFrames, ...] = ()
-
-    @model_validator(mode="after")
-    def _filters_agree(self) -> "BandFolder":
-        names = [f.name for f in self.filters]
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise ValueError(f"filters: {twice[0]!r} is listed twice; list each filter once")
-        if self.excitation_filter not in names:
-            raise ValueError(
-                f"excitation_filter {self.excitation_filter!r} is not one of the filters ({', '.join(names)})"
-            )
-        for field in ("white", "reflectance", "fluorescence"):
-            times = getattr(self.exposure_s, field)
-            missing = [n for n in names if isinstance(times, dict) and n not in times]
-            if missing:
-                raise ValueError(f"exposure_s.{field}: filter {missing[0]!r} is missing; give a time for each filter")
-        return self
-
 
 Counts = NDArray[np.uint16]
 # Row and column within the 2 x 2 cell where each layout keeps red, the green beside red, the green beside blue, blue.
@@ -265,7 +133,7 @@ def read_image(path: Path, camera: ImportedCamera) -> Counts:
     return _mosaic(counts, camera.layout)
 
 
-def _mosaic(counts: Counts, layout: Layout) -> Counts:
+def _mosaic(counts: Counts, layout: ImageLayout) -> Counts:
     """Return the counts with red, green, green, blue at the sites of an RGGB cell."""
     rows, columns = counts.shape[0] & ~1, counts.shape[1] & ~1
     even = counts[:rows, :columns]
@@ -536,9 +404,8 @@ def wheel_of(folder: Path, description: BandFolder, curves: Mapping[str, Spectra
             _filter(slot, given, curves.get(given.name)) for slot, given in enumerate(description.filters, 1)
         )
         return FilterWheelSettings(filters=filters)
-    except ValidationError as error:
-        fault = error.errors()[0]["msg"].removeprefix("Value error, ")
-        raise CurveError(f"{folder / DESCRIPTION_NAME}, filters: {fault}; are all wavelengths in nm?") from None
+    except FieldError as error:
+        raise CurveError(f"{folder / DESCRIPTION_NAME}, filters: {error}; are all wavelengths in nm?") from None
 
 
 def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> BandPassFilter:
@@ -579,8 +446,8 @@ def _monochrome_response(path: Path) -> SpectralCurve:
         raise CurveError(f"{path}: response_percent must be 0 or more and somewhere above 0")
     try:
         return SpectralCurve(name="monochrome", wavelength_nm=table[:, 0], values=table[:, 1] / 100, source=path.name)
-    except ValidationError as error:
-        raise CurveError(f"{path}: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
+    except FieldError as error:
+        raise CurveError(f"{path}: {error}") from None
 
 
 def lamp_of(folder: Path, description: BandFolder) -> SpectralCurve:

@@ -313,7 +313,7 @@ def fit_families(data: BandData, options: FitOptions, alone: str, rng: np.random
     scores = score_families(posteriors, left_out)
     chosen, why = choose_family(scores)
     if options.family is not None and options.family != chosen:
-        why = f"{options.family}: chosen with --family; without this option it would be {why}"
+        why = f"{options.family}: chosen by the option 'family'; without this option it would be {why}"
     chosen = options.family or chosen
     posterior = posteriors[chosen] if chosen == DEFAULT_FAMILY else fit_family(data, chosen, options, rng)
     return FamilyFits(posteriors, without_discrepancy, scores, chosen, why, posterior)

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from data_schemas import EXTRAPOLATION_UNCERTAINTY_REL, BandSignals, FitError, PaintCalibration
+from data_schemas import EXTRAPOLATION_UNCERTAINTY_REL, BandSignals, FitError, PaintCalibration, percent
 from finray_calib.fit._band_data import BandData, band_data
 from finray_calib.fit._measured_spectra import (
     ScoredSpectra,
@@ -221,13 +221,13 @@ def budget_sources(bands: BandSignals, data: BandData, fitted: ScoredSpectra) ->
                           _root(usual - tile - common)),
         UncertaintySource(SHARED_BY_ALL, f"{100 * shared:.1f} %", "A", _root(common)),
         UncertaintySource("white reference", f"{100 * white:.1f} %", "B", _root(tile)),
-        UncertaintySource("calibration of each filter", f"{100 * data.band_calibration_rel:.2g} %", "B", calibration),
+        UncertaintySource("calibration of each filter", percent(data.band_calibration_rel), "B", calibration),
         UncertaintySource("centres of the filters", f"at most {largest('center_uncertainty_nm'):g} nm", "B", centre),
         UncertaintySource("widths of the filters", f"at most {largest('fwhm_uncertainty_nm'):g} nm", "B", width),
         UncertaintySource("leak of the filters", f"at most {largest('blocking_uncertainty_od'):g} OD", "B", leak),
-        UncertaintySource("camera response", f"{100 * stated.response_rel:.2g} % of each channel", "B",
+        UncertaintySource("camera response", f"{percent(stated.response_rel)} of each channel", "B",
                           _diagonal(response)),
-        UncertaintySource("stray light", f"{100 * stated.stray_light_rel:.2g} % of the brightest filter", "B",
+        UncertaintySource("stray light", f"{percent(stated.stray_light_rel)} of the brightest filter", "B",
                           _diagonal(np.diag(beside) - response)),
         UncertaintySource("colour temperature of the lamp", f"{optics.lamp_temperature_uncertainty_k:g} K", "B", lit),
     )  # fmt: skip

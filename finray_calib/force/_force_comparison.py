@@ -251,7 +251,7 @@ def compare_force(
     if press.motion is not None:
         raise CompareError(
             f"{press.name}: its indenter moved along a path; a loading curve is compared with a press along the pad's "
-            "normal: press again without --path"
+            "normal: press again without a path of the indenter"
         )
     curve = ForceCurve(press.name, press.depth_mm, press.force_n[:, 1])
     measured.check_units(float(curve.depth_mm[-1]), float(curve.force_n.max()))
@@ -279,7 +279,7 @@ def compare_force(
         draws=DRAWS,
         not_included=(
             *inputs.missing,
-            *(("the mesh: give the same press on another mesh (--other-mesh)",) if not mesh.source else ()),
+            *(("the mesh: give the same press on another mesh (option 'other-mesh')",) if not mesh.source else ()),
             *(("the measurement: its CSV states no uncertainty",) if not free.data.any() else ()),
             *((_FIT_MISSES,) if fit_first_touch else ()),
             *_ALWAYS_MISSING,

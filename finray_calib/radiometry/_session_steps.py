@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import Bleaching, CaptureSession, FrameType, RadiometryError
+from data_schemas import Bleaching, CaptureSession, FrameType, RadiometryError, percent
 from finray_calib.radiometry._step_signals import (
     LARGEST_SATURATED_FRACTION,
     DarkLevel,
@@ -365,7 +365,7 @@ def bleaching_note(bleaching: Bleaching) -> str:
     """Say in one sentence what was found and what was done about it."""
     found = (
         f"bleaching through filter {bleaching.filter_name}: {100 * bleaching.loss_per_j:.3g} +- "
-        f"{100 * bleaching.sd_per_j:.2g} % of the emission per joule, over {bleaching.dose_span_j:.3g} J"
+        f"{percent(bleaching.sd_per_j)} of the emission per joule, over {bleaching.dose_span_j:.3g} J"
     )
     if bleaching.resolved:
         return f"{found}; corrected to the first laser frame"

@@ -7,12 +7,18 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
-from data_schemas import LightAngleDecision, LightAngleSweep, PhotometricErrorReport, Provenance, StudyResult
+from data_schemas import (
+    LightAngleDecision,
+    LightAngleSweep,
+    PhotometricErrorReport,
+    Provenance,
+    StudyResult,
+    percent,
+)
 from finray_calib.reports import _comparison_statements as compared
 from finray_calib.reports import _fit_statements as fitted
 from finray_calib.reports._fitted_paint import FittedPaint
 from finray_calib.reports._page import Content, Part
-from finray_calib.reports._plain_text import percent
 
 WORKS: Final = {
     "Andersson et al., 2020": "P. Andersson et al., FLIP: a difference evaluator for alternating images, Proc. ACM "
@@ -83,8 +89,8 @@ def fit_methods(paint: FittedPaint) -> tuple[str, ...]:
         f"{percent(white.uncertainty_rel)}). Dark-subtracted frames were averaged over {bands.region_pixels} pixels; "
         f"{fit.usable_values} of {bands.usable().size} ratios of filter and channel to the white reference entered the "
         f"fit, with relative standard uncertainties of {percent(stated.calibration_rel)} for the calibration of each "
-        f"filter, {percent(stated.response_rel)} for each channel's response and {percent(stated.stray_light_rel)} of "
-        "the brightest filter for stray light."
+        f"filter, {percent(stated.response_rel)} for each channel's response and "
+        f"{percent(stated.stray_light_rel)} of the brightest filter for stray light."
     )
     model = _emission_model(paint)
     rank = "" if fit.diagnostics.chain is None else " Convergence was judged by R-hat (Vehtari et al., 2021)."

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import NO_ADDRESS, CameraPlan, CertificateDetails, CheckPlan, PaintPlan, RigFile
+from data_schemas import NO_ADDRESS, BandFolder, CameraPlan, CertificateDetails, CheckPlan, PaintPlan, RigFile
 from data_schemas._check import CheckLimits
 from data_schemas.storage import read_toml
 from finray_calib.cli.main import build_parser
-from finray_calib.exchange import BandFolder
 from rigs.capture import camera_step, check_filters, paint_steps
 from sim.studies import SHIPPED_PLANS, read_plan, study_points
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from data_schemas import CurveError, FinrayError, ImportFormatError, RecordError
-from finray_calib.exchange import BandFolder, import_band_folder
-from finray_calib.exchange._band_folder import ImportedCamera, read_image
+from data_schemas import BandFolder, CurveError, FinrayError, ImportedCamera, ImportFormatError, RecordError
+from finray_calib.exchange import import_band_folder
+from finray_calib.exchange._band_folder import read_image
 from tests.exchange.band_folders import (
     CENTER_NM,
     EXPOSURE_S,

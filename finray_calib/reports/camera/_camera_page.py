@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CameraCharacterisation, ChannelCharacterisation, Estimate, Resolvable
+from data_schemas import CameraCharacterisation, ChannelCharacterisation, Estimate, Resolvable, significant
 from finray_calib.radiometry import sensitivity_threshold_e
 from finray_calib.reports import (
     CHANNELS,
@@ -285,7 +285,7 @@ def _levels(channel: ChannelCharacterisation) -> ReportTable:
     rows = [
         (f"{1e3 * curve.exposure_s[i]:.4g}", f"{curve.mean_dn[i]:.2f}", f"{curve.variance_dn2[i]:.3f}",
          f"{curve.dark_mean_dn[i]:.2f}", f"{curve.dark_variance_dn2[i]:.3f}",
-         f"{100 * curve.saturated_fraction[i]:.2g}", "yes" if curve.in_line[i] else "no")
+         significant(100 * float(curve.saturated_fraction[i]), 2), "yes" if curve.in_line[i] else "no")
         for i in range(len(curve.exposure_s))
     ]  # fmt: skip
     columns = ("exposure (ms)", "mean (DN)", "variance (DN\u00b2)", "dark mean (DN)", "dark variance (DN\u00b2)",

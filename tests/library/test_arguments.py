@@ -1,0 +1,147 @@
+"""What the functions of the library take: paths from home, progress, numbers with uncertainty, words of Python."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import finray_calib as finray
+from data_schemas import BandPassFilter, DecideError, FieldError, Quantity, RecordError, percent
+from data_schemas.storage import given_path
+from finray_calib._arguments import _ARGUMENTS
+from tests.command_line.records import sweep
+from tests.command_line.running import finray as run_verb
+from tests.command_line.running import succeed
+
+ROOMS = Path(finray.__file__).parent
+LIBRARY_ROOMS = ("radiometry", "spectra", "fit", "sensing", "force", "compare", "decide")
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
+NOT_FROM_THE_LIBRARY = {
+    "--number": "'finray design filters'",
+    "--no-discrepancy": "budgets by source, of 'finray certificate'",
+    "--scale": "'finray sense teach'",
+    "--contact-depth-mm": "'finray sense teach'",
+    "--circles": "'finray sense teach'",
+    "--pairs": "'finray compare' with folders",
+    "--sensitivities": "named as a command, 'finray simulate press --sensitivities'",
+    **dict.fromkeys(("--metadata", "--shutter", "--gain", "--awbgains", "--raw"), "rpicam-still"),
+}
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_path_from_home_is_the_same_for_reading_and_writing(home):
+    assert finray.write_record(sweep(), "~/sweep.json") == home / "sweep.json"
+    assert finray.read_record("~/sweep.json").name == sweep().name
+    decision = finray.decide_light_angle("~/sweep.json")
+    assert set(decision.provenance.input_sha256) == {f"{home}/sweep.json"}
+    assert decision.plot().save("~/decision.svg") == home / "decision.svg"
+    succeed("decide ~/sweep.json --out=~/verb.json")
+    found = {path.name for path in home.iterdir()}
+    assert found >= {"decision.svg", "sweep.json", "verb.json"}
+    assert "~" not in found
+
+
+def test_names_that_only_begin_with_a_tilde_stay(home):
+    (home / "~").mkdir()
+    assert given_path("~$sweep.json", "path") == Path("~$sweep.json")
+    assert given_path(Path("here/~/x"), "path") == Path("here/~/x")
+
+
+def test_what_is_no_path_is_refused_by_its_argument(home):
+    for wrong in (3, None, b"sweep.json", sweep()):
+        with pytest.raises(RecordError, match="path: the path of a file or folder is needed; what was given is of"):
+            sweep().plot().save(wrong)
+    with pytest.raises(RecordError, match="path: the path is empty; give the name of a file or folder"):
+        finray.write_record(sweep(), "")
+    assert "path: the path is empty" in run_verb("decide '' --out x.json").err
+
+
+def test_progress_that_cannot_be_called_is_refused_before_the_work(lab, paint, tmp_path):
+    finger, paints = lab / "finger.toml", {"red": paint, "green": paint}
+    calls = (
+        lambda: finray.capture_session(lab / "plan.toml", lab / "rig.toml", tmp_path / "s", progress=3),
+        lambda: finray.press_finger(finger, progress=3),
+        lambda: finray.render_press(finger, **paints, progress=3),
+        lambda: finray.render_images(finger, **paints, progress=3),
+        lambda: finray.sweep_light_angle(finger, [0, 30, 60, 90], **paints, progress=3),
+        lambda: finray.fit_sensor(finger, [], progress=3),
+    )
+    for call in calls:
+        with pytest.raises(RecordError, match=r"progress=3: a function of three arguments is needed \(parts done,"):
+            call()
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_number_with_its_uncertainty_can_be_formatted_and_taken_alone(paint):
+    mode_nm = paint.mode_nm
+    assert f"{mode_nm:.1f}" == f"{mode_nm.estimate:.1f} [{mode_nm.low95:.1f}, {mode_nm.high95:.1f}] nm"
+    assert f"{mode_nm}" == str(mode_nm)
+    assert float(mode_nm) == mode_nm.estimate
+    brightness = paint.propagate(np.max)
+    assert float(brightness) == brightness.estimate
+    assert f"{brightness:.3f}" == f"{brightness.estimate:.3f} [{brightness.low95:.3f}, {brightness.high95:.3f}]"
+
+
+def test_a_number_with_its_uncertainty_is_no_number_of_a_design(paint):
+    """Its median would be taken in whatever unit it has."""
+    with pytest.raises(FieldError, match=r"'center_nm' \(in nm\): must be a number, got .* nm with its uncertainty"):
+        BandPassFilter(name="600", slot=1, center_nm=paint.mode_nm, fwhm_nm=10.0)
+    assert isinstance(paint.mode_nm, Quantity)
+
+
+def test_a_function_of_two_arguments_is_refused_with_a_remedy(paint):
+    with pytest.raises(RecordError, match=r"takes \(a, b\), but it is called with one argument, .*; give a"):
+        paint.propagate(lambda a, b: a @ b)
+    assert paint.propagate(lambda a, b=2.0: b * a.max()).estimate > 0.0
+    assert paint.propagate(np.max).estimate > 0.0
+
+
+def test_a_wrong_value_is_told_as_in_a_file(tmp_path):
+    design = finray.finger_design()
+    values = design.model_dump()
+    values["pad"]["thickness_mm"] = -1.0
+    with pytest.raises(
+        FieldError, match=r"^'pad\.thickness_mm' \(in mm\): must be above 0, got -1\.0; correct it"
+    ) as told:
+        finray.FingerDesign(**values)
+    assert isinstance(told.value, finray.FinrayError)
+    assert isinstance(told.value, ValueError)
+    (tmp_path / "d.toml").write_text('preset = "flat-70x35"\n[pad]\nthickness_mm = -1.0\n')
+    with pytest.raises(RecordError, match=re.escape(str(told.value))):
+        finray.finger_design(tmp_path / "d.toml")
+    with pytest.raises(FieldError, match="'tickness_mm': unknown key; did you mean 'thickness_mm'"):
+        type(design.pad)(**{**design.pad.model_dump(), "tickness_mm": 3.0})
+
+
+def test_errors_of_the_library_name_arguments():
+    twice = [sweep(), sweep()]
+    with pytest.raises(DecideError, match="Give each sweep once, and its weight by weights"):
+        finray.decide_light_angle(twice)
+    with pytest.raises(DecideError, match=r"simulate them with all_objectives=True, .* \(aim='brightness'\)"):
+        finray.decide_light_angle(sweep(), aim="normal")
+
+
+def test_every_option_that_an_error_of_the_rooms_names_has_its_argument():
+    named = {
+        option
+        for room in LIBRARY_ROOMS
+        for path in (ROOMS / room).glob("*.py")
+        for option in OPTION.findall(path.read_text(encoding="utf-8"))
+    }
+    known = {option for text in _ARGUMENTS for option in OPTION.findall(text)}
+    assert named - known == set(NOT_FROM_THE_LIBRARY)
+    assert known - named - {"--paint", "--family"} == set()
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"), [(0.0034, "0.34 %"), (0.0001, "0.01 %"), (1.0, "100 %"), (0.003, "0.3 %"), (0.126, "13 %")]
+)
+def test_a_fraction_is_told_with_two_significant_digits(fraction, text):
+    assert percent(fraction) == text
