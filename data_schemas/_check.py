@@ -15,14 +15,7 @@ from data_schemas._capture import (
 )
 from data_schemas._model import Model, Record
 from data_schemas._rig import DeviceIdentity, ForceN, IsoDay, RigFile
-from data_schemas._units import (
-    DurationS,
-    ExposureS,
-    Fraction,
-    PositionMm,
-    Seed,
-    SignalDn,
-)
+from data_schemas._units import DurationS, ExposureS, Fraction, PositionMm, Seed, SignalDn
 
 CheckVerdict = Literal["PASS", "FAIL", "UNDECIDED", "ERROR"]
 LightLayer = Literal["block", "guard", "dead-man"]
@@ -70,8 +63,7 @@ class CheckLimits(AnswerLimits):
         default=2.0, description="largest difference of the dark level from black_level_dn of the rig file"
     )
     read_noise_rel: LimitRel = Field(
-        default=0.25,
-        description="largest difference of the read noise from read_noise_e of the rig file, relative to it",
+        default=0.25, description="largest difference of the read noise from read_noise_e, relative to it"
     )
     dark_rate_dn_per_s: RateDnPerS = Field(
         default=2.0, description="largest growth of the dark level with the exposure: dark current and leaking light"
@@ -118,10 +110,8 @@ class CheckPlan(Record):
     )
     texture_is_of_the_tile: bool = Field(
         default=False,
-        description=(
-            "a printed pattern with far more contrast than dust and stains is in view, so that a shift of the "
-            "picture can be seen; false: the check does not judge whether it stays in place"
-        ),
+        description="a printed pattern with far more contrast than dust and stains is in view, so that a shift of the "
+        "picture can be seen; false: the check does not judge whether it stays in place",
     )
     darks_per_exposure: Annotated[int, Field(ge=2, le=100)] = 6
     longest_dark_s: ExposureS = Field(default=1.0, description="exposure of the longest dark frames")
@@ -155,7 +145,10 @@ class CheckPlan(Record):
 
 
 class PressLimits(AnswerLimits):
-    """Largest allowed values of a rig that presses; a check passes when its value is inside with 95 % confidence."""
+    """Largest allowed values of a rig that presses; a check passes when its value is inside with 95 % confidence.
+
+    Names without a section are those of the rig file.
+    """
 
     calibration_age_days: Annotated[float, Field(gt=0.0, le=3660.0, json_schema_extra={"unit": "d"})] = Field(
         default=365.0, description="largest age of the load cell's calibration: a year, as is usual in laboratories"
@@ -165,24 +158,20 @@ class PressLimits(AnswerLimits):
         description="largest deviation of the calibration from its straight line, relative to its heaviest mass",
     )
     cell_noise_rel: LimitRel = Field(
-        default=0.0125,
-        description="largest noise of a reading, relative to force_limit_n of the rig file; a session refuses more",
+        default=0.0125, description="largest noise of a reading, relative to force_limit_n; a session refuses more"
     )
     cell_drift_rel: LimitRel = Field(
         default=0.02,
-        description="largest change of the zero at rest, relative to force_limit_n of the rig file: a fifth of what "
-        "ends a session",
+        description="largest change of the zero at rest, relative to force_limit_n: a fifth of what ends a session",
     )
     zero_return_rel: LimitRel = Field(
-        default=0.02,
-        description="largest change of the cell's zero by a press, relative to force_limit_n of the rig file",
+        default=0.02, description="largest change of the cell's zero by a press, relative to force_limit_n"
     )
     cell_gap_s: PositiveS = Field(
         default=0.25, description="longest time between two readings: half of the usual silent_s of a rig file"
     )
     cell_rate_rel: LimitRel = Field(
-        default=0.2,
-        description="largest difference of the readings a second from rate_hz of the rig file, relative to that",
+        default=0.2, description="largest difference of the readings a second from rate_hz, relative to that"
     )
     stage_overhead_s: PositiveS = Field(
         default=1.0, description="longest time that a move takes beyond its distance over its speed"
@@ -191,9 +180,7 @@ class PressLimits(AnswerLimits):
         default=0.01, description="largest distance of the reported position from the one that was asked for"
     )
     touch_repeat_mm: StageMm = Field(
-        default=0.05,
-        description="largest standard deviation of touch positions over all returns, and largest shift of the touch "
-        "by stops",
+        default=0.05, description="largest standard deviation of touches over returns, and shift of a touch by stops"
     )
     backlash_mm: StageMm = Field(
         default=0.05,

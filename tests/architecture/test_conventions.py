@@ -63,6 +63,7 @@ EXCEPTIONS = {
     **dict.fromkeys(("mean_square", "variance"), "of values of any unit, in its square"),
     **dict.fromkeys(("p", "pooled_above", "risk"), "probability"),
     "size_pt": "points, as matplotlib counts",
+    "laser_white": "stands below exposure_s of bands.toml, in s",
     **dict.fromkeys(("focus", "best_focus"), "squared gradient over squared signal"),
     **dict.fromkeys(("snr", "least_snr"), "signal over its noise"),
     "half_width": "of an interval, in the unit of its value",
