@@ -23,10 +23,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 from scipy.spatial import ConvexHull
 
-from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
+from data_schemas import FieldError, FingerDesign, NoEquilibriumError, SimulateError
 from sim import PRESETS, preset_design
 from sim.mechanics import PressedFinger, PressSettings, press_as_designed, press_finger, rigid_indenter
 from sim.surface_meshes import stl_bytes
@@ -49,7 +48,7 @@ def random_design(seed: int, folder: Path = Path()) -> FingerDesign:
 
     Raises
     ------
-    ValidationError
+    FieldError
         When numbers do not go together.
     """
     rng = np.random.default_rng(seed)
@@ -195,7 +194,7 @@ def measure_path(seed: int, budget_s: float) -> dict[str, Any]:
         pressed = press_as_designed(random_path(seed), PressSettings("coarse", budget_s=budget_s), progress=told)
     except NoEquilibriumError as stuck:
         found |= {"class": "no first increment", "why": str(stuck)}
-    except (SimulateError, ValidationError) as refused:
+    except (SimulateError, FieldError) as refused:
         found |= {"class": "refused before the solve", "why": " ".join(str(refused).split())}
     else:
         kind = "passes through itself" if pressed.crossing else UNSTABLE if pressed.unstable else "converged"
@@ -247,7 +246,7 @@ def measure(seed: int, budget_s: float) -> dict[str, Any]:
             penetration = most_penetration_mm(design, pressed, Path(made))
     except NoEquilibriumError as stuck:
         found |= {"class": "no first increment", "why": str(stuck)}
-    except (SimulateError, ValidationError) as refused:
+    except (SimulateError, FieldError) as refused:
         found |= {"class": "refused before the solve", "why": " ".join(str(refused).split())}
     else:
         push, force = np.append(0.0, pressed.depth_mm), np.append(0.0, pressed.force_n[:, 1])
