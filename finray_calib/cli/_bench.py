@@ -98,8 +98,10 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
     _store(out, presses, arguments.seed)
     listed = _pairs_csv(out, presses, folder)
     scores = out / "scores"
-    options = {"pairs": listed, "out": scores, "seed": arguments.seed, "register": False, "despite_mismatch": False}
-    compare_folders(argparse.Namespace(**options, normal_map=None, scale=None))
+    options = dict.fromkeys(("register", "despite_mismatch", "relative"), False)
+    compare_folders(
+        argparse.Namespace(**options, pairs=listed, out=scores, seed=arguments.seed, normal_map=None, scale=None)
+    )
     batch = read_record(scores / SUMMARY, ComparisonBatch)
     row = _row(arguments, batch, captures, taught, seconds, numbers)
     with ProductSet(out / ROW) as products:

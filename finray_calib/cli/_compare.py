@@ -185,9 +185,11 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
         raise CompareError(
             "--force compares one record with a CSV: give NAME.mechanics.json, no CAPTURE and no --pairs"
         )
-    if arguments.register or arguments.despite_mismatch or arguments.normal_map is not None or arguments.metric:
+    of_images = (arguments.register, arguments.despite_mismatch, arguments.relative, arguments.metric)
+    if any(of_images) or arguments.normal_map is not None:
         raise CompareError(
-            "--force: --register, --despite-mismatch, --normal-map and --metric belong to images; leave them out"
+            "--force: --register, --despite-mismatch, --relative, --normal-map and --metric belong to images; leave "
+            "them out"
         )
 
     import numpy as np
