@@ -150,9 +150,9 @@ def _captures(place: Path) -> "tuple[Path, dict[str, TactileCapture]]":
     from data_schemas import CompareError, TactileCapture
     from data_schemas.storage import files_in, folder_at, read_record
 
-    folder = folder_at(place, CompareError) or place
-    if not folder.is_dir():
+    if not place.exists():
         raise CompareError(f"{place}: no such folder; give the folder that 'finray import captures' wrote")
+    folder = folder_at(place, CompareError) or place
     files = files_in(folder, CAPTURE)
     read = {file.name.removesuffix(CAPTURE): read_record(file, TactileCapture) for file in files}
     known = {n: c for n, c in read.items() if c.contact_circle is not None or c.contact_outline is not None}
