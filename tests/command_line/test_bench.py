@@ -97,7 +97,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
     [
         ("set --teach 7", "--teach 7: must be 1 to 4: there are 5 presses, and those"),
         ("set --teach 2 --simulator mine", "--simulator NAME and --command WORDS go together; give both"),
-        ("nowhere", "nowhere: holds 0 captures that state where their contact is; at least 2 are needed"),
+        ("nowhere", "nowhere: no such folder; give the folder"),
         (
             "set --teach 2 --simulator mine --command 'no-such-program {judge}'",
             "--command: no-such-program cannot be run",
