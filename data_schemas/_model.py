@@ -51,7 +51,7 @@ def _number(value: Any) -> Any:
     """Refuse what is not a number, although pydantic would make one of it."""
     if isinstance(value, bool | str | bytes):
         raise ValueError(f"must be a number, got {value!r}"[:120])
-    if isinstance(value, Estimate):  # float() would take its median, in whatever unit
+    if isinstance(value, Estimate | PropagatedDraws):  # float() would take the median, in whatever unit
         raise ValueError(f"must be a number, got {value} with its uncertainty; give its .estimate in the field's unit")
     return value
 

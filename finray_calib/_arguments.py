@@ -6,6 +6,7 @@ names the argument of the function in place of the option.
 
 import hashlib
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
 from operator import index
@@ -156,7 +157,8 @@ def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
     except FinrayError as error:
         told = str(error)
         for option, argument in _ARGUMENTS.items():
-            told = told.replace(option, argument)
+            # an option as a word, not as a part of a path or of a longer option
+            told = re.sub(rf"(?<![\w./-]){re.escape(option)}(?![\w/-])", argument, told)
         if told == str(error):
             raise
         raise type(error)(told) from None

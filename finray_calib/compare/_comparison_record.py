@@ -144,6 +144,11 @@ def _checked(
     press: SimulatedPress, capture: TactileCapture, seed: int, chosen: CheckOptions
 ) -> tuple[PhotometricErrorReport, SimulatedPress, Nuisances | None]:
     """Return the report, the press where it was compared, and curve and gains, where they are known."""
+    if chosen.relative and chosen.registered:
+        raise CompareError(
+            "--relative puts the capture's own image without contact in the place of the render's, so that --register "
+            "finds no drift; leave one of both out"
+        )
     # before the images: a press elsewhere looks like another exposure
     require_same_conditions(press, capture)
     if chosen.relative:

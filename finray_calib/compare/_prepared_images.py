@@ -183,7 +183,8 @@ def relative_press(press: SimulatedPress, capture: TactileCapture) -> SimulatedP
 
 RELATIVE = (
     "compared relative to the capture's own image without contact, which stands in the place of the render's: only the "
-    "change by contact is judged, and not the level, colours and shading of the render without contact"
+    "change by contact is judged, and not the level, colours and shading of the render without contact. The noise of "
+    "that image stays in the error, so that scores are somewhat low, and a render without touch scores below 0"
 )
 
 

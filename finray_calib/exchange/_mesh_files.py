@@ -397,12 +397,16 @@ def outline_solid_stl(capture: TactileCapture, height_mm: float) -> bytes:
     Raises
     ------
     ImportFormatError
-        The capture has no outline or no scale.
+        The capture has no outline or no scale, or the outline lies on one line.
     """
     if not capture.contact_outline or capture.mm_per_px is None:
         raise ImportFormatError(f"{capture.name}: has no outline of its contact in mm; give [contact] and [scale]")
     places = np.array([(p.column_px, p.row_px) for p in capture.contact_outline], dtype=np.float32)
     corners = cv2.convexHull(places)[:, 0].astype(np.float64)
+    if len(corners) < 3:
+        raise ImportFormatError(
+            f"{capture.name}: the outline of its contact lies on one line; give three corners or more"
+        )
     rows, columns = capture.contact.shape[:2]
     x, z = capture.mm_per_px * (corners - np.array([columns - 1, rows - 1]) / 2.0).T * np.array([[1.0], [-1.0]])
     if (x * np.roll(z, -1) - z * np.roll(x, -1)).sum() < 0.0:

@@ -370,6 +370,12 @@ def test_relative_noise_of_the_render_is_taken_out_by_its_halves(pair):
     np.testing.assert_allclose(shown.no_contact, rest, rtol=1e-6)
 
 
+def test_relative_says_that_it_cannot_be_registered():
+    press = made_up_press()
+    with pytest.raises(CompareError, match="--register finds no drift; leave one of both out"):
+        compare_checked(press, capture_of(press, 200.0), 1, CheckOptions(registered=True, relative=True))
+
+
 def test_relative_needs_linear_values():
     press = made_up_press("unknown")
     with pytest.raises(CompareError, match="--relative: needs linear values on both sides; strip holds unknown"):

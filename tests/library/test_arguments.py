@@ -94,6 +94,8 @@ def test_a_number_with_its_uncertainty_is_no_number_of_a_design(paint):
     with pytest.raises(FieldError, match=r"'center_nm' \(in nm\): must be a number, got .* nm with its uncertainty"):
         BandPassFilter(name="600", slot=1, center_nm=paint.mode_nm, fwhm_nm=10.0)
     assert isinstance(paint.mode_nm, Quantity)
+    with pytest.raises(FieldError, match=r"'center_nm' \(in nm\): must be a number, got .* with its uncertainty"):
+        BandPassFilter(name="600", slot=1, center_nm=paint.propagate(np.max), fwhm_nm=10.0)
 
 
 def test_a_function_of_two_arguments_is_refused_with_a_remedy(paint):
@@ -118,6 +120,12 @@ def test_a_wrong_value_is_told_as_in_a_file(tmp_path):
         finray.finger_design(tmp_path / "d.toml")
     with pytest.raises(FieldError, match="'tickness_mm': unknown key; did you mean 'thickness_mm'"):
         type(design.pad)(**{**design.pad.model_dump(), "tickness_mm": 3.0})
+
+
+def test_a_path_that_holds_an_option_is_told_as_it_is(tmp_path):
+    place = tmp_path / "run--weights" / "x--samples.json"
+    with pytest.raises(RecordError, match=re.escape(str(place))):
+        finray.fit_paint(place)
 
 
 def test_errors_of_the_library_name_arguments():
