@@ -241,9 +241,12 @@ class ForceGauge:
                 "up, fasten it, then resume"
             )
 
-    def mean(self, readings: int = STEP_READINGS) -> Force:
-        """Return the mean of readings that the amplifier's filter has forgotten the past in."""
-        self.settle(self.reading_n)
+    def mean(self, readings: int = STEP_READINGS, watch: Callable[[], object] | None = None) -> Force:
+        """Return the mean of readings that the amplifier's filter has forgotten the past in.
+
+        What watches moves, as :func:`rigs.capture._stage_press.StagePress.guard`, takes the readings before them.
+        """
+        self.settle(watch or self.reading_n)
         mean_n = float(np.mean([self.reading_n() for _ in range(readings)]))
         noise_n = math.hypot(mean_noise_n(self.noise_n, readings), mean_noise_n(self.noise_n, self._zero_readings))
         return Force(mean_n, noise_n)
@@ -260,12 +263,12 @@ class ForceGauge:
         noise_n = mean_noise_n(self.noise_n, STEP_READINGS)
         return max(followed_n, 0.0) + FOLLOWED_SD * noise_n if followed_n else 0.0
 
-    def settled(self) -> Force:
+    def settled(self, watch: Callable[[], object] | None = None) -> Force:
         """Return the force when two means in a row agree, or after the longest wait that the rig file allows."""
-        before = self.mean()
+        before = self.mean(watch=watch)
         rounds = int(self._settings.settle_s * self._settings.rate_hz / (STEP_READINGS + SETTLING_READINGS))
         for _ in range(max(rounds, 1)):
-            now = self.mean()
+            now = self.mean(watch=watch)
             if abs(now.mean_n - before.mean_n) <= 3.0 * math.sqrt(2.0) * mean_noise_n(self.noise_n, STEP_READINGS):
                 return now
             before = now

@@ -394,7 +394,7 @@ class StagePress:
         absorbed_n = self.gauge.absorbed_n()
         touched = _Touched(contact, above_mm, 0.0, [(above_mm, force)], press, force, absorbed_n)
         self._push(touched, limit_n)
-        touched.before = self.gauge.settled()
+        touched.before = self.gauge.settled(self.guard(limit_n))
         self._note("force", contact=contact, force_n=touched.before.mean_n, before="images")
         self._now = touched
 
@@ -426,7 +426,7 @@ class StagePress:
         self.gauge.tare()
         for at_mm in self.steps(back_mm, stage.touch_step_mm):
             self.press_to(at_mm, watch)
-            force = self.gauge.mean()
+            force = self.gauge.mean(watch=watch)
             if abs(force.mean_n) > TOUCH_SD * force.noise_n and self._is_touched():
                 if force.mean_n < 0.0:
                     raise CaptureError(
@@ -478,7 +478,7 @@ class StagePress:
                 break
             at_mm = next(self.steps(at_mm, step_mm))
             self.press_to(at_mm, watch)
-            touched.points.append((at_mm, self.gauge.mean()))
+            touched.points.append((at_mm, self.gauge.mean(watch=watch)))
             if len(touched.points) <= FIRST_POINTS:
                 self._place_touch(touched)
                 self._require_seen(touched)

@@ -225,13 +225,19 @@ def press_derivatives(
     Raises
     ------
     SimulateError
-        When the press is not by the penalty, has friction, or an increment of it is about to snap.
+        When the press is not by the penalty, has friction or contact between the finger's parts, or an increment of it
+        is about to snap.
     """
     settings = settings or PressSettings()
     if pressed.kind != "penalty" or pressed.motion is not None or design.indenter.friction > 0.0:
         raise SimulateError(
             "derivatives need a press by the penalty along the pad's normal, without friction, because with "
             "friction or a path the force depends on earlier increments; take differences of whole presses"
+        )
+    if pressed.parts_touch:
+        raise SimulateError(
+            "derivatives do not hold contact between the parts of a finger, which acted in this press; press less "
+            "deep, or take differences of whole presses"
         )
     base = _Base(design, pressed.mesh, settings, folder)
     sides: dict[str, tuple[_Side, _Side]] = {}

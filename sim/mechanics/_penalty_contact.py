@@ -7,7 +7,7 @@ freely. Where parts of the finger meet, a barrier keeps them apart.
 import math
 from copy import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import scipy.sparse as sp
@@ -614,6 +614,7 @@ class SlidingPress(SlidingTouch):
         return self.supports
 
 
+PARTS_KEPT_APART: Final = "parts of the finger keep apart by a barrier"
 # parts of a press this shallow have met in none that was tried; where they do, it begins again with the barrier
 _SHALLOW_MM = 2.0
 
@@ -639,8 +640,7 @@ class PartsContact:
         if not self._watched or pushed_mm <= _SHALLOW_MM:
             return ""
         if self._contact is None:
-            # here, because it cannot be imported where the library does not run
-            from sim.mechanics._barrier_contact import finger_parts_contact
+            from sim.mechanics._barrier_contact import finger_parts_contact  # the library runs here
 
             self._contact = finger_parts_contact(self._design, self._mesh, self._threads)
             # the increments before are no equilibria of it; a press that is continued has had it, as it is stored
@@ -667,4 +667,4 @@ class PartsContact:
         if self._contact is None or not self._since:
             return of_penalty
         pairs, before = self._contact.pairs_of_parts(u), of_penalty.removesuffix(_NOT_OF_RIBS)
-        return f"{before}; parts of the finger keep apart by a barrier and touch at {pairs} pairs ({self._since})"
+        return f"{before}; {PARTS_KEPT_APART} and touch at {pairs} pairs ({self._since})"

@@ -23,7 +23,13 @@ from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import material_of
 from sim.mechanics._mesh import FingerMesh, OwnSurfaces
 from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports
-from sim.mechanics._penalty_contact import PartsContact, PenaltyPress, SlidingPress, penalty_mpa_per_mm
+from sim.mechanics._penalty_contact import (
+    PARTS_KEPT_APART,
+    PartsContact,
+    PenaltyPress,
+    SlidingPress,
+    penalty_mpa_per_mm,
+)
 
 if TYPE_CHECKING:
     from sim.mechanics._barrier_contact import Barrier
@@ -213,6 +219,11 @@ class PressedFinger:
     crossing: str = ""
     motion: "ContactMotion | None" = None
     unstable: str = ""
+
+    @property
+    def parts_touch(self) -> bool:
+        """Whether contact of the finger's parts among themselves acted beside the penalty of the indenter."""
+        return self.kind == "penalty" and PARTS_KEPT_APART in self.contact
 
 
 class PressHistory:

@@ -2,11 +2,13 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,8 +27,9 @@ from data_schemas import (
     provenance,
 )
 from data_schemas.storage import read_record, read_toml, write_record
-from rigs import ForceLimitError, RawFrame, SystemClock, write_tactile_rig
+from rigs import CellReading, ForceLimitError, RawFrame, SystemClock, write_tactile_rig
 from rigs.capture import SessionRequest, capture_tactile_session, read_journal
+from rigs.simulated import SimulatedLoadCell
 from tests.capture.drivers.press_bench import N_PER_COUNT, PressBench, press_bench
 from tests.command_line.running import finray
 
@@ -65,6 +68,31 @@ def session(folder: Path):
 
 def events(folder: Path, name: str) -> list[dict[str, object]]:
     return [line for line in read_journal(folder / "s") if line["event"] == name]
+
+
+FILTER, LATE = 4, 2
+
+
+def test_a_last_step_that_leads_beyond_the_limit_ends_the_press(practice, monkeypatch):
+    """An HX711 shows the mean of four conversions, and late: the last step shows its force only after it ended."""
+    kept: dict[int, deque[CellReading]] = {}
+    ideal = SimulatedLoadCell.read
+
+    def read(cell, deadline_s):
+        readings = kept.setdefault(id(cell), deque(maxlen=FILTER + LATE))
+        readings.append(ideal(cell, deadline_s))
+        shown = list(readings)[:FILTER]
+        return CellReading(round(sum(one.counts for one in shown) / len(shown)), shown[-1].at_s)
+
+    monkeypatch.setattr(SimulatedLoadCell, "read", read)
+    changed(
+        practice, "rig-presses.toml", ("until_force_n = 1.0 ", "# "), ("force_limit_n = 2.0", "force_limit_n = 4.0")
+    )
+    outcome = session(practice)
+    assert outcome.status == 2
+    (stopped,) = events(practice, "stage stopped")
+    assert re.search(r"stopped at 4\.0\d N, beyond the limit of 4 N", stopped["why"])
+    assert [press["contact"] for press in events(practice, "press")] == [1]
 
 
 def test_session_runs_by_itself(practice):
