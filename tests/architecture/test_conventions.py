@@ -65,6 +65,7 @@ EXCEPTIONS = {
     "size_pt": "points, as matplotlib counts",
     **dict.fromkeys(("focus", "best_focus"), "squared gradient over squared signal"),
     **dict.fromkeys(("snr", "least_snr"), "signal over its noise"),
+    "laser_white": "a key of the table exposure_s of bands.toml, whose name is the unit",
     "half_width": "of an interval, in the unit of its value",
     "p_within_5deg": "probability",
     **dict.fromkeys(("blanks_above", "false_alarm"), "share of blanks"),

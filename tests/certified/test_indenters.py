@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from data_schemas import FingerDesign, GelPad, Indenter, SimulateError
+from data_schemas import FieldError, FingerDesign, GelPad, Indenter, SimulateError
 from sim import preset_design
 from sim.mechanics import (
     Cylinder,
@@ -172,16 +171,16 @@ def test_a_file_beside_the_pad_is_refused(tmp_path):
         ({"shape": "mesh"}, "file is missing"),
         ({"shape": "ball", "file": "a.stl"}, "file is given for a ball"),
         ({"shape": "cuboid", "size_mm": (9.0, 1.0, 9.0)}, "edge_radius_mm = 1 mm must be at most half"),
-        ({"friction": -0.1}, "greater than or equal to 0"),
+        ({"friction": -0.1}, "must be at least 0"),
     ],
 )
 def test_incomplete_indenters_are_refused(wanted, message):
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(FieldError, match=message):
         Indenter(**wanted)
 
 
 def test_an_indenter_beside_the_pad_is_refused():
-    with pytest.raises(ValidationError, match=r"across_mm = 18 mm must lie on the pad"):
+    with pytest.raises(FieldError, match=r"across_mm = 18 mm must lie on the pad"):
         FingerDesign(indenter=Indenter(across_mm=18.0))
 
 

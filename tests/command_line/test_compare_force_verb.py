@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
-from data_schemas import FingerDesign, ForceComparison, PressMechanics, provenance
+from data_schemas import FieldError, FingerDesign, ForceComparison, PressMechanics, provenance
 from data_schemas.storage import read_record, write_record
 from sim import design_toml
 from tests.command_line.running import finray, succeed
@@ -68,7 +67,7 @@ def test_stated_uncertainties_survive_the_file_of_a_design() -> None:
     written = tomllib.loads(design_toml(design))
     assert written.pop("schema_version") == FingerDesign.schema_version
     assert FingerDesign.model_validate(written) == design
-    with pytest.raises(ValidationError, match=r"'mechanics\.gel\.c10' is not a field of the design; did you mean"):
+    with pytest.raises(FieldError, match=r"'mechanics\.gel\.c10' is not a field of the design; did you mean"):
         FingerDesign(uncertainty_rel={"mechanics.gel.c10": 0.1})
 
 

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from data_schemas import ArraySpec, CurveError, Model, SpectralCurve, require_coverage
+from data_schemas import ArraySpec, CurveError, FieldError, Model, SpectralCurve, require_coverage
 from data_schemas.storage import read_camera_response, read_donaldson_matrix
 
 
@@ -28,14 +27,14 @@ class Table(Model):
     ],
 )
 def test_array_that_is_not_what_it_must_be(values, message):
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(FieldError, match=message):
         Table(values=values)
 
 
 def test_integers_are_not_rounded_silently():
-    with pytest.raises(ValidationError, match="do not fit into uint16"):
+    with pytest.raises(FieldError, match="do not fit into uint16"):
         Table(values=np.ones((1, 3)), counts=np.array([1.5]))
-    with pytest.raises(ValidationError, match="do not fit into uint16"):
+    with pytest.raises(FieldError, match="do not fit into uint16"):
         Table(values=np.ones((1, 3)), counts=np.array([70000]))
 
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from data_schemas import (
     BandPassFilter,
     CurveError,
+    FieldError,
     LaserSettings,
     Optics,
     RecordError,
@@ -92,7 +92,7 @@ def test_other_curves_must_cover_the_measured_band_not_the_nominal_one():
     ],
 )
 def test_record_refuses_a_curve_too_few_or_too_many(curve: str | None, curves: dict[str, SpectralCurve], message: str):
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(FieldError, match=message):
         Optics(
             filters=(band(curve=curve),),
             excitation_filter="600",

@@ -1,12 +1,12 @@
 """The design of a classic sensor: what it refuses, what has no effect, and the file that is written of it."""
 
 import pytest
-from pydantic import ValidationError
 
 from data_schemas import (
     CameraBelow,
     CoatSurface,
     ColouredLight,
+    FieldError,
     FingerDesign,
     LightPanel,
     PlainSensor,
@@ -135,7 +135,7 @@ def test_refusals_of_files(tmp_path, text, error, message):
     ],
 )  # fmt: skip
 def test_refusals_of_values(make, message):
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(FieldError, match=message):
         make()
 
 

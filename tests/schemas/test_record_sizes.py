@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from data_schemas import LightAngleSweep, PaintCalibration, Record, SimulatedPress, TactileCapture
+from data_schemas import FieldError, LightAngleSweep, PaintCalibration, Record, SimulatedPress, TactileCapture
 from tests.command_line.records import press, sweep
 from tests.documentation.example_records import example_results
 from tests.schemas.test_storage import capture
@@ -31,7 +31,7 @@ def test_consistent_record_is_accepted(record):
     ],
 )
 def test_bayer_capture(shape, message):
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(FieldError, match=message):
         capture(np.ones(shape, np.uint16))
 
 

@@ -5,12 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from benchmarks.random_presses import random_design
 from data_schemas import (
     Backing,
     ElasticSolid,
+    FieldError,
     Film,
     FingerDesign,
     GelPad,
@@ -357,9 +357,9 @@ def test_origins_mark_what_the_paper_gives():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: Skeleton(rib_thickness_mm=0.0012), "rib_thickness_mm\n.*in metres: write 1.2"),
-        (lambda: Skeleton(flange_mm=1500.0), "flange_mm\n.*in micrometres: write 1.5"),
-        (lambda: Skeleton(rib_width_mm=100.0), "rib_width_mm\n.*outside 0.2 to 20 mm \\["),
+        (lambda: Skeleton(rib_thickness_mm=0.0012), "'rib_thickness_mm' .*in metres: write 1.2"),
+        (lambda: Skeleton(flange_mm=1500.0), "'flange_mm' .*in micrometres: write 1.5"),
+        (lambda: Skeleton(rib_width_mm=100.0), "'rib_width_mm' .*outside 0.2 to 20 mm, got"),
         (lambda: Skeleton(rib_thickness_mm=2.0, rib_spacing_mm=2.0), "rib_spacing_mm = 2 mm makes the ribs overlap"),
         (
             lambda: Skeleton(rib_thickness_mm=2.0, rib_spacing_mm=3.0, rib_angle_deg=60.0),
@@ -369,7 +369,7 @@ def test_origins_mark_what_the_paper_gives():
         (lambda: NeoHookeSolid(c10_mpa=133.3), "in kPa: write 0.1333"),
         (lambda: NeoHookeSolid(c10_mpa=133300.0), "in Pa: write 0.1333"),
         (lambda: ElasticSolid(youngs_modulus_mpa=2.1, poisson_ratio=0.38), "in GPa: write 2100"),
-        (lambda: ElasticSolid(youngs_modulus_mpa=2100.0, poisson_ratio=0.5), "less than 0.5"),
+        (lambda: ElasticSolid(youngs_modulus_mpa=2100.0, poisson_ratio=0.5), "must be below 0.5"),
         (lambda: OgdenSolid(mu_mpa=(6.0,), alpha=(1.6, 2.0)), "one value per term"),
         (
             lambda: OgdenSolid(mu_mpa=(5.231, -5.848), alpha=(1.6663, -7.136)),
@@ -383,7 +383,7 @@ def test_origins_mark_what_the_paper_gives():
     ],
 )
 def test_impossible_numbers_are_refused_in_the_design(build, message):
-    with pytest.raises(ValidationError, match=f"(?s){message}"):
+    with pytest.raises(FieldError, match=f"(?s){message}"):
         build()
 
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
-from data_schemas import CameraCalibration, FinrayError, ImportFormatError, SimulateError
+from data_schemas import CameraCalibration, FieldError, FinrayError, ImportFormatError, SimulateError
 from sim.optics import read_calibration
 from sim.optics._calibrated_camera import camera_matrix_of, opencv_sensor, ray_table, rays_of_pixels
 from sim.optics._renderer import LLVM_VARIANT
@@ -220,7 +219,7 @@ def test_errors_name_file_and_field(tmp_path):
         path.write_text(text)
         with pytest.raises(ImportFormatError, match=f"text.yaml: {message}"):
             read_calibration(path)
-    with pytest.raises(ValidationError, match="0, 4, 5, 8, 12 or 14 coefficients, got 3"):
+    with pytest.raises(FieldError, match="0, 4, 5, 8, 12 or 14 coefficients, got 3"):
         calibration(distortion=(0.0,) * 3)
 
 

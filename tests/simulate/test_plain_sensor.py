@@ -2,10 +2,19 @@
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy.stats import t as student_t
 
-from data_schemas import CHANNELS, CameraBelow, ColouredLight, Film, GelPad, Indenter, PlainSensor, SimulateError
+from data_schemas import (
+    CHANNELS,
+    CameraBelow,
+    ColouredLight,
+    FieldError,
+    Film,
+    GelPad,
+    Indenter,
+    PlainSensor,
+    SimulateError,
+)
 from sim.optics import plain_sensor_integrator, plain_sensor_scene, render_plain_sensor
 from sim.optics._plain_sensor import light_frame
 
@@ -118,10 +127,10 @@ def test_refusals(scalar):
     narrow = PlainSensor(lights=(ColouredLight(channel="red", beam_exponent=4.0),))
     with pytest.raises(SimulateError, match=r"lights\.beam_exponent: scalar_rgb renders Lambertian lights only"):
         render_plain_sensor(narrow, scalar, samples_per_pixel=2)
-    with pytest.raises(ValidationError, match=r"it must be more than 1\.53 mm"):
+    with pytest.raises(FieldError, match=r"it must be more than 1\.53 mm"):
         ColouredLight(channel="red", depth_mm=1.0)
     deep = PlainSensor(indenter=BALL.model_copy(update={"depth_mm": 5.0}))
     with pytest.raises(SimulateError, match="goes through the pad"):
         plain_sensor_scene(deep, scalar)
-    with pytest.raises(ValidationError, match="must lie on the pad"):
+    with pytest.raises(FieldError, match="must lie on the pad"):
         PlainSensor(indenter=BALL.model_copy(update={"position_mm": 21.0}))
