@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from data_schemas import FieldError, FingerDesign, GelPad, Indenter, LightPanel, SimulateError
+from data_schemas import FingerDesign, GelPad, Indenter, LightPanel, SimulateError
 from data_schemas._design_parts import Mirror, TactileCamera
 from sim.optics import (
     BAKE_SAMPLES,
@@ -132,7 +133,7 @@ def test_what_cannot_be_swept_is_refused(scalar, paints):
         sweep_light_angle(DESIGN, paints, scalar, [30.0], probe_points_mm=np.array([[20.0, 35.0]]))
     with pytest.raises(SimulateError, match=r"shape \(probe, 2\)"):
         sweep_light_angle(DESIGN, paints, scalar, [30.0], probe_points_mm=np.zeros((4, 3)))
-    with pytest.raises(FieldError, match="must be at most 180"):
+    with pytest.raises(ValidationError, match="less than or equal to 180"):
         sweep_light_angle(DESIGN, paints, scalar, [400.0])
 
 
