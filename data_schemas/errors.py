@@ -50,6 +50,11 @@ class RecordError(FinrayError):
 class FieldError(RecordError, ValueError):
     """A record, a design or a part of one was made in Python with a value that is not allowed."""
 
+    @property
+    def without_field(self) -> str:
+        """What is wrong without the name of the field, for files whose columns have other names."""
+        return re.sub(r"^'[^']*'( \(in [^)]*\))?: ", "", str(self))
+
 
 class NewerSchemaError(RecordError):
     """A record was written by a newer version of finray."""

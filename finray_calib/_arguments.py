@@ -139,6 +139,8 @@ _ARGUMENTS: Final = {
     "--objectives all": "all_objectives=True",
     "--other-light": "other_lights",
     "--paint files": "paints (red, green)",
+    "--out": "out",
+    "--paint red=FILE and --paint green=FILE": "red and green",
     "--register": "register",
     "--relative": "relative",
     "--samples": "samples",

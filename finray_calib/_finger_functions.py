@@ -56,6 +56,7 @@ D = TypeVar("D", FingerDesign, PlainSensor)
 DEFAULT_SAMPLES_PER_PIXEL = 128
 DEFAULT_SAMPLES_PER_PROBE = 4000
 SWEEP_REPEATS = 6
+MOST_INCREMENTS = 1000
 SURFACES_SUFFIX = ".surfaces.json"
 MECHANICS_SUFFIX = ".mechanics.json"
 _CHOICES: dict[str, tuple[str, ...]] = {
@@ -184,10 +185,12 @@ def _require_options(options: Mapping[str, object], known: frozenset[str]) -> No
             require_truths(**{name: value})
 
 
-def _whole(name: str, value: object, least: int) -> None:
-    """Refuse what is not a whole number of at least this size."""
-    if isinstance(value, bool) or not isinstance(value, SupportsIndex) or index(value) < least:
-        raise SimulateError(f"{name}={value!r}: a whole number from {least} is needed")
+def _whole(name: str, value: object, least: int, most: int | None = None) -> None:
+    """Refuse what is not a whole number between these."""
+    number = least - 1 if isinstance(value, bool) or not isinstance(value, SupportsIndex) else index(value)
+    if number < least or (most is not None and number > most):
+        upto = "" if most is None else f" to {most}"
+        raise SimulateError(f"{name}={value!r}: a whole number from {least}{upto} is needed")
 
 
 def _positive(name: str, value: object, unit: str) -> None:
@@ -226,7 +229,7 @@ def press_finger(
     force_n
         Press until the indenter pushes with this force in N, frictionless, in place of the design's depth.
     increments
-        Steps of the push.
+        Steps of the push, 1 to 1000.
     contact
         "penalty" (fast), "barrier" (contact of ribs too) or "auto": the penalty, and the barrier where ribs meet.
     budget_s
@@ -246,7 +249,7 @@ def press_finger(
     from sim.mechanics import press_as_designed as press
 
     require_progress(progress)
-    _whole("increments", increments, 1)
+    _whole("increments", increments, 1, MOST_INCREMENTS)
     _require_options({"contact": contact}, frozenset({"contact"}))
     for name, value, unit in (("force_n", force_n, "N"), ("budget_s", budget_s, "s")):
         if value is not None:

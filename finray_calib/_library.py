@@ -44,7 +44,7 @@ from data_schemas import (
     explain,
     provenance,
 )
-from data_schemas.storage import given_path
+from data_schemas.storage import given_path, writing
 from data_schemas.storage import read_record as read_stored
 from data_schemas.storage import write_record as write_stored
 from finray_calib._arguments import (
@@ -103,7 +103,8 @@ def write_record(record: Record, path: PathLike) -> Path:
     Raises
     ------
     RecordError
-        The file exists already, and a stored record is never overwritten; or what was given is no valid record.
+        The file exists already, and a stored record is never overwritten; it cannot be written; or what was given is
+        no valid record.
     """
     if not isinstance(record, Record):
         raise RecordError(
@@ -119,7 +120,11 @@ def write_record(record: Record, path: PathLike) -> Path:
     elif not origin.command.endswith(", from Python"):
         command = f"finray_calib.write_record, of what was made by: {origin.command}, from Python"
         origin = provenance(command, origin.input_sha256, origin.seed)
-    return write_stored(record, given_path(path, "path"), origin)
+    file = given_path(path, "path")
+    if file.suffix != ".json":
+        raise RecordError(f"{file}: a record is stored as .json; choose a name that ends in it")
+    with writing(file):
+        return write_stored(record, file, origin)
 
 
 def trace_record(path: PathLike) -> "Traced":
@@ -197,11 +202,13 @@ def capture_session(
         camera_plan = read_toml(plan_file, CameraPlan)
         with naming(CaptureError, plan_file):
             camera_step(camera_plan, settings)
-        return capture_camera_session(settings, camera_plan, request())
+        with naming(CaptureError):
+            return capture_camera_session(settings, camera_plan, request())
     paint_plan = read_toml(plan_file, PaintPlan)
     with naming(CaptureError, plan_file):
         paint_steps(paint_plan, settings)
-    return capture_paint_session(settings, paint_plan, request())
+    with naming(CaptureError):
+        return capture_paint_session(settings, paint_plan, request())
 
 
 def reduce_session(

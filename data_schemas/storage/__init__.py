@@ -86,6 +86,7 @@ if TYPE_CHECKING:
         write_bytes,
         write_whole,
         write_zip,
+        writing,
     )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -158,4 +159,5 @@ __all__ = [
     "write_record",
     "write_whole",
     "write_zip",
+    "writing",
 ]

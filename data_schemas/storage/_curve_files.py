@@ -127,7 +127,7 @@ def _curve(path: Path, name: str, wavelength_nm: Floats, values: Floats) -> Spec
     try:
         return SpectralCurve(name=name, wavelength_nm=wavelength_nm, values=values, source=path.name)
     except FieldError as error:
-        raise CurveError(f"{path}: {error}") from None
+        raise CurveError(f"{path}: {error.without_field}") from None
 
 
 def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
@@ -176,7 +176,7 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
             source=path.name,
         )
     except FieldError as error:
-        raise CurveError(f"{path}: {error}") from None
+        raise CurveError(f"{path}: {error.without_field}") from None
 
 
 def _require_reflectance(path: Path, emission_nm: Floats, values: Floats) -> None:
@@ -291,7 +291,7 @@ def read_light(path: Path) -> SpectralCurve:
     try:
         return SpectralCurve(name=path.stem, wavelength_nm=table[:, 0], values=power, source=path.name)
     except FieldError as error:
-        raise CurveError(f"{path}: {error}") from None
+        raise CurveError(f"{path}: {error.without_field}") from None
 
 
 def lamp_curve(lamp: LampSettings, folder: Path) -> SpectralCurve:

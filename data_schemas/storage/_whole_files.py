@@ -14,11 +14,12 @@ import os
 import secrets
 import stat
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from data_schemas import RecordError
-from data_schemas.errors import naming_file
+from data_schemas.errors import naming_file, system_words
 from data_schemas.storage._foreign_files import open_regular
 
 # What os.link says on file systems without hard links (FAT, some network and container mounts).
@@ -52,6 +53,21 @@ def given_path(what: object, argument: str) -> Path:
         return Path(path).expanduser()
     except RuntimeError:
         raise RecordError(f"{path}: the home folder, ~, is not known here; write the whole path") from None
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Say in words why a file that a user named cannot be written.
+
+    Raises
+    ------
+    RecordError
+        The system refuses it: no permission, no space, a name that it does not take.
+    """
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise RecordError(f"{str(path)!r}: cannot be written: {system_words(error)}; choose another place") from None
 
 
 def sha256_of(path: Path) -> str:
@@ -159,7 +175,7 @@ def refuse_taken(path: Path) -> None:
 
 def taken(path: Path) -> RecordError:
     """Return the error for a name that is taken."""
-    return RecordError(f"{path}: exists already and is not overwritten; choose another --out or move it away")
+    return RecordError(f"{path}: exists already and is not overwritten; choose another name or move it away")
 
 
 def part_name(name: str, token: str) -> str:

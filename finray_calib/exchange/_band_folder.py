@@ -405,7 +405,8 @@ def wheel_of(folder: Path, description: BandFolder, curves: Mapping[str, Spectra
         )
         return FilterWheelSettings(filters=filters)
     except FieldError as error:
-        raise CurveError(f"{folder / DESCRIPTION_NAME}, filters: {error}; are all wavelengths in nm?") from None
+        fault = error.without_field
+        raise CurveError(f"{folder / DESCRIPTION_NAME}, filters: {fault}; are all wavelengths in nm?") from None
 
 
 def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> BandPassFilter:
@@ -447,7 +448,7 @@ def _monochrome_response(path: Path) -> SpectralCurve:
     try:
         return SpectralCurve(name="monochrome", wavelength_nm=table[:, 0], values=table[:, 1] / 100, source=path.name)
     except FieldError as error:
-        raise CurveError(f"{path}: {error}") from None
+        raise CurveError(f"{path}: {error.without_field}") from None
 
 
 def lamp_of(folder: Path, description: BandFolder) -> SpectralCurve:

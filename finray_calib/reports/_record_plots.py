@@ -39,7 +39,7 @@ from data_schemas import (
     TactileCapture,
     TwoLights,
 )
-from data_schemas.storage import FIRST_RED, given_path, write_bytes
+from data_schemas.storage import FIRST_RED, given_path, write_bytes, writing
 from finray_calib.reports._comparison_figures import force_figure_png, material_fit_png, score_figure
 from finray_calib.reports._finger_pictures import finger_png
 from finray_calib.reports._fit_figures import draw_emission, paint_map_figure
@@ -98,7 +98,8 @@ class RecordPlot:
             raise RecordError(
                 f"{file}: this drawing is {self.suffix[1:].upper()}; choose a name that ends in {self.suffix}"
             )
-        write_bytes(file, self.content)
+        with writing(file):
+            write_bytes(file, self.content)
         return file
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from sim.surface_meshes._everyday_objects import everyday_objects
     from sim.surface_meshes._finger_shape import (
         GEL_FACES,
         FingerShape,
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
         shape_from_mesh,
         split_quads,
     )
-    from sim.surface_meshes._imprint import height_over_pad_mm, imprinted_height_mm, read_height_map
+    from sim.surface_meshes._imprint import everyday_objects, height_over_pad_mm, imprinted_height_mm, read_height_map
     from sim.surface_meshes._solid import (
         Coordinates,
         Edge,

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 import finray_calib as finray
-from data_schemas import BandPassFilter, DecideError, FieldError, Quantity, RecordError, percent
+from data_schemas import (
+    BandPassFilter,
+    CaptureError,
+    DecideError,
+    FieldError,
+    Quantity,
+    RecordError,
+    SimulateError,
+    percent,
+)
 from data_schemas.storage import given_path
 from finray_calib._arguments import _ARGUMENTS
 from tests.command_line.records import sweep
@@ -136,6 +145,32 @@ def test_errors_of_the_library_name_arguments():
         finray.decide_light_angle(sweep(), aim="normal")
 
 
+def test_a_file_that_cannot_be_written_is_told_in_words(home):
+    (home / "file").write_text("here")
+    for place in ("a\0b.json", "x" * 300 + ".json", "file/x.json", "/proc/x.json"):
+        with pytest.raises(RecordError, match=r"cannot be written: .*; choose another place"):
+            finray.write_record(sweep(), place)
+    with pytest.raises(RecordError, match=r"cannot be written: .*; choose another place"):
+        sweep().plot().save("/proc/x.svg")
+    with pytest.raises(RecordError, match=r"a record is stored as \.json; choose a name that ends in it"):
+        finray.write_record(sweep(), "x")
+    finray.write_record(sweep(), "x.json")
+    with pytest.raises(RecordError, match=r"x\.json: exists already and is not overwritten; choose another name"):
+        finray.write_record(sweep(), "x.json")
+
+
+def test_a_folder_that_a_session_has_is_told_by_its_argument(lab):
+    with pytest.raises(CaptureError, match="a capture never overwrites: choose another out"):
+        finray.capture_session(lab / "plan.toml", lab / "rig.toml", lab / "session")
+
+
+@pytest.mark.parametrize("increments", [0, 1001, 10**9, 2.5, True])
+def test_increments_that_no_press_takes_are_refused_before_the_work(increments):
+    """10^9 of them did not end, whatever `budget_s` was."""
+    with pytest.raises(SimulateError, match="a whole number from 1 to 1000 is needed"):
+        finray.press_finger("flat-70x35", increments=increments, budget_s=1.0)
+
+
 def test_every_option_that_an_error_of_the_rooms_names_has_its_argument():
     named = {
         option
@@ -145,7 +180,7 @@ def test_every_option_that_an_error_of_the_rooms_names_has_its_argument():
     }
     known = {option for text in _ARGUMENTS for option in OPTION.findall(text)}
     assert named - known == set(NOT_FROM_THE_LIBRARY)
-    assert known - named - {"--paint", "--family"} == set()
+    assert known - named == {"--out", "--paint"} - named  # of captures, in rigs; of renders, in sim
 
 
 @pytest.mark.parametrize(

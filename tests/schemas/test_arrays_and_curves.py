@@ -77,7 +77,7 @@ def matrix_file(tmp_path, rows):
     [
         (
             ["460,0,0.1", "450,0.1,0"],
-            "paint.csv: 'wavelength_nm': wavelengths must increase from row to row: 450 nm follows 460",
+            "paint.csv: wavelengths must increase from row to row: 450 nm follows 460",
         ),
         (["450,0.1,nan", "460,0,0.1"], "paint.csv, line 3: 'nan' is not a finite number"),
         (["450,0.1", "460,0,0.1"], "line 3: has 2 columns, but the header has 3"),
