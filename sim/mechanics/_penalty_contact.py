@@ -635,8 +635,8 @@ class PartsContact:
         self._watched, self._since = True, ""
         self._contact: BarrierContact | None = None
 
-    def refuse(self, state: State, pushed_mm: float) -> str:
-        """Return that parts come near each other at an equilibrium, after which contact acts; or nothing."""
+    def take_up(self, state: State, pushed_mm: float) -> str:
+        """Return that parts come near each other at an equilibrium, from before which contact acts; or nothing."""
         if not self._watched or pushed_mm <= _SHALLOW_MM:
             return ""
         if self._contact is None:

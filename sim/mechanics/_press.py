@@ -519,18 +519,20 @@ def _prepared(
 
 
 def _load(touch: PressContact, parts: PartsContact | None, depth_mm: float, pad_mm: float) -> Load:
-    """Return the push, with what refuses an equilibrium of it."""
-
-    def refuse(state: State, share: float) -> str:
-        behind = _passed_through(touch, state, share * depth_mm, pad_mm)
-        return behind or ("" if parts is None else parts.refuse(state, share * depth_mm))
+    """Return the push, with what refuses an equilibrium of it or calls for contact of the parts."""
 
     def accept(state: State) -> None:
         touch.accept(state)
         if parts is not None:
             parts.accept(state)
 
-    return Load(at=lambda share: touch.push(share * depth_mm), settle=touch.settle, refuse=refuse, accept=accept)
+    return Load(
+        at=lambda share: touch.push(share * depth_mm),
+        settle=touch.settle,
+        refuse=lambda state, share: _passed_through(touch, state, share * depth_mm, pad_mm),
+        take_up=None if parts is None else lambda state, share: parts.take_up(state, share * depth_mm),
+        accept=accept,
+    )
 
 
 def _begun(

@@ -161,7 +161,7 @@ class Springs:
         return 1.0
 
 
-def pressed_together(acts_from_rest):
+def pressed_together(acts_from_rest, shortest_share=1.0 / 64.0):
     """Two unit blocks 0.3 mm apart whose springs aim at 0.2, 0.4, 0.6 and 0.8 mm; states, contact, what was told."""
     mesh, upper = two_blocks(0.3)
     top = upper[np.isclose(mesh.nodes_mm[upper, 1], 2.3)]
@@ -177,11 +177,12 @@ def pressed_together(acts_from_rest):
         springs.target_mm = -0.8 * share
         return supports
 
-    refuse = None if acts_from_rest else lambda state, share: parts.refuse(state, 10.0 * share)
+    take_up = None if acts_from_rest else lambda state, share: parts.take_up(state, 10.0 * share)
     told = []
     options = NewtonOptions(tell=told.append)
-    load = Load(at, refuse=refuse, accept=parts.accept)
-    path = load_increments(assembly, linear_solver("superlu"), load, [0.25, 0.5, 0.75, 1.0], options=options)
+    load = Load(at, take_up=take_up, accept=parts.accept)
+    stops = [0.25, 0.5, 0.75, 1.0]
+    path = load_increments(assembly, linear_solver("superlu"), load, stops, None, shortest_share, options)
     states = {step.fraction: step.equilibrium.state.u_mm for step in path}
     return mesh, states, parts, [what for what in told if "meet" in what]
 
@@ -206,6 +207,14 @@ def test_parts_that_come_near_keep_apart_from_there_on():
 
 
 @needs_the_toolkit
+def test_contact_that_is_taken_up_is_no_failed_increment():
+    """The same increment is sought again: taking contact up halves nothing, nor ends a press at its least increment."""
+    _, states, _, told = pressed_together(acts_from_rest=False, shortest_share=1.0)
+    assert len(told) == 1
+    assert list(states) == [0.25, 0.5, 0.75, 1.0]
+
+
+@needs_the_toolkit
 def test_a_press_that_is_continued_takes_up_the_contact_that_it_had():
     mesh, states, _, _ = pressed_together(acts_from_rest=False)
     for goes_on in (True, False):
@@ -214,7 +223,7 @@ def test_a_press_that_is_continued_takes_up_the_contact_that_it_had():
         parts = PartsContact(preset_design("flat-70x35"), mesh, assembly, 1, begin)
         if not goes_on:
             parts.accept(State(states[0.75], ()))
-        assert bool(parts.refuse(State(states[1.0], ()), 10.0)) == goes_on
+        assert bool(parts.take_up(State(states[1.0], ()), 10.0)) == goes_on
         assert len(assembly.terms) == int(goes_on)
 
 
