@@ -127,7 +127,7 @@ def _allowed(assembly: Assembly, state: State, guess: State | None, supports: Su
     there = State(u, guess.modes, guess.pressures_mpa)
     if assembly.max_step(state, u - state.u_mm) < 1.0 or not math.isfinite(assembly.energy(there)):
         return None
-    return with_own_modes(assembly, there)
+    return with_own_modes(assembly, there) if guess.modes is state.modes else there
 
 
 def with_own_modes(assembly: Assembly, state: State) -> State:
