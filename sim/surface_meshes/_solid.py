@@ -427,10 +427,14 @@ def _fill_span(
 @compiled_inside
 def _overlap(one: FloatArray, other: FloatArray) -> bool:
     """Tell whether two boxes meet."""
-    for t in range(3):
-        if one[2 * t] > other[2 * t + 1] or one[2 * t + 1] < other[2 * t]:
-            return False
-    return True
+    return (
+        one[0] <= other[1]
+        and one[1] >= other[0]
+        and one[2] <= other[3]
+        and one[3] >= other[2]
+        and one[4] <= other[5]
+        and one[5] >= other[4]
+    )
 
 
 @compiled_inside

@@ -17,13 +17,14 @@ from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
-from sim.mechanics._mesh import OwnSurfaces, Tie
+from sim.mechanics._mesh import OwnSurfaces, Tie, outer_triangles
 from sim.mechanics._newton import NewtonOptions, Supports
 from sim.mechanics._parts_contact import PartsContact
 from tests.certified.blocks import unit_cells
 
 if contact_library_failure() is None:
     from sim.mechanics._barrier_contact import finger_parts_contact
+    from sim.mechanics._colliding_surfaces import CollidingSurfaces
 
 needs_the_toolkit = pytest.mark.skipif(
     contact_library_failure() is not None, reason=f"NO BARRIER CONTACT: {contact_library_failure()}"
@@ -80,6 +81,17 @@ def test_tied_faces_may_lie_in_each_other_and_nothing_else_may():
     # the upper block's free faces reach the lower one's
     rest[upper, 1] = -0.9
     assert OwnSurfaces(mesh).crossing(rest)
+
+
+@needs_the_toolkit
+@pytest.mark.parametrize(("within_mm", "near"), [(0.2999, False), (0.3001, True)])
+def test_pairs_are_near_by_their_distance_not_by_their_boxes(within_mm, near):
+    """Boxes grown by 0.2999 mm meet over a gap of 0.3 mm; a factorisation pays for each place that stays empty."""
+    mesh, upper = two_blocks(0.3)
+    surfaces = CollidingSurfaces(mesh.nodes_mm, outer_triangles(mesh), None, 0.02)
+    pairs = surfaces.node_pairs(surfaces.vertices_mm(np.zeros_like(mesh.nodes_mm)), within_mm)
+    across = np.isin(pairs, upper).sum(axis=1) == 1
+    assert across.any() == near
 
 
 _BABY = preset_design("baby-48x18")
