@@ -485,7 +485,7 @@ class PressMechanics(Record):
 class PressIncrement(Record):
     """The state of a finger at one increment of a press, from which the press can continue."""
 
-    schema_version: ClassVar[int] = 6
+    schema_version: ClassVar[int] = 7
     written_by: ClassVar[str] = "'finray simulate press'"
 
     preset: Preset
@@ -512,6 +512,11 @@ class PressIncrement(Record):
         default="",
         description="at which push first the finger may stand at an unstable equilibrium; empty where the search found "
         "none, or in increments of older versions",
+    )
+    parts_touch_from_mm: float | None = Field(
+        default=None,
+        description="push at the first increment where contact between parts of the finger acted beside the penalty of "
+        "the indenter; None where there was none, or in increments of older versions",
     )
     design: FingerDesign
 

@@ -524,6 +524,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("StudyResult", 1): _as_it_is,
     # where a press may stand at an unstable equilibrium; none: not known
     ("PressIncrement", 5): _as_it_is,
+    # from which push on parts of the finger touched; none: they did not, or it is not known
+    ("PressIncrement", 6): _as_it_is,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

@@ -286,11 +286,11 @@ def press_sensitivities(
     """
     increments = len(pressed.depth_mm)
     before = pressed
-    if contact == "auto" and pressed.kind != "unknown" and not pressed.parts_touch:
+    if contact == "auto" and pressed.kind != "unknown" and pressed.parts_touch_from_mm is None:
         contact = pressed.kind  # all by one contact: their differences count
     if design.mesh.preset != PRESET:
         before = press_finger(design, PressSettings(PRESET, increments, threads, contact), folder=folder)
-    start = before if chosen_contact(contact) == "penalty" and not before.parts_touch else None
+    start = before if chosen_contact(contact) == "penalty" and before.parts_touch_from_mm is None else None
     wanted = [f for f in (_uncertain(design) if fields is None else fields) if _is_continuous(design, f)]
     if progress is not None:
         progress(0, 1, "sensitivities of the force")

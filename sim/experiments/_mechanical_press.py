@@ -127,6 +127,7 @@ def increment_record(
         displacement_mm=pressed.displacement_mm[-1],
         modes_mm=np.concatenate([modes for modes in pressed.modes_mm if modes.shape[1]]),
         unstable=pressed.unstable,
+        parts_touch_from_mm=pressed.parts_touch_from_mm,
         design=design,
     )
 
@@ -230,6 +231,7 @@ def _as_press(record: PressIncrement, mesh: FingerMesh) -> PressedFinger:
         friction_work_n_mm=record.friction_work_n_mm,
         kind=record.contact or "unknown",
         unstable=record.unstable,
+        parts_touch_from_mm=record.parts_touch_from_mm,
     )
 
 

@@ -189,9 +189,11 @@ class CollidingSurfaces:
             np.column_stack([edges[of_edges[:, 0]], edges[of_edges[:, 1]]]),
         )
 
-    def node_pairs(self, vertices: FloatArray, growth_mm: float) -> IntArray:
-        """Return the different nodes (m, 2) that move the vertices of pairs whose boxes, made larger, meet."""
-        pairs = self.mover[self._stencils(vertices, growth_mm).vertex_pairs()]
+    def node_pairs(self, vertices: FloatArray, distance_mm: float) -> IntArray:
+        """Return the different nodes (m, 2) that move the vertices of pairs that are closer to each other."""
+        # each box is made larger by this: half the distance finds them all
+        near = self._stencils(vertices, distance_mm / 2.0).closer_than(vertices, distance_mm)
+        pairs = self.mover[near.vertex_pairs()]
         return np.asarray(pairs[pairs[:, 0] != pairs[:, 1]])
 
     def vertices_mm(self, u: FloatArray) -> FloatArray:

@@ -234,7 +234,7 @@ def press_derivatives(
             "derivatives need a press by the penalty along the pad's normal, without friction, because with "
             "friction or a path the force depends on earlier increments; take differences of whole presses"
         )
-    if pressed.parts_touch:
+    if pressed.parts_touch_from_mm is not None:
         raise SimulateError(
             "derivatives do not hold contact between the parts of a finger, which acted in this press; press less "
             "deep, or take differences of whole presses"

@@ -127,7 +127,7 @@ def _allowed(assembly: Assembly, state: State, guess: State | None, supports: Su
     there = State(u, guess.modes, guess.pressures_mpa)
     if assembly.max_step(state, u - state.u_mm) < 1.0 or not math.isfinite(assembly.energy(there)):
         return None
-    return with_own_modes(assembly, there)
+    return with_own_modes(assembly, there) if guess.modes is state.modes else there
 
 
 def with_own_modes(assembly: Assembly, state: State) -> State:
@@ -163,6 +163,9 @@ class Load:
     refuse
         Tells why an equilibrium at a share of the load is none of this load's path (an indenter that has passed through
         the coat), or nothing; a smaller increment is tried then.
+    take_up
+        Adds a term that an equilibrium at a share of the load calls for and the ones before do not (contact of parts
+        that have come near) and tells so, or returns nothing; the same increment is then sought again with it.
     accept
         Told each equilibrium that is kept, before the next increment begins.
     """
@@ -170,6 +173,7 @@ class Load:
     at: Callable[[float], Supports]
     settle: Callable[[State], bool] | None = None
     refuse: Callable[[State, float], str] | None = None
+    take_up: Callable[[State, float], str] | None = None
     accept: Callable[[State], None] | None = None
 
 
@@ -277,6 +281,10 @@ def load_increments(
                     raise stuck
                 if options.tell is not None:
                     options.tell(f"an increment of {part:.3g} in place of {2.0 * part:.3g}: {reached.failure}")
+                continue
+            if load.take_up is not None and (taken_up := load.take_up(reached.state, aim)):
+                if options.tell is not None:
+                    options.tell(taken_up)
                 continue
             state, at, done = reached.state, aim, done + part
             if load.accept is not None:

@@ -31,6 +31,9 @@ _NEAR_STEPS, _NEAR_RATIO = 4, 0.05
 _BLOCKS = -80  # PARDISO's own value: rows whose patterns agree by 80 % become blocks
 
 
+_RATE_AFTER = 4  # conjugate gradients after which their rate tells whether they go on
+
+
 class SymmetricSolver(Protocol):
     """Factorises symmetric matrices given by their upper triangle (CSR, sorted) and solves with them."""
 
@@ -101,18 +104,23 @@ def refined(
         x (n,), or nothing where the matrices are too far apart or the new one is not positive definite.
     """
     x, residual = np.zeros_like(right_side), right_side.copy()
-    enough = residual_rel**2 * _product(right_side, right_side)
+    whole = _product(right_side, right_side)
+    enough = residual_rel**2 * whole
     direction = preconditioned = solver.solve(residual)
     slope = _product(residual, preconditioned)
-    for _ in range(iterations):
+    for done in range(1, iterations + 1):
         image = times(direction)
         curve = _product(direction, image)
         if not (curve > 0.0 and slope > 0.0):
             return None
         x += slope / curve * direction
         residual -= slope / curve * image
-        if _product(residual, residual) <= enough:
+        left = _product(residual, residual)
+        if left <= enough:
             return x
+        # at the rate so far it is not near enough at the last iteration either
+        if done >= _RATE_AFTER and (left / whole) ** (iterations / done) * whole > enough:
+            return None
         preconditioned = solver.solve(residual)
         before, slope = slope, _product(residual, preconditioned)
         direction = preconditioned + slope / before * direction

@@ -23,10 +23,10 @@ _TRIES_NEARER, _WORTH_A_TRY = (
 )  # for a better share than the first acceptable one, if that far from what was tried
 # where a step has lowered the residual by this factor, the tangent changes little: the factors are used again
 _NEARLY_LINEAR = 0.3
-# a factorisation takes the time of 14, 21 and 57 solutions at 39 000, 142 000 and 618 000 unknowns, about as their
-# root: no more than its worth is spent on avoiding one
-_REFINEMENTS_PER_ROOT = 0.07
-_FEWEST_REFINEMENTS = 10
+# a factorisation takes the time of 10 and 14 solutions with a product at 39 000 and 142 000 unknowns, about as their
+# root: two thirds of that are spent at most on avoiding one, since some solutions fail
+_REFINEMENTS_PER_ROOT = 0.03
+_FEWEST_REFINEMENTS = 4
 # a step of which less than this share is taken was led astray by what hardly resists, a rib that begins to fold: the
 # next tangent resists that more, so that everything else goes its whole way
 _LED_ASTRAY = 0.3
@@ -143,6 +143,7 @@ class _Search:
         self.residuals: list[float] = []
         self.removals: list[float] = []  # of the tangents that belong to them
         self.solved = 0
+        self.ahead: _Ahead | None = None
         self.shares: list[float] = []
         self.taken = 1.0  # of the last step, the share of what the terms allowed
         self.bar_n = 0.0  # what the residual must reach
@@ -162,7 +163,7 @@ class _Search:
         if not state.pressures_mpa:
             state = self.assembly.with_own_pressures(state)
         while True:
-            gradient, of_terms = self.assembly.assemble(state, self.removed)
+            gradient, of_terms = self._assembled(state)
             remaining = np.where(self.supports.fixed, self.supports.displacement_mm - state.u_mm, 0.0)
             moving = bool(remaining.any())
             ended = self._settled(gradient, of_terms) and not moving
@@ -183,6 +184,13 @@ class _Search:
             if found is not None:
                 self.definite_within_mm += float(np.abs(found[0].u_mm - state.u_mm).max())
                 state, energy = found
+
+    def _assembled(self, state: State) -> tuple[FloatArray, FloatArray]:
+        """Return the gradient and its part of the terms, and fill the matrix, where a trial has not yet done so."""
+        ahead, self.ahead = self.ahead, None
+        if ahead is not None and ahead.state is state and self.removed == 0.0:
+            return ahead.gradient_n, ahead.of_terms_n
+        return self.assembly.assemble(state, self.removed)
 
     def _step(
         self, state: State, energy: float, gradient: FloatArray, remaining: FloatArray, moving: bool
@@ -428,11 +436,15 @@ class _Search:
         share *= self.assembly.max_step(state, share * du)
         whole = share
         noise = _NOISE * (sum(map(abs, elasticity.energy_of_blocks().values())) + abs(energy) + abs(merit))
+        foreseen = self.taken == 1.0 and self.removed == 0.0 and not moving
 
         def trial(share: float) -> _Trial:
             there = state.moved(share, du, step)
             if share == 1.0 and moving:
                 there.u_mm[self.supports.fixed] = self.supports.displacement_mm[self.supports.fixed]
+            if share == 1.0 and foreseen:
+                there = there.towards(pressures, 1.0)
+                self.ahead = _Ahead(there, *self.assembly.assemble(there))
             new = self.assembly.energy(there)
             return _Trial(share, new + elasticity.excess_n_mm(pressures) if new < math.inf else new, there, new)
 
@@ -445,6 +457,8 @@ class _Search:
                     tried = _nearer_to_least(trial, merit, rise, tried, refused)
                 self.shares.append(tried.share)
                 self.taken = tried.share / whole
+                if self.ahead is not None and tried.state is self.ahead.state:
+                    return tried.state, tried.energy_n_mm
                 return tried.state.towards(pressures, tried.share), tried.energy_n_mm
             refused = tried
             # minimum of the parabola through both energies and the slope, kept between a tenth and a half
@@ -452,6 +466,17 @@ class _Search:
             best = -0.5 * rise * share**2 / curve if not moving and 0.0 < curve < math.inf else 0.5 * share
             share = min(max(best, 0.1 * share), 0.5 * share)
         return None
+
+
+class _Ahead(NamedTuple):
+    """What is assembled already of the state that a whole step leads to, whose energy comes with it.
+
+    Where steps are whole, the next one is likely to be so too: its energy alone would cost half of what this does.
+    """
+
+    state: State
+    gradient_n: FloatArray
+    of_terms_n: FloatArray
 
 
 class _Trial(NamedTuple):

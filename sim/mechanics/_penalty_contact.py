@@ -1,33 +1,29 @@
 """Contact with a rigid body by a penalty on its signed distance: the fast path, of the coat alone.
 
 Without friction, or with Coulomb friction that follows stick and slip, for a body that is pressed straight in or moves
-freely. Where parts of the finger meet, a barrier keeps them apart.
+freely.
 """
 
 import math
 from copy import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from data_schemas import ContactKind, FingerDesign, SimulateError
-from sim.mechanics._assembly import Assembly, State, Term
+from sim.mechanics._assembly import State, Term
 from sim.mechanics._indenters import RigidIndenter
 from sim.mechanics._materials import material_of
-from sim.mechanics._mesh import FingerMesh, OwnSurfaces
+from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import Supports
 from sim.mechanics._rigid_bodies import Body, Pose
-
-if TYPE_CHECKING:
-    from sim.mechanics._barrier_contact import BarrierContact
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_NOT_OF_RIBS = "; contact between ribs is not computed"
+NOT_OF_RIBS = "; contact between ribs is not computed"
 _POINTS_PER_EDGE = 2  # Gauss points along each side of a face
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS_PER_EDGE)
 GAUSS_POINTS = np.stack(np.meshgrid(_PLACES, _PLACES), -1).reshape(-1, 2)
@@ -235,7 +231,7 @@ class PenaltyTouch:
     @property
     def note(self) -> str:
         """How the surfaces touch."""
-        return f"contact by penalty: frictionless; the indenter's distance is exact{_NOT_OF_RIBS}"
+        return f"contact by penalty: frictionless; the indenter's distance is exact{NOT_OF_RIBS}"
 
     def force_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the indenter (3,)."""
@@ -569,7 +565,7 @@ class SlidingTouch(PenaltyTouch):
         """How the surfaces touch."""
         ratio = self.sliding.friction_ratio
         how = f"Coulomb friction {ratio:g}, which follows stick and slip" if ratio > 0.0 else "frictionless"
-        return f"contact by penalty: {how}; the indenter's distance is exact{_NOT_OF_RIBS}"
+        return f"contact by penalty: {how}; the indenter's distance is exact{NOT_OF_RIBS}"
 
     def energy_n_mm(self, u: FloatArray) -> float:
         """Return the energy that the contact gives back."""
@@ -612,59 +608,3 @@ class SlidingPress(SlidingTouch):
         """Place the indenter at a depth for an increment from where the last one ended, and return the supports."""
         self.sliding.restart(self._indenter.pose(depth_mm))
         return self.supports
-
-
-PARTS_KEPT_APART: Final = "parts of the finger keep apart by a barrier"
-# parts of a press this shallow have met in none that was tried; where they do, it begins again with the barrier
-_SHALLOW_MM = 2.0
-
-
-class PartsContact:
-    """Contact of a finger's parts among themselves by a barrier, which acts from where they come within its reach on.
-
-    Nothing was within its reach in the increments before, which are therefore its equilibria too: one contact holds for
-    the whole press, and the search goes on from the last of them. `begin_mm` (n, 3) is where the press begins.
-    """
-
-    def __init__(
-        self, design: FingerDesign, mesh: FingerMesh, assembly: Assembly, threads: int, begin_mm: FloatArray
-    ) -> None:
-        self._design, self._mesh, self._assembly, self._threads = design, mesh, assembly, threads
-        self.surfaces = OwnSurfaces(mesh)
-        self._begin_mm = self._clean_mm = begin_mm
-        self._watched, self._since = True, ""
-        self._contact: BarrierContact | None = None
-
-    def refuse(self, state: State, pushed_mm: float) -> str:
-        """Return that parts come near each other at an equilibrium, after which contact acts; or nothing."""
-        if not self._watched or pushed_mm <= _SHALLOW_MM:
-            return ""
-        if self._contact is None:
-            from sim.mechanics._barrier_contact import finger_parts_contact  # the library runs here
-
-            self._contact = finger_parts_contact(self._design, self._mesh, self._threads)
-            # the increments before are no equilibria of it; a press that is continued has had it, as it is stored
-            if self._contact.energy(self._clean_mm) > 0.0 and self._clean_mm is not self._begin_mm:
-                self._watched = False
-                return ""
-        if self._contact.energy(state.u_mm) == 0.0 and not self.surfaces.crossing(state.u_mm):
-            return ""
-        self._watched = False
-        self._assembly.terms += (self._contact,)
-        self._since = f"they came within {self._contact.barrier.reach_mm:g} mm before a push of {pushed_mm:.4g} mm"
-        return f"parts of the finger meet, and contact between them acts from here on ({self._since})"
-
-    def accept(self, state: State) -> None:
-        """Let the next increment begin at a state."""
-        self._clean_mm = state.u_mm
-
-    def energy_n_mm(self, u: FloatArray) -> float:
-        """Return the energy that this contact stores."""
-        return 0.0 if self._contact is None or not self._since else self._contact.energy(u)
-
-    def note(self, of_penalty: str, u: FloatArray) -> str:
-        """Return how the indenter and the parts touch, from what the penalty's note says."""
-        if self._contact is None or not self._since:
-            return of_penalty
-        pairs, before = self._contact.pairs_of_parts(u), of_penalty.removesuffix(_NOT_OF_RIBS)
-        return f"{before}; {PARTS_KEPT_APART} and touch at {pairs} pairs ({self._since})"

@@ -23,13 +23,8 @@ from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import material_of
 from sim.mechanics._mesh import FingerMesh, OwnSurfaces
 from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports
-from sim.mechanics._penalty_contact import (
-    PARTS_KEPT_APART,
-    PartsContact,
-    PenaltyPress,
-    SlidingPress,
-    penalty_mpa_per_mm,
-)
+from sim.mechanics._parts_contact import PartsContact, check_parts_contact
+from sim.mechanics._penalty_contact import PenaltyPress, SlidingPress, penalty_mpa_per_mm
 
 if TYPE_CHECKING:
     from sim.mechanics._barrier_contact import Barrier
@@ -200,6 +195,9 @@ class PressedFinger:
         Of an indenter on a path (:func:`~sim.mechanics.press_along`): its poses and what its contact does at each.
     unstable
         At which push first the finger may stand at an unstable equilibrium; empty where the search found none.
+    parts_touch_from_mm
+        Push at the first increment where contact between the finger's parts acted beside the penalty of the indenter;
+        none where there was no such increment.
     """
 
     mesh: FingerMesh
@@ -219,11 +217,7 @@ class PressedFinger:
     crossing: str = ""
     motion: "ContactMotion | None" = None
     unstable: str = ""
-
-    @property
-    def parts_touch(self) -> bool:
-        """Whether contact of the finger's parts among themselves acted beside the penalty of the indenter."""
-        return self.kind == "penalty" and PARTS_KEPT_APART in self.contact
+    parts_touch_from_mm: float | None = None
 
 
 class PressHistory:
@@ -240,8 +234,8 @@ class PressHistory:
 
     Attributes
     ----------
-    crossing, unstable
-        See :class:`PressedFinger`; crossing of these increments only.
+    crossing, unstable, parts_touch_from_mm
+        See :class:`PressedFinger`.
     """
 
     def __init__(
@@ -254,7 +248,8 @@ class PressHistory:
     ) -> None:
         self._assembly, self._ties, self._touch, self._before, self._parts = assembly, ties, touch, before, parts
         self._surfaces = OwnSurfaces(touch.mesh) if parts is None else parts.surfaces
-        self.crossing, self.unstable = "", "" if before is None else before.unstable
+        self.crossing, self.unstable = self._stored_crossing(), "" if before is None else before.unstable
+        self.parts_touch_from_mm = None if before is None else before.parts_touch_from_mm
         self._states: list[State] = []
         self._iterations: list[int] = []
         self._rows: list[tuple[float, ...]] = []
@@ -264,11 +259,20 @@ class PressHistory:
         """Push at the last increment; none before the first."""
         return self._rows[-1][0] if self._rows else None
 
+    def _stored_crossing(self) -> str:
+        """Return that surfaces pass through each other at the increment that is continued, or nothing."""
+        if self._before is None or not (found := self._surfaces.crossing(self._before.displacement_mm[-1])):
+            return ""
+        return f"from a push of {self._before.depth_mm[-1]:.4g} mm or less on {found}"
+
     def add(self, depth_mm: float, equilibrium: Equilibrium) -> None:
         """Add an increment, before its contact is moved on."""
         state = equilibrium.state
         contact = self._touch.energy_n_mm(state.u_mm)
-        contact += 0.0 if self._parts is None else self._parts.energy_n_mm(state.u_mm)
+        of_parts = 0.0 if self._parts is None else self._parts.energy_n_mm(state.u_mm)
+        contact += of_parts
+        if of_parts > 0.0 and self.parts_touch_from_mm is None:
+            self.parts_touch_from_mm = depth_mm
         stored = self._assembly.elasticity.energy(state.u_mm, state.modes) + contact
         stored += sum(tie.energy(state.u_mm) for tie in self._ties)
         lost = self._touch.friction_work_n_mm(state.u_mm)
@@ -282,7 +286,7 @@ class PressHistory:
 
     def pressed(self, unreached: str = "") -> PressedFinger:
         """Return what was reached."""
-        rows, last = np.array(self._rows), self._states[-1]
+        rows, last, note = np.array(self._rows), self._states[-1], self._touch.note
         return PressedFinger(
             mesh=self._touch.mesh,
             depth_mm=self._after("depth_mm", rows[:, 0]),
@@ -294,12 +298,13 @@ class PressHistory:
             pressure_mpa=self._touch.pressures_mpa(last.u_mm),
             touch_mm=self._touch.touch_mm(),
             unreached=unreached,
-            contact=self._touch.note if self._parts is None else self._parts.note(self._touch.note, last.u_mm),
+            contact=note if self._parts is None else self._parts.note(note, last.u_mm, self.parts_touch_from_mm),
             contact_energy_n_mm=self._after("contact_energy_n_mm", rows[:, 2]),
             friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
             kind=self._touch.kind,
             crossing=self.crossing,
             unstable=self.unstable,
+            parts_touch_from_mm=self.parts_touch_from_mm,
         )
 
     def _after(self, name: str, now: NDArray[Any], goes_on: bool = False) -> NDArray[Any]:
@@ -502,10 +507,15 @@ def _prepared(
         predict = _path_from_coarse(_first_on_coarse(design, settings, watch), touch.mesh, depth)
     else:
         predict = None if start is None else _path_of(start, touch.mesh, depth)
+    had_mm = None if resume is None else resume.parts_touch_from_mm
+    may_act = settings.contact == "auto" and _barrier_may_help(touch)
+    check_parts_contact(had_mm, settings.contact, may_act)
     parts = None
-    if settings.contact == "auto" and _barrier_may_help(touch):
+    if may_act:
         at_first = assembly.at_rest() if begin is None else begin[1]
-        parts = PartsContact(design, touch.mesh, assembly, settings.threads, at_first.u_mm)
+        parts = PartsContact(design, touch.mesh, assembly, settings.threads, at_first.u_mm, had_mm is not None)
+        if resume is not None:
+            parts.check_start(float(resume.depth_mm[-1]))
     path = load_increments(
         assembly,
         linear_solver(threads=settings.threads),
@@ -519,18 +529,20 @@ def _prepared(
 
 
 def _load(touch: PressContact, parts: PartsContact | None, depth_mm: float, pad_mm: float) -> Load:
-    """Return the push, with what refuses an equilibrium of it."""
-
-    def refuse(state: State, share: float) -> str:
-        behind = _passed_through(touch, state, share * depth_mm, pad_mm)
-        return behind or ("" if parts is None else parts.refuse(state, share * depth_mm))
+    """Return the push, with what refuses an equilibrium of it or calls for contact of the parts."""
 
     def accept(state: State) -> None:
         touch.accept(state)
         if parts is not None:
             parts.accept(state)
 
-    return Load(at=lambda share: touch.push(share * depth_mm), settle=touch.settle, refuse=refuse, accept=accept)
+    return Load(
+        at=lambda share: touch.push(share * depth_mm),
+        settle=touch.settle,
+        refuse=lambda state, share: _passed_through(touch, state, share * depth_mm, pad_mm),
+        take_up=None if parts is None else lambda state, share: parts.take_up(state, share * depth_mm),
+        accept=accept,
+    )
 
 
 def _begun(

@@ -300,6 +300,9 @@ IntArray = NDArray[np.int64]
 _TOUCH_MM = 1e-9  # far above rounding, and far below the nanometre at which vertices are one
 
 
+_CELLS_PER_TRIANGLE, _MOST_CELLS = 2.0, 256  # of the grid that finds triangles near an edge; along an axis
+
+
 def check_no_intersections(surfaces: Mapping[str, Surface], body: str = "gel") -> None:
     """Check that no triangle of a body passes through another one.
 
@@ -348,55 +351,55 @@ def crossing_pair(vertices_mm: FloatArray, triangles: IntArray) -> tuple[IntArra
     ends = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     keys = np.unique(ends[:, 0] * len(vertices_mm) + ends[:, 1])
     edges = np.column_stack(np.divmod(keys, len(vertices_mm)))
-    boxes = [(vertices_mm[of].min(axis=1), vertices_mm[of].max(axis=1)) for of in (edges, triangles)]
-    # sorted into the squares of a grid across the axis along which most boxes meet
-    first, second, _ = sorted(range(3), key=lambda k: _count(*(end[:, k] for box in boxes for end in box)))
-    found = _first_meeting(vertices_mm, edges, triangles, first, second)
+    found = _first_meeting(vertices_mm, edges, np.ascontiguousarray(triangles))
     return None if found[0] < 0 else (edges[found[0]], triangles[found[1]])
 
 
-def _count(low: FloatArray, high: FloatArray, below: FloatArray, above: FloatArray) -> int:
-    """Return how many pairs of intervals meet: all that start before one ends, less those that end before it starts."""
-    return int((np.searchsorted(np.sort(below), high, "right") - np.searchsorted(np.sort(above), low, "left")).sum())
-
-
 @compiled
-def _first_meeting(
-    vertices: FloatArray, edges: IntArray, triangles: IntArray, first: int, second: int
-) -> tuple[int, int]:
+def _first_meeting(vertices: FloatArray, edges: IntArray, triangles: IntArray) -> tuple[int, int]:
     """Return the numbers of an edge and a triangle that meet, or -1, -1.
 
-    The plane of two axes is divided into about as many squares as there are triangles. Each square lists the triangles
-    whose boxes reach into it, and an edge is tried with those of the squares that its own box reaches into.
+    Space is divided into about twice as many cells as there are triangles. Each cell lists the triangles whose boxes
+    reach into it, and an edge is tried with those of the cells that its own box reaches into.
     """
-    side = max(1, int(math.sqrt(len(triangles))))
-    axes, low, per_mm = (first, second), np.empty(2), np.empty(2)
-    for t in range(2):
-        used = vertices[triangles.ravel(), axes[t]]
+    low, extent = np.empty(3), np.empty(3)
+    for t in range(3):
+        used = vertices[triangles.ravel(), t]
         low[t] = used.min()
-        per_mm[t] = side / max(used.max() - low[t], _TOUCH_MM)
-    spans = np.empty((len(triangles), 4), np.int64)
-    begins = np.zeros(side * side + 1, np.int64)
+        extent[t] = max(used.max() - low[t], _TOUCH_MM)
+    edge_mm = (extent[0] * extent[1] * extent[2] / (_CELLS_PER_TRIANGLE * len(triangles))) ** (1.0 / 3.0)
+    cells, per_mm = np.empty(3, np.int64), np.empty(3)
+    for t in range(3):
+        cells[t] = min(max(1, int(extent[t] / edge_mm)), _MOST_CELLS)
+        per_mm[t] = cells[t] / extent[t]
+    boxes, spans = np.empty((len(triangles), 6)), np.empty((len(triangles), 6), np.int64)
+    begins = np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64)
     for j in range(len(triangles)):
-        _fill_span(vertices, triangles[j], axes, low, per_mm, side, spans[j])
+        _fill_span(vertices, triangles[j], low, per_mm, cells, boxes[j], spans[j])
         for p in range(spans[j, 0], spans[j, 1]):
             for q in range(spans[j, 2], spans[j, 3]):
-                begins[p * side + q + 1] += 1
+                for r in range(spans[j, 4], spans[j, 5]):
+                    begins[(p * cells[1] + q) * cells[2] + r + 1] += 1
     begins = np.cumsum(begins)
     ends, listed = begins[:-1].copy(), np.empty(begins[-1], np.int64)
     for j in range(len(triangles)):
         for p in range(spans[j, 0], spans[j, 1]):
             for q in range(spans[j, 2], spans[j, 3]):
-                listed[ends[p * side + q]] = j
-                ends[p * side + q] += 1
-    span = np.empty(4, np.int64)
+                for r in range(spans[j, 4], spans[j, 5]):
+                    cell = (p * cells[1] + q) * cells[2] + r
+                    listed[ends[cell]] = j
+                    ends[cell] += 1
+    box, span = np.empty(6), np.empty(6, np.int64)
     for i in range(len(edges)):
-        _fill_span(vertices, edges[i], axes, low, per_mm, side, span)
+        _fill_span(vertices, edges[i], low, per_mm, cells, box, span)
         for p in range(span[0], span[1]):
             for q in range(span[2], span[3]):
-                for k in range(begins[p * side + q], begins[p * side + q + 1]):
-                    if _meet(vertices, edges[i], triangles[listed[k]]):
-                        return i, listed[k]
+                for r in range(span[4], span[5]):
+                    cell = (p * cells[1] + q) * cells[2] + r
+                    for k in range(begins[cell], begins[cell + 1]):
+                        j = listed[k]
+                        if _overlap(box, boxes[j]) and _meet(vertices, edges[i], triangles[j]):
+                            return i, j
     return -1, -1
 
 
@@ -404,20 +407,34 @@ def _first_meeting(
 def _fill_span(
     vertices: FloatArray,
     corners: IntArray,
-    axes: tuple[int, int],
     low: FloatArray,
     per_mm: FloatArray,
-    side: int,
+    cells: IntArray,
+    box: FloatArray,
     span: IntArray,
 ) -> None:
-    """Fill the first square and the one behind the last that a box of corners reaches into, along both axes."""
-    for t in range(2):
-        least = most = vertices[corners[0], axes[t]]
+    """Fill the box of corners, low and high along each axis, and the first cell and the one behind the last in it."""
+    for t in range(3):
+        least = most = vertices[corners[0], t]
         for k in range(1, len(corners)):
-            least, most = min(least, vertices[corners[k], axes[t]]), max(most, vertices[corners[k], axes[t]])
-        begin = math.floor((least - _TOUCH_MM - low[t]) * per_mm[t])
-        end = math.floor((most + _TOUCH_MM - low[t]) * per_mm[t])
-        span[2 * t], span[2 * t + 1] = min(max(begin, 0), side - 1), min(max(end, 0), side - 1) + 1
+            least, most = min(least, vertices[corners[k], t]), max(most, vertices[corners[k], t])
+        box[2 * t], box[2 * t + 1] = least - _TOUCH_MM, most + _TOUCH_MM
+        begin = math.floor((box[2 * t] - low[t]) * per_mm[t])
+        end = math.floor((box[2 * t + 1] - low[t]) * per_mm[t])
+        span[2 * t], span[2 * t + 1] = min(max(begin, 0), cells[t] - 1), min(max(end, 0), cells[t] - 1) + 1
+
+
+@compiled_inside
+def _overlap(one: FloatArray, other: FloatArray) -> bool:
+    """Tell whether two boxes meet."""
+    return (
+        one[0] <= other[1]
+        and one[1] >= other[0]
+        and one[2] <= other[3]
+        and one[3] >= other[2]
+        and one[4] <= other[5]
+        and one[5] >= other[4]
+    )
 
 
 @compiled_inside
@@ -425,11 +442,6 @@ def _meet(vertices: FloatArray, edge: IntArray, triangle: IntArray) -> bool:
     """Tell whether an edge and a triangle that share no vertex meet, other than in one plane."""
     for k in range(3):
         if triangle[k] == edge[0] or triangle[k] == edge[1]:
-            return False
-    for k in range(3):
-        p, q = vertices[edge[0], k], vertices[edge[1], k]
-        a, b, c = vertices[triangle[0], k], vertices[triangle[1], k], vertices[triangle[2], k]
-        if min(p, q) - _TOUCH_MM > max(a, b, c) or max(p, q) + _TOUCH_MM < min(a, b, c):
             return False
     px, py, pz = vertices[edge[0], 0], vertices[edge[0], 1], vertices[edge[0], 2]
     qx, qy, qz = vertices[edge[1], 0], vertices[edge[1], 1], vertices[edge[1], 2]

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from data_schemas import FingerDesign, NoEquilibriumError, SimulateError
+from sim import preset_design
 from sim.experiments._design_sensitivities import changed_design, design_value, press_sensitivities
-from sim.mechanics import DesignChange, LinearElastic, PressSettings, press_derivatives, press_finger
+from sim.mechanics import STEPS, DesignChange, LinearElastic, PressSettings, press_derivatives, press_finger
+from sim.mechanics._contact_library import contact_library_failure
 from sim.mechanics._derivatives import StableEquilibrium
+from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._newton import Supports
-from sim.mechanics._penalty_contact import PARTS_KEPT_APART
 from tests.certified.blocks import assemble, unit_cells
 
 MODULI = (
@@ -101,8 +103,8 @@ def test_presses_by_the_barrier_have_none(pressed):
 
 def test_presses_whose_parts_touched_have_none(pressed):
     """The contact between the parts is not in them: without it they were 2 to 3 % off on a finger pressed by 9 mm."""
-    assert not pressed.parts_touch
-    touched = replace(pressed, contact=f"{pressed.contact}; {PARTS_KEPT_APART} and touch at 12 pairs")
+    assert pressed.parts_touch_from_mm is None
+    touched = replace(pressed, parts_touch_from_mm=0.3)
     with pytest.raises(SimulateError, match="do not hold contact between the parts of a finger"):
         press_derivatives(design(), touched, {}, SETTINGS)
 
@@ -113,6 +115,27 @@ def test_sensitivities_tell_the_derivatives(pressed, derivatives):
     for k, slope in enumerate(found.slopes):
         own = derivatives.force_n[0, derivatives.names.index(MODULI[k]), 1] / pressed.force_n[0, 1]
         assert slope.ln_force_per_ln_number == pytest.approx([own], rel=1e-9)
+
+
+@pytest.mark.skipif(contact_library_failure() is not None, reason=f"NO BARRIER: {contact_library_failure()}")
+def test_sensitivities_of_a_press_whose_parts_touch_are_presses_with_that_contact(monkeypatch):
+    """All moduli 1 % higher give 1 % more force; the contact takes 2 % off it, which one press without would add."""
+    monkeypatch.setitem(STEPS, "coarse", MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0))
+    small = preset_design("baby-48x18")
+    ribs = small.skeleton.model_copy(update={"rib_angle_deg": -20.0, "rib_thickness_mm": 0.8})
+    indenter = small.indenter.model_copy(update={"position_mm": 24.0, "depth_mm": 4.5, "friction": 0.0})
+    folding = small.model_copy(update={"skeleton": ribs, "indenter": indenter})
+    touching = press_finger(folding, SETTINGS)
+    without = press_finger(folding, replace(SETTINGS, contact="penalty"))
+    assert (touching.parts_touch_from_mm, without.parts_touch_from_mm) == (4.5, None)
+    assert without.force_n[-1, 1] > 1.01 * touching.force_n[-1, 1]
+    found = press_sensitivities(folding, touching, fields=MODULI)
+    assert found.slopes == ()
+    force = touching.force_n[-1, 1]
+    slopes = [math.log(varied.force_n[-1] / force) / math.log1p(varied.change_rel) for varied in found.varied]
+    # Euler's identity; steps of 10 % leave their second order
+    assert len(slopes) == len(MODULI)
+    assert sum(slopes) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize("solver", ["pardiso", "superlu"])

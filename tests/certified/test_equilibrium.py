@@ -10,12 +10,13 @@ import scipy.sparse as sp
 
 from data_schemas import MissingExtraError, NoEquilibriumError, SimulateError
 from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, Ogden, PenaltyContact, Pose
+from sim.mechanics import _assembly as assembly_module
 from sim.mechanics import _increments as increments
 from sim.mechanics._assembly import UpperBlocks
 from sim.mechanics._finger_mesh import TiedNodes
 from sim.mechanics._increments import Load, State, load_increments
 from sim.mechanics._increments import _Search as _IncrementSearch
-from sim.mechanics._linear_solver import linear_solver
+from sim.mechanics._linear_solver import linear_solver, refined
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import Tie
 from sim.mechanics._newton import (
@@ -93,6 +94,25 @@ def test_newton_converges_quadratically():
     # each residual near the end is at most the square of the one before, up to a constant
     assert r[-1] <= 1e-3 * r[-2] <= 1e-4 * r[-3]
     assert len(r) <= 10
+
+
+def test_a_whole_step_is_assembled_once_and_not_evaluated_before(monkeypatch):
+    _, assembly, loading = sheared_beam()
+    evaluate, levels = assembly_module.many_hexahedra, []
+
+    def counted(*given):
+        levels.append(given[7])
+        return evaluate(*given)
+
+    monkeypatch.setattr(assembly_module, "many_hexahedra", counted)
+    reached = find_equilibrium(assembly, assembly.at_rest(), loading(0.5), linear_solver())
+    assert not reached.failure
+    # the energies of the start and of the step that moves the supports; then each state of the search, once
+    assert levels.count(0) <= 2
+    assert levels.count(1) == len(reached.residuals_n)
+    rest = assemble(assembly.elasticity.mesh, TPU)
+    gradient, _ = rest.assemble(reached.state)
+    assert gradient == pytest.approx(reached.gradient_n, abs=1e-9)
 
 
 def test_a_column_buckles():
@@ -424,6 +444,27 @@ def test_linear_solvers_agree_with_a_dense_one(solver):
         pattern, dense = random_system(seed)
         opened.factorise(pattern.upper(), pattern.version)
         assert opened.solve(right) == pytest.approx(np.linalg.solve(dense, right), rel=1e-9)
+
+
+@both_solvers
+@pytest.mark.parametrize(("change", "products"), [(0.0, 1), (1e-3, 3), (10.0, 4)])
+def test_old_factors_are_tried_as_long_as_they_lead_there(solver, change, products):
+    """A matrix near the factorised one is solved with; one far off is given up at the rate of the first four tries."""
+    pattern, dense = random_system(0)
+    opened = linear_solver(solver)
+    opened.factorise(pattern.upper(), pattern.version)
+    near = dense + change * np.diag(np.linspace(0.0, 1.0, 12) ** 3) * np.abs(np.diag(dense)).max()
+    asked = []
+
+    def times(vector):
+        asked.append(vector)
+        return near @ vector
+
+    found = refined(times, opened, np.arange(12.0), 1e-6, 6)
+    assert len(asked) <= products
+    assert (found is None) == (change == 10.0)
+    if found is not None:
+        assert near @ found == pytest.approx(np.arange(12.0), abs=1e-4)
 
 
 @both_solvers

@@ -1,12 +1,14 @@
 """Surfaces of a finger that pass through each other are found, and told or avoided."""
 
+import re
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from data_schemas import NoEquilibriumError
+from data_schemas import NoEquilibriumError, SimulateError
 from sim import preset_design
-from sim.experiments import press_records
+from sim.experiments import increment_record, press_records, stored_press
 from sim.mechanics import STEPS, Block, FingerMesh, PressSettings, finger_mesh, press_finger
 from sim.mechanics import _press as press_module
 from sim.mechanics._assembly import Assembly, Elasticity, State
@@ -15,13 +17,14 @@ from sim.mechanics._finger_mesh import MeshSteps
 from sim.mechanics._increments import Load, load_increments
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
-from sim.mechanics._mesh import OwnSurfaces, Tie
+from sim.mechanics._mesh import OwnSurfaces, Tie, outer_triangles
 from sim.mechanics._newton import NewtonOptions, Supports
-from sim.mechanics._penalty_contact import PartsContact
+from sim.mechanics._parts_contact import PartsContact
 from tests.certified.blocks import unit_cells
 
 if contact_library_failure() is None:
     from sim.mechanics._barrier_contact import finger_parts_contact
+    from sim.mechanics._colliding_surfaces import CollidingSurfaces
 
 needs_the_toolkit = pytest.mark.skipif(
     contact_library_failure() is not None, reason=f"NO BARRIER CONTACT: {contact_library_failure()}"
@@ -78,6 +81,17 @@ def test_tied_faces_may_lie_in_each_other_and_nothing_else_may():
     # the upper block's free faces reach the lower one's
     rest[upper, 1] = -0.9
     assert OwnSurfaces(mesh).crossing(rest)
+
+
+@needs_the_toolkit
+@pytest.mark.parametrize(("within_mm", "near"), [(0.2999, False), (0.3001, True)])
+def test_pairs_are_near_by_their_distance_not_by_their_boxes(within_mm, near):
+    """Boxes grown by 0.2999 mm meet over a gap of 0.3 mm; a factorisation pays for each place that stays empty."""
+    mesh, upper = two_blocks(0.3)
+    surfaces = CollidingSurfaces(mesh.nodes_mm, outer_triangles(mesh), None, 0.02)
+    pairs = surfaces.node_pairs(surfaces.vertices_mm(np.zeros_like(mesh.nodes_mm)), within_mm)
+    across = np.isin(pairs, upper).sum(axis=1) == 1
+    assert across.any() == near
 
 
 _BABY = preset_design("baby-48x18")
@@ -161,7 +175,7 @@ class Springs:
         return 1.0
 
 
-def pressed_together(acts_from_rest):
+def pressed_together(acts_from_rest, shortest_share=1.0 / 64.0):
     """Two unit blocks 0.3 mm apart whose springs aim at 0.2, 0.4, 0.6 and 0.8 mm; states, contact, what was told."""
     mesh, upper = two_blocks(0.3)
     top = upper[np.isclose(mesh.nodes_mm[upper, 1], 2.3)]
@@ -177,13 +191,14 @@ def pressed_together(acts_from_rest):
         springs.target_mm = -0.8 * share
         return supports
 
-    refuse = None if acts_from_rest else lambda state, share: parts.refuse(state, 10.0 * share)
+    take_up = None if acts_from_rest else lambda state, share: parts.take_up(state, 10.0 * share)
     told = []
     options = NewtonOptions(tell=told.append)
-    load = Load(at, refuse=refuse, accept=parts.accept)
-    path = load_increments(assembly, linear_solver("superlu"), load, [0.25, 0.5, 0.75, 1.0], options=options)
+    load = Load(at, take_up=take_up, accept=parts.accept)
+    stops = [0.25, 0.5, 0.75, 1.0]
+    path = load_increments(assembly, linear_solver("superlu"), load, stops, None, shortest_share, options)
     states = {step.fraction: step.equilibrium.state.u_mm for step in path}
-    return mesh, states, parts, [what for what in told if "meet" in what]
+    return mesh, states, parts, [what for what in told if "contact between them acts" in what]
 
 
 @needs_the_toolkit
@@ -200,28 +215,93 @@ def test_parts_that_come_near_keep_apart_from_there_on():
         assert states[share] == pytest.approx(from_rest[share], abs=1e-6)
     assert parts.energy_n_mm(states[0.25]) == 0.0
     assert parts.energy_n_mm(states[1.0]) > 0.0
-    said = parts.note("by penalty; contact between ribs is not computed", states[1.0])
-    assert said.startswith("by penalty; parts of the finger keep apart by a barrier and touch at ")
-    assert "they came within 0.02 mm before a push of 5 mm" in said
+    assert "within 0.02 mm of each other before a push of 5 mm" in told[0]
+    of_penalty = "by penalty; contact between ribs is not computed"
+    assert parts.note(of_penalty, states[1.0], None) == of_penalty
+    said = parts.note(of_penalty, states[1.0], 5.0)
+    assert said.startswith("by penalty; parts of the finger keep apart by a barrier, within 0.02 mm of each other from")
+    assert re.search(r"from a push of 5 mm on; [1-9]\d* pairs touch at the last increment", said)
 
 
 @needs_the_toolkit
-def test_a_press_that_is_continued_takes_up_the_contact_that_it_had():
+def test_contact_that_is_taken_up_is_no_failed_increment():
+    """The same increment is sought again: taking contact up halves nothing, nor ends a press at its least increment."""
+    _, states, _, told = pressed_together(acts_from_rest=False, shortest_share=1.0)
+    assert len(told) == 1
+    assert list(states) == [0.25, 0.5, 0.75, 1.0]
+
+
+@needs_the_toolkit
+def test_a_press_that_is_continued_takes_up_no_contact_that_it_lacked_where_parts_were_near():
     mesh, states, _, _ = pressed_together(acts_from_rest=False)
-    for goes_on in (True, False):
+    for had in (True, False):
         assembly = Assembly(Elasticity(mesh, {"material": neo_hooke(0.1333, 20.0)}))
-        begin = states[0.75] if goes_on else np.zeros_like(states[0.75])
-        parts = PartsContact(preset_design("flat-70x35"), mesh, assembly, 1, begin)
-        if not goes_on:
-            parts.accept(State(states[0.75], ()))
-        assert bool(parts.refuse(State(states[1.0], ()), 10.0)) == goes_on
-        assert len(assembly.terms) == int(goes_on)
+        parts = PartsContact(preset_design("flat-70x35"), mesh, assembly, 1, states[0.75], had)
+        assert parts.take_up(State(states[1.0], ()), 10.0) == ""
+        assert len(assembly.terms) == int(had)
+        assert (parts.energy_n_mm(states[1.0]) > 0.0) == had
 
 
 @needs_the_toolkit
 def test_contact_that_would_have_acted_before_is_not_taken_up(monkeypatch):
-    monkeypatch.setattr("sim.mechanics._penalty_contact._SHALLOW_MM", 6.0)
+    monkeypatch.setattr("sim.mechanics._parts_contact._SHALLOW_MM", 6.0)
     _, states, parts, told = pressed_together(acts_from_rest=False)
     assert told == []
-    assert parts.note("by penalty", states[1.0]) == "by penalty"
+    assert parts.energy_n_mm(states[1.0]) == 0.0
     assert parts.surfaces.crossing(states[1.0])
+
+
+def folding(depth_mm):
+    """A finger whose slanting ribs come near the fins at 3 mm."""
+    ribs = _BABY.skeleton.model_copy(update={"rib_angle_deg": -20.0, "rib_thickness_mm": 0.8})
+    indenter = SMALL.indenter.model_copy(update={"depth_mm": depth_mm})
+    return _BABY.model_copy(update={"skeleton": ribs, "indenter": indenter})
+
+
+WIDE = MeshSteps(pad_mm=3.0, pad_layer_mm=3.0, skeleton_mm=4.0, across_mm=4.0)
+
+
+@needs_the_toolkit
+def test_a_press_whose_parts_touch_is_continued_with_their_contact_only(monkeypatch):
+    monkeypatch.setitem(STEPS, "coarse", WIDE)
+    stored = {}
+
+    def store(pressed):
+        stored[len(pressed.depth_mm)] = increment_record(folding(4.0), pressed)
+
+    whole = press_finger(folding(4.0), PressSettings(increments=4), store=store)
+    assert whole.parts_touch_from_mm == pytest.approx(3.0)
+    assert [stored[k].parts_touch_from_mm for k in (1, 2, 3, 4)] == [None, None, *2 * [pytest.approx(3.0)]]
+    resume = stored_press(stored[3], folding(4.0))
+    again = press_finger(folding(4.0), PressSettings(increments=4), resume=resume)
+    assert again.force_n == pytest.approx(whole.force_n, abs=1e-5 * whole.force_n[-1, 1])
+    assert again.contact == whole.contact
+    assert "of each other from a push of 3 mm on" in whole.contact
+    with pytest.raises(SimulateError, match="from a push of 3 mm on, and --contact penalty does not have it; continue"):
+        press_finger(folding(4.0), PressSettings(increments=4, contact="penalty"), resume=resume)
+
+
+@needs_the_toolkit
+def test_a_press_that_ends_before_an_increment_with_contact_states_none(monkeypatch):
+    monkeypatch.setitem(STEPS, "coarse", WIDE)
+
+    def ends(done, total, what):
+        if "contact between them acts from here on" in what:
+            raise NoEquilibriumError("no time is left")
+
+    pressed = press_finger(folding(3.0), PressSettings(increments=2), progress=ends)
+    assert (pressed.unreached, pressed.parts_touch_from_mm) == ("no time is left", None)
+    assert pressed.contact.endswith("; contact between ribs is not computed")
+
+
+@pytest.mark.usefixtures("crossing_by_penalty")
+def test_a_press_is_not_continued_from_parts_that_cross():
+    deeper = SMALL.model_copy(update={"indenter": SMALL.indenter.model_copy(update={"depth_mm": 0.9})})
+    crossing = press_finger(SMALL, PressSettings(increments=2, contact="penalty"))
+    pressed = press_finger(deeper, PressSettings(increments=3, contact="penalty"), resume=crossing)
+    assert pressed.crossing.startswith("from a push of 0.6 mm or less on the finger passes through itself")
+    if contact_library_failure() is None:
+        with pytest.raises(
+            SimulateError, match=r"a push of 0\.6 mm, the finger passes through itself.* --contact penalty"
+        ):
+            press_finger(deeper, PressSettings(increments=3), resume=crossing)
