@@ -100,6 +100,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
         differences=skill_differences(compared, [s.simulator for s in simulators]),
         worst=worst_pairs(compared),
         to_capture_next=to_capture(compared),
+        relative=work.relative,
         notes=tuple(notes),
     )
     inputs = read | input_digests([*work.listed, *([] if arguments.pairs is None else [arguments.pairs])])

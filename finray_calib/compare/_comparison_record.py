@@ -49,6 +49,7 @@ from finray_calib.compare._photometric_error import (
 from finray_calib.compare._prepared_images import (
     Nuisances,
     PreparedImages,
+    begins_from,
     nuisances_of,
     prepare_images,
     relative_press,
@@ -170,7 +171,7 @@ def _checked(
         checks = checks if other is None else (*checks, other)
     forced = any(f.severity == "refuse" for f in findings)
     found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
-    return report.model_copy(update=found), compared, estimated
+    return report.model_copy(update=found | {"relative": chosen.relative}), compared, estimated
 
 
 def shown_press(
@@ -200,7 +201,7 @@ def _as_compared(press: SimulatedPress, capture: TactileCapture, nuisances: Nuis
 
 def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bool) -> tuple[SimulatedPress, list[str]]:
     """Return the press, moved if asked, and what to tell of the camera's drift."""
-    if _begins_from(press, capture):
+    if begins_from(press, rgb_image(capture.no_contact, capture)):
         return press, [_ONE_PICTURE]
     try:
         found, state = register_press(press, capture)
@@ -214,15 +215,6 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
         seen = f"the camera has drifted, as the images with {state} show: {found}"
         return press, [f"{seen}; the option 'register' moves the render"]
     return move_press(press, found.to_render), [f"the render was moved, by the images with {state}: {found}"]
-
-
-def _begins_from(press: SimulatedPress, capture: TactileCapture) -> bool:
-    """Return whether the image without contact of a press is that of the capture itself."""
-    own = rgb_image(capture.no_contact, capture)
-    if press.no_contact.shape != own.shape:
-        return False
-    alike = press.no_contact == own.astype(press.no_contact.dtype)
-    return bool(alike.all() or (alike | ~np.isfinite(own)).all())
 
 
 Floats = NDArray[np.float64]

@@ -473,6 +473,8 @@ def without_gain(image: Floats, log_gain: Floats, offset_dn: float) -> Floats:
 def layers_without_gain(layers: RenderLayers, log_gain: Floats, offset_dn: float) -> RenderLayers:
     """Return a render whose layers are its three channels without a gain of the contact image."""
     contact = without_gain(layers.contact.astype(np.float64), log_gain, offset_dn).astype(np.float32)
+    if layers.rest_noise is not None:
+        layers = replace(layers, rest_noise=layers.rest_noise * np.exp(-2.0 * log_gain))
     if not layers.contact_half.any():
         return replace(layers, contact=contact)
     return replace(layers, contact=contact, contact_half=(layers.contact_half * np.exp(-log_gain)).astype(np.float32))

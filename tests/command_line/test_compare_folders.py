@@ -96,6 +96,23 @@ def test_simulators_are_ranked_on_one_page(folders: Path) -> None:
     assert "weak: is given twice; give each folder of simulated presses once" in twice.err
 
 
+def test_a_relative_comparison_says_so_everywhere_and_suggests_no_decision(folders: Path) -> None:
+    assert finray(f"compare {folders}/simulated {folders}/captured --relative --out {folders}/out").status == 0
+    batch = read_record(folders / "out/summary.json", ComparisonBatch)
+    assert batch.relative
+    assert batch.pairs[1].report is not None
+    assert read_record(folders / "out" / batch.pairs[1].report, PhotometricErrorReport).relative
+    for page in ("summary", "one.photometric-error"):
+        text = (folders / f"out/{page}.html").read_text()
+        assert "Relative: the captured image without contact stands in the place of the render" in text
+    one = f"compare {folders}/simulated/one.press.json {folders}/captured/one.capture.json"
+    relative = finray(f"{one} --relative --out {folders}/relative.json")
+    absolute = finray(f"{one} --out {folders}/absolute.json")
+    assert "relative: only the change by contact is judged" in relative.out
+    assert "finray decide" in absolute.out
+    assert "finray decide" not in relative.out
+
+
 def test_names_that_give_one_file_name_get_files_of_their_own(folders: Path) -> None:
     rows = ["a/b", "a:b", "A-b"]
     text = "".join(f"simulated/one.press.json,captured/one.capture.json,{name}\n" for name in rows)
