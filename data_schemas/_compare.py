@@ -255,8 +255,9 @@ class FittedToneCurve(Model):
 
     exponent: Interval = Field(description="exponent p; 0.45 is sRGB, 1 linear")
     offset_dn: Interval = Field(description="offset b above the recorded black level")
-    white_balance: tuple[Interval, Interval, Interval] = Field(
-        description="scale of red, green and blue in linear light, relative to green"
+    white_balance: tuple[Interval | None, Interval | None, Interval | None] = Field(
+        description="scale of red, green and blue in linear light, relative to green; None where the render has no "
+        "light in one of both"
     )
     correlation: float = Field(
         description="correlation of the logarithms of both no-contact images; near 0 the prior decides"

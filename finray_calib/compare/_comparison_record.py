@@ -34,7 +34,7 @@ from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate
 from finray_calib.compare._error_attribution import attribute_error
 from finray_calib.compare._image_noise import mean_level
 from finray_calib.compare._input_draws import POSE, InputDraws, Inputs, Propagated, generator_of
-from finray_calib.compare._mismatch import mismatches, require_no_mismatch
+from finray_calib.compare._mismatch import dark_findings, mismatches, require_no_mismatch
 from finray_calib.compare._photometric_error import (
     ErrorDraws,
     captured_share,
@@ -152,9 +152,12 @@ def _checked(
         )
     # before the images: a press elsewhere looks like another exposure
     require_same_conditions(press, capture)
+    in_ratios = chosen.relative or (press.encoding, capture.encoding) == ("linear", "unknown")
+    dark = dark_findings(press, capture) if in_ratios else []
     if chosen.relative:
         press = relative_press(press, capture)
     findings, estimated = mismatches(press, capture)
+    findings = (*findings, *dark)
     if not chosen.despite_mismatch:
         require_no_mismatch(findings)
     compared, told = _placed_press(press, capture, chosen.registered)
@@ -325,8 +328,8 @@ def _tone_record(comparison: Comparison, distance: Floats, rng: np.random.Genera
         return None
     tone, where = nuisances.tone, comparison.used[-1]
     rest = nuisances.render.rgb(nuisances.render.no_contact)
-    lit = np.isfinite(distance) & every_channel(rest > 0.0)
-    light = np.log(rest[lit]).mean(axis=0) if lit.any() else np.zeros(3)
+    lit = np.isfinite(distance) & every_channel((rest > 0.0) | ~tone.lit)
+    light = np.log(np.where(tone.lit, rest[lit], 1.0)).mean(axis=0) if lit.any() else np.zeros(3)
     level = comparison.captured.contact[where]
     low, high = tone.level_dn.min(axis=0), tone.level_dn.max(axis=0)
     outside = float(((level < low) | (level > high)).any(axis=1).mean())

@@ -384,7 +384,9 @@ def tone_table(curve: FittedToneCurve) -> ReportTable:
     rows = [("exponent of the tone curve", _interval(curve.exponent)), ("offset (DN)", _interval(curve.offset_dn))]
     named = zip(CHANNELS, (red, green, blue), strict=True)
     rows += [
-        (f"white balance in light, {name} over green", _interval(value)) for name, value in named if name != "green"
+        (f"white balance in light, {name} over green", None if value is None else _interval(value))
+        for name, value in named
+        if name != "green"
     ]
     return one_group(
         "Fitted to the images without contact alone; the white balance cancels in the score.",

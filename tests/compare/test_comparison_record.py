@@ -405,6 +405,25 @@ def test_relative_noise_of_the_captured_rest_is_taken_out():
     assert np.mean(gradients) == pytest.approx(of_still, rel=0.25)
 
 
+@pytest.mark.parametrize("encoding", ["linear", "unknown"])
+def test_a_channel_that_the_render_leaves_dark_is_told(encoding):
+    """Its change is a ratio of two zeros: it scores 0, as doing nothing does, and the report says so."""
+    lit = made_up_press()
+    capture = capture_of(lit, 200.0 if encoding == "linear" else 1.0, encoding=encoding)
+    options = CheckOptions(relative=encoding == "linear")
+    dark = lit.model_copy(update={n: getattr(lit, n) * np.array([1.0, 1.0, 0.0]) for n in ("contact", "no_contact")})
+    found, whole = (compare_checked(one, capture, 1, options)[0] for one in (dark, lit))
+    told = [text for text in found.findings if "has no light where the capture has some (blue 100 % of the" in text]
+    assert len(told) == 1
+    assert not any("has no light" in text for text in whole.findings)
+    red, _, blue = rows_of(found)["simulation"].skill_per_channel
+    assert blue == pytest.approx(0.0, abs=1e-4)
+    assert red == pytest.approx(rows_of(whole)["simulation"].skill_per_channel[0], abs=0.02)
+    if encoding == "unknown":
+        assert [scale is None for scale in found.tone_curve.white_balance] == [False, False, True]
+        assert found.tone_curve.white_balance[0].estimate == pytest.approx(1.0, abs=0.05)
+
+
 def test_relative_stands_in_the_report():
     press = made_up_press()
     capture = capture_of(press, 200.0)
