@@ -159,7 +159,8 @@ def _levels(
 ) -> tuple[Floats, Floats, NDArray[np.intp], NDArray[np.bool_]]:
     """Return centred ln L and B of blocks (blocks, 3), the tile (a ninth of the picture) of each, and lit channels.
 
-    A channel in which most of the render is black, or the capture, is not lit: its ln L is 0. With fewer than 24 blocks of light in both, one block of no contrast stands for the picture: only the prior is left.
+    A channel in which most of the render is black, or the capture, is not lit: its ln L is 0. With fewer than 24 blocks
+    of light in both, one block of no contrast stands for the picture: only the prior is left.
     """
     side = max(1, min(_BLOCK_PX, min(pad.shape) // 15))
     light, dn = block_mean(render.astype(np.float64), side), block_mean(captured, side)

@@ -28,6 +28,9 @@ Quantity = Annotated[str, Field(min_length=1, max_length=100)] | Positive
 """A number, or the column of a table or the array of an npz file that holds it; ``center[0]`` is an entry of one."""
 OfPress = dict[str, Positive] | Quantity
 """The same, or a number for each press by its name."""
+Place = Annotated[float, Field(ge=0.0, le=1e6)]
+PlaceOfPress = dict[str, Place] | Annotated[str, Field(min_length=1, max_length=100)] | Place
+"""The same of a place, which may be 0."""
 Corner = tuple[float, float]
 
 
@@ -163,7 +166,7 @@ class RecipeIndenter(Model):
         default=None, description="from first touch; a number, a column, or a number for each press: { name = 0.5 }"
     )
     depth_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the depth")
-    position_mm: OfPress | None = Field(default=None, description="place along the pad, from its base")
+    position_mm: PlaceOfPress | None = Field(default=None, description="place along the pad, from its base")
     position_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the position")
     extruded_mm: Positive | None = Field(
         default=None,

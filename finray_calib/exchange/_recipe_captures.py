@@ -32,6 +32,7 @@ from finray_calib.exchange._capture_recipe import (
     LabelTable,
     LeftOutError,
     OfPress,
+    PlaceOfPress,
     Quantity,
     Recipe,
     label_array,
@@ -121,6 +122,9 @@ def read_by_recipe(
     read: list[str] = []
     excluded = [name for name in recipe.presses.leave_out if name in reader.files]
     left_out = {"the recipe excludes it": excluded} if excluded else {}
+    for where, names_of in _named_presses(recipe).items():
+        if absent := [name for name in names_of if name not in reader.files]:
+            left_out[f"{where} of the recipe names it, but the folder has no such press"] = absent
     names = [name for name in reader.files if name not in recipe.presses.leave_out]
     for number, name in enumerate(names):
         if progress is not None:
@@ -184,6 +188,19 @@ class _Folder:
         for name in self.circles:
             if name not in self.files:
                 raise ImportFormatError(f"--circles: {name} is not a press of {self.folder}; correct the line")
+        self._refuse_misspelt()
+
+    def _refuse_misspelt(self) -> None:
+        """Refuse a table by names that misses a press and names one that is not there: it is misspelt."""
+        read = [name for name in self.files if name not in self.recipe.presses.leave_out]
+        for where, names in _named_presses(self.recipe).items():
+            unknown = [name for name in names if name not in self.files]
+            missing = [name for name in read if name not in names]
+            if where != _LEAVE_OUT and unknown and missing:
+                raise ImportFormatError(
+                    f"recipe '{self.recipe.name}': {where} names '{unknown[0]}', which is no press of {self.folder}, "
+                    f"and not '{missing[0]}', which is one; correct the name, as {self.recipe.presses.files} gives it"
+                )
 
     @property
     def made_of(self) -> tuple[Path, ...]:
@@ -400,7 +417,7 @@ class _Folder:
     def _of_indenter(self, name: str, what: str) -> float | None:
         """Return diameter, depth or position of the indenter."""
         indenter, contact = self.recipe.indenter, self.recipe.contact
-        value: OfPress | None = getattr(indenter, what)
+        value: PlaceOfPress | OfPress | None = getattr(indenter, what)
         if isinstance(value, dict):
             return value.get(name)
         if value is None or isinstance(value, float):
@@ -535,6 +552,20 @@ class _Folder:
         )
         told = [MissingPart(what=what, lost=lost) for is_missing, what, lost in lacks if is_missing]
         return (*told, *self.recipe.lacks)
+
+
+_LEAVE_OUT: Final = "presses.leave_out"
+
+
+def _named_presses(recipe: Recipe) -> dict[str, list[str]]:
+    """Return key of the recipe -> presses that it names one by one."""
+    found: dict[str, list[str]] = {_LEAVE_OUT: list(recipe.presses.leave_out)}
+    for what in ("depth_mm", "position_mm"):
+        if isinstance(of := getattr(recipe.indenter, what), dict):
+            found[f"indenter.{what}"] = list(of)
+    if recipe.contact is not None and recipe.contact.outline_px:
+        found["contact.outline_px"] = list(recipe.contact.outline_px)
+    return found
 
 
 def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:

@@ -568,6 +568,32 @@ def test_a_prism_has_a_depth_of_each_press_and_is_written_as_a_solid(tmp_path):
     np.testing.assert_allclose((corners[..., 1].min(), corners[..., 1].max()), (0.0, 5.0))
 
 
+@pytest.mark.parametrize("key", ["depth_mm = { a = 0.5, bb = 1.0 }", "depth_mm = { a = 0.5, b = 1.0, c = 2.0 }"])
+def test_a_misspelt_press_is_refused_and_one_that_is_not_there_is_told(tmp_path, key):
+    for name in ("a", "b", "rest"):
+        save(tmp_path / f"{name}.png", flat())
+    text = PRISM.replace("depth_mm = { a = 0.5, b = 1.0 }", key)
+    if "bb" in key:
+        with pytest.raises(ImportFormatError, match=r"indenter\.depth_mm names 'bb', which is no press .* and not 'b'"):
+            read_by_recipe(tmp_path, recipe(text))
+        return
+    found = read_by_recipe(tmp_path, recipe(text.replace('leave_out = ["rest"]', 'leave_out = ["rest", "tset"]')))
+    assert {why: names for why, names in found.left_out.items() if "no such press" in why} == {
+        "indenter.depth_mm of the recipe names it, but the folder has no such press": ["c"],
+        "presses.leave_out of the recipe names it, but the folder has no such press": ["tset"],
+    }
+
+
+def test_a_press_at_the_base_of_the_pad_has_the_position_0(tmp_path):
+    for name in ("a", "rest"):
+        save(tmp_path / f"{name}.png", flat())
+    found = read_by_recipe(tmp_path, recipe(PICTURES + "position_mm = 0.0\n"))
+    assert found.captures["a"].indenter.position_mm == 0.0
+    (tmp_path / "r.toml").write_text(PICTURES + "depth_mm = 0.0\n")
+    with pytest.raises(ImportFormatError, match="depth_mm.* above 0"):
+        read_recipe(str(tmp_path / "r.toml"))
+
+
 def test_a_design_presses_that_prism_where_the_picture_shows_it(tmp_path):
     for name in ("a", "rest"):
         save(tmp_path / f"{name}.png", flat())
