@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas import ComparisonBatch, PhotometricErrorReport, provenance
+from data_schemas import ComparisonBatch, FieldError, Interval, PhotometricErrorReport, provenance
 from data_schemas.storage import Child, read_record, write_record
 from finray_calib.cli import _compare_folders
 from finray_calib.reports._batch_page import _tiles
@@ -269,6 +269,64 @@ def test_processes_that_do_not_fit_are_a_warning_and_give_the_same_numbers(
     monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (8 << 30, 8 << 30))
     assert "memory" not in finray(f"compare {folders}/simulated {folders}/captured --out {folders}/ample").err
     assert _numbers(folders / "short") == _numbers(folders / "ample")
+
+
+def _jobs_and_work(folders: Path) -> tuple[list[object], object]:
+    """The pairs "one" and "two" as the command gives them to a process."""
+    jobs = []
+    for name in ("one", "two"):
+        report = Path(f"{name}.photometric-error.json")
+        files = folders / f"simulated/{name}.press.json", folders / f"captured/{name}.capture.json"
+        jobs.append(_compare_folders._Job("s", name, *files, report))  # noqa: SLF001
+    (folders / "out").mkdir()
+    work = _compare_folders._Work(folders / "out", "finray compare", 1, False, False, None, None)  # noqa: SLF001
+    return jobs, work
+
+
+def _do(folders: Path) -> list[object]:
+    jobs, work = _jobs_and_work(folders)
+    as_json = _compare_folders._as_json  # noqa: SLF001
+    return _compare_folders.do_jobs("compare", [as_json(job) for job in jobs], as_json(work))
+
+
+def test_a_report_that_cannot_be_stored_is_told_although_a_later_pair_ends_with_another_error(
+    folders: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before, the error of the later pair was raised alone, and nothing said that the disk was full."""
+    compared = _compare_folders._compared  # noqa: SLF001
+
+    def second_breaks(job: "_compare_folders._Job", *others: object) -> object:
+        if job.name == "two":
+            raise RuntimeError("the second pair")
+        return compared(job, *others)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(_compare_folders, "_compared", second_breaks)
+    monkeypatch.setattr("data_schemas.storage.write_record", lambda *_, **__: None)
+    with pytest.raises(RuntimeError, match="the second pair"):
+        _do(folders)
+    (folders / "out").rmdir()
+    monkeypatch.setattr("data_schemas.storage.write_record", full)
+    with pytest.raises(OSError, match="No space left on device") as raised:
+        _do(folders)
+    assert str(raised.value.__cause__) == "the second pair"
+
+
+def test_a_record_that_finray_makes_wrongly_is_no_failed_pair(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A field's error in our own code would else be a pair that could not be compared, among others."""
+
+    def wrong(*_: object, **__: object) -> None:
+        Interval(estimate="much", low95=0.0, high95=1.0)
+
+    monkeypatch.setattr("finray_calib.compare.checked_report", wrong)
+    with pytest.raises(FieldError, match="estimate"):
+        _do(folders)
+    failed = finray(f"compare {folders}/simulated {folders}/captured --out {folders}/other")
+    assert failed.status == 2
+    assert "estimate" in failed.err
+    assert not (folders / "other/summary.json").exists()
 
 
 _SLOW = """\
