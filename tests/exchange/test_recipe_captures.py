@@ -590,7 +590,7 @@ def test_a_press_at_the_base_of_the_pad_has_the_position_0(tmp_path):
     found = read_by_recipe(tmp_path, recipe(PICTURES + "position_mm = 0.0\n"))
     assert found.captures["a"].indenter.position_mm == 0.0
     (tmp_path / "r.toml").write_text(PICTURES + "depth_mm = 0.0\n")
-    with pytest.raises(ImportFormatError, match="depth_mm.* above 0"):
+    with pytest.raises(ImportFormatError, match=r"depth_mm.* above 0"):
         read_recipe(str(tmp_path / "r.toml"))
 
 
