@@ -311,7 +311,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         (("[indenter]\n", CIRCLE), ('= "x"', '= "r"'), "r of a must be a number, got 'wide'"),
         (("[indenter]\n", CIRCLE), ("row_px = 9", "row_px = 999"), "outside the picture of 160 x 120 px; are row and"),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
-        (('file = "rest.png"', "frames_before = 3"), None, "frames_before is for videos, and a.png is a picture"),
+        (('file = "rest.png"', "frames_before = 3"), None, r"for Motion-JPEG videos \(\.avi\), and a\.png is none"),
         (
             ("[indenter]\n", CIRCLE),
             ("t.csv", "{press}.npz"),
