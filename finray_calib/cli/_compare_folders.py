@@ -442,9 +442,9 @@ def _compare_and_store(jobs: Sequence[_Job], work: _Work) -> list[Any]:
             if (first := stored.exception()) is not None:
                 raise first from later
         raise
-    for _, stored in begun:
-        if stored is not None:
-            stored.result()
+    for _, storing_one in begun:
+        if storing_one is not None:
+            storing_one.result()
     return [result for result, _ in begun]
 
 

@@ -552,7 +552,7 @@ def test_an_outline_outside_the_image_has_no_distance(tmp_path):
 
 def test_a_prism_has_a_depth_of_each_press_and_is_written_as_a_solid(tmp_path):
     for name in ("a", "b", "rest"):
-        save(tmp_path / f"{name}.png", flat())
+        save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
     found = read_by_recipe(tmp_path, recipe(PRISM))
     poses = [capture.indenter for capture in found.captures.values()]
     assert [(p.depth_mm, p.depth_uncertainty_mm) for p in poses] == [(0.5, 0.05), (1.0, 0.05)]
@@ -571,7 +571,7 @@ def test_a_prism_has_a_depth_of_each_press_and_is_written_as_a_solid(tmp_path):
 @pytest.mark.parametrize("key", ["depth_mm = { a = 0.5, bb = 1.0 }", "depth_mm = { a = 0.5, b = 1.0, c = 2.0 }"])
 def test_a_misspelt_press_is_refused_and_one_that_is_not_there_is_told(tmp_path, key):
     for name in ("a", "b", "rest"):
-        save(tmp_path / f"{name}.png", flat())
+        save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
     text = PRISM.replace("depth_mm = { a = 0.5, b = 1.0 }", key)
     if "bb" in key:
         with pytest.raises(ImportFormatError, match=r"indenter\.depth_mm names 'bb', which is no press .* and not 'b'"):
@@ -586,7 +586,7 @@ def test_a_misspelt_press_is_refused_and_one_that_is_not_there_is_told(tmp_path,
 
 def test_a_press_at_the_base_of_the_pad_has_the_position_0(tmp_path):
     for name in ("a", "rest"):
-        save(tmp_path / f"{name}.png", flat())
+        save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
     found = read_by_recipe(tmp_path, recipe(PICTURES + "position_mm = 0.0\n"))
     assert found.captures["a"].indenter.position_mm == 0.0
     (tmp_path / "r.toml").write_text(PICTURES + "depth_mm = 0.0\n")
@@ -596,7 +596,7 @@ def test_a_press_at_the_base_of_the_pad_has_the_position_0(tmp_path):
 
 def test_a_design_presses_that_prism_where_the_picture_shows_it(tmp_path):
     for name in ("a", "rest"):
-        save(tmp_path / f"{name}.png", flat())
+        save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
     capture = read_by_recipe(tmp_path, recipe(PRISM)).captures["a"]
     (tmp_path / "prism.stl").write_bytes(outline_solid_stl(capture, 5.0))
     (tmp_path / "d.toml").write_text(
