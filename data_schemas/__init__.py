@@ -383,6 +383,7 @@ if TYPE_CHECKING:
         naming,
         naming_file,
         system_words,
+        why_failed,
     )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -739,4 +740,5 @@ __all__ = [
     "require_coverage",
     "significant",
     "system_words",
+    "why_failed",
 ]

@@ -255,8 +255,9 @@ class FittedToneCurve(Model):
 
     exponent: Interval = Field(description="exponent p; 0.45 is sRGB, 1 linear")
     offset_dn: Interval = Field(description="offset b above the recorded black level")
-    white_balance: tuple[Interval, Interval, Interval] = Field(
-        description="scale of red, green and blue in linear light, relative to green"
+    white_balance: tuple[Interval | None, Interval | None, Interval | None] = Field(
+        description="scale of red, green and blue in linear light, relative to green; None where the render has no "
+        "light in one of both"
     )
     correlation: float = Field(
         description="correlation of the logarithms of both no-contact images; near 0 the prior decides"
@@ -323,7 +324,7 @@ class PhotometricErrorReport(Record):
     with a repeat) a score may lie above it; elsewhere a score above it is not meaningful.
     """
 
-    schema_version: ClassVar[int] = 5
+    schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray compare'"
     shown: ClassVar[tuple[str, ...]] = (
         "simulated", "captured", "headline_skill", "headline_region", "exposure_factor", "values",
@@ -379,6 +380,11 @@ class PhotometricErrorReport(Record):
     )
     forced_mismatch: bool = Field(
         default=False, description="compared although the checks say that the images do not belong together"
+    )
+    relative: bool = Field(
+        default=False,
+        description="only the change by contact was judged: the captured image without contact replaced the render's, "
+        "so that nothing is said of the render's light",
     )
     error_map: Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), allow_nan=True)]
     withheld: tuple[str, ...] = Field(default=(), description="figures that are not given, and why")
@@ -454,7 +460,7 @@ class SkillDifference(Model):
 class ComparisonBatch(Record):
     """Comparison of simulated presses with their captures, of one simulator or several, the best first."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray compare' with folders"
 
     pairs: tuple[ComparedPair, ...]
@@ -465,6 +471,7 @@ class ComparisonBatch(Record):
     to_capture_next: tuple[str, ...] = Field(
         default=(), description="which captures would make the scores more certain"
     )
+    relative: bool = Field(default=False, description="only the change by contact was judged, in all pairs")
     notes: tuple[str, ...] = ()
 
 

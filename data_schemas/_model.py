@@ -19,7 +19,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from data_schemas._lazy_exports import call_record_method
 from data_schemas._provenance import Provenance
-from data_schemas._record_text import array_text, interval_text, record_html, record_text
+from data_schemas._record_text import array_text, formatted_interval, interval_text, record_html, record_text
 from data_schemas.errors import FieldError, RecordError
 
 if TYPE_CHECKING:
@@ -88,6 +88,8 @@ class Model(_MadeInPython):
     ------
     FieldError
         When it is made with a value that is not allowed; the message names field, value and what is allowed.
+    pydantic.ValidationError
+        In its place by ``model_validate`` and ``model_validate_json``.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True)
@@ -254,7 +256,8 @@ class Estimate(Model):
     """Posterior summary of one number: median, standard deviation and equal-tailed intervals.
 
     Its text is the median with the 95 % interval, ``0.231 [0.210, 0.252]``; with a format such as ``f"{yield:.1f}"``
-    each of the three numbers has it. ``float`` returns the median alone.
+    each of the three numbers has it, and a width such as ``f"{yield:>30}"`` is that of the whole text. ``float``
+    returns the median alone.
     """
 
     estimate: float
@@ -271,14 +274,18 @@ class Estimate(Model):
         return str(self)
 
     def __format__(self, form: str) -> str:
-        return f"{self.estimate:{form}} [{self.low95:{form}}, {self.high95:{form}}]" if form else str(self)
+        return formatted_interval((self.estimate, self.low95, self.high95), form, "", str(self))
 
     def __float__(self) -> float:
         return self.estimate
 
 
 class Quantity(Estimate):
-    """An estimate with its unit: ``598.1 [586.5, 603.5] nm``."""
+    """An estimate with its unit: ``598.1 [586.5, 603.5] nm``.
+
+    ``float`` refuses it, unless it is a pure number: arrays of such numbers would mix their units. ``estimate`` is the
+    median, in the unit.
+    """
 
     unit: str
 
@@ -291,7 +298,15 @@ class Quantity(Estimate):
         return interval_text(self.estimate, self.low95, self.high95, self.unit)
 
     def __format__(self, form: str) -> str:
-        return f"{super().__format__(form)} {self.unit}".strip() if form else str(self)
+        return formatted_interval((self.estimate, self.low95, self.high95), form, self.unit, str(self))
+
+    def __float__(self) -> float:
+        if self.unit in ("", "1"):
+            return self.estimate
+        raise TypeError(
+            f"{self}: as a plain number it would lose its unit, {self.unit}, and an array could mix units; write "
+            f".estimate for the median in {self.unit}"
+        )
 
 
 @dataclass(frozen=True, slots=True, repr=False)

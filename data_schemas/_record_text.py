@@ -129,6 +129,35 @@ def interval_text(estimate: float, low: float, high: float, unit: str = "", most
     return f"{fixed(estimate, places)} [{fixed(low, places)}, {fixed(high, places)}] {unit}".strip()
 
 
+_FORMAT = re.compile(
+    r"(?P<place>(?:.?[<>^])?)(?P<sign>[-+ ]?)(?P<width>(?:[1-9]\d*)?)(?P<number>,?(?:\.\d+)?[eEfFgG%]?)"
+)
+
+
+def formatted_interval(numbers: tuple[float, float, float], form: str, unit: str, plain: str) -> str:
+    """Return an estimate with its interval in a format such as ``.1f``, ``>30`` or ``>30.1f``.
+
+    The sign, the decimals and their kind are those of each number; the width is that of the whole text, `plain` where
+    no number is formatted.
+
+    Raises
+    ------
+    ValueError
+        It is another format.
+    """
+    parts = _FORMAT.fullmatch(form)
+    if parts is None:
+        raise ValueError(
+            f"{form!r} is no format of a number with its interval: give decimals such as '.1f', '.3g' or '.2e', a "
+            "width such as '>30', or both, '>30.1f'"
+        )
+    text, of_number = plain, parts["sign"] + parts["number"]
+    if of_number:
+        estimate, low, high = (format(number, of_number) for number in numbers)
+        text = f"{estimate} [{low}, {high}] {unit}".strip()
+    return format(text, parts["place"] + parts["width"])
+
+
 def fixed(value: float, places: int) -> str:
     """Return a number with fixed decimals, rounded to tens and hundreds for decimals below 0.
 

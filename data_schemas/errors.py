@@ -48,7 +48,11 @@ class RecordError(FinrayError):
 
 
 class FieldError(RecordError, ValueError):
-    """A record, a design or a part of one was made in Python with a value that is not allowed."""
+    """A record, a design or a part of one was made in Python with a value that is not allowed.
+
+    It stands in the place of pydantic's ``ValidationError`` where a class is called; ``model_validate``,
+    ``model_validate_json`` and a ``TypeAdapter`` still raise pydantic's.
+    """
 
     @property
     def without_field(self) -> str:
@@ -148,6 +152,15 @@ class MissingExtraError(FinrayError):
 
 class DiedError(FinrayError):
     """A child process died, or did not end in time; what it had stored before is complete."""
+
+
+def why_failed(error: FinrayError) -> str:
+    """Return why one of many pieces of work failed, for the list of those that did.
+
+    A wrong field is said to be one of a record that finray made: files are read without that error, so that the fault
+    is more likely in the program than in what was asked.
+    """
+    return f"finray made a record that is not allowed: {error}" if isinstance(error, FieldError) else str(error)
 
 
 @contextmanager

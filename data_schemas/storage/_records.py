@@ -351,6 +351,18 @@ def _without_mean_of_skills(body: Body) -> Body:
     return {**kept, "notes": [*body["notes"], told]}
 
 
+def _with_relative_of_notes(body: Body) -> Body:
+    """Return a comparison that says in a field, as a note did, whether only the change by contact was judged."""
+    said = "compared relative to the capture's own image without contact"
+    return {**body, "relative": any(str(note).startswith(said) for note in body.get("notes", ()))}
+
+
+def _with_relative_of_command(body: Body) -> Body:
+    """Return a batch that says, as its command did, whether only the change by contact was judged."""
+    command = str((body.get("provenance") or {}).get("command", ""))
+    return {**body, "relative": any("--relative".startswith(word) and len(word) > 4 for word in command.split())}
+
+
 LEAST_LIMIT: Final = 1e-9
 """In place of a limit of 0, of which no rig keeps any more than of this one."""
 
@@ -526,6 +538,9 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("PressIncrement", 5): _as_it_is,
     # from which push on parts of the finger touched; none: they did not, or it is not known
     ("PressIncrement", 6): _as_it_is,
+    # whether only the change by contact was judged; a note and the command said so before
+    ("PhotometricErrorReport", 5): _with_relative_of_notes,
+    ("ComparisonBatch", 3): _with_relative_of_command,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

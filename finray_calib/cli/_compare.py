@@ -151,7 +151,8 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
         headline_skill=report.headline_skill, headline_region=report.headline_region, findings=report.findings,
         packaged_metrics=report.packaged_metrics,
     )  # fmt: skip
-    suggest_command("finray decide SWEEP --photometric-error", out)
+    if not report.relative:
+        suggest_command("finray decide SWEEP --photometric-error", out)
     suggest_file(page)
 
 

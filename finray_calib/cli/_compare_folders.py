@@ -17,7 +17,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from data_schemas import CompareError, DiedError, FinrayError, RecordError
+from data_schemas import CompareError, DiedError, FieldError, FinrayError, RecordError
 from data_schemas.storage import Child, files_in, has_file, read_json, stopping_together
 from finray_calib.cli._output import Progress, give, progress_bar, say, suggest_file, warn, wrote
 from finray_calib.cli._run import (
@@ -100,6 +100,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
         differences=skill_differences(compared, [s.simulator for s in simulators]),
         worst=worst_pairs(compared),
         to_capture_next=to_capture(compared),
+        relative=work.relative,
         notes=tuple(notes),
     )
     inputs = read | input_digests([*work.listed, *([] if arguments.pairs is None else [arguments.pairs])])
@@ -420,15 +421,31 @@ def do_jobs(what: Literal["compare", "page"], jobs: list[dict[str, Any]], work: 
         with threadpool_limits(limits=1):
             if what == "page":
                 return [_page(job, chosen) for job in todo]
-            # a report goes to the disk while the next pair is computed; all are there before the pairs count as done
-            with ThreadPoolExecutor(max_workers=1) as storing:
-                begun = [_compare_pair(job, chosen, storing) for job in todo]
-            for _, stored in begun:
-                if stored is not None:
-                    stored.result()
-            return [result for result, _ in begun]
+            return _compare_and_store(todo, chosen)
     finally:
         cv2.setNumThreads(threads)
+
+
+def _compare_and_store(jobs: Sequence[_Job], work: _Work) -> list[Any]:
+    """Return the results of pairs; each report goes to the disk while the next pair is computed.
+
+    All reports are there before the pairs count as done. One that could not be stored ends the command, also where a
+    later pair ended with another error.
+    """
+    begun: list[tuple[dict[str, Any], Future[Path] | None]] = []
+    try:
+        with ThreadPoolExecutor(max_workers=1) as storing:
+            for job in jobs:
+                begun.append(_compare_pair(job, work, storing))
+    except Exception as later:
+        for stored in [stored for _, stored in begun if stored is not None]:
+            if (first := stored.exception()) is not None:
+                raise first from later
+        raise
+    for _, storing_one in begun:
+        if storing_one is not None:
+            storing_one.result()
+    return [result for result, _ in begun]
 
 
 def _compare_all(jobs: Sequence[_Job], workers: _Workers) -> "tuple[list[ComparedPair], dict[str, str]]":
@@ -475,6 +492,8 @@ def _compared(job: _Job, work: _Work, storing: Executor) -> "tuple[dict[str, Any
         options = _options(work)
         origin = provenance(work.command, input_digests([job.simulated, job.captured, *work.listed]), work.seed)
         report = None if path.exists() else checked_report(press, capture, work.seed, options)
+    except FieldError:
+        raise  # files are read without it: a record that finray itself made wrongly is no fault of this pair
     except (FinrayError, OSError) as error:
         return {"error": str(error)}, None
     # A disk that takes no more is no fault of the pair: it ends the command, which goes on here when run again.

@@ -21,7 +21,7 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import Record, SimulatedPress, TactileCapture
+    from data_schemas import MissingPart, Record, SimulatedPress, TactileCapture
     from finray_calib.exchange import Recipe
 
 
@@ -497,16 +497,19 @@ class _Names:
 
 
 class _Told:
-    """Keep what is said of a set: its size, and what the first capture tells of all."""
+    """Keep what is said of a set: its size, what the first capture tells of all, and what each of them lacks."""
 
     def __init__(self) -> None:
         self.count = 0
         self.first: TactileCapture | None = None
+        self.lacks: dict[MissingPart, int] = {}
 
     def add(self, capture: "TactileCapture") -> None:
-        """Count a capture; only the first is kept."""
+        """Count a capture and what it lacks; only the first is kept."""
         self.count += 1
         self.first = self.first or capture
+        for part in capture.missing:
+            self.lacks[part] = self.lacks.get(part, 0) + 1
 
 
 def _recipe(arguments: argparse.Namespace) -> "tuple[Recipe, Path]":
@@ -559,8 +562,9 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
     suggest_file(out / CONTACTS)
     say(f"  {first.source}")
     say(f"  licence: {first.licence or 'not stated by the recipe'}")
-    for part in first.missing:
-        say(f"  lacks {part.what}: {part.lost}")
+    for part, count in told.lacks.items():
+        some = "" if count == told.count else f" ({count} of {told.count} presses)"
+        say(f"  lacks {part.what}{some}: {part.lost}")
     for why, names in left_out.items():
         say(f"  left out: {', '.join(names)}: {why}")
     if predicted:

@@ -34,7 +34,7 @@ from finray_calib.compare._displayed_images import SSIM_SETTINGS, ShownCandidate
 from finray_calib.compare._error_attribution import attribute_error
 from finray_calib.compare._image_noise import mean_level
 from finray_calib.compare._input_draws import POSE, InputDraws, Inputs, Propagated, generator_of
-from finray_calib.compare._mismatch import mismatches, require_no_mismatch
+from finray_calib.compare._mismatch import dark_findings, mismatches, require_no_mismatch
 from finray_calib.compare._photometric_error import (
     ErrorDraws,
     captured_share,
@@ -49,6 +49,7 @@ from finray_calib.compare._photometric_error import (
 from finray_calib.compare._prepared_images import (
     Nuisances,
     PreparedImages,
+    begins_from,
     nuisances_of,
     prepare_images,
     relative_press,
@@ -151,9 +152,12 @@ def _checked(
         )
     # before the images: a press elsewhere looks like another exposure
     require_same_conditions(press, capture)
+    in_ratios = chosen.relative or (press.encoding, capture.encoding) == ("linear", "unknown")
+    dark = dark_findings(press, capture) if in_ratios else []
     if chosen.relative:
         press = relative_press(press, capture)
     findings, estimated = mismatches(press, capture)
+    findings = (*findings, *dark)
     if not chosen.despite_mismatch:
         require_no_mismatch(findings)
     compared, told = _placed_press(press, capture, chosen.registered)
@@ -170,7 +174,7 @@ def _checked(
         checks = checks if other is None else (*checks, other)
     forced = any(f.severity == "refuse" for f in findings)
     found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
-    return report.model_copy(update=found), compared, estimated
+    return report.model_copy(update=found | {"relative": chosen.relative}), compared, estimated
 
 
 def shown_press(
@@ -200,7 +204,7 @@ def _as_compared(press: SimulatedPress, capture: TactileCapture, nuisances: Nuis
 
 def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bool) -> tuple[SimulatedPress, list[str]]:
     """Return the press, moved if asked, and what to tell of the camera's drift."""
-    if _begins_from(press, capture):
+    if begins_from(press, rgb_image(capture.no_contact, capture)):
         return press, [_ONE_PICTURE]
     try:
         found, state = register_press(press, capture)
@@ -214,15 +218,6 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
         seen = f"the camera has drifted, as the images with {state} show: {found}"
         return press, [f"{seen}; the option 'register' moves the render"]
     return move_press(press, found.to_render), [f"the render was moved, by the images with {state}: {found}"]
-
-
-def _begins_from(press: SimulatedPress, capture: TactileCapture) -> bool:
-    """Return whether the image without contact of a press is that of the capture itself."""
-    own = rgb_image(capture.no_contact, capture)
-    if press.no_contact.shape != own.shape:
-        return False
-    alike = press.no_contact == own.astype(press.no_contact.dtype)
-    return bool(alike.all() or (alike | ~np.isfinite(own)).all())
 
 
 Floats = NDArray[np.float64]
@@ -333,8 +328,8 @@ def _tone_record(comparison: Comparison, distance: Floats, rng: np.random.Genera
         return None
     tone, where = nuisances.tone, comparison.used[-1]
     rest = nuisances.render.rgb(nuisances.render.no_contact)
-    lit = np.isfinite(distance) & every_channel(rest > 0.0)
-    light = np.log(rest[lit]).mean(axis=0) if lit.any() else np.zeros(3)
+    lit = np.isfinite(distance) & every_channel((rest > 0.0) | ~tone.lit)
+    light = np.log(np.where(tone.lit, rest[lit], 1.0)).mean(axis=0) if lit.any() else np.zeros(3)
     level = comparison.captured.contact[where]
     low, high = tone.level_dn.min(axis=0), tone.level_dn.max(axis=0)
     outside = float(((level < low) | (level > high)).any(axis=1).mean())

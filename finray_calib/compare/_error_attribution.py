@@ -280,6 +280,10 @@ def _known_variance(comparison: Comparison, scene: _Scene, window: _Window) -> F
         return np.zeros(3)
     known = captured.variance(np.nan_to_num(window.cut(captured.contact)))
     known = known + comparison.best_exposure**2 * layers.rgb(half) ** 2
+    if layers.rest_noise is not None:
+        known = known + window.cut(layers.rest_noise) * captured.variance(
+            np.nan_to_num(window.cut(captured.no_contact))
+        )
     return np.asarray(np.nan_to_num(window.averaged(known))[scene.fitted].mean(axis=0) / window.side_px**2)
 
 

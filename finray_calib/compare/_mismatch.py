@@ -271,6 +271,37 @@ def _clipped_findings(press: SimulatedPress, capture: TactileCapture, images: tu
     return findings
 
 
+#: From this share of a region on, pixels at which a render is black are told.
+_DARK_SHARE = 0.01
+
+
+def dark_findings(press: SimulatedPress, capture: TactileCapture) -> list[Finding]:
+    """Tell channels in which a render that is compared in ratio form is black where the capture has light.
+
+    The change by contact is there a ratio of two zeros, and the image without contact stands in its place: the channel
+    then scores as much as doing nothing, 0, and lowers the score of all channels together.
+    """
+    rest = rgb_image(capture.no_contact, capture)
+    if press.no_contact.shape != rest.shape:
+        return []  # refused with both sizes where images are compared
+    name, factor = list(FACTORS.items())[-1]
+    where = press.distance <= factor
+    lit = (rest[where] > 0.0) | ~np.isfinite(rest[where])  # clipped is lit
+    if not where.any() or not lit.any():
+        return []
+    dark = (np.asarray(press.no_contact[where]) <= 0.0) & lit
+    shares = {channel: float(share) for channel, share in zip(_CHANNELS, dark.mean(axis=0), strict=True)}
+    told = [f"{channel} {100 * share:.0f} %" for channel, share in shares.items() if share >= _DARK_SHARE]
+    if not told:
+        return []
+    text = (
+        f"{press.name} has no light where the capture has some ({', '.join(told)} of the {name}): these pixels count "
+        "as doing nothing, because a change of no light has no ratio. Check the lights, the paint and the camera's "
+        "response of the design in these channels, or render with more samples"
+    )
+    return [Finding("warn", "levels", text)]
+
+
 def _encoding_findings(scene: _Scene, capture: TactileCapture) -> list[Finding]:
     """Compare the curve of the capture against the render's levels with a straight line through zero."""
     curve = tone_curve(scene.simulated_no_contact, scene.no_contact)

@@ -124,6 +124,8 @@ def nuisances_of(
     """
     contact, no_contact = images or [rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact)]
     render, distance = render_layers(press), press.distance.astype(np.float64)
+    if capture.encoding == "linear" and begins_from(press, no_contact):
+        render = replace(render, rest_noise=_noise_of_rest(press, no_contact))
     full_dn = full_scale_dn(capture)
     tone, shown, offset_dn = None, render, 0.0
     if press.encoding == "linear" and capture.encoding == "unknown":
@@ -143,12 +145,30 @@ def nuisances_of(
 _TONE_SEED = 20_040
 
 
+def begins_from(press: SimulatedPress, no_contact: Floats) -> bool:
+    """Return whether the image without contact of a press is this captured one (H, W, 3), NaN where clipped."""
+    if press.no_contact.shape != no_contact.shape:
+        return False
+    alike = press.no_contact == no_contact.astype(press.no_contact.dtype)
+    return bool(alike.all() or (alike | ~np.isfinite(no_contact)).all())
+
+
+def _noise_of_rest(press: SimulatedPress, no_contact: Floats) -> Floats:
+    """Return (S / B)^2: the factor on the variance of the noise of B that its contact image S = B L1 / L0 holds.
+
+    A contact image that is formed otherwise, as B and a change, differs from it by the contrast of the contact alone.
+    """
+    rest = np.nan_to_num(no_contact)
+    ratio = np.divide(press.contact, rest, out=np.ones(rest.shape), where=rest > 0.0)
+    return np.asarray(ratio**2)
+
+
 def relative_press(press: SimulatedPress, capture: TactileCapture) -> SimulatedPress:
     """Return a render at the light of the capture: S = B L1 / L0, with B the captured image without contact.
 
     The render's own light field without contact is then not judged: its level, colours and shading. The noise of B is
-    in S, too, and is not taken out of the error. What is known of paints and camera acts on the light field, and is
-    left out.
+    in S, too, and is taken out of the error where a repeat tells it. What is known of paints and camera acts on the
+    light field, and is left out.
 
     Raises
     ------
@@ -183,8 +203,7 @@ def relative_press(press: SimulatedPress, capture: TactileCapture) -> SimulatedP
 
 RELATIVE = (
     "compared relative to the capture's own image without contact, which stands in the place of the render's: only the "
-    "change by contact is judged, and not the level, colours and shading of the render without contact. The noise of "
-    "that image stays in the error, so that scores are somewhat low, and a render without touch scores below 0"
+    "change by contact is judged, and not the level, colours and shading of the render without contact"
 )
 
 

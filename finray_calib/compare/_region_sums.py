@@ -47,6 +47,9 @@ class RenderLayers:
     matrix : ndarray, shape (3, L)
     inputs : KnownInputs or None
         Draws of what decides the matrix.
+    rest_noise : ndarray, shape (H, W, 3), or None
+        Of a press that begins from the captured image without contact: factor on the variance of that image's noise,
+        which the contact image holds as well. None: it holds none.
     """
 
     contact: Image
@@ -59,6 +62,7 @@ class RenderLayers:
     names: tuple[str, ...]
     matrix: Floats
     inputs: KnownInputs | None
+    rest_noise: Floats | None = None
 
     @property
     def contact_variance(self) -> Floats:
@@ -99,6 +103,7 @@ class RenderLayers:
             no_contact_half=block_mean(self.no_contact_half, side_px),
             pose=pose,
             pose_half=pose_half,
+            rest_noise=None if self.rest_noise is None else block_mean(self.rest_noise, side_px),
         )
 
     def at(self, where: NDArray[np.bool_]) -> "RenderLayers":
@@ -106,7 +111,8 @@ class RenderLayers:
         states = ("contact", "no_contact", "contact_half", "no_contact_half")
         images = {name: getattr(self, name)[where][None] for name in states}
         poses = {name: getattr(self, name)[:, where][:, None] for name in ("pose", "pose_half")}
-        return replace(self, **images, **poses)
+        rest_noise = None if self.rest_noise is None else self.rest_noise[where][None]
+        return replace(self, **images, **poses, rest_noise=rest_noise)
 
     def halves(self, state: str, where: NDArray[np.bool_], pose_names: tuple[str, ...] = ()) -> tuple[Floats, Floats]:
         """Return both halves (pixels, L (1 + N)) of "contact" or "no_contact" at some pixels.
@@ -211,7 +217,7 @@ def squared_error(halves: tuple[Floats, Floats], captured: Floats, variance: Flo
         Layers of the independent halves of a render.
     captured : ndarray, shape (P, C)
     variance : ndarray, shape (P, C)
-        Noise variance of `captured`.
+        Noise variance of the capture's images in the difference of both.
     """
     first, second = halves
     product = first.T @ second
@@ -240,28 +246,32 @@ class NoiseCovariance:
 
 
 def noise_covariance(
-    error: Floats, signal: Floats, render_variance: Floats, capture_variance: Floats, no_contact_variance: Floats
+    error: Floats, signal: Floats, render_variance: Floats, of_error: Floats, of_signal: Floats, of_both: Floats
 ) -> NoiseCovariance:
     """Return variances and covariance of noise-corrected sums of (S - D)^2 and (B - D)^2.
 
-    With the error e = S - D and the signal s = B - D of the noise-free images and variances v of the noise, which is
-    normal and independent between pixels: var sum (S-D)^2 = sum 4 e^2 (v_S + v_D) + 2 (v_S + v_D)^2, and with the
-    independent halves of the render 2 v_S^2 more; cov = sum 4 e s v_D + 2 v_D^2. e^2, s^2 and e s are replaced by what
-    is measured without the noise's share, no square below zero, so the variances are rather too large than too small.
+    With the error e = S - D and the signal s = B - D of the noise-free images and variances v of their noise, which is
+    normal and independent between pixels: var sum (S-D)^2 = sum 4 e^2 v_e + 2 v_e^2, and with the independent halves
+    of the render 2 v_S^2 more; cov = sum 4 e s v_es + 2 v_es^2. e^2, s^2 and e s are replaced by what is measured
+    without the noise's share, no square below zero, so the variances are rather too large than too small.
 
     Parameters
     ----------
     error, signal : ndarray, shape (P, C)
         S - D and B - D as measured.
-    render_variance, capture_variance, no_contact_variance : ndarray, shape (P, C)
+    render_variance : ndarray, shape (P, C)
+        v_S, of the render's own noise.
+    of_error, of_signal, of_both : ndarray, shape (P, C)
+        Variances of the noise of the captured images in e and in s, and their covariance: v_D, v_B + v_D and v_D,
+        where S holds no noise of B.
     """
-    s, d, b = render_variance, capture_variance, no_contact_variance
-    clean_error = np.maximum(error**2 - s - d, 0.0)
-    clean_signal = np.maximum(signal**2 - b - d, 0.0)
+    e = render_variance + of_error
+    clean_error = np.maximum(error**2 - e, 0.0)
+    clean_signal = np.maximum(signal**2 - of_signal, 0.0)
     return NoiseCovariance(
-        error=(4.0 * clean_error * (s + d) + 2.0 * (s + d) ** 2 + 2.0 * s**2).sum(axis=0),
-        signal=(4.0 * clean_signal * (b + d) + 2.0 * (b + d) ** 2).sum(axis=0),
-        both=(4.0 * (error * signal - d) * d + 2.0 * d**2).sum(axis=0),
+        error=(4.0 * clean_error * e + 2.0 * e**2 + 2.0 * render_variance**2).sum(axis=0),
+        signal=(4.0 * clean_signal * of_signal + 2.0 * of_signal**2).sum(axis=0),
+        both=(4.0 * (error * signal - of_both) * of_both + 2.0 * of_both**2).sum(axis=0),
     )
 
 
@@ -343,13 +353,17 @@ def image_sums(
     """Return the sums of the images themselves over the `used` pixels."""
     contact, no_contact = (pixels_within(image, used) for image in (captured.contact, captured.no_contact))
     repeat = None if captured.repeat is None else pixels_within(captured.repeat, used)
+    v_d, v_b = captured.variance(contact), captured.variance(no_contact)
+    of_rest = 0.0 if layers.rest_noise is None else pixels_within(layers.rest_noise, used)
     values = _PixelValues(
         contact=contact,
         no_contact=no_contact,
         repeat=repeat,
-        contact_variance=captured.variance(contact),
-        no_contact_variance=captured.variance(no_contact),
+        contact_variance=v_d,
+        no_contact_variance=v_b,
         repeat_variance=None if repeat is None else captured.variance(repeat),
+        error_variance=v_d + of_rest * v_b,
+        shared_variance=v_d + np.sqrt(of_rest) * v_b,
     )
     halves = layers.halves("contact", used, pose_names)
     half = layers.contact_half.reshape(used.size, -1).take(np.flatnonzero(used), axis=0)
@@ -369,7 +383,11 @@ def gradient_sums(
     b, v_b = captured.no_contact, captured.variance(captured.no_contact)
     signal = image_gradient(captured.contact - b)
     repeat = None if captured.repeat is None else image_gradient(captured.repeat - b)
-    variance = gradient_variance(captured.variance(captured.contact) + v_b)
+    v_d, of_rest = captured.variance(captured.contact), layers.rest_noise
+    variance = gradient_variance(v_d + v_b)
+    of_error, of_both = (variance, variance)
+    if of_rest is not None:  # the noise of b is in the contact image of both sides
+        of_error, of_both = gradient_variance(v_d + of_rest * v_b), gradient_variance(v_d + np.sqrt(of_rest) * v_b)
     of_repeat = None if captured.repeat is None else gradient_variance(captured.variance(captured.repeat) + v_b)
     of_render = exposure_k**2 * gradient_variance(layers.contact_variance + layers.no_contact_variance)
     halves = _half_gradients(layers, pose_names)
@@ -379,7 +397,9 @@ def gradient_sums(
             found.append(None)
             continue
         d, v = _at(signal, whole), _at(variance, whole)
-        values = _PixelValues(d, np.zeros_like(d), None, v, np.zeros_like(d), None)
+        values = _PixelValues(
+            d, np.zeros_like(d), None, v, np.zeros_like(d), None, *(_at(i, whole) for i in (of_error, of_both))
+        )
         if repeat is not None and of_repeat is not None:
             values = replace(values, repeat=_at(repeat, whole), repeat_variance=_at(of_repeat, whole))
         means, differences = (np.concatenate([_at(g, whole) for g in of], axis=1) for of in halves)
@@ -399,7 +419,7 @@ def _gradient_places(captured: Captured, regions: Sequence[Bools]) -> list[Bools
 
 @dataclass(frozen=True, slots=True)
 class _PixelValues:
-    """Captured values (P, 3) and the variances of their noise."""
+    """Captured values (P, 3), the variances of their noise, and what it adds to S - D and shares with B - D."""
 
     contact: Floats
     no_contact: Floats
@@ -407,6 +427,8 @@ class _PixelValues:
     contact_variance: Floats
     no_contact_variance: Floats
     repeat_variance: Floats | None
+    error_variance: Floats
+    shared_variance: Floats
 
 
 def _sums(
@@ -424,8 +446,9 @@ def _sums(
     layers = matrix.shape[1]
     first, second = (exposure_k * half[:, :layers] @ matrix.T for half in halves)
     error, signal = (first + second) / 2.0 - d, b - d
-    noise = noise_covariance(error, signal, render_variance, v_d, v_b)
-    per_pixel = {"error": (first - d) * (second - d) - v_d, "signal": signal**2 - v_b - v_d, "level": level}
+    v_e = values.error_variance
+    noise = noise_covariance(error, signal, render_variance, v_e, v_d + v_b, values.shared_variance)
+    per_pixel = {"error": (first - d) * (second - d) - v_e, "signal": signal**2 - v_b - v_d, "level": level}
     floor, floor_sd = None, np.zeros(d.shape[1])
     if values.repeat is not None and values.repeat_variance is not None:
         # of gradients the repeat is already a difference, and b is zero without noise
@@ -437,7 +460,7 @@ def _sums(
     return RegionSums(
         where=where,
         pixels=len(d),
-        simulation=squared_error(halves, d, v_d),
+        simulation=squared_error(halves, d, v_e),
         no_contact_square=(b**2 - v_b).sum(axis=0),
         product=(b * d).sum(axis=0),
         contact_square=(d**2 - v_d).sum(axis=0),

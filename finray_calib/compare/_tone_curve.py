@@ -60,6 +60,8 @@ class ToneFit:
         Mean over channels of the correlation of the logarithms of both; 0 without contrast.
     white_balance_noise_rel : float
         Share of the light's own error that is left in the mean of a channel: few values of a pad are independent.
+    lit : ndarray of bool, shape (3,)
+        Channels in which the render has light: the others tell nothing of the curve.
     """
 
     exponent: float
@@ -69,9 +71,10 @@ class ToneFit:
     level_dn: Floats
     correlation: float
     white_balance_noise_rel: float
+    lit: NDArray[np.bool_]
 
-    def white_balance(self, light: Floats) -> tuple[Interval, Interval, Interval]:
-        """Return the scale of each channel in linear light, relative to green.
+    def white_balance(self, light: Floats) -> tuple[Interval | None, Interval | None, Interval | None]:
+        """Return the scale of each channel in linear light, relative to green; None without light in one of both.
 
         Parameters
         ----------
@@ -87,7 +90,9 @@ class ToneFit:
         half = 1.96 * np.sqrt(scale.var(axis=0) + of_light)
         red, green, blue = (
             Interval(estimate=float(np.exp(m)), low95=float(np.exp(m - h)), high95=float(np.exp(m + h)))
-            for m, h in zip(np.median(scale, axis=0), half, strict=True)
+            if lit and self.lit[1]
+            else None
+            for m, h, lit in zip(np.median(scale, axis=0), half, self.lit, strict=True)
         )
         return red, green, blue
 
@@ -118,7 +123,8 @@ def fit_tone(
     -------
     ToneFit
     """
-    x, level, tile = _levels(render, captured, pad)
+    log_light, level_dn, tile, lit = _levels(render, captured, pad)
+    x, level = log_light[:, lit], level_dn[:, lit]
     grid_p, grid_b, log_density = [], [], []
     independent = _independent_values(x, np.log(level), tile)
     for share in _OFFSETS:
@@ -143,25 +149,34 @@ def fit_tone(
     exponent = float(exponents[order][np.searchsorted(cumulative, 0.5)])
     near = np.abs(exponents - exponent) <= 2.0 * steps[0]
     offset_dn = float((chance * offsets)[near].sum() / chance[near].sum())
-    noise_rel = 1.0 / np.sqrt(max(independent / 3.0, 1.0))
-    return ToneFit(exponent, offset_dn, draws, x, level, _correlation(x, _centred(np.log(level))), noise_rel)
+    noise_rel = 1.0 / np.sqrt(max(independent / x.shape[1], 1.0))
+    correlation = _correlation(x, _centred(np.log(level)))
+    return ToneFit(exponent, offset_dn, draws, log_light, level_dn, correlation, noise_rel, lit)
 
 
-def _levels(render: Floats, captured: Floats, pad: NDArray[np.bool_]) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Return centred ln L and B of blocks (blocks, 3), and the tile (a ninth of the picture) of each.
+def _levels(
+    render: Floats, captured: Floats, pad: NDArray[np.bool_]
+) -> tuple[Floats, Floats, NDArray[np.intp], NDArray[np.bool_]]:
+    """Return centred ln L and B of blocks (blocks, 3), the tile (a ninth of the picture) of each, and lit channels.
 
-    With fewer than 24 blocks of light in both, one block of no contrast stands for the picture: only the prior is left.
+    A channel in which most of the render is black, or the capture, is not lit: its ln L is 0. With fewer than 24 blocks
+    of light in both, one block of no contrast stands for the picture: only the prior is left.
     """
     side = max(1, min(_BLOCK_PX, min(pad.shape) // 15))
     light, dn = block_mean(render.astype(np.float64), side), block_mean(captured, side)
     inside = block_mean(pad.astype(np.float64), side) > 0.999
-    used = inside & every_channel(np.isfinite(dn) & (dn > 0.0) & (light > 0.0))
-    if used.sum() < _LEAST_BLOCKS:
+    usable = np.isfinite(dn) & (dn > 0.0) & (light > 0.0)
+    lit = usable[inside].mean(axis=0) > 0.5 if inside.any() else np.zeros(3, dtype=np.bool_)
+    used = inside & every_channel(usable | ~lit)
+    if used.sum() < _LEAST_BLOCKS or not lit.any():
         middle = float(np.nanmedian(captured)) if np.isfinite(captured).any() else 1.0
-        return np.zeros((1, 3)), np.full((1, 3), max(middle, 1.0)), np.zeros(1, dtype=np.intp)
+        every = np.ones(3, dtype=np.bool_)
+        return np.zeros((1, 3)), np.full((1, 3), max(middle, 1.0)), np.zeros(1, dtype=np.intp), every
     rows, columns = np.nonzero(used)
     tile = rows * _TILES // used.shape[0] * _TILES + columns * _TILES // used.shape[1]
-    return _centred(np.log(light[used])), dn[used], np.asarray(tile, dtype=np.intp)
+    logs = np.log(np.where(lit, light[used], 1.0))
+    level = np.where(lit, dn[used], np.maximum(np.nan_to_num(dn[used]), 1e-3))
+    return _centred(logs), level, np.asarray(tile, dtype=np.intp), lit
 
 
 def _centred(values: Floats) -> Floats:
@@ -172,7 +187,7 @@ def _centred(values: Floats) -> Floats:
 def _correlation(x: Floats, y: Floats) -> float:
     """Return the correlation of centred values, mean over channels; 0 where one has no contrast."""
     norm = np.sqrt((x**2).sum(axis=0) * (y**2).sum(axis=0))
-    return float(np.divide((x * y).sum(axis=0), norm, out=np.zeros(3), where=norm > 0.0).mean())
+    return float(np.divide((x * y).sum(axis=0), norm, out=np.zeros_like(norm), where=norm > 0.0).mean())
 
 
 def _independent_values(x: Floats, log_level: Floats, tile: NDArray[np.intp]) -> float:
@@ -473,6 +488,8 @@ def without_gain(image: Floats, log_gain: Floats, offset_dn: float) -> Floats:
 def layers_without_gain(layers: RenderLayers, log_gain: Floats, offset_dn: float) -> RenderLayers:
     """Return a render whose layers are its three channels without a gain of the contact image."""
     contact = without_gain(layers.contact.astype(np.float64), log_gain, offset_dn).astype(np.float32)
+    if layers.rest_noise is not None:
+        layers = replace(layers, rest_noise=layers.rest_noise * np.exp(-2.0 * log_gain))
     if not layers.contact_half.any():
         return replace(layers, contact=contact)
     return replace(layers, contact=contact, contact_half=(layers.contact_half * np.exp(-log_gain)).astype(np.float32))

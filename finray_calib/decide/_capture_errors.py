@@ -131,6 +131,11 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
             f"that of the simulation ({'; '.join(report.findings)}): correct the capture and compare again, "
             "or leave it out"
         )
+    if report.relative:
+        raise DecideError(
+            f"the report on {report.captured} is relative: it judges the change by contact alone and says nothing of "
+            "the light of the render, on which the angle depends. Compare again without --relative, or leave it out"
+        )
     if report.objective_error is None and (report.values == "linear light" or report.tone_curve is not None):
         raise DecideError(
             f"the report on {report.captured} carries no brightness error, because the render holds no draws of its "

@@ -6,18 +6,20 @@ the same rules. Here are also the tables and arrays of labels that a recipe name
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Final, Literal
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from data_schemas import ImportFormatError, MissingPart, Model, explain
-from data_schemas.storage import read_csv, read_toml_tables
-from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, read_npz, require_length
+from data_schemas.storage import files_below, has_file, read_csv, read_toml_tables
+from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, MOST_PRESSES, read_npz, require_length
 
 RECIPES: Final = Path(__file__).parent / "recipes"
 PRESS: Final = "{press}"
@@ -28,6 +30,9 @@ Quantity = Annotated[str, Field(min_length=1, max_length=100)] | Positive
 """A number, or the column of a table or the array of an npz file that holds it; ``center[0]`` is an entry of one."""
 OfPress = dict[str, Positive] | Quantity
 """The same, or a number for each press by its name."""
+Place = Annotated[float, Field(ge=0.0, le=1e6)]
+PlaceOfPress = dict[str, Place] | Annotated[str, Field(min_length=1, max_length=100)] | Place
+"""The same of a place, which may be 0."""
 Corner = tuple[float, float]
 
 
@@ -163,8 +168,11 @@ class RecipeIndenter(Model):
         default=None, description="from first touch; a number, a column, or a number for each press: { name = 0.5 }"
     )
     depth_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the depth")
-    position_mm: OfPress | None = Field(default=None, description="place along the pad, from its base")
+    position_mm: PlaceOfPress | None = Field(default=None, description="place along the pad, from its base")
     position_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the position")
+    columns_in: Literal["mm", "cm", "m", "um"] = Field(
+        default="mm", description="unit of the columns and arrays that hold diameter, depth and position"
+    )
     extruded_mm: Positive | None = Field(
         default=None,
         description="height of a straight solid over the hull of the contact's outline, which is written as STL beside "
@@ -176,9 +184,20 @@ class RecipeIndenter(Model):
         for name in ("depth", "position"):
             if getattr(self, f"{name}_uncertainty_mm") is not None and getattr(self, f"{name}_mm") is None:
                 raise ValueError(f"{name}_uncertainty_mm needs {name}_mm; give it too, or leave the uncertainty out")
+        sizes = (self.diameter_mm, self.depth_mm, self.position_mm)
+        if self.columns_in != "mm" and not any(isinstance(size, str) for size in sizes):
+            raise ValueError("columns_in belongs to columns, and the indenter names none; give its numbers in mm")
         if self.extruded_mm is not None and self.shape != "mesh":
             raise ValueError(f'extruded_mm belongs to shape = "mesh", not to a {self.shape}; leave it out')
         return self
+
+    @property
+    def column_unit_mm(self) -> float:
+        """Millimetres in a unit of the columns."""
+        return _COLUMN_UNITS_MM[self.columns_in]
+
+
+_COLUMN_UNITS_MM: Final = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 
 
 class RecipeForce(Model):
@@ -300,7 +319,7 @@ class LabelTable:
         """
         for table, keys in (
             (self.by_path, (name, name + path.suffix)),
-            (self.by_last, (path.name, PurePosixPath(name).name)),
+            (self.by_last, (composed(path.name), PurePosixPath(name).name)),
         ):
             rows = next((table[key] for key in keys if key in table), [])
             if len(rows) > 1:
@@ -318,7 +337,7 @@ def read_label_table(path: Path, press: str) -> LabelTable:
     table = LabelTable(columns, {}, {})
     for _, cells in rows:
         row = dict(zip(columns, cells, strict=False))
-        named = PurePosixPath(row.get(press, "").strip().replace("\\", "/"))
+        named = PurePosixPath(composed(row.get(press, "").strip().replace("\\", "/")))
         # what follows the last dot of "press_1.5" is not a kind of file
         last = {named.name, named.stem} if not named.suffix[1:].isdigit() else {named.name}
         keyed = [(table.by_path, named.as_posix()), *((table.by_last, key) for key in last)]
@@ -356,3 +375,93 @@ def label_entry(path: Path, value: str) -> float:
     if at >= array.size or (index is None and array.size != 1) or not np.isfinite(array[at]):
         raise ImportFormatError(f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers")
     return float(array[at])
+
+
+MOST_FILES = 200_000
+_FORMS: Final = ("NFC", "NFD")
+
+
+def composed(text: str) -> str:
+    """Return a text with each letter in one part, as people type it."""
+    return normalize("NFC", text)
+
+
+_LEAVE_OUT: Final = "presses.leave_out"
+
+
+def named_presses(recipe: Recipe) -> dict[str, list[str]]:
+    """Return key of the recipe -> presses that it names one by one."""
+    found: dict[str, list[str]] = {_LEAVE_OUT: list(recipe.presses.leave_out)}
+    for what in ("depth_mm", "position_mm"):
+        if isinstance(of := getattr(recipe.indenter, what), dict):
+            found[f"indenter.{what}"] = list(of)
+    if recipe.contact is not None and recipe.contact.outline_px:
+        found["contact.outline_px"] = list(recipe.contact.outline_px)
+    return found
+
+
+def press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
+    """Return name and file of every press, in the order of their names, numbers by value."""
+    pattern = recipe.presses.files
+    if pattern.count(PRESS) != 1:
+        raise ImportFormatError(
+            f"recipe '{recipe.name}': presses.files = \"{pattern}\" must contain {PRESS} exactly once: it stands for "
+            f"the name of the press"
+        )
+    _require_inside(pattern)
+    parts = re.split(r"(\{press\}|\*)", pattern)
+    words = {PRESS: "(.+)", "*": "[^/]*"}
+    wanted = re.compile("".join(words.get(part, re.escape(composed(part))) for part in parts))
+    found = {}
+    for number, path in enumerate(files_below(folder)):
+        if number > MOST_FILES:
+            raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a subfolder of it")
+        match = wanted.fullmatch(composed(path.relative_to(folder).as_posix()))
+        if path.name.startswith("._"):
+            continue  # what macOS writes beside a file on other disks
+        if match is not None and fnmatchcase(match[1], recipe.presses.only):
+            if not path.resolve().is_relative_to(folder.resolve()):
+                raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
+            found[match[1]] = path
+    ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
+    if len(ordered) > MOST_PRESSES:
+        raise ImportFormatError(f"{folder}: holds {len(ordered)} presses; give a folder of at most {MOST_PRESSES}")
+    for name in ordered:
+        yield name, found[name]
+
+
+def _require_inside(pattern: str) -> None:
+    """Refuse a path that leaves the folder."""
+    inner = PurePosixPath(pattern)
+    if inner.is_absolute() or ".." in inner.parts or "\\" in pattern:
+        raise ImportFormatError(f"recipe: {pattern!r} must be a path within the folder, with / between its parts")
+
+
+def named_file(folder: Path, pattern: str, press: str) -> Path:
+    """Return the path of a press; a link that leads out of the folder is refused."""
+    _require_inside(pattern)
+    inner = pattern.replace(PRESS, press)
+    # macOS stores letters such as an umlaut in two parts, other systems in one
+    path = next((found for form in _FORMS if has_file(found := folder / normalize(form, inner))), folder / inner)
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
+    return path
+
+
+def refuse_misspelt(folder: Path, recipe: Recipe, files: Collection[str]) -> None:
+    """Refuse a table by names that misses a press and names one that is not there: it is misspelt.
+
+    Raises
+    ------
+    ImportFormatError
+        There is one.
+    """
+    read = [name for name in files if name not in recipe.presses.leave_out]
+    for where, names in named_presses(recipe).items():
+        unknown = [name for name in names if name not in files]
+        missing = [name for name in read if name not in names]
+        if where != _LEAVE_OUT and unknown and missing:
+            raise ImportFormatError(
+                f"recipe '{recipe.name}': {where} names '{unknown[0]}', which is no press of {folder}, "
+                f"and not '{missing[0]}', which is one; correct the name, as {recipe.presses.files} gives it"
+            )

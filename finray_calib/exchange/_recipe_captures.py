@@ -4,11 +4,9 @@ Nothing pickled is ever opened. A press whose label or image is missing or canno
 which that is so of all presses is refused.
 """
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import cv2
@@ -24,42 +22,58 @@ from data_schemas import (
     PlaceInImage,
     TactileCapture,
 )
-from data_schemas.storage import files_below, finite_number, folder_at, has_file, read_npy
-from finray_calib.exchange._ball_presses import MOST_PRESSES, SourcedCircle, read_npz
+from data_schemas.storage import finite_number, folder_at, has_file, read_npy
+from finray_calib.exchange._ball_presses import SourcedCircle, read_npz
 from finray_calib.exchange._capture_recipe import (
     PICKLED,
     PRESS,
     LabelTable,
     LeftOutError,
     OfPress,
+    PlaceOfPress,
     Quantity,
     Recipe,
     label_array,
     label_column,
     label_entry,
+    named_file,
+    named_presses,
     pickle_words,
+    press_files,
     read_label_table,
+    refuse_misspelt,
 )
-from finray_calib.exchange._render_files import exr_rgb, motion_jpeg_frames
+from finray_calib.exchange._recipe_pictures import (
+    above_zero,
+    circle_densities,
+    exr_steps,
+    frame_of,
+    in_colour,
+    longest_hold,
+    pixels_of,
+    require_alike,
+    require_circles_on_contacts,
+    require_possible_depths,
+    require_possible_scale,
+    small_frame,
+)
+from finray_calib.exchange._render_files import motion_jpeg_frames
 from finray_calib.sensing import contact_distance, find_contact_circle, find_contact_outline
-from rigs.cameras import decoded_picture, read_picture
 
 Counts = NDArray[np.uint16]
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
 VIDEO: Final = ".avi"
-MOST_FILES = 200_000
 #: Presses that the median stands on, spread over the set: of more it hardly changes, and they fill the memory.
 MOST_IN_MEDIAN = 51
 #: A scale that its own check length contradicts by more than this is not the scale.
 SCALE_TOLERANCE_REL = 0.1
-#: Frames whose change is at least this share of the largest are the hold of a press.
-HOLD_SHARE = 0.9
+#: Frames whose change is at least this share of the largest are the hold of a press; below the other, no contact.
+HOLD_SHARE, REST_SHARE = 0.9, 0.3
 #: Pixels this far from the contact, in half-widths, give the smooth surface that stands for no contact.
 FAR_HALF_WIDTHS = 1.6
 _SURFACE_DEGREE = 3
-_BITS = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
 _MEDIAN_LOSES = "the median of the presses is used instead and still contains weak contacts: small errors are not seen"
 _SURFACE_LOSES = "a smooth surface through far pixels is used instead; texture of the gel counts as contact"
 
@@ -121,6 +135,9 @@ def read_by_recipe(
     read: list[str] = []
     excluded = [name for name in recipe.presses.leave_out if name in reader.files]
     left_out = {"the recipe excludes it": excluded} if excluded else {}
+    for where, names_of in named_presses(recipe).items():
+        if absent := [name for name in names_of if name not in reader.files]:
+            left_out[f"{where} of the recipe names it, but the folder has no such press"] = absent
     names = [name for name in reader.files if name not in recipe.presses.leave_out]
     for number, name in enumerate(names):
         if progress is not None:
@@ -131,6 +148,7 @@ def read_by_recipe(
             left_out.setdefault(str(why), []).append(name)
             continue
         read.append(name)
+        reader.note_numbers(name, capture)
         if take is not None:
             take(name, capture, reader.made_of)
     if not read:
@@ -138,7 +156,7 @@ def read_by_recipe(
             f"{folder}: none of its {len(reader.files)} presses can be read by the recipe '{recipe.name}': "
             f"{'; '.join(left_out)}"
         )
-    reader.check_scale(read)
+    reader.check_numbers(read)
     return RecipeCaptures(_ReadAgain(reader, read), left_out)
 
 
@@ -170,12 +188,16 @@ class _Folder:
     files: dict[str, Path] = field(init=False)
     _found: dict[str, dict[str, Any]] = field(init=False, default_factory=dict)
     _made_of: set[Path] = field(init=False, default_factory=set)
+    _pictures: dict[Path, NDArray[Any]] = field(init=False, default_factory=dict)
     _median: Counts | None = field(init=False, default=None)
     _median_of: set[Path] = field(init=False, default_factory=set)
     _tables: dict[tuple[Path, str], "LabelTable"] = field(init=False, default_factory=dict)
+    _depths: dict[str, tuple[float, float | None]] = field(init=False, default_factory=dict)
+    _densities: dict[str, tuple[float, float]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.files = dict(_press_files(self.folder, self.recipe))
+        require_possible_scale(self.recipe)
+        self.files = dict(press_files(self.folder, self.recipe))
         if not self.files:
             raise ImportFormatError(
                 f"{self.folder}: no file in it matches presses.files of the recipe '{self.recipe.name}' "
@@ -184,6 +206,7 @@ class _Folder:
         for name in self.circles:
             if name not in self.files:
                 raise ImportFormatError(f"--circles: {name} is not a press of {self.folder}; correct the line")
+        refuse_misspelt(self.folder, self.recipe, self.files)
 
     @property
     def made_of(self) -> tuple[Path, ...]:
@@ -199,10 +222,15 @@ class _Folder:
         else:
             if self.recipe.no_contact.frames_before is not None:
                 raise ImportFormatError(
-                    f"recipe '{self.recipe.name}': no_contact.frames_before is for videos, and {self.files[name].name} "
-                    "is a picture; name its image without contact as no_contact.file"
+                    f"recipe '{self.recipe.name}': no_contact.frames_before is for Motion-JPEG videos (.avi), and "
+                    f"{self.files[name].name} is none; convert a video of another kind, or name the image without "
+                    "contact of a picture as no_contact.file"
                 )
+            self._pictures.clear()
             images = [self._picture(self.files[name]), *self._without_contact(name)]
+            require_alike(self._pictures)
+            if self.recipe.no_contact.file is not None and np.array_equal(images[0], images[1]):
+                raise LeftOutError("its image is the one without contact")
         if any(image.shape != images[0].shape for image in images):
             sizes = ", ".join(f"{image.shape[1]} x {image.shape[0]}" for image in images)
             raise ImportFormatError(
@@ -237,7 +265,26 @@ class _Folder:
             licence=recipe.licence,
         )
 
-    def check_scale(self, names: Sequence[str]) -> None:
+    def note_numbers(self, name: str, capture: TactileCapture) -> None:
+        """Keep what is checked over all presses: depths, and where the picture changes."""
+        pose, circle = capture.indenter, capture.contact_circle
+        if pose.depth_mm is not None:
+            cap_mm = None
+            if pose.shape == "ball" and pose.radius_mm and circle is not None and capture.mm_per_px is not None:
+                touching_mm = min(circle.radius_px * capture.mm_per_px, pose.radius_mm)
+                cap_mm = pose.radius_mm - float(np.sqrt(pose.radius_mm**2 - touching_mm**2))
+            self._depths[name] = (pose.depth_mm, cap_mm)
+        densities = circle_densities(capture) if capture.contact_told_by == "label" else None
+        if densities is not None:
+            self._densities[name] = densities
+
+    def check_numbers(self, names: Sequence[str]) -> None:
+        """Refuse numbers that contradict each other over all presses: scale, depths, places of circles."""
+        self._check_scale(names)
+        require_possible_depths(self.recipe, self._depths)
+        require_circles_on_contacts(self.recipe, self._densities)
+
+    def _check_scale(self, names: Sequence[str]) -> None:
         """Refuse a scale that the check length contradicts."""
         scale, contact = self.recipe.scale, self.recipe.contact
         if scale is None or scale.check_length_px is None or scale.check_length_mm is None or contact is None:
@@ -270,7 +317,7 @@ class _Folder:
         path = self.files[name]
         if path.suffix.lower() == VIDEO:
             return False
-        return path.suffix.lower() == ".exr" or _pixels(path).dtype == np.uint16
+        return path.suffix.lower() == ".exr" or self._pictures[path].dtype == np.uint16
 
     def _picture(self, path: Path) -> Counts:
         """Return a picture as counts (H, W, 3) in RGB order, stretched where the recipe says so."""
@@ -282,9 +329,15 @@ class _Folder:
                     f"recipe '{self.recipe.name}': picture.full_scale is missing; state which value of "
                     f"{path.name} becomes the largest of 65535 steps"
                 )
-            steps = np.rint(exr_rgb(path) / full * 65535.0)
-            return self._arranged(np.clip(steps, 0.0, 65535.0))
-        return self._arranged(_pixels(path))
+            self._pictures[path] = exr_steps(path, full)
+            return self._arranged(self._pictures[path])
+        if self.recipe.picture.full_scale is not None:
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': picture.full_scale belongs to OpenEXR images, and {path.name} is none; "
+                "leave it out"
+            )
+        self._pictures[path] = pixels_of(path)
+        return self._arranged(in_colour(self._pictures[path]))
 
     def _arranged(self, image: NDArray[Any]) -> Counts:
         """Return an image (H, W, 3) in the order and at the corners that the recipe gives."""
@@ -321,11 +374,16 @@ class _Folder:
         for pattern, needed in ((source.file, True), (source.repeat_file, False)):
             if pattern is None:
                 continue
-            path = _named(self.folder, pattern, name)
+            path = named_file(self.folder, pattern, name)
             if has_file(path):
                 found.append(self._picture(path))
             elif needed:
                 raise LeftOutError(f"the image without contact, {pattern}, is missing")
+        if len(found) == 2 and np.array_equal(found[0], found[1]):
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': no_contact.repeat_file and no_contact.file of {name} are one picture, "
+                "pixel by pixel, which would show a camera without noise; name a second picture, or leave it out"
+            )
         return found
 
     def _video(self, name: str) -> tuple[list[Counts], float | None]:
@@ -341,20 +399,20 @@ class _Folder:
         frames = motion_jpeg_frames(path)
         if len(frames) <= before:
             raise LeftOutError(f"the video has {len(frames)} frames, and the first {before} are without contact")
-        first = _small(_frame(frames[0], path))
+        first = small_frame(frame_of(frames[0], path))
         force = self._force(name, len(frames))
         if force is None:
-            strength = np.array([np.abs(_small(_frame(frame, path)) - first).mean() for frame in frames])
+            strength = np.array([np.abs(small_frame(frame_of(frame, path)) - first).mean() for frame in frames])
         else:  # many load cells count compression as negative, or rest beside zero
             strength = np.abs(force - np.median(force[:before]))
         if not strength.max() > 0.0:
             raise LeftOutError("nothing changes in its video")
-        held = _longest_run(strength, float(strength.max()))
-        if held < before:
+        held = longest_hold(strength, HOLD_SHARE)
+        if held < before or strength[:before].max() > REST_SHARE * strength.max():
             raise LeftOutError(
                 f"its video shows contact within the first {before} frames, which should be without contact"
             )
-        images = [_frame(frames[i], path) for i in (held, 0, before - 1)]
+        images = [frame_of(frames[i], path) for i in (held, 0, before - 1)]
         return [self._arranged(image) for image in images], None if force is None else float(force[held])
 
     def _force(self, name: str, frames: int) -> Floats | None:
@@ -362,7 +420,7 @@ class _Folder:
         source = self.recipe.force
         if source is None:
             return None
-        path = _named(self.folder, source.file, name)
+        path = named_file(self.folder, source.file, name)
         if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if not has_file(path):
@@ -388,6 +446,8 @@ class _Folder:
         diameter_mm, depth_mm, position_mm = (
             self._of_indenter(name, of) for of in ("diameter_mm", "depth_mm", "position_mm")
         )
+        above_zero("diameter", diameter_mm)
+        above_zero("depth, from first touch,", depth_mm)
         return IndenterPose(
             shape=indenter.shape,
             radius_mm=None if diameter_mm is None else diameter_mm / 2.0,
@@ -400,7 +460,7 @@ class _Folder:
     def _of_indenter(self, name: str, what: str) -> float | None:
         """Return diameter, depth or position of the indenter."""
         indenter, contact = self.recipe.indenter, self.recipe.contact
-        value: OfPress | None = getattr(indenter, what)
+        value: PlaceOfPress | OfPress | None = getattr(indenter, what)
         if isinstance(value, dict):
             return value.get(name)
         if value is None or isinstance(value, float):
@@ -408,7 +468,7 @@ class _Folder:
         file, press = indenter.file, indenter.press
         if file is None and contact is not None:
             file, press = contact.file, contact.press
-        return self._quantity(name, file, press, value)
+        return self._quantity(name, file, press, value) * indenter.column_unit_mm
 
     def _placed(self, name: str, capture: TactileCapture) -> TactileCapture:
         """Return the capture with its contact."""
@@ -465,7 +525,7 @@ class _Folder:
     def _hull(self, name: str) -> NDArray[np.float32]:
         """Return the hull of all corners that the label holds, (corners, 2): column, row."""
         contact = self.recipe.contact
-        path = _named(self.folder, (contact.file if contact is not None else None) or "", name)
+        path = named_file(self.folder, (contact.file if contact is not None else None) or "", name)
         if not has_file(path):
             raise LeftOutError(f"the file {contact.file if contact is not None else ''} with its contact is missing")
         self._made_of.add(path)
@@ -488,7 +548,7 @@ class _Folder:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}': '{value}' is a column, but no file is named that holds it; name its file"
             )
-        path = _named(self.folder, file, name)
+        path = named_file(self.folder, file, name)
         if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if path.suffix.lower() == ".npz":
@@ -514,7 +574,10 @@ class _Folder:
         try:
             return finite_number(row[value])
         except ValueError:
-            raise ImportFormatError(f"{path}: {value} of {name} must be a number, got {row[value]!r}") from None
+            raise ImportFormatError(
+                f"{path}: {value} of {name} must be a number, got {row[value]!r}; write it with a decimal point, or "
+                "name the press in presses.leave_out"
+            ) from None
 
     def _missing(self, capture: TactileCapture) -> tuple[MissingPart, ...]:
         """Return what the capture lacks, and what is lost by it."""
@@ -535,81 +598,6 @@ class _Folder:
         )
         told = [MissingPart(what=what, lost=lost) for is_missing, what, lost in lacks if is_missing]
         return (*told, *self.recipe.lacks)
-
-
-def _press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
-    """Return name and file of every press, in the order of their names, numbers by value."""
-    pattern = recipe.presses.files
-    if pattern.count(PRESS) != 1:
-        raise ImportFormatError(
-            f"recipe '{recipe.name}': presses.files = \"{pattern}\" must contain {PRESS} exactly once: it stands for "
-            f"the name of the press"
-        )
-    _require_inside(pattern)
-    parts = re.split(r"(\{press\}|\*)", pattern)
-    words = {PRESS: "(.+)", "*": "[^/]*"}
-    wanted = re.compile("".join(words.get(part, re.escape(part)) for part in parts))
-    found = {}
-    for number, path in enumerate(files_below(folder)):
-        if number > MOST_FILES:
-            raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a subfolder of it")
-        match = wanted.fullmatch(path.relative_to(folder).as_posix())
-        if match is not None and fnmatchcase(match[1], recipe.presses.only):
-            if not path.resolve().is_relative_to(folder.resolve()):
-                raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
-            found[match[1]] = path
-    ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
-    if len(ordered) > MOST_PRESSES:
-        raise ImportFormatError(f"{folder}: holds {len(ordered)} presses; give a folder of at most {MOST_PRESSES}")
-    for name in ordered:
-        yield name, found[name]
-
-
-def _require_inside(pattern: str) -> None:
-    """Refuse a path that leaves the folder."""
-    inner = PurePosixPath(pattern)
-    if inner.is_absolute() or ".." in inner.parts or "\\" in pattern:
-        raise ImportFormatError(f"recipe: {pattern!r} must be a path within the folder, with / between its parts")
-
-
-def _named(folder: Path, pattern: str, press: str) -> Path:
-    """Return the path of a press; a link that leads out of the folder is refused."""
-    _require_inside(pattern)
-    path = folder / pattern.replace(PRESS, press)
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
-    return path
-
-
-def _pixels(path: Path) -> NDArray[Any]:
-    """Return a picture as stored, (H, W, 3) in RGB order."""
-    if not has_file(path):
-        raise ImportFormatError(f"{path}: no such file; the folder must hold it")
-    picture = read_picture(path, "a picture (PNG, JPEG) or OpenEXR image", ImportFormatError)
-    if picture.dtype not in _BITS:
-        raise ImportFormatError(f"{path}: holds {picture.dtype}; pictures of 8 or 16 bits are read: convert it")
-    if picture.ndim == 2:
-        return np.repeat(picture[..., None], 3, axis=2)
-    return picture[..., 2::-1]
-
-
-def _frame(content: bytes, path: Path) -> NDArray[Any]:
-    """Return a frame of a video, (H, W, 3) in RGB order."""
-    frame = decoded_picture(content, path, ImportFormatError)
-    return np.repeat(frame[..., None], 3, axis=2) if frame.ndim == 2 else frame[..., 2::-1]
-
-
-def _small(picture: NDArray[Any]) -> Floats:
-    """Return a frame in few pixels, for choosing frames."""
-    return np.asarray(cv2.resize(picture, (160, 120), interpolation=cv2.INTER_AREA), dtype=np.float64)
-
-
-def _longest_run(values: Floats, largest: float) -> int:
-    """Return the middle of the longest run of frames near the largest value."""
-    held = np.concatenate([[False], values >= HOLD_SHARE * largest, [False]])
-    starts, stops = np.flatnonzero(~held[:-1] & held[1:]), np.flatnonzero(held[:-1] & ~held[1:])
-    longest = int(np.argmax(stops - starts))
-    return int((starts[longest] + stops[longest] - 1) // 2)
 
 
 def _ball_px(capture: TactileCapture) -> float | None:

@@ -448,7 +448,10 @@ def motion_jpeg_frames(path: Path) -> list[bytes]:
     content = read_bytes(path, "a Motion-JPEG video (AVI)", ImportFormatError, LARGEST_VIDEO_BYTES)
     if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
         raise ImportFormatError(f"{path}: is not an AVI video; {_CONVERT}")
-    frames = [part for part in _video_parts(content, 0, len(content), 0) if part]
+    frames: list[bytes] = []
+    for part in _video_parts(content, 0, len(content), 0):
+        # a frame without content is one that was dropped: the one before it is shown again
+        frames += [part] if part else frames[-1:]
     if not frames or len(frames) > MOST_FRAMES:
         raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
     if not all(frame.startswith(b"\xff\xd8") for frame in frames):

@@ -22,7 +22,7 @@ from data_schemas import (
     TactileCapture,
     package_version,
 )
-from finray_calib.reports._comparison_statements import judged_skill
+from finray_calib.reports._comparison_statements import judged_skill, relative_sentence
 from finray_calib.reports._images import ByteImage, png_data_uri, touch_changes, touch_pictures
 from finray_calib.reports._page import (
     Content,
@@ -139,7 +139,7 @@ def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: 
             title=f"{len(names)} presses, {_count(len(batch.simulators), 'simulator')}",
             lead=(
                 "How far simulated touches are from real ones. A skill of 0 means that the simulation predicts a "
-                "touch no better than the image without contact does; 1 is perfect."
+                "touch no better than the image without contact does; 1 is perfect." + relative_sentence(batch)
             ),
             verdict=_verdict(batch),
             light=_light(batch),
@@ -166,6 +166,8 @@ def _light(batch: ComparisonBatch) -> Light:
 
 def batch_lines(batch: ComparisonBatch) -> Iterator[str]:
     """Yield what the terminal prints of a batch: skills over presses, differences, the worst, what to capture."""
+    if batch.relative:
+        yield relative_sentence(batch).strip()
     for score in batch.simulators:
         if score.skill is not None:
             yield f"{_simulator(score)}: skill {skill_over_text(score.skill)}, {_over(score.skill)}"
@@ -278,7 +280,8 @@ def _key_numbers(batch: ComparisonBatch) -> Iterator[KeyNumber]:
             ends = fixed(skill.low95, places), fixed(skill.high95, places)
             between = f"95 %: {' to '.join(ends)}" if ends[0] != ends[1] else "its interval is narrower than 0.001"
         judged = judged_skill(skill.low95, skill.high95)
-        yield KeyNumber(f"Skill, {_simulator(score)}", fixed(skill.estimate, 3), between, *judged)
+        name = "Relative skill" if batch.relative else "Skill"
+        yield KeyNumber(f"{name}, {_simulator(score)}", fixed(skill.estimate, 3), between, *judged)
     if len(_ranked(batch)) < 2:
         yield KeyNumber("Doing nothing", "0", "the untouched image in its place")
     compared, total = sum(pair.skill is not None for pair in batch.pairs), len(batch.pairs)

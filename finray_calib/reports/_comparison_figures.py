@@ -205,6 +205,8 @@ def tone_figure(curve: FittedToneCurve) -> str:
     axes = figure.subplots()
     light = np.linspace(curve.log_light.min(), curve.log_light.max(), 80)
     for c, (name, marker, colour) in enumerate(CHANNELS):
+        if curve.log_light.any() and not curve.log_light[:, c].any():
+            continue  # a render without light in it
         axes.plot(
             curve.log_light[:, c], curve.level_dn[:, c], marker, color=colour, markersize=3, alpha=0.35, linewidth=0
         )

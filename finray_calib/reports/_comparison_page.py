@@ -104,7 +104,7 @@ def comparison_page(
             verb="finray compare",
             title=f"{report.simulated} against {report.captured}",
             lead=f"How far a simulated touch is from a real one. Simulation: {report.label}. Compared "
-            f"{words.grid_phrase(report)}; values: {report.values}.",
+            f"{words.grid_phrase(report)}; values: {report.values}.{words.relative_sentence(report)}",
             verdict=words.comparison_verdict(report),
             light=words.judged_skill(report.headline_skill.low95, report.headline_skill.high95)[0],
             sentence=words.verdict_meaning(report),
@@ -133,7 +133,8 @@ def skill_number(report: PhotometricErrorReport) -> KeyNumber:
     """Return the skill for the first screen."""
     skill = report.headline_skill
     judged = words.judged_skill(skill.low95, skill.high95)
-    return KeyNumber("Skill of the simulation", fixed(skill.estimate, 2), _skill_between(report), *judged)
+    name = "Relative skill of the simulation" if report.relative else "Skill of the simulation"
+    return KeyNumber(name, fixed(skill.estimate, 2), _skill_between(report), *judged)
 
 
 def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:

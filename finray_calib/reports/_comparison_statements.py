@@ -10,6 +10,7 @@ from typing import Literal
 
 from data_schemas import (
     CauseParameter,
+    ComparisonBatch,
     ErrorAttribution,
     ErrorRow,
     FittedToneCurve,
@@ -127,6 +128,8 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
     score = skill_text(skill.estimate, skill.low95, skill.high95)
     if "[" in score and interval_name(report) != "95 %":
         score = f"{score} (over pixels of this press)"
+    if report.relative:
+        score = f"{score}, relative to the captured image without contact"
     if skill.high95 < 0:
         meaning = f"The simulated touch is worse than leaving the image unchanged: skill {score}"
     elif skill.low95 <= 0:
@@ -145,6 +148,16 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
     return (
         f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0, a perfect simulation "
         f"1{taken_out}; {bound}."
+    )
+
+
+def relative_sentence(compared: PhotometricErrorReport | ComparisonBatch) -> str:
+    """Say, after a space, that only the change by contact was judged; nothing where the light was judged as well."""
+    if not compared.relative:
+        return ""
+    return (
+        " Relative: the captured image without contact stands in the place of the render's, so that only the change by "
+        "contact is judged, and not the light of the render."
     )
 
 
@@ -371,7 +384,9 @@ def tone_table(curve: FittedToneCurve) -> ReportTable:
     rows = [("exponent of the tone curve", _interval(curve.exponent)), ("offset (DN)", _interval(curve.offset_dn))]
     named = zip(CHANNELS, (red, green, blue), strict=True)
     rows += [
-        (f"white balance in light, {name} over green", _interval(value)) for name, value in named if name != "green"
+        (f"white balance in light, {name} over green", None if value is None else _interval(value))
+        for name, value in named
+        if name != "green"
     ]
     return one_group(
         "Fitted to the images without contact alone; the white balance cancels in the score.",

@@ -137,13 +137,16 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
     """
     lines = [f"{_cut(report.simulated)} against {_cut(report.captured)}", _cut(report.label, WIDTH_COLUMNS)]
     lines.append(f"values: {report.values}; {_exposure(report)}")
+    if report.relative:
+        lines.append("relative: only the change by contact is judged, not the light of the render")
     for region in report.regions:
         titles = [f"skill [{interval_name(report)}]" if title == "skill" else title for title, _ in _COLUMNS]
         lines += ["", _cut(_heading(report, region), WIDTH_COLUMNS), _line(titles)]
         lines += [_line(_cells(row)) for row in region.rows]
     skill = report.headline_skill
     headline = skill_text(skill.estimate, skill.low95, skill.high95)
-    lines += ["", _cut(f"headline: skill {headline} over {report.headline_region}", WIDTH_COLUMNS)]
+    name = "relative skill" if report.relative else "skill"
+    lines += ["", _cut(f"headline: {name} {headline} over {report.headline_region}", WIDTH_COLUMNS)]
     if interval_name(report) != "95 %":
         lines.append(
             "in brackets: spread over pixels of this press, not a 95 % interval; compare folders of three "

@@ -1,16 +1,20 @@
 r"""A few real ball presses of a flat sensor teach a physical model of it, which then predicts presses of other depth.
 
-The gel is an elastic layer under a ball, :func:`sim.mechanics.press_layer`, lit by three points of light. In channel c
+The gel is an elastic layer under a ball, :func:`sim.mechanics.press_layer`, lit by three straight strips. In channel c
 
 .. math:: S_c / B_c = \left( \frac{a_c + \sum_l w_{cl} E_l(n, u)}{a_c + \sum_l w_{cl} E_l(n_0, 0)} \right)^{\gamma},
-          \qquad E_l = \max(n \cdot d_l, 0) / |d_l|^3
+          \qquad E_l = \overline{f(n \cdot d_l / |d_l|) / |d_l|^2}
 
-with the normal n and the place of the pressed coat, d_l from there to light l, and without contact n_0 = (0, 0, 1).
-The exponent is that of the camera's tone curve. A ratio needs neither the level of the light nor the paint's shade.
-Free are the lights' places and colours, light a_c that comes from everywhere, the exponent, the layer's thickness, and
-how much deeper a ball is than the cap of its labelled circle says: some 2 on a thick layer, 1 on a thin one.
+with the normal n and the place of the pressed coat, d_l from there to a point of strip l, over whose length the mean is
+taken, and without contact n_0 = (0, 0, 1). A strip lies across the direction in which it shines, parallel to the coat.
+As it is not thin, its light does not end at a sharp line on the coat: f(x) is the mean of max(x, 0) over a normal
+distribution of width s around x. The exponent is that of the camera's tone curve. A ratio needs neither the level of
+the light nor the paint's shade.
+Free are the strips' places and colours, their common length and s, light a_c that comes from everywhere, the exponent,
+the layer's thickness, and how deep a ball is by its labelled circle of radius r: the cap's height times a factor, some
+2 on a thick layer and 1 on a thin one, at a middle circle, and in proportion to a power of r.
 
-No shadows, no second bounce, no highlights: where these rule, the full renderer must be fitted in its place.
+No cast shadows, no second bounce, no highlights: where these rule, the full renderer must be fitted in its place.
 The layer is that of small strains, at depths of a fifth of the gel and more.
 """
 
@@ -22,7 +26,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtr, ndtri, stdtrit
 
 from data_schemas import CHANNELS, SimulatedPress, SimulateError, TactileCapture
 from finray_calib.compare import levelled_images, predicted_press
@@ -53,6 +57,8 @@ _MODEL_ERROR, _LEAST_ERROR, _INDEPENDENT = 0.05, 0.003, 50
 _STRIDE_PX, _LEAST_SEEN = 4, 0.2
 _MOST_EVALUATIONS: Final = 200
 _COVERAGE: Final = 0.95
+#: Places along a strip of light, as shares of its half-length, and their weights: the mean to the ninth power.
+_ALONG, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +93,8 @@ class TaughtGel:
         Free numbers, standardised by their priors.
     start
         Directions of the lights from which the fit began, rad, (3,).
+    circle_rel
+        Radius of a middle circle of the presses that taught, in ball radii.
     shape_px
         Rows and columns of the images.
     mm_per_px, ball_radius_mm
@@ -99,6 +107,7 @@ class TaughtGel:
 
     theta: Floats
     start: Floats
+    circle_rel: float
     shape_px: tuple[int, int]
     mm_per_px: float
     ball_radius_mm: float
@@ -111,11 +120,11 @@ class TaughtGel:
 class _Press:
     """Pixels of a press that teach, and where they lie.
 
-    In ball radii: ``cap_rel``, the height of the labelled circle's cap, ``across`` and ``down`` from the contact's
+    In ball radii: ``circle_rel``, the radius of the labelled circle, ``across`` and ``down`` from the contact's
     middle, ``x`` and ``y`` from the picture's; ``ratio`` (pixel, 3) is contact over no contact, NaN where clipped.
     """
 
-    cap_rel: float
+    circle_rel: float
     across: Floats
     down: Floats
     x: Floats
@@ -162,7 +171,8 @@ def _between(grid: Floats, value: float) -> tuple[int, float]:
     return at, float(np.clip((value - grid[at]) / (grid[at + 1] - grid[at]), 0.0, 1.0))
 
 
-# name in words, unit, mean and standard deviation of the prior; of all but directions the logarithm is normal
+# name in words, unit, mean and standard deviation of the prior; of all but directions, offsets and the power the
+# logarithm is normal
 _LIGHT = (
     ("direction of the {} light", "deg", 0.0, 0.5),
     ("distance of the {} light from the middle of the picture", "mm", 1.6, 1.0),
@@ -172,8 +182,12 @@ _COLOURS, _AMBIENT = (-2.0, 1.5), (-1.5, 1.5)
 _SHARED = (
     ("exponent of the tone curve", "1", np.log(0.5), 0.3),
     ("thickness of the gel", "mm", np.log(2.5), 0.8),
-    ("depth over that of the labelled cap", "1", np.log(1.8), 0.3),
+    ("depth over that of the labelled cap, at a middle circle", "1", np.log(1.8), 0.3),
+    ("half-length of the lights over their distance", "1", np.log(0.3), 1.0),
+    ("softness of the lights, as a sine", "1", np.log(0.1), 1.0),
 )
+# of a circle drawn without error 2 in a soft layer, where depth is radius squared over the ball's radius
+_POWER = (("power of the circle's radius that the depth grows with", "1", 2.0, 1.0),)
 # in ball radii: circles are drawn by hand, and a lens that looks askance moves them all alike
 _OFFSETS = (
     ("contact right of its labelled circle", "mm", 0.0, 0.1),
@@ -182,17 +196,21 @@ _OFFSETS = (
 
 
 def _prior() -> tuple[Floats, Floats]:
-    """Return mean and standard deviation of all free numbers: 9 of places, 9 of colours, 3 shared, 2 offsets."""
+    """Return mean and standard deviation of all free numbers: 9 of places, 9 of colours, 5 shared, 3 of circles."""
     places = [line[2:] for _ in range(3) for line in _LIGHT]
     colours = [(_COLOURS, _COLOURS, _AMBIENT) for _ in range(3)]
-    lines = [*places, *(one for three in colours for one in three), *(line[2:] for line in (*_SHARED, *_OFFSETS))]
+    lines = [
+        *places,
+        *(one for three in colours for one in three),
+        *(line[2:] for line in (*_SHARED, *_OFFSETS, *_POWER)),
+    ]
     mean, sd = np.array(lines).T
     return mean, sd
 
 
 @dataclass(frozen=True, slots=True)
 class _Lights:
-    """Free numbers in the units of the model: lengths in ball radii."""
+    """Free numbers in the units of the model: lengths in ball radii; ``circle_rel`` is that of a middle circle."""
 
     azimuth: Floats
     distance: Floats
@@ -202,10 +220,14 @@ class _Lights:
     exponent: float
     thickness_rel: float
     depth_rel: float
+    half_length: Floats
+    softness: float
     offset: Floats
+    power: float
+    circle_rel: float
 
     @classmethod
-    def of(cls, theta: Floats, start: Floats) -> "_Lights":
+    def of(cls, theta: Floats, start: Floats, circle_rel: float) -> "_Lights":
         """Return what standardised numbers mean."""
         mean, sd = _prior()
         values = mean + sd * theta
@@ -213,36 +235,62 @@ class _Lights:
         weights = np.eye(3)
         for c in range(3):  # the first two are those of the other lights, in order
             weights[c, [light for light in range(3) if light != c]] = colours[c, :2]
-        exponent, thickness, depth = np.exp(values[18:21])
+        exponent, thickness, depth, length, softness = np.exp(values[18:23])
+        distance = np.exp(places[:, 1])
         return cls(
-            start + places[:, 0], np.exp(places[:, 1]), np.exp(places[:, 2]), weights, colours[:, 2], exponent,
-            thickness, depth, values[21:],
+            start + places[:, 0], distance, np.exp(places[:, 2]), weights, colours[:, 2], exponent, thickness, depth,
+            length * distance, softness, values[23:25], values[25], circle_rel,
         )  # fmt: skip
+
+    def depth(self, circle_rel: float) -> float:
+        """Return how deep a ball is pressed whose labelled circle has this radius, in ball radii."""
+        return float(self.depth_rel * _cap(self.circle_rel) * (circle_rel / self.circle_rel) ** self.power)
 
     def ratio(self, press: _Press) -> Floats:
         """Return contact over no contact of each pixel and channel, (pixel, 3)."""
-        places, sunk = _profile(self.thickness_rel, self.depth_rel * press.cap_rel)
+        places, sunk = _profile(self.thickness_rel, self.depth(press.circle_rel))
         across, down = press.across - self.offset[0], press.down - self.offset[1]
         away = np.hypot(across, down)
         outward = np.clip(np.interp(away, places, np.gradient(sunk, places), right=0.0), -_STEEPEST, _STEEPEST)
         outward /= np.maximum(away, np.finfo(float).tiny)
         slopes = outward * across, outward * down
-        pressed = self._light(press, slopes, np.interp(away, places, sunk))
-        rest = self._light(press, (0.0, 0.0), 0.0)
-        middle = self.height / (self.distance**2 + self.height**2) ** 1.5
+        pressed = self._light((press.x, press.y), slopes, np.interp(away, places, sunk))
+        rest = self._light((press.x, press.y), (0.0, 0.0), 0.0)
+        middle = self._light((0.0, 0.0), (0.0, 0.0), 0.0)
         lit, unlit = ((light / middle) @ self.weights.T + self.ambient for light in (pressed, rest))
         return np.asarray((lit / unlit) ** self.exponent)
 
-    def _light(self, press: _Press, slopes: tuple[Floats | float, Floats | float], sunk: Floats | float) -> Floats:
-        """Return what each light gives to each pixel, (pixel, 3)."""
+    def _light(
+        self, at: tuple[Floats | float, Floats | float], slopes: tuple[Floats | float, Floats | float],
+        sunk: Floats | float,
+    ) -> Floats:  # fmt: skip
+        """Return what each light gives to places of the coat, (place, 3)."""
         steep = np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
         found = []
-        for azimuth, distance, height in zip(self.azimuth, self.distance, self.height, strict=True):
-            to = distance * np.cos(azimuth) - press.x, distance * np.sin(azimuth) - press.y, height - sunk
-            far = np.sqrt(to[0] ** 2 + to[1] ** 2 + to[2] ** 2)
-            facing = np.maximum(to[2] - slopes[0] * to[0] - slopes[1] * to[1], 0.0) / steep
-            found.append(facing / far**3)
+        for azimuth, distance, height, half in zip(
+            self.azimuth, self.distance, self.height, self.half_length, strict=True
+        ):
+            along, across, given = np.cos(azimuth), np.sin(azimuth), np.zeros(())
+            for place, weight in zip(half * _ALONG, _WEIGHTS / _WEIGHTS.sum(), strict=True):
+                to = distance * along - place * across - at[0], distance * across + place * along - at[1], height - sunk
+                square = to[0] ** 2 + to[1] ** 2 + to[2] ** 2
+                facing = (to[2] - slopes[0] * to[0] - slopes[1] * to[1]) / (steep * np.sqrt(square))
+                given = given + weight * self._soft(facing) / square
+            found.append(given)
         return np.stack(found, axis=-1)
+
+    def _soft(self, facing: Floats | float) -> Floats:
+        """Return the mean of max(x, 0) over a normal distribution around the cosine of a light."""
+        share = np.divide(facing, self.softness)
+        return np.asarray(self.softness * _NORMAL * np.exp(-0.5 * share**2) + facing * ndtr(share))
+
+
+_NORMAL: Final = 1.0 / np.sqrt(2.0 * np.pi)
+
+
+def _cap(circle_rel: float) -> float:
+    """Return the height of a ball's cap over a circle, all in ball radii."""
+    return float(1.0 - np.sqrt(1.0 - circle_rel**2))
 
 
 def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
@@ -282,17 +330,29 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     presses = [_press(capture, taught=True) for capture in captures]
     for capture, press in zip(captures, presses, strict=True):
         _require_seen(capture, press)
-    start = _directions(presses)
+    start = _Start(_directions(presses), float(np.median([press.circle_rel for press in presses])))
     theta, _ = _fitted(presses, start, np.zeros(len(_prior()[0])), _MODEL_ERROR)
-    error = max(_unexplained(presses, _Lights.of(theta, start)), _LEAST_ERROR)
+    error = max(_unexplained(presses, start.lights(theta)), _LEAST_ERROR)
     theta, curvature = _fitted(presses, start, theta, error)
     rests = ([*presses[:k], *presses[k + 1 :]] for k in range(len(presses)))
     without = np.array([_fitted(rest, start, theta, error)[0] for rest in rests])
     shape = _distance(first).shape
     return TaughtGel(
-        theta, start, (shape[0], shape[1]), scale, radius_mm, tuple(c.name for c in captures), digests,
-        _numbers(theta, curvature, without, start, radius_mm),
+        theta, start.directions, start.circle_rel, (shape[0], shape[1]), scale, radius_mm,
+        tuple(c.name for c in captures), digests, _numbers(theta, curvature, without, start.directions, radius_mm),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """What a fit begins from: directions of the lights, rad, (3,), and the radius of a middle circle, ball radii."""
+
+    directions: Floats
+    circle_rel: float
+
+    def lights(self, theta: Floats) -> _Lights:
+        """Return what standardised numbers mean."""
+        return _Lights.of(theta, self.directions, self.circle_rel)
 
 
 def _require_seen(capture: TactileCapture, press: _Press) -> None:
@@ -329,7 +389,11 @@ def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
             f"{capture.name}: has another ball or scale than the presses that taught the model, of "
             f"{gel.ball_radius_mm:g} mm radius at {gel.mm_per_px:g} mm a pixel"
         )
-    ratio = _Lights.of(gel.theta, gel.start).ratio(_press(capture, taught=False)).reshape(*distance.shape, -1)
+    ratio = (
+        _Lights.of(gel.theta, gel.start, gel.circle_rel)
+        .ratio(_press(capture, taught=False))
+        .reshape(*distance.shape, -1)
+    )
     taught = f"fitted to {len(gel.training_presses)} other presses: {', '.join(gel.training_presses)}"
     return predicted_press(capture, ratio, distance, ("elastic gel", GEL_LABEL, "rendered"), taught)
 
@@ -375,7 +439,7 @@ def _press(capture: TactileCapture, *, taught: bool) -> _Press:
     rows, columns = (at.astype(np.float64) for at in np.nonzero(used))
     middle = [(value + 0.5) / cell - 0.5 for value in (circle.column_px, circle.row_px)]
     return _Press(
-        1.0 - float(np.sqrt(1.0 - half_width**2)),
+        half_width,
         (columns - middle[0]) * step,
         (rows - middle[1]) * step,
         (columns - (distance.shape[1] - 1) / 2.0) * step,
@@ -408,7 +472,7 @@ def _unexplained(presses: Sequence[_Press], lights: _Lights) -> float:
     return float(np.sqrt(np.nanmean(left**2)))
 
 
-def _fitted(presses: Sequence[_Press], start: Floats, theta: Floats, error: float) -> tuple[Floats, Floats]:
+def _fitted(presses: Sequence[_Press], start: _Start, theta: Floats, error: float) -> tuple[Floats, Floats]:
     """Return the numbers of greatest posterior density, and its curvature there, for an error of the model.
 
     Raises
@@ -418,7 +482,7 @@ def _fitted(presses: Sequence[_Press], start: Floats, theta: Floats, error: floa
     """
 
     def misfit(at: Floats) -> Floats:
-        lights = _Lights.of(at, start)
+        lights = start.lights(at)
         parts = [at]
         for press in presses:
             weight = np.sqrt(_INDEPENDENT / max(len(press.ratio), 1)) / error
@@ -455,8 +519,8 @@ def _numbers(
     for k, (words, unit, *_) in enumerate(_SHARED):
         told = (radius_mm if unit == "mm" else 1.0) * np.exp(ends[:, 18 + k])
         found.append(_number(words, told, unit))
-    for k, (words, unit, *_) in enumerate(_OFFSETS):
-        found.append(_number(words, radius_mm * ends[:, 21 + k], unit))
+    for k, (words, unit, *_) in enumerate((*_OFFSETS, *_POWER)):
+        found.append(_number(words, (radius_mm if unit == "mm" else 1.0) * ends[:, 23 + k], unit))
     return tuple(found)
 
 

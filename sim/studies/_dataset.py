@@ -32,6 +32,7 @@ from data_schemas import (
     PressMechanics,
     Provenance,
     SimulateError,
+    why_failed,
 )
 from data_schemas.storage import ProductSet, clear_leftovers, read_record, write_record
 from sim.experiments import (
@@ -310,7 +311,7 @@ def _try_shard(task: DatasetTask, shard: PlannedShard) -> str | None:
     try:
         compute_shard(task, shard)
     except FinrayError as error:
-        return str(error)
+        return why_failed(error)
     return None
 
 
@@ -331,7 +332,7 @@ def compute_shard(task: DatasetTask, shard: PlannedShard) -> None:
                 samples.append(sample)
                 members += sample_members(sample, truth)
         except FinrayError as error:
-            failures.append(DatasetFailure(press=press, reason=str(error)))
+            failures.append(DatasetFailure(press=press, reason=why_failed(error)))
     content = shard_bytes(members)
     record = DatasetShard(
         number=shard.number,

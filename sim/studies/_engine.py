@@ -30,6 +30,7 @@ from data_schemas import (
     StudyPoint,
     code_digest,
     provenance,
+    why_failed,
 )
 from data_schemas.storage import clear_leftovers
 from sim.studies._point import (
@@ -557,7 +558,7 @@ def _try_press(task: StudyTask, point: PlannedPoint) -> Outcome:
     except FinrayError as error:
         file = press_file(task, point.design)
         # after a restart of the scheduler another worker may have ended the same press in between
-        return None if file is not None and has_press(task, file) else str(error)
+        return None if file is not None and has_press(task, file) else why_failed(error)
     return None
 
 
@@ -566,7 +567,7 @@ def _try_point(task: StudyTask, point: PlannedPoint) -> Outcome:
     try:
         compute_point(task, point)
     except FinrayError as error:
-        return None if _is_stored(task, point) else str(error)
+        return None if _is_stored(task, point) else why_failed(error)
     return None
 
 

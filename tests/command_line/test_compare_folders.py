@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas import ComparisonBatch, PhotometricErrorReport, provenance
+from data_schemas import ComparisonBatch, FieldError, Interval, PhotometricErrorReport, provenance
 from data_schemas.storage import Child, read_record, write_record
 from finray_calib.cli import _compare_folders
 from finray_calib.reports._batch_page import _tiles
@@ -94,6 +94,23 @@ def test_simulators_are_ranked_on_one_page(folders: Path) -> None:
     assert 'href="weak/one.photometric-error.html"' in page
     twice = finray(f"compare {folders}/weak {folders}/weak {folders}/captured --out {folders}/other")
     assert "weak: is given twice; give each folder of simulated presses once" in twice.err
+
+
+def test_a_relative_comparison_says_so_everywhere_and_suggests_no_decision(folders: Path) -> None:
+    assert finray(f"compare {folders}/simulated {folders}/captured --relative --out {folders}/out").status == 0
+    batch = read_record(folders / "out/summary.json", ComparisonBatch)
+    assert batch.relative
+    assert batch.pairs[1].report is not None
+    assert read_record(folders / "out" / batch.pairs[1].report, PhotometricErrorReport).relative
+    for page in ("summary", "one.photometric-error"):
+        text = (folders / f"out/{page}.html").read_text()
+        assert "Relative: the captured image without contact stands in the place of the render" in text
+    one = f"compare {folders}/simulated/one.press.json {folders}/captured/one.capture.json"
+    relative = finray(f"{one} --relative --out {folders}/relative.json")
+    absolute = finray(f"{one} --out {folders}/absolute.json")
+    assert "relative: only the change by contact is judged" in relative.out
+    assert "finray decide" in absolute.out
+    assert "finray decide" not in relative.out
 
 
 def test_names_that_give_one_file_name_get_files_of_their_own(folders: Path) -> None:
@@ -252,6 +269,64 @@ def test_processes_that_do_not_fit_are_a_warning_and_give_the_same_numbers(
     monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (8 << 30, 8 << 30))
     assert "memory" not in finray(f"compare {folders}/simulated {folders}/captured --out {folders}/ample").err
     assert _numbers(folders / "short") == _numbers(folders / "ample")
+
+
+def _jobs_and_work(folders: Path) -> tuple[list[object], object]:
+    """The pairs "one" and "two" as the command gives them to a process."""
+    jobs = []
+    for name in ("one", "two"):
+        report = Path(f"{name}.photometric-error.json")
+        files = folders / f"simulated/{name}.press.json", folders / f"captured/{name}.capture.json"
+        jobs.append(_compare_folders._Job("s", name, *files, report))  # noqa: SLF001
+    (folders / "out").mkdir()
+    work = _compare_folders._Work(folders / "out", "finray compare", 1, False, False, None, None)  # noqa: SLF001
+    return jobs, work
+
+
+def _do(folders: Path) -> list[object]:
+    jobs, work = _jobs_and_work(folders)
+    as_json = _compare_folders._as_json  # noqa: SLF001
+    return _compare_folders.do_jobs("compare", [as_json(job) for job in jobs], as_json(work))
+
+
+def test_a_report_that_cannot_be_stored_is_told_although_a_later_pair_ends_with_another_error(
+    folders: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before, the error of the later pair was raised alone, and nothing said that the disk was full."""
+    compared = _compare_folders._compared  # noqa: SLF001
+
+    def second_breaks(job: "_compare_folders._Job", *others: object) -> object:
+        if job.name == "two":
+            raise RuntimeError("the second pair")
+        return compared(job, *others)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(_compare_folders, "_compared", second_breaks)
+    monkeypatch.setattr("data_schemas.storage.write_record", lambda *_, **__: None)
+    with pytest.raises(RuntimeError, match="the second pair"):
+        _do(folders)
+    (folders / "out").rmdir()
+    monkeypatch.setattr("data_schemas.storage.write_record", full)
+    with pytest.raises(OSError, match="No space left on device") as raised:
+        _do(folders)
+    assert str(raised.value.__cause__) == "the second pair"
+
+
+def test_a_record_that_finray_makes_wrongly_is_no_failed_pair(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A field's error in our own code would else be a pair that could not be compared, among others."""
+
+    def wrong(*_: object, **__: object) -> None:
+        Interval(estimate="much", low95=0.0, high95=1.0)
+
+    monkeypatch.setattr("finray_calib.compare.checked_report", wrong)
+    with pytest.raises(FieldError, match="estimate"):
+        _do(folders)
+    failed = finray(f"compare {folders}/simulated {folders}/captured --out {folders}/other")
+    assert failed.status == 2
+    assert "estimate" in failed.err
+    assert not (folders / "other/summary.json").exists()
 
 
 _SLOW = """\

@@ -370,6 +370,67 @@ def test_relative_noise_of_the_render_is_taken_out_by_its_halves(pair):
     np.testing.assert_allclose(shown.no_contact, rest, rtol=1e-6)
 
 
+def noisy_capture(press, noise_rel, seed, with_repeat=True):
+    """Return a capture of a press in linear light whose noise is a share of the level."""
+    rng = np.random.default_rng(seed)
+
+    def counts(image):
+        light = 150.0 * image
+        return np.rint(16.0 + light * (1.0 + noise_rel * rng.standard_normal(light.shape))).clip(0, 65535)
+
+    images = {n: counts(getattr(press, n)).astype(np.uint16) for n in ("contact", "no_contact")}
+    repeat = counts(press.no_contact).astype(np.uint16) if with_repeat else None
+    return capture_of(press, 150.0).model_copy(update=images | {"repeat_no_contact": repeat})
+
+
+def test_relative_noise_of_the_captured_rest_is_taken_out():
+    """Noise of 4 %: a blank scores 0, not -0.04, and a weaker press 1 - 0.3^2, whatever the noise is."""
+    press = made_up_press()
+    blank = press.model_copy(update={"contact": press.no_contact})
+    weaker = press.model_copy(update={"contact": press.no_contact + 0.7 * (press.contact - press.no_contact)})
+    options = CheckOptions(relative=True)
+    scores, gradients = [], []
+    for seed in range(8):
+        capture = noisy_capture(press, 0.04, seed)
+        nothing = compare_checked(blank, capture, seed, options)[0]
+        assert nothing.headline_skill.estimate == pytest.approx(0.0, abs=1e-5)
+        assert nothing.headline_skill.low95 - 1e-5 <= 0.0 <= nothing.headline_skill.high95 + 1e-5
+        found = compare_checked(weaker, capture, seed, options)[0]
+        scores.append(found.headline_skill.estimate)
+        gradients.append(rows_of(found)["simulation"].difference_gradient_rms_per_px.estimate)
+    # noise that stayed in would lower the score by (S / B)^2 x 0.04^2 / (mean square of the change, 0.23^2) = 0.03
+    assert np.mean(scores) == pytest.approx(0.91, abs=0.006)
+    still = compare_checked(weaker, noisy_capture(press, 0.001, 1), 1, options)[0]
+    of_still = rows_of(still)["simulation"].difference_gradient_rms_per_px.estimate
+    assert np.mean(gradients) == pytest.approx(of_still, rel=0.25)
+
+
+@pytest.mark.parametrize("encoding", ["linear", "unknown"])
+def test_a_channel_that_the_render_leaves_dark_is_told(encoding):
+    """Its change is a ratio of two zeros: it scores 0, as doing nothing does, and the report says so."""
+    lit = made_up_press()
+    capture = capture_of(lit, 200.0 if encoding == "linear" else 1.0, encoding=encoding)
+    options = CheckOptions(relative=encoding == "linear")
+    dark = lit.model_copy(update={n: getattr(lit, n) * np.array([1.0, 1.0, 0.0]) for n in ("contact", "no_contact")})
+    found, whole = (compare_checked(one, capture, 1, options)[0] for one in (dark, lit))
+    told = [text for text in found.findings if "has no light where the capture has some (blue 100 % of the" in text]
+    assert len(told) == 1
+    assert not any("has no light" in text for text in whole.findings)
+    red, _, blue = rows_of(found)["simulation"].skill_per_channel
+    assert blue == pytest.approx(0.0, abs=1e-4)
+    assert red == pytest.approx(rows_of(whole)["simulation"].skill_per_channel[0], abs=0.02)
+    if encoding == "unknown":
+        assert [scale is None for scale in found.tone_curve.white_balance] == [False, False, True]
+        assert found.tone_curve.white_balance[0].estimate == pytest.approx(1.0, abs=0.05)
+
+
+def test_relative_stands_in_the_report():
+    press = made_up_press()
+    capture = capture_of(press, 200.0)
+    assert compare_checked(press, capture, 1, CheckOptions(relative=True))[0].relative
+    assert not compare_checked(press, capture, 1)[0].relative
+
+
 def test_relative_says_that_it_cannot_be_registered():
     press = made_up_press()
     with pytest.raises(CompareError, match="--register finds no drift; leave one of both out"):

@@ -79,7 +79,7 @@ def test_the_covariance_is_that_of_many_draws_and_rather_too_large(error_over_no
             error + np.sqrt(s) * rng.standard_normal(error.shape) - of_capture,
             signal + np.sqrt(b) * rng.standard_normal(error.shape) - of_capture,
         )
-        noise = noise_covariance(*measured, s, d, b)
+        noise = noise_covariance(*measured, s, d, b + d, d)
         claimed.append([noise.error[0], noise.signal[0], noise.both[0]])
     error_variance, signal_variance, both = np.mean(claimed, axis=0)
     # four standard errors of a variance of 4000 draws; of a covariance, relative to both standard deviations

@@ -111,3 +111,60 @@ def grasp(frames=30, before=12):
     """Frames of a grasp: nothing, then a ball that is held, then nothing again."""
     depth = np.interp(np.arange(frames), [before, before + 4, frames - 6, frames - 2], [0.0, 1.0, 1.0, 0.0])
     return [dome(60.0, 80.0, max(1.0, CONTACT_PX * d)) if d > 0.0 else flat() for d in depth]
+
+
+BALLS = """\
+name = "mine"
+what = "presses of a ball"
+
+[presses]
+files = "{press}.png"
+
+[no_contact]
+file = "rest.png"
+
+[contact]
+file = "labels.csv"
+press = "image"
+circle = { column_px = "x", row_px = "y", radius_px = "r" }
+
+[scale]
+px_per_mm = 10.0
+
+[indenter]
+shape = "ball"
+diameter_mm = 9.2
+"""
+
+
+def write_lab(folder, names=("p0", "p1", "p2", "p3"), columns=None):
+    """What a lab has: presses of a ball of 9.2 mm at 0.1 mm a pixel, one image without contact, labels by hand."""
+    rng = np.random.default_rng(3)
+    noise = [rng.standard_normal((*SHAPE_PX, 3)) for _ in range(len(names) + 1)]
+    save(folder / "rest.png", flat() + noise[-1])
+    more = columns or {}
+    rows = [["image", "x", "y", "r", *more]]
+    for k, (name, (row, column)) in enumerate(zip(names, PLACES, strict=False)):
+        save(folder / f"{name}.png", dome(row, column) + noise[k])
+        rows.append([f"{name}.png", int(column), int(row), int(CONTACT_PX), *more.values()])
+    with (folder / "labels.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(rows)
+    return folder
+
+
+def repicture(folder, change, which="*.png", ending=".png"):
+    """Write pictures of a folder anew, as `change` makes them: (H, W, 3) in, an array or bytes out."""
+    for path in sorted(folder.glob(which)):
+        changed = change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+        path.unlink()
+        path = path.with_suffix(ending)
+        path.write_bytes(changed if isinstance(changed, bytes) else cv2.imencode(ending, changed)[1].tobytes())
+    return folder
+
+
+def turned_jpeg(image, turned):
+    """A JPEG with the mark of a camera (EXIF) that it is to be shown turned."""
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    tags = b"\0\1" + struct.pack(">HHIHH", 0x0112, 3, 1, turned, 0) + b"\0\0\0\0"
+    exif = b"Exif\0\0MM\0*\0\0\0\x08" + tags
+    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + jpeg[2:]

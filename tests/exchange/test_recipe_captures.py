@@ -311,7 +311,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         (("[indenter]\n", CIRCLE), ('= "x"', '= "r"'), "r of a must be a number, got 'wide'"),
         (("[indenter]\n", CIRCLE), ("row_px = 9", "row_px = 999"), "outside the picture of 160 x 120 px; are row and"),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
-        (('file = "rest.png"', "frames_before = 3"), None, "frames_before is for videos, and a.png is a picture"),
+        (('file = "rest.png"', "frames_before = 3"), None, r"for Motion-JPEG videos \(\.avi\), and a\.png is none"),
         (
             ("[indenter]\n", CIRCLE),
             ("t.csv", "{press}.npz"),
@@ -552,7 +552,7 @@ def test_an_outline_outside_the_image_has_no_distance(tmp_path):
 
 def test_a_prism_has_a_depth_of_each_press_and_is_written_as_a_solid(tmp_path):
     for name in ("a", "b", "rest"):
-        save(tmp_path / f"{name}.png", flat())
+        save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
     found = read_by_recipe(tmp_path, recipe(PRISM))
     poses = [capture.indenter for capture in found.captures.values()]
     assert [(p.depth_mm, p.depth_uncertainty_mm) for p in poses] == [(0.5, 0.05), (1.0, 0.05)]
@@ -568,9 +568,35 @@ def test_a_prism_has_a_depth_of_each_press_and_is_written_as_a_solid(tmp_path):
     np.testing.assert_allclose((corners[..., 1].min(), corners[..., 1].max()), (0.0, 5.0))
 
 
+@pytest.mark.parametrize("key", ["depth_mm = { a = 0.5, bb = 1.0 }", "depth_mm = { a = 0.5, b = 1.0, c = 2.0 }"])
+def test_a_misspelt_press_is_refused_and_one_that_is_not_there_is_told(tmp_path, key):
+    for name in ("a", "b", "rest"):
+        save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
+    text = PRISM.replace("depth_mm = { a = 0.5, b = 1.0 }", key)
+    if "bb" in key:
+        with pytest.raises(ImportFormatError, match=r"indenter\.depth_mm names 'bb', which is no press .* and not 'b'"):
+            read_by_recipe(tmp_path, recipe(text))
+        return
+    found = read_by_recipe(tmp_path, recipe(text.replace('leave_out = ["rest"]', 'leave_out = ["rest", "tset"]')))
+    assert {why: names for why, names in found.left_out.items() if "no such press" in why} == {
+        "indenter.depth_mm of the recipe names it, but the folder has no such press": ["c"],
+        "presses.leave_out of the recipe names it, but the folder has no such press": ["tset"],
+    }
+
+
+def test_a_press_at_the_base_of_the_pad_has_the_position_0(tmp_path):
+    for name in ("a", "rest"):
+        save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
+    found = read_by_recipe(tmp_path, recipe(PICTURES + "position_mm = 0.0\n"))
+    assert found.captures["a"].indenter.position_mm == 0.0
+    (tmp_path / "r.toml").write_text(PICTURES + "depth_mm = 0.0\n")
+    with pytest.raises(ImportFormatError, match=r"depth_mm.* above 0"):
+        read_recipe(str(tmp_path / "r.toml"))
+
+
 def test_a_design_presses_that_prism_where_the_picture_shows_it(tmp_path):
     for name in ("a", "rest"):
-        save(tmp_path / f"{name}.png", flat())
+        save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
     capture = read_by_recipe(tmp_path, recipe(PRISM)).captures["a"]
     (tmp_path / "prism.stl").write_bytes(outline_solid_stl(capture, 5.0))
     (tmp_path / "d.toml").write_text(

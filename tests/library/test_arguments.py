@@ -92,10 +92,26 @@ def test_a_number_with_its_uncertainty_can_be_formatted_and_taken_alone(paint):
     mode_nm = paint.mode_nm
     assert f"{mode_nm:.1f}" == f"{mode_nm.estimate:.1f} [{mode_nm.low95:.1f}, {mode_nm.high95:.1f}] nm"
     assert f"{mode_nm}" == str(mode_nm)
-    assert float(mode_nm) == mode_nm.estimate
+    assert f"{mode_nm:>40}" == str(mode_nm).rjust(40)
+    assert f"{mode_nm:*<44.1f}" == f"{mode_nm:.1f}".ljust(44, "*")
+    assert f"{mode_nm:+.3e}".startswith(f"{mode_nm.estimate:+.3e} [+")
+    for form in ("d", "x", "08.1f", "=30", "hello"):
+        with pytest.raises(ValueError, match="is no format of a number with its interval: give decimals such as"):
+            format(mode_nm, form)
     brightness = paint.propagate(np.max)
     assert float(brightness) == brightness.estimate
     assert f"{brightness:.3f}" == f"{brightness.estimate:.3f} [{brightness.low95:.3f}, {brightness.high95:.3f}]"
+
+
+def test_a_number_with_a_unit_becomes_no_plain_number_and_arrays_mix_no_units(paint):
+    """numpy asks each element for its float, and cannot see that the other has another unit."""
+    in_nm = paint.mode_nm
+    in_um = Quantity.of(in_nm.model_copy(update={"estimate": in_nm.estimate / 1000.0}), "um")
+    for numbers in ([in_nm, in_um], [in_nm, in_nm]):
+        with pytest.raises(TypeError, match=r"nm: as a plain number it would lose its unit, nm, .* write \.estimate"):
+            np.array(numbers, float)
+    assert np.array([q.estimate for q in (in_nm, in_um)]) == pytest.approx(in_nm.estimate * np.array([1.0, 1e-3]))
+    assert float(paint.reflectance_at_laser) == paint.reflectance_at_laser.estimate
 
 
 def test_a_number_with_its_uncertainty_is_no_number_of_a_design(paint):

@@ -119,6 +119,16 @@ def test_limits_that_no_rig_keeps_are_read_from_old_reports(tmp_path):
     )
 
 
+@pytest.mark.parametrize(("command", "relative"), [("--relative", True), ("--rela", True), ("--register", False)])
+def test_what_a_note_and_a_command_said_of_a_relative_comparison_becomes_a_field(command, relative):
+    note = "compared relative to the capture's own image without contact, which stands in the place of the render's"
+    assert (
+        MIGRATIONS["PhotometricErrorReport", 5]({"notes": ["other", note] if relative else []})["relative"] is relative
+    )
+    before = {"provenance": {"command": f"finray compare a b {command}"}}
+    assert MIGRATIONS["ComparisonBatch", 3](before)["relative"] is relative
+
+
 def test_a_version_that_cannot_be_migrated_says_why_and_what_to_run():
     message = r"version 1 of the PaintCalibration .*draws of another model.*; run 'finray fit' again"
     with pytest.raises(RecordError, match=message):

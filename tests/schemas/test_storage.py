@@ -12,12 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from pydantic import ValidationError
 
 from data_schemas import (
     BandSignals,
     ChecksumError,
+    FieldError,
     FingerDesign,
     IndenterPose,
+    Interval,
     NewerSchemaError,
     PaintCalibration,
     PaintPlan,
@@ -25,6 +28,7 @@ from data_schemas import (
     RigFile,
     TactileCapture,
     provenance,
+    why_failed,
 )
 from data_schemas.storage import read_frame, read_record, read_toml, sha256_of, write_bytes, write_frame, write_record
 from data_schemas.storage._records import INLINE_VALUES
@@ -361,3 +365,12 @@ def test_frames_are_checked_and_never_overwritten(tmp_path):
         read_frame(path, "0" * 64)
     with pytest.raises(ChecksumError, match="frame is missing"):
         read_frame(tmp_path / "frames" / "0002.tiff", digest)
+
+
+def test_a_list_of_failures_says_where_finray_itself_made_a_wrong_record():
+    with pytest.raises(FieldError) as wrong:
+        Interval(estimate="much", low95=0.0, high95=1.0)
+    assert why_failed(wrong.value).startswith("finray made a record that is not allowed: 'estimate'")
+    assert why_failed(RecordError("no such file")) == "no such file"
+    with pytest.raises(ValidationError):
+        Interval.model_validate({"estimate": "much", "low95": 0.0, "high95": 1.0})

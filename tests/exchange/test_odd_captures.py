@@ -1,0 +1,238 @@
+"""Folders as labs have them, with what is wrong in them: refused or told, never a number on another scale."""
+
+import struct
+import unicodedata
+
+import cv2
+import numpy as np
+import pytest
+
+from data_schemas import ImportFormatError
+from finray_calib.exchange import Recipe, read_by_recipe
+from finray_calib.exchange._recipe_pictures import orientation
+from tests.command_line.running import succeed
+from tests.exchange.recipe_folders import BALLS, flat, grasp, repicture, save, turned_jpeg, write_lab, write_video
+
+DEEP = "has 8 bits, colour, .*{} has 16 bits, colour: values of the two cannot be compared"
+
+
+def read(folder, text=BALLS):
+    """Read a folder by a recipe of a few lines."""
+    import tomllib
+
+    return read_by_recipe(folder, Recipe.model_validate(tomllib.loads(text)))
+
+
+def deep(image):
+    return image.astype(np.uint16) * 257
+
+
+def clear(image):
+    alpha = np.full((*image.shape[:2], 1), 255, dtype=np.uint8)
+    alpha[:40] = 0
+    return np.concatenate([image, alpha], axis=2)
+
+
+def opaque(image):
+    return np.concatenate([image, np.full((*image.shape[:2], 1), 255, dtype=np.uint8)], axis=2)
+
+
+def test_the_folder_without_a_fault_is_read_and_its_rest_is_no_press(tmp_path):
+    found = read(write_lab(tmp_path / "f"))
+    assert list(found.captures) == ["p0", "p1", "p2", "p3"]
+    assert found.left_out == {"its image is the one without contact": ["rest"]}
+
+
+@pytest.mark.parametrize(
+    ("change", "which", "message"),
+    [
+        (deep, "rest.png", DEEP.format("rest.png")),
+        (deep, "p2.png", "p2.png has 16 bits, colour, .*rest.png has 8 bits, colour"),
+        (lambda image: image[..., 1], "p*.png", "p0.png has 8 bits, grey, .*rest.png has 8 bits, colour"),
+        (clear, "p*.png", "p0.png: 33 % of its pixels are transparent"),
+        (lambda image: image[::2, ::2], "rest.png", r"different sizes \(160 x 120, 80 x 60 px\)"),
+    ],
+)
+def test_pictures_that_mean_different_light_are_refused(tmp_path, change, which, message):
+    folder = repicture(write_lab(tmp_path / "f"), change, which)
+    with pytest.raises(ImportFormatError, match=message):
+        read(folder)
+
+
+@pytest.mark.parametrize(("change", "bits", "scale"), [(opaque, 8, 1), (deep, 16, 257), (lambda i: i[..., 1], 8, 1)])
+def test_pictures_of_one_kind_keep_their_values(tmp_path, change, bits, scale):
+    plain = read(write_lab(tmp_path / "plain")).captures["p1"]
+    capture = read(repicture(write_lab(tmp_path / "f"), change)).captures["p1"]
+    assert capture.bit_depth == bits
+    np.testing.assert_array_equal(capture.contact[..., 1], plain.contact[..., 1].astype(int) * scale)
+
+
+@pytest.mark.parametrize(("turned", "which"), [(6, "*.png"), (3, "rest.png")])
+def test_pictures_that_viewers_turn_are_refused(tmp_path, turned, which):
+    folder = write_lab(tmp_path / "f")
+    repicture(folder, lambda image: turned_jpeg(image, 1), ending=".jpg")
+    assert len(read(folder, BALLS.replace(".png", ".jpg")).captures) == 4
+    repicture(folder, lambda image: turned_jpeg(image, turned), which.replace(".png", ".jpg"), ".jpg")
+    with pytest.raises(ImportFormatError, match=rf"turned or mirrored \(EXIF orientation {turned}\)"):
+        read(folder, BALLS.replace(".png", ".jpg"))
+
+
+def test_marks_of_png_files_and_of_both_byte_orders_are_read():
+    little = b"II*\0\x08\0\0\0" + struct.pack("<HHHIHH", 1, 0x0112, 3, 1, 8, 0)
+    assert orientation(b"\x89PNG\r\n\x1a\n" + b"\0\0\0\x1aeXIf" + little) == 8
+    assert orientation(b"\x89PNG\r\n\x1a\n") == 1
+    assert orientation(b"\xff\xd8\xff\xe1\0\x10Exif\0\0XX") == 1
+
+
+def test_letters_of_two_parts_and_hidden_files_of_macos_are_read(tmp_path):
+    names = ["Größe 1", "Öl über 2", "ball nr. 3", "ß 4"]
+    folder = write_lab(tmp_path / "f", names)
+    for path in list(folder.glob("*.png")):
+        path.rename(folder / unicodedata.normalize("NFD", path.name))
+    (folder / "._ß 4.png").write_bytes(b"\0\5\x16\7")
+    found = read(folder)
+    assert sorted(found.captures) == sorted(names)
+    assert found.captures["Größe 1"].contact_circle is not None
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "recipe", "message"),
+    [
+        ("depth", 0.00045, 'depth_mm = "depth"\n', r"median depth of 4 presses is 0\.00045 mm, .* columns_in = \"m\""),
+        ("depth", 450, 'depth_mm = "depth"\n', r"450 mm, .* cap over the contact circles, 0\.458 mm.* = \"um\""),
+        ("depth", -0.45, 'depth_mm = "depth"\n', r"its depth, from first touch, is -0\.45 mm in the table"),
+        ("depth", 0, 'depth_mm = "depth"\n', r"its depth, from first touch, is 0 mm in the table; it must be above 0"),
+        ("depth", "0,45", 'depth_mm = "depth"\n', r"depth of p0 must be a number, got '0,45'; write it with a decimal"),
+        ("depth", "", 'depth_mm = "depth"\n', r"must be a number, got ''; .* name the press in presses\.leave_out"),
+        ("d", -9, 'diameter_mm = "d"\n', r"its diameter is -9 mm in the table"),
+    ],
+)
+def test_lengths_that_cannot_be_are_refused(tmp_path, column, value, recipe, message):
+    text = BALLS.replace("diameter_mm = 9.2\n", recipe if "diameter" in recipe else f"diameter_mm = 9.2\n{recipe}")
+    with pytest.raises(ImportFormatError, match=message):
+        read(write_lab(tmp_path / "f", columns={column: value}), text)
+
+
+@pytest.mark.parametrize(("unit", "value"), [("m", 0.00045), ("um", 450), ("cm", 0.045), ("mm", 0.45)])
+def test_columns_may_be_in_other_units(tmp_path, unit, value):
+    text = BALLS + f'depth_mm = "depth"\ncolumns_in = "{unit}"\n'
+    found = read(write_lab(tmp_path / "f", columns={"depth": value}), text)
+    assert found.captures["p0"].indenter.depth_mm == pytest.approx(0.45)
+    assert found.captures["p0"].indenter.radius_mm == 4.6  # a number of the recipe itself is in mm
+
+
+def test_depths_without_a_circle_are_held_against_what_gels_can_be(tmp_path):
+    text = BALLS.split("[contact]")[0] + '[indenter]\nshape = "cuboid"\ndepth_mm = "depth"\nfile = "labels.csv"\n'
+    text += 'press = "image"\n'
+    assert read(write_lab(tmp_path / "good", columns={"depth": 0.8}), text).captures["p0"].indenter.depth_mm == 0.8
+    with pytest.raises(ImportFormatError, match=r"0\.0008 mm, and 0\.01 to 30 mm are allowed.*columns_in = \"m\""):
+        read(write_lab(tmp_path / "f", columns={"depth": 0.0008}), text)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("px_per_mm = 10.0", "mm_per_px = 10.0", r"a pixel is 10 mm wide, .* at most 1 mm .*is it px_per_mm = 10\?"),
+        ("px_per_mm = 10.0", "px_per_mm = 0.1", r"a pixel is 10 mm wide, .*is it mm_per_px = 0\.1\?"),
+        ("9.2", "0.0092", r"larger than the ball's 0\.046 px"),
+        ('"x", row_px = "y"', '"y", row_px = "x"', r"4 presses change .* times as much where row and column of their"),
+        ('"rest.png"', '"rest.png"\nrepeat_file = "rest.png"', r"are one picture, pixel by pixel"),
+        (
+            "[scale]",
+            "[picture]\nfull_scale = 1.0\n[scale]",
+            r"full_scale belongs to OpenEXR images, and p0\.png",
+        ),
+        ("9.2", '9.2\ncolumns_in = "m"', "columns_in belongs to columns, and the indenter names none"),
+    ],
+)
+def test_a_recipe_with_one_number_wrong_is_refused(tmp_path, old, new, message):
+    folder = write_lab(tmp_path / "f")
+    with pytest.raises((ImportFormatError, ValueError), match=message):
+        read(folder, BALLS.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("full_scale", "message"),
+    [(1.0, None), (0.01, r"100 % of its values lie above picture\.full_scale = 0\.01"), (65535.0, "fill only 0.2")],
+)
+def test_half_floats_are_read_by_a_full_scale_that_suits_them(tmp_path, full_scale, message):
+    exr = pytest.importorskip("OpenEXR")
+    folder = write_lab(tmp_path / "f")
+    light = {}
+    for path in sorted(folder.glob("*.png")):
+        light[path.stem] = (cv2.imread(str(path))[..., ::-1] / 255.0 * 0.6).astype(np.float16)
+        channels = {name: np.ascontiguousarray(light[path.stem][..., c]) for c, name in enumerate("RGB")}
+        with exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, channels) as file:
+            file.write(str(path.with_suffix(".exr")))
+        path.unlink()
+    text = BALLS.replace(".png", ".exr") + f'[picture]\nencoding = "linear"\nfull_scale = {full_scale}\n'
+    if message is not None:
+        with pytest.raises(ImportFormatError, match=message):
+            read(folder, text)
+        return
+    capture = read(folder, text).captures["p1"]
+    np.testing.assert_allclose(capture.contact / 65535.0, light["p1"].astype(float), atol=0.5 / 65535.0 + 1e-9)
+    (folder / "rest.exr").unlink()
+    save(folder / "rest.png", flat())
+    with pytest.raises(ImportFormatError, match=r"full_scale belongs to OpenEXR images, and rest\.png is none"):
+        read(folder, text.replace("rest.exr", "rest.png"))
+
+
+VIDEO = """\
+name = "grasps"
+what = "grasps of a ball"
+[presses]
+files = "{press}.avi"
+[no_contact]
+frames_before = 10
+[indenter]
+shape = "ball"
+[force]
+file = "{press}.csv"
+column = "force"
+"""
+
+
+def with_dropped_frames(path, dropped):
+    """A video of variable rate: chunks without content stand for frames that are shown again."""
+    content = path.read_bytes()
+    at, number, body = content.index(b"movi") + 4, 0, b""
+    while at < len(content):
+        stop = at + 8 + struct.unpack("<I", content[at + 4 : at + 8])[0]
+        stop += stop % 2 != at % 2
+        body += b"00dc\0\0\0\0" if number in dropped else content[at:stop]
+        at, number = stop, number + 1
+    movie = b"LIST" + struct.pack("<I", len(body) + 4) + b"movi" + body
+    path.write_bytes(b"RIFF" + struct.pack("<I", len(movie) + 4) + b"AVI " + movie)
+
+
+def test_a_video_with_dropped_frames_keeps_its_time(tmp_path):
+    write_video(tmp_path / "g.avi", grasp())
+    force = np.interp(np.arange(30), [12, 16, 24, 28], [0.0, 5.0, 5.0, 0.0])
+    (tmp_path / "g.csv").write_text("force\n" + "".join(f"{f}\n" for f in force))
+    whole = read(tmp_path, VIDEO).captures["g"]
+    with_dropped_frames(tmp_path / "g.avi", {2, 3, 4, 5})
+    found = read(tmp_path, VIDEO).captures["g"]
+    np.testing.assert_array_equal(found.contact, whole.contact)
+    np.testing.assert_array_equal(found.repeat_no_contact, whole.repeat_no_contact)
+    assert found.force_n == whole.force_n == pytest.approx(5.0)
+
+
+def test_frames_that_already_show_contact_are_no_rest(tmp_path):
+    write_video(tmp_path / "g.avi", grasp())
+    text = VIDEO.split("[force]")[0].replace("frames_before = 10", "frames_before = 16")
+    with pytest.raises(ImportFormatError, match="shows contact within the first 16 frames"):
+        read(tmp_path, text)
+    (tmp_path / "g.mp4").write_bytes((tmp_path / "g.avi").read_bytes())
+    with pytest.raises(ImportFormatError, match=r"is for Motion-JPEG videos \(\.avi\), and g\.mp4 is none"):
+        read(tmp_path, VIDEO.replace(".avi", ".mp4"))
+
+
+def test_what_some_presses_lack_is_told_with_their_number(tmp_path, monkeypatch):
+    """Before, what the first press had counted for all."""
+    folder = write_lab(tmp_path / "f")
+    (tmp_path / "r.toml").write_text(BALLS + "depth_mm = { p0 = 0.5, p2 = 0.4 }\n")
+    monkeypatch.chdir(tmp_path)
+    said = succeed(f"import captures {folder} --recipe r.toml --out set")
+    assert "lacks the depth of the press (2 of 4 presses): simulate to the contact's size instead" in said
+    assert "lacks the force: stiffness" in said
