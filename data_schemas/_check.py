@@ -609,7 +609,7 @@ CERTIFIED: Final[dict[CertifiedName, tuple[str, str]]] = {
     "mode_nm": ("Wavelength of the maximum of the emission", "nm"),
     "fwhm_nm": ("Full width at half maximum", "nm"),
     "peak_per_nm": ("Emission at the maximum, as radiance factor per nm", "1/nm"),
-    "energy_yield": ("Energy yield: emitted over incident energy", ""),
+    "energy_yield": ("Energy yield: emitted / incident energy", ""),
     "reflectance_at_laser": ("Reflectance at the laser line", ""),
 }
 """Quantity -> what it is, and its unit."""

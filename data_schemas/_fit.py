@@ -372,7 +372,7 @@ class PaintCalibration(Record):
         default={},
         description="shares of mode_nm, fwhm_nm, peak_per_nm, energy_yield, stokes_shift_nm; empty: not judged",
     )
-    energy_yield: Estimate = Field(description="emitted over incident energy, emission above the laser line to 780 nm")
+    energy_yield: Estimate = Field(description="emitted / incident energy, emission above the laser line to 780 nm")
     band_integrals: tuple[Estimate, ...] = Field(
         description="emission through each filter: integral of emission times transmission over that of transmission"
     )

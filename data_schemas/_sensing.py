@@ -168,7 +168,7 @@ class NormalMapRecord(Record):
     on the half that did not teach it, and the mean angle of its normals.
     """
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray sense teach'"
 
     name: str
@@ -203,8 +203,8 @@ class NormalMapRecord(Record):
         "where the gel should be flat; for each press with this ring in view, by maps taught without it; "
         "none: not known",
     )
-    taught_by_sha256: tuple[str, ...] = Field(
-        default=(), description="SHA-256 of the contact images that taught it; none: not known"
+    training_sha256: tuple[str, ...] = Field(
+        default=(), description="SHA-256 of the contact images that it was trained on; none: not known"
     )
     notes: tuple[str, ...] = ()
 

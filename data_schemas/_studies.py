@@ -76,7 +76,8 @@ class FluorescentRendering(_Study):
         description="part of the baked radiance that light of other paint has excited"
     )
     wall_error_rel: Annotated[Floats, ArraySpec("<f8", ("alternative", "wall"))] = Field(
-        description="norm of the difference to the baked radiance along z at equal means, over its norm"
+        description="difference from the baked radiance along z, both scaled to equal means: norm of the difference, "
+        "relative to the norm of the baked radiance"
     )
     second_order_wall_share: dict[str, float]
     second_order_coat_share: dict[str, float] = Field(
@@ -311,8 +312,8 @@ class PaintStandIn(Model):
     absorption_edge_nm: WavelengthNm = Field(description="where absorption has fallen to half, towards the red")
     laser_absorption_factor: float = Field(description="a(laser) / maximum")
     filter_bands: dict[str, float] = Field(description="radiance factor in the band of each filter, per 10 nm")
-    energy_yield: float = Field(description="emitted over incident energy, laser line to 780 nm")
-    photon_yield: float = Field(description="emitted over incident photons")
+    energy_yield: float = Field(description="emitted / incident energy, laser line to 780 nm")
+    photon_yield: float = Field(description="emitted / incident photons")
     printed_patch: ColourPatch
     closest_patch: ColourPatch
     paper_curve: CurveFit = Field(description="the paper's family, fitted to the whole emission")
@@ -397,7 +398,7 @@ class DesignStudy(Record):
 
     kind: Literal["design"] = "design"
     name: Annotated[str, Field(min_length=1, max_length=80)]
-    about: str = Field(default="", description="what the study is for, in a sentence")
+    about: str = Field(default="", description="purpose of the study, in one sentence")
     design: str = Field(default="flat-70x35", description="a ready-made finger, or a design file beside the plan")
     combine: Literal["grid", "together", "random"] = Field(
         default="grid",

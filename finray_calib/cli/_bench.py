@@ -230,10 +230,10 @@ def _of_gel(
     captures: "Mapping[str, TactileCapture]", taught: Sequence[str], judged: Sequence[str]
 ) -> "tuple[dict[str, dict[str, SimulatedPress]], tuple[GelNumber, ...]]":
     """Return what our model of a gel predicts, and the numbers that the teaching presses gave it."""
-    from sim.experiments import predict_on_gel, teach_gel
+    from sim.experiments import fit_gel, predict_on_gel
 
     say(f"fitting {GEL} to {len(taught)} presses, which takes a minute or two")
-    gel = teach_gel([captures[name] for name in taught])
+    gel = fit_gel([captures[name] for name in taught])
     for number in gel.numbers:
         unit = "" if number.unit == "1" else f" {number.unit}"
         say(f"  {number.name}: {number.value:.3g} [{number.low95:.3g}, {number.high95:.3g}]{unit}")

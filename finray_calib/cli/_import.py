@@ -38,7 +38,7 @@ repeat_no_contact (all DNG or 16-bit TIFF, or all PNG or JPEG), the metadata of 
 (contact.json, from rpicam-still --metadata) and press.toml (name, [indenter]). Images with auto exposure or
 auto white balance are refused."""
 OTHER = """\
-Import the folder of one press by a format that another installed package brings, as a tactile capture. How to
+Import the folder of one press in a format that another installed package provides, as a tactile capture. How to
 write one: docs/how-to/import-captures.md."""
 CAPTURE_OUT = "FOLDER.capture.json, with --predict-from also FOLDER.press.json beside it"
 

@@ -439,7 +439,7 @@ def run_sense(arguments: argparse.Namespace) -> None:
     wrote(picture, "depth, normals and contact")
     wrote(mesh, "the surface of the gel, mm")
     names = ("deepest_mm", "deepest_u_mm", "contact_area_mm2", "contact_area_u_mm2", "is_of_teaching", "notes")
-    give(name=sensed.name, **{name: getattr(sensed, name) for name in names})
+    give(name=sensed.name, is_training_capture=sensed.is_of_teaching, **{name: getattr(sensed, name) for name in names})
     suggest_file(picture)
 
 

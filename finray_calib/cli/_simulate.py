@@ -127,7 +127,7 @@ def run_teach(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import clear_leftovers, read_record, write_record
     from finray_calib.spectra import machine_threads
     from sim import read_design
-    from sim.experiments import USUAL_PRESSES, TeachSettings, teach_surrogate
+    from sim.experiments import USUAL_PRESSES, TeachSettings, train_surrogate
 
     design = read_design(arguments.design)
     out = require_new(arguments.out or Path(f"{file_name(arguments.design.stem)}.surrogate.json"), ".json")
@@ -144,7 +144,7 @@ def run_teach(arguments: argparse.Namespace) -> None:
 
     settings = TeachSettings(arguments.presses or USUAL_PRESSES, threads=machine_threads())
     with progress_bar("teach") as progress, naming(SimulateError, arguments.design):
-        taught = teach_surrogate(design, settings, stored=stored, store=store, progress=progress)
+        taught = train_surrogate(design, settings, stored=stored, store=store, progress=progress)
     write_record(taught, out, origin)
     _report_taught(taught, out, kept)
     suggest_command("finray simulate press", arguments.design, "--surrogate", out)
@@ -317,7 +317,7 @@ RENAMED = {("study", "normal-map"): ("sense", "teach"), ("study", "pixel-scale")
 """Verb and job of an earlier version -> those of today."""
 
 
-def spelled_now(words: Sequence[str]) -> list[str]:
+def current_spelling(words: Sequence[str]) -> list[str]:
     """Return the words of a command as they are spelled now, and report them where they are spelled as before.
 
     Before, ``finray simulate DESIGN`` did the three jobs by its options ``--only mechanics``, ``--only optics`` and

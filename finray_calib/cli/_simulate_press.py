@@ -412,8 +412,10 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
             say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
     if mechanics.slip_torque_per_friction_n_mm is not None:
         say(
-            f"  torque at slip {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction, "
-            f"about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's axis without friction"
+            "  torque that the grip resists: about the pad's normal "
+            f"{mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction; about the finger's "
+            "long axis "
+            f"{mechanics.tipping_torque_n_mm:.3g} N mm, also without friction"
         )
     if mechanics.sensitivities is not None:
         _report_sensitivities(mechanics.sensitivities)

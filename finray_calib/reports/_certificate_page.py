@@ -83,7 +83,7 @@ class Certificate:
     end: str
 
 
-def certificate_of(
+def paint_certificate(
     paint: PaintCalibration,
     results: Sequence[CertifiedResult],
     details: CertificateDetails,

@@ -59,14 +59,14 @@ from finray_calib.reports._page import (
     ReportPage,
     drawing,
     files_table,
-    found_part,
+    findings_section,
     images_table,
     in_rows,
     light_of,
+    limits_section,
     raster,
     report_html,
     scale_table,
-    trust_part,
 )
 from finray_calib.reports._plain_text import Json, fixed, interval_name, percent, plain, signed_percent, significant
 
@@ -102,7 +102,7 @@ def comparison_page(
     return report_html(
         ReportPage(
             verb="finray compare",
-            title=f"{report.simulated} against {report.captured}",
+            title=f"{report.simulated}, compared with {report.captured}",
             lead=f"How far a simulated touch is from a real one. Simulation: {report.label}. Compared "
             f"{words.grid_phrase(report)}; values: {report.values}.",
             verdict=words.comparison_verdict(report),
@@ -111,8 +111,8 @@ def comparison_page(
             picture=_touched(report, pictures),
             key_numbers=_key_numbers(report),
             parts=(
-                *found_part(_findings(report)),
-                trust_part(words.limits(report), report.notes),
+                *findings_section(_findings(report)),
+                limits_section(words.limits(report), report.notes),
                 *_sections(report, press, capture, pictures),
                 methods_part(comparison_methods(report), report.provenance),
             ),

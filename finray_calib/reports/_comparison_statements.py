@@ -111,7 +111,7 @@ def verdict_meaning(report: PhotometricErrorReport) -> str:
         "between two captures of the same touch. This capture could not "
         "distinguish a better simulation from this one.",
         "Better than no simulation": f"The simulation predicts what the touch changes, but not all of it: {left} of "
-        f"the squared change is left over. The error map shows where.{wide}",
+        f"the squared change remains unexplained. The error map shows where.{wide}",
         "Not distinguishable from no simulation": "This capture gives no reason to prefer the simulation to an image "
         "of the "
         "untouched pad. Do not rely on the simulated touch; look at the findings, the pose and the light first.",
@@ -362,7 +362,7 @@ def packaged_metric_table(metrics: tuple[PackagedMetric, ...]) -> ReportTable:
         values = [shown.get(name, NO_VALUE) for name in _CANDIDATES]
         over = f", interval over {metric.draws} draws of the inputs" if metric.draws else ", without an interval"
         groups.append(TableGroup(metric.package, ((f"{metric.name}: {metric.words}{over}", *values, metric.better),)))
-    return ReportTable("Metrics that other packages bring", _METRIC_COLUMNS, tuple(groups))
+    return ReportTable("Metrics of other packages", _METRIC_COLUMNS, tuple(groups))
 
 
 def tone_table(curve: FittedToneCurve) -> ReportTable:

@@ -137,12 +137,12 @@ def prior_share_statement(paint: FittedPaint) -> str:
     largest = max((n for n in shares if n in QUANTITIES), key=lambda name: shares[name].share)
     if weak:
         return paint.titled(
-            f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the variance "
-            "that it had before the measurement is left."
+            f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the "
+            "prior's variance remains after the measurement."
         )
     return paint.titled(
-        f"the measurement decides: of the variance before it at most {percent(shares[largest].share)} is left "
-        f"({QUANTITIES[largest][0]})."
+        f"the measurement determines every quantity: at most {percent(shares[largest].share)} of the prior's variance "
+        f"remains ({QUANTITIES[largest][0]})."
     )
 
 
@@ -309,7 +309,7 @@ def quantities_table(paint: FittedPaint) -> ReportTable:
     columns = (
         "quantity",
         "fit",
-        "prior left (shift)",
+        "prior variance remaining (shift)",
         "the paper's curve alone",
         *([] if truth is None else [f"{truth.word} value"]),
     )

@@ -354,7 +354,7 @@ def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) 
         held_out_depth_rms_mm=errors.rms_mm,
         held_out_height_error_rel=errors.height_rel,
         held_out_level_mm=errors.level_mm,
-        taught_by_sha256=tuple(contact_sha256(capture) for capture in captures),
+        training_sha256=tuple(contact_sha256(capture) for capture in captures),
         notes=tuple(sorted({capture.source for capture in captures})),
     )
 
@@ -533,7 +533,7 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
     beyond = ((change < senses.low) | (change > senses.high)).any(axis=-1)
     known: NDArray[np.bool_] = touched & usable
     found = _Shares(_share(np.asarray(beyond, dtype=np.bool_), known) if known.any() else 1.0, _share(~usable, touched))
-    taught = contact_sha256(capture) in record.taught_by_sha256 if record.taught_by_sha256 else None
+    taught = contact_sha256(capture) in record.training_sha256 if record.training_sha256 else None
     normal = np.concatenate([-whole, np.ones((*whole.shape[:2], 1))], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     return SensedPress(

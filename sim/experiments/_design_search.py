@@ -167,8 +167,8 @@ def design_parameter(design: FingerDesign, text: str) -> DesignParameter:
             one.changed(design, round(limit) if isinstance(start, int) else limit)
         except SimulateError as refused:
             raise SimulateError(f"--within: {name.strip()} = {limit:g} is not possible: {refused}") from None
-    is_whole = isinstance(start, int)
-    return DesignParameter(field=name.strip(), low=low, high=high, is_whole=is_whole, start=float(start))
+    is_integer = isinstance(start, int)
+    return DesignParameter(field=name.strip(), low=low, high=high, is_integer=is_integer, start=float(start))
 
 
 def _limits(name: str, text: str, start: float) -> tuple[float, float]:
@@ -227,7 +227,7 @@ class DesignSpace:
         for at, one in zip(place.tolist(), self.parameters, strict=True):
             value = one.low + at * (one.high - one.low)
             # the design of a place has the same digits on the way there and back
-            found[one.field] = float(round(value)) if one.is_whole else round(value, _DECIMALS)
+            found[one.field] = float(round(value)) if one.is_integer else round(value, _DECIMALS)
         return found
 
     def snapped(self, place: Floats) -> Floats:
@@ -250,7 +250,7 @@ class DesignSpace:
         """
         design = self.start
         for one, value in zip(self.parameters, self.changes(place).values(), strict=True):
-            design = _Field.of(one.field).changed(design, round(value) if one.is_whole else value)
+            design = _Field.of(one.field).changed(design, round(value) if one.is_integer else value)
         varied = {_Field.of(one.field).path for one in self.parameters}
         origin = {name: where for name, where in design.origin.items() if name not in varied}
         return _of_equal_power(design.model_copy(update={"origin": origin}), self.start, varied)

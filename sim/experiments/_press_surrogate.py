@@ -328,7 +328,7 @@ class TeachSettings:
     threads: int = 1
 
 
-def teach_surrogate(
+def train_surrogate(
     design: FingerDesign,
     settings: TeachSettings | None = None,
     *,
@@ -516,7 +516,7 @@ class SurrogateFinger:
     Parameters
     ----------
     record
-        What :func:`teach_surrogate` returned.
+        What :func:`train_surrogate` returned.
     limit_rel
         A bar over the force, or over the coat's own displacement, from which an answer is doubted.
     """

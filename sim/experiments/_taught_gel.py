@@ -78,7 +78,7 @@ class GelNumber:
 
 
 @dataclass(frozen=True, slots=True)
-class TaughtGel:
+class FittedGel:
     """A model that presses of one sensor have taught.
 
     Attributes
@@ -245,7 +245,7 @@ class _Lights:
         return np.stack(found, axis=-1)
 
 
-def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
+def fit_gel(captures: Sequence[TactileCapture]) -> FittedGel:
     """Fit the model to ball presses of one sensor.
 
     Parameters
@@ -256,7 +256,7 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
 
     Returns
     -------
-    TaughtGel
+    FittedGel
         The numbers with the greatest posterior density, and their intervals.
 
     Raises
@@ -289,7 +289,7 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     rests = ([*presses[:k], *presses[k + 1 :]] for k in range(len(presses)))
     without = np.array([_fitted(rest, start, theta, error)[0] for rest in rests])
     shape = _distance(first).shape
-    return TaughtGel(
+    return FittedGel(
         theta, start, (shape[0], shape[1]), scale, radius_mm, tuple(c.name for c in captures), digests,
         _numbers(theta, curvature, without, start, radius_mm),
     )  # fmt: skip
@@ -308,7 +308,7 @@ def _require_seen(capture: TactileCapture, press: _Press) -> None:
         )
 
 
-def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
+def predict_on_gel(gel: FittedGel, capture: TactileCapture) -> SimulatedPress:
     """Return what the model makes of the no-contact image of a capture, with the contact where the capture has it.
 
     Raises

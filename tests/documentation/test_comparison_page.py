@@ -84,7 +84,7 @@ def test_the_verdict_stands_before_trust_images_and_tables(html, page):
     [
         ((-0.5, -0.3, -0.1), True, "Worse than no simulation", "untouched pad is nearer to the capture"),
         ((-0.1, 0.1, 0.3), True, "Not distinguishable from no simulation", "gives no reason to prefer the simulation"),
-        ((0.8, 0.9, 0.95), True, "Better than no simulation", "10 % of the squared change is left over"),
+        ((0.8, 0.9, 0.95), True, "Better than no simulation", "10 % of the squared change remains unexplained"),
         (
             (0.92, 0.95, 0.999),
             True,
@@ -92,7 +92,7 @@ def test_the_verdict_stands_before_trust_images_and_tables(html, page):
             "no larger than that between two captures of the same touch",
         ),
         ((0.8, 0.9, 0.999), True, "Better than no simulation", "as good as the capture can show, or explain only 80 %"),
-        ((0.8, 0.9, 0.999), False, "Better than no simulation", "10 % of the squared change is left over"),
+        ((0.8, 0.9, 0.999), False, "Better than no simulation", "10 % of the squared change remains unexplained"),
     ],
 )
 def test_the_verdict_is_where_the_interval_lies(interval, floor, verdict, says):

@@ -173,7 +173,7 @@ def test_the_paper_stands_beside_the_fit_and_the_truth() -> None:
     assert rows["mode"][-1] == "519.0 nm, inside"
     assert rows["location (\u03bb\u2080)"][2] == "507.0 [504.1, 509.9] nm"
     alone = quantities_table(FittedPaint(GREEN.bands, GREEN.fit))
-    assert alone.columns == ("quantity", "fit", "prior left (shift)", "the paper's curve alone")
+    assert alone.columns == ("quantity", "fit", "prior variance remaining (shift)", "the paper's curve alone")
     assert {len(row) for group in alone.groups for row in group.rows} == {4}
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_schemas import ContactCircle, IndenterPose, SimulateError, TactileCapture
-from sim.experiments import predict_on_gel, teach_gel
+from sim.experiments import fit_gel, predict_on_gel
 
 RADIUS_MM, MM_PER_PX, SHAPE = 6.0, 0.1, (120, 160)
 EXPONENT, DIRECTIONS_DEG, LEVEL = 0.45, (-160.0, -30.0, 85.0), 55.0
@@ -53,7 +53,7 @@ def capture(number):
 
 @pytest.fixture(scope="module")
 def gel():
-    return teach_gel([capture(number) for number in range(6)])
+    return fit_gel([capture(number) for number in range(6)])
 
 
 def test_it_finds_the_sensor_that_was_hidden(gel):
@@ -98,17 +98,17 @@ def test_what_taught_is_not_predicted(gel):
 def test_refusals():
     presses = [capture(number) for number in range(3)]
     with pytest.raises(SimulateError, match="2 teaching presses, but the model of an elastic gel needs at least 3"):
-        teach_gel(presses[:2])
+        fit_gel(presses[:2])
     for change in (
         {"contact_circle": None}, {"mm_per_px": None},
         {"indenter": IndenterPose(shape="cuboid", radius_mm=None, depth_mm=0.5, position_mm=None)},
     ):  # fmt: skip
         with pytest.raises(SimulateError, match="needs the circle of a ball's contact, the ball's radius"):
-            teach_gel([*presses[:2], presses[2].model_copy(update=change)])
+            fit_gel([*presses[:2], presses[2].model_copy(update=change)])
     with pytest.raises(SimulateError, match="press 2: has another ball, scale or size than press 0"):
-        teach_gel([*presses[:2], presses[2].model_copy(update={"mm_per_px": 0.2})])
+        fit_gel([*presses[:2], presses[2].model_copy(update={"mm_per_px": 0.2})])
     with pytest.raises(SimulateError, match="press 1: one contact image is given twice"):
-        teach_gel([*presses[:2], presses[1]])
+        fit_gel([*presses[:2], presses[1]])
     away = ContactCircle(row_px=900.0, column_px=900.0, radius_px=10.0)
     wide = ContactCircle(row_px=60.0, column_px=80.0, radius_px=70.0)
     dark = np.array(presses[2].no_contact)
@@ -119,7 +119,7 @@ def test_refusals():
         ({"no_contact": dark}, "press 2: near the contact 100 % of the blue values are clipped, or dark"),
     ):
         with pytest.raises(SimulateError, match=message):
-            teach_gel([*presses[:2], presses[2].model_copy(update=change)])
+            fit_gel([*presses[:2], presses[2].model_copy(update=change)])
 
 
 def test_a_press_of_another_ball_is_not_predicted(gel):
