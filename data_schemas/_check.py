@@ -401,7 +401,7 @@ class DiodeLevels(Model):
     off_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser off by its controller")
     on_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser on")
     threshold_rel: Annotated[float, Field(ge=0.0)] = Field(description="readings below it count as dark")
-    readings: Annotated[int, Field(ge=1)] = Field(description="so many in a row below it count as off")
+    readings: Annotated[int, Field(ge=1)] = Field(description="this many readings in a row below it count as off")
     sees_pulses: bool = Field(description="a reading holds all since the one before, so that no pulse is missed")
 
 
@@ -523,7 +523,7 @@ class MovingStop(Model):
     limit_n: ForceN
     way_mm: Annotated[float, Field(gt=0.0)] = Field(description="length of the move, had it not been stopped")
     unstopped_n: float = Field(description="settled force at its end, as steps had reached it before")
-    peak_n: float = Field(description="largest force that the cell reported until the stage stood, and after")
+    peak_n: float = Field(description="largest force that the cell reported until the stage was at rest, and after")
 
 
 class ForceStop(Model):

@@ -482,7 +482,9 @@ class ForcePoint(Model):
     displacement_mm: float = Field(description="as measured")
     depth_mm: float = Field(description="push from first touch, at which the simulation is read")
     force_n: float = Field(description="as measured")
-    simulated_n: ForceEstimate = Field(description="95 % over the design's inputs and the numerics, at this push")
+    simulated_n: ForceEstimate = Field(
+        description="95 % interval from the design's inputs and the numerics, at this push"
+    )
     error_n: float
     u_numerical_n: NotNegative
     u_input_n: NotNegative

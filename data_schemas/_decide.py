@@ -455,7 +455,7 @@ class LightPlaceMap(Model):
         description="standard uncertainty of the difference to the best, by paths, paints and noise"
     )
     evenness_rel: Annotated[Floats, ArraySpec("<f8", ("first", "second"), allow_nan=True)] = Field(
-        description="5 % over 95 % quantile over the pad of the luminance without contact"
+        description="ratio of the 5 % and the 95 % quantile over the pad of the luminance without contact"
     )
     brightness_rel: Annotated[Floats, ArraySpec("<f8", ("first", "second"), allow_nan=True)]
 

@@ -134,8 +134,8 @@ class EmissionDetection(Model):
     blanks: int = Field(ge=1, description="number of simulated blanks: same rig and reflectance, no emission")
     false_alarm: Fraction = Field(description="share of blanks that the threshold calls emission")
     yield_limit: Annotated[float, Field(ge=0.0)] | None = Field(
-        description="energy yield that this session would have called emission with 95 % probability; none where "
-        "emission was measured, whose own stray light would count"
+        description="energy yield that this session would have detected with 95 % probability; none where emission "
+        "was measured, because its stray light would add to the limit"
     )
     limit_low_nm: WavelengthNm = Field(description="the limit holds for emission with its mode above this")
     limit_high_nm: WavelengthNm = Field(description="and below this")

@@ -63,7 +63,7 @@ class BandPassFilter(Model):
     curve: str | None = Field(
         default=None,
         description="CSV file of the measured transmission (0 to 1) with the header wavelength_nm,transmission, over "
-        "the range in which it stands above the instrument's noise; its centre must lie within 5 nm of center_nm",
+        "the range in which it is above the instrument's noise; its centre must lie within 5 nm of center_nm",
     )
     center_nm: WavelengthNm
     center_uncertainty_nm: FilterUncertaintyNm = Field(

@@ -260,7 +260,7 @@ class CurveFit(Model):
     mode_nm: WavelengthNm
     fwhm_nm: float
     curve: SpectralCurve
-    residual_rel: float = Field(description="norm of the difference to the whole measured curve over its norm")
+    residual_rel: float = Field(description="difference from the whole measured curve: norm, relative to the curve's")
 
 
 class BandFit(Model):
@@ -275,7 +275,9 @@ class BandFit(Model):
     mean_per_nm: OverEmission
     low95_per_nm: OverEmission
     high95_per_nm: OverEmission
-    residual_rel: float = Field(description="norm of the mean's difference to the measured emission over its norm")
+    residual_rel: float = Field(
+        description="difference of the mean from the measured emission: norm, relative to that of the emission"
+    )
     covered_share: Fraction = Field(
         description="share of the measured samples above 5 % of the peak within the pointwise 95 % band"
     )
@@ -418,7 +420,7 @@ class DesignStudy(Record):
         if twice:
             raise ValueError(f"{twice[0]} is given twice; vary it or set it, once")
         if (self.combine == "random") != (self.count is not None):
-            raise ValueError('count goes with combine = "random", and only with it')
+            raise ValueError('count belongs to combine = "random" only')
         ranged = [variation.field for variation in self.vary if not variation.values]
         listed = [variation.field for variation in self.vary if variation.values]
         if self.combine == "random" and listed:

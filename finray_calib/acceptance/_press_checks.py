@@ -55,12 +55,12 @@ AGE_SD_DAYS: Final = 0.5
 FELT_SD: Final = 5.0
 FELT_SHARE: Final = 0.25
 """Of the force of a press: a zero that moved by more could have been the force."""
-NO_SCALE: Final = "that is what the controller counts, and nobody has proven that {axis} goes as far as it was sent"
+NO_SCALE: Final = "that is the controller's own count; it is not confirmed that {axis} travels as far as commanded"
 NO_BLOCK: Final = (
     "only the controller counts its way: no block of known thickness was laid on the pad; name one in the plan "
     "([gauge_block])"
 )
-NO_PICTURE_SCALE: Final = "how many millimetres that is, nobody said; give mm_per_px and mm_per_px_u_rel in the plan"
+NO_PICTURE_SCALE: Final = "the pixel size in mm is not known; give mm_per_px and mm_per_px_u_rel in the plan"
 NO_DENT: Final = (
     "the camera did not see the contact move with {axis}; light the pad, check exposure_s, or raise beside_mm"
 )
@@ -68,7 +68,7 @@ FEWEST_DENTS: Final = 6
 DENT_LIGHT_PX: Final = 0.25
 """Standard uncertainty of the centre of a contact by light that falls unevenly: stated, an eighth of a Bayer cell."""
 ONLY_COUNTED: Final = (
-    "only the controller says that the stage stood: the cell could not feel whether it drove on; press harder, or "
+    "only the controller says that the stage stopped: the cell could not detect whether it moved on; press harder, or "
     "watch it with a dial gauge"
 )
 NO_MASS: Final = (
@@ -146,7 +146,7 @@ def unfelt(facts: PressFacts) -> str | None:
     """
     touches = (*facts.touches, *facts.after_stops)
     if not touches:
-        return "no touch was felt, so nobody saw that the stage moves or that the cell feels"
+        return "no touch was detected, so it is not confirmed that the stage moves or that the cell responds"
     for one in touches:
         grew = one.deeper_n - one.from_above_n > FELT_SD * math.sqrt(2.0) * one.noise_n
         gone = abs(one.zero_shift_n) < FELT_SHARE * one.from_above_n
@@ -320,7 +320,7 @@ def _moves_of(
     )  # fmt: skip
     scale = _by_camera(axis, facts, plan) if axis == stage.pad_axis else _by_block(stage, facts, plan)
     if scale.verdict != "PASS":
-        whys = (f"nobody saw that {axis} goes as far as it was sent", NO_SCALE.format(axis=axis))
+        whys = (f"it is not confirmed that {axis} travels as far as commanded", NO_SCALE.format(axis=axis))
         rows = not_proven(rows[0], whys[0]), not_proven(rows[1], whys[1])
     return *rows, scale
 
@@ -407,7 +407,7 @@ def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     lost_mm, lost_sd_mm, relaxed_mm = backlash_mm(touches) or (math.nan, math.nan, math.nan)
     turn = measured(
         "touch", "press axis turns without play",
-        "how much deeper the stage stands where it comes out of the pad, by the force there over the stiffness",
+        "how much deeper the stage stands where it comes out of the pad, from the force there and the stiffness",
         lost_mm, lost_sd_mm, "mm",
         f"{number} turns of {touches[0].deeper_mm:.3g} mm; the pad gave way by {relaxed_mm:.2g} mm meanwhile, which is "
         "in the uncertainty",

@@ -69,7 +69,7 @@ def _surrogate_file(arguments: argparse.Namespace) -> list[Path]:
         return []
     from data_schemas.storage import read_bytes
 
-    read_bytes(arguments.surrogate, "a taught surrogate (.json)")
+    read_bytes(arguments.surrogate, "a surrogate (.json)")
     return [arguments.surrogate]
 
 
@@ -448,7 +448,7 @@ def _report_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     for depth, force, bar, surface in rows:
         say(f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat +- {1e3 * surface:.0f} um")
     say(
-        f"  answer of a surrogate: in {100 * bars.level_share:.0f} % of presses its bars contain its "
+        f"  computed by a surrogate: in {100 * bars.level_share:.0f} % of presses its bars contain its "
         "difference from finite elements, whose own error adds to it"
     )
 

@@ -207,7 +207,7 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
     except CompareError as error:
         if registered:
             raise CompareError(f"{error}. {_WHAT_TO_DO}, or compare without --register") from None
-        return press, [f"it is not known whether the camera stands where the render assumes it: {error}. {_WHAT_TO_DO}"]
+        return press, [f"it is not known whether the camera is where the render assumes it: {error}. {_WHAT_TO_DO}"]
     if not found.significant:
         return press, [f"{NO_DRIFT}, by the images with {state}: {found}"]
     if not registered:

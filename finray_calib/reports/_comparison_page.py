@@ -223,7 +223,7 @@ def _sensed(sensing: SensingError) -> Part:
     simulation = next(row for row in sensing.rows if row.candidate == "simulation")
     outside = max(sensing.outside_share_simulated, sensing.outside_share_captured)
     remarks = [
-        f"The map '{sensing.normal_map}' was taught by {sensing.presses} presses; of presses that it had not seen it "
+        f"The map '{sensing.normal_map}' was trained on {sensing.presses} presses; of presses that it had not seen it "
         f"explains {percent(score.estimate)} of the squared slopes ({percent(score.low95)} to {percent(score.high95)} "
         "over random halves). A wrong map is wrong on both sides in the same way, and its errors partly cancel here."
     ]

@@ -49,8 +49,8 @@ Evaluate = Callable[[FingerDesign], EvaluatedDesign]
 _LIGHT: Final = {
     "normal-error": DesignObjective(
         name="normal-error", unit="deg", larger_is_better=False,
-        meaning="expected error of the sensed normal at places that were left out when the map was taught; places that "
-            "the camera does not see count as not tilted",
+        meaning="expected error of the sensed normal at places that were left out when the map was trained; places "
+            "that the camera does not see count as not tilted",
     ),
     "evenness": DesignObjective(
         name="evenness", unit="1", larger_is_better=True,
@@ -355,7 +355,7 @@ def map_designs(
                 _Field.of(first).changed(design, float(at_first[i])), float(at_second[j])
             )
             found = evaluator.evaluate(finger, paints)
-            refused = refused or (f"the panel stands in {found.in_the_way}" if found.in_the_way else "")
+            refused = refused or (f"the panel collides with {found.in_the_way}" if found.in_the_way else "")
             if not found.in_the_way:
                 seen = found.seen_share * found.error_by_place_deg.mean(axis=1)
                 errors[i, j] = seen + (1.0 - found.seen_share) * found.blind_error_deg

@@ -266,7 +266,7 @@ def fit_gel(captures: Sequence[TactileCapture]) -> FittedGel:
     """
     if len(captures) < LEAST_TEACHING_PRESSES:
         raise SimulateError(
-            f"there are {len(captures)} teaching presses, but the model of an elastic gel needs at least "
+            f"there are {len(captures)} training presses, but the model of an elastic gel needs at least "
             f"{LEAST_TEACHING_PRESSES}"
         )
     first = captures[0]
@@ -277,7 +277,7 @@ def fit_gel(captures: Sequence[TactileCapture]) -> FittedGel:
     for capture in captures[1:]:
         if _ball_and_scale(capture) != (radius_mm, scale) or capture.contact.shape != first.contact.shape:
             raise SimulateError(
-                f"{capture.name}: has another ball, scale or size than {first.name}; teach with one ball and one camera"
+                f"{capture.name}: has another ball, scale or size than {first.name}; train with one ball and one camera"
             )
     presses = [_press(capture, taught=True) for capture in captures]
     for capture, press in zip(captures, presses, strict=True):
@@ -318,15 +318,15 @@ def predict_on_gel(gel: FittedGel, capture: TactileCapture) -> SimulatedPress:
     """
     if contact_sha256(capture) in gel.training_sha256:
         raise SimulateError(
-            f"{capture.name}: its contact image taught the model ({', '.join(gel.training_presses)}), so "
+            f"{capture.name}: its contact image was used to train the model ({', '.join(gel.training_presses)}), so "
             "its prediction for this press proves nothing"
         )
     distance = _distance(capture)
     if distance.shape != gel.shape_px:
-        raise SimulateError(f"{capture.name}: has another size than the presses that taught the model")
+        raise SimulateError(f"{capture.name}: has another size than the training presses of the model")
     if _ball_and_scale(capture) != (gel.ball_radius_mm, gel.mm_per_px):
         raise SimulateError(
-            f"{capture.name}: has another ball or scale than the presses that taught the model, of "
+            f"{capture.name}: has another ball or scale than the training presses of the model, of "
             f"{gel.ball_radius_mm:g} mm radius at {gel.mm_per_px:g} mm a pixel"
         )
     ratio = _Lights.of(gel.theta, gel.start).ratio(_press(capture, taught=False)).reshape(*distance.shape, -1)

@@ -149,8 +149,8 @@ def test_a_decision_on_the_normal_tells_the_error_and_its_places():
         "the best at any of the 2 places from 8 to 12 mm, and 14 % on average."
     )
     assert outside(touches(0.0, 0.0), Indenter(), "normal") == (
-        "The answer holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the object "
-        "that is touched are left out."
+        "The answer holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the "
+        "object that is touched are left out."
     )
 
 

@@ -91,13 +91,13 @@ def test_it_predicts_presses_that_did_not_teach(gel):
 
 
 def test_what_taught_is_not_predicted(gel):
-    with pytest.raises(SimulateError, match=r"press 3: its contact image taught the model"):
+    with pytest.raises(SimulateError, match=r"press 3: its contact image was used to train the model"):
         predict_on_gel(gel, capture(3).model_copy(update={"name": "press 3"}))
 
 
 def test_refusals():
     presses = [capture(number) for number in range(3)]
-    with pytest.raises(SimulateError, match="2 teaching presses, but the model of an elastic gel needs at least 3"):
+    with pytest.raises(SimulateError, match="2 training presses, but the model of an elastic gel needs at least 3"):
         fit_gel(presses[:2])
     for change in (
         {"contact_circle": None}, {"mm_per_px": None},
@@ -124,5 +124,5 @@ def test_refusals():
 
 def test_a_press_of_another_ball_is_not_predicted(gel):
     other = capture(40).model_copy(update={"mm_per_px": 0.05})
-    with pytest.raises(SimulateError, match="press 40: has another ball or scale than the presses that taught"):
+    with pytest.raises(SimulateError, match="press 40: has another ball or scale than the training presses"):
         predict_on_gel(gel, other)
