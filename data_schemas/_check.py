@@ -174,7 +174,7 @@ class PressLimits(AnswerLimits):
         default=0.2, description="largest difference of the readings a second from rate_hz, relative to that"
     )
     stage_overhead_s: PositiveS = Field(
-        default=1.0, description="longest time that a move takes beyond its distance over its speed"
+        default=1.0, description="longest time that a move takes beyond distance / speed"
     )
     stage_report_mm: StageMm = Field(
         default=0.01, description="largest distance of the reported position from the one that was asked for"
@@ -474,7 +474,7 @@ class StageMoves(Model):
 
     axis: str
     moves: Annotated[int, Field(ge=1)]
-    longest_overhead_s: DurationS = Field(description="longest time of a move beyond its distance over its speed")
+    longest_overhead_s: DurationS = Field(description="longest time of a move beyond distance / speed")
     furthest_off_mm: Annotated[float, Field(ge=0.0)] = Field(
         description="largest distance of the reported position from the one that was asked for"
     )

@@ -124,7 +124,7 @@ class ErrorRow(Model):
         description="RMS error of the gradient of (image - its no-contact image), relative to the pad's level",
     )
     chromaticity_rms: Interval | None = Field(
-        default=None, description="RMS error of R and G over R + G + B; None where noise hides them"
+        default=None, description="RMS error of R / (R + G + B) and G / (R + G + B); None where noise hides them"
     )
     ms_ssim: float | None = Field(default=None, description="multi-scale SSIM of the frame; None in small images")
     ciede2000_mean: float | None = Field(

@@ -459,8 +459,9 @@ def _settling(warm: WarmUp, plan: CheckPlan, camera: CameraSettings, words: tupl
     least_dn = max(LEAST_WHITE_SHARE * (2**camera.bit_depth - 1), 5.0 * float(dark_dn.std(ddof=1)))
     if levels.size < 2 * last or levels[-last:].mean() < least_dn:
         reason = (
-            f"the lamp was hardly seen: {levels[-last:].mean():.3g} DN above the dark frames in {levels.size} looks, "
-            f"{least_dn:.3g} DN in {2 * last} looks are needed; check lamp, tile and lens cap, or raise warm_up_s"
+            f"the lamp was hardly seen: {levels[-last:].mean():.3g} DN above the dark frames in {levels.size} "
+            f"readings, {least_dn:.3g} DN in {2 * last} readings are needed; check lamp, tile and lens cap, or raise "
+            "warm_up_s"
         )
         return unmeasured("warm-up", name, what, "UNDECIDED", reason, limit)
     away = levels / levels[-last:].mean() - 1.0

@@ -309,7 +309,7 @@ def _moves_of(
     most_s = plan.limits.stage_overhead_s
     rows = (
         measured(
-            "stage", f"{axis} moves in time", f"longest time that a move of {axis} takes beyond its way over its speed",
+            "stage", f"{axis} moves in time", f"longest time that a move of {axis} takes beyond distance / speed",
             moves.longest_overhead_s, CLOCK_SD_S, "s", told, limits=ToleranceInterval(None, most_s),
         ),
         measured(

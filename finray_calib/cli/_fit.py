@@ -478,7 +478,7 @@ def _number_line(number: "FittedNumber") -> str:
 
 MATERIAL_HELP = "fit the moduli of a gel to force curves of a bench"
 MATERIAL_DESCRIPTION = """\
-Fit the moduli of a gel to measured curves of force over displacement. The curves come from blocks of the gel between
+Fit the moduli of a gel to measured force-displacement curves. The curves come from blocks of the gel between
 plates, or from a finger. The model is the finite elements of 'finray simulate press' with their derivatives. The fit
 gives C10 and K/mu of the gel, and for a finger also the moduli of its other parts, together with first touch, zero and
 drift of the load cell and the noise. Each modulus is reported as measured, constrained in part, or not measured; where

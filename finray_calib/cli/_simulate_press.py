@@ -482,7 +482,7 @@ LARGEST_FORCE_N, LARGEST_BUDGET_S = 1000.0, 1e6
 PRESS_HELP = "press the indenter into a finger by finite elements"
 PRESS_DESCRIPTION = """\
 Press the indenter of the design into the finger by finite elements, as finely as the design's [mesh] table says. The
-command stores force over push (NAME.mechanics.json), the deformed finger (NAME.surfaces.json, for 'finray simulate
+command stores force against push (NAME.mechanics.json), the deformed finger (NAME.surfaces.json, for 'finray simulate
 render'), its mesh (.vtu) and a picture, and each increment on the way, from which an interrupted press continues."""
 
 

@@ -73,8 +73,8 @@ def check_report(report: AcceptanceReport) -> str:
         ReportPage(
             verb="finray check",
             title=f"Rig: {report.rig.name}",
-            lead=f"Acceptance check '{report.plan.check_name}': what the devices of this rig did, against the limits of "
-            "the plan.",
+            lead=f"Acceptance check '{report.plan.check_name}': what the devices of this rig did, against the limits "
+            "of the plan.",
             verdict=report.verdict,
             light=_LIGHTS[report.verdict],
             sentence=_SENTENCES[report.verdict],

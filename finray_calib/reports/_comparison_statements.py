@@ -370,9 +370,7 @@ def tone_table(curve: FittedToneCurve) -> ReportTable:
     red, green, blue = curve.white_balance
     rows = [("exponent of the tone curve", _interval(curve.exponent)), ("offset (DN)", _interval(curve.offset_dn))]
     named = zip(CHANNELS, (red, green, blue), strict=True)
-    rows += [
-        (f"white balance in light, {name} over green", _interval(value)) for name, value in named if name != "green"
-    ]
+    rows += [(f"white balance in light, {name} / green", _interval(value)) for name, value in named if name != "green"]
     return one_group(
         "Fitted to the images without contact alone; the white balance cancels in the score.",
         ("quantity", "value"),
@@ -397,7 +395,7 @@ def white_balance_table(drift: WhiteBalanceDrift) -> ReportTable:
             )
         )
     return one_group(
-        "Contact over no contact, beyond 3 half-widths from the contact.",
+        "Contact / no contact, beyond 3 half-widths from the contact.",
         ("channel", "captured", "simulated", "standard uncertainty", "change across the picture"),
         tuple(rows),
     )

@@ -61,7 +61,7 @@ _IN_CAPTIONS: Mapping[str, str] = {
 """Metrics below a picture, in words."""
 _TITLES: Mapping[str, str] = {
     **_IN_CAPTIONS,
-    "brightness_rel": "brightness over the panel's radiance",
+    "brightness_rel": "brightness / the panel's radiance",
     "seen_area_mm2": "visible area in mm\u00b2",
 }
 _MOST_NAMED_POINTS, _LONGEST_POINT_NAME = 12, 22

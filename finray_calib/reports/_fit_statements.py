@@ -268,12 +268,12 @@ _PARAMETER_WORDS = {
     "ln_shape_peak_per_nm": "its peak",
     "kappa": "skewness, as asinh",
     "ln_tail": "degrees of freedom",
-    "ln_asymmetry": "red over blue half width, logarithm",
+    "ln_asymmetry": "red / blue half width, logarithm",
     "shift_nm": "second component's shift",
     "ln_width_ratio": "second component's width",
     "ln_height_ratio": "second component's height",
     "ln_reflected_laser": "reflectance at the laser",
-    "ln_blocking": "filter leak over its nominal value",
+    "ln_blocking": "filter leak / its nominal value",
 }
 _OWN_LEAK = "leak_"
 

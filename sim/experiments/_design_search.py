@@ -58,7 +58,7 @@ _LIGHT: Final = {
     ),
     "brightness": DesignObjective(
         name="brightness", unit="1", larger_is_better=True,
-        meaning="camera signal of the coat without contact, over the radiance of a panel of power_rel = 1",
+        meaning="camera signal of the coat without contact / radiance of a panel of power_rel = 1",
     ),
 }  # fmt: skip
 _LOADS: Final = {
@@ -73,7 +73,7 @@ _LOADS: Final = {
     ),
     "twist-stiffness": DesignObjective(
         name="twist-stiffness", unit="N mm/deg", larger_is_better=True,
-        meaning=f"torque over angle when the tip is turned by {TWIST_DEG:g} deg",
+        meaning=f"torque / angle when the tip is turned by {TWIST_DEG:g} deg",
     ),
 }  # fmt: skip
 OBJECTIVES: Final[Mapping[str, DesignObjective]] = {**_LIGHT, **_LOADS}

@@ -547,7 +547,7 @@ def _share_of_light(paints: Sequence[PaintStandIn]) -> PaperStatement:
     return PaperStatement(
         subject="reradiation, read as share of the light",
         paper=_printed_band(),
-        measure="all emitted light over the laser's light",
+        measure="all emitted light / the laser's light",
         ours=_each(
             paints, lambda p: f"{_percent(p.energy_yield)} of the energy, {_percent(p.photon_yield)} of the photons"
         ),

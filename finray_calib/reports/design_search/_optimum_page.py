@@ -574,7 +574,7 @@ def _map_content(found: LightPlaceMap) -> Content:
     """Show a map."""
     return Content(
         light_map_sentence(found),
-        picture_rows=((drawing(light_map_figure(found), "error of the normal, evenness and brightness over two numbers",
+        picture_rows=((drawing(light_map_figure(found), "error of the normal, evenness and brightness, for two numbers",
                                "Star: least error of the sensed normal. Dots: not distinguishable (two "
                                "standard uncertainties). White: cannot be built. Everything else is as in "
                                "the design, with the present powers."),),),
