@@ -143,7 +143,7 @@ class PressSurrogate(Record):
     )
     surface_floor_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="floor of the standard deviation: a share of its median over left-out presses, chosen so that the "
-        "bars are narrowest over the family"
+        "error bars are as narrow as possible over the family"
     )
     force_bar_rel: Annotated[float, Field(gt=0.0)]
     force_floor_rel: Annotated[float, Field(ge=0.0)]

@@ -514,7 +514,10 @@ def judge_stray_light(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, 
     """
     if (stray := facts.stray_light) is None:
         return ()
-    name, what = "stray light", "laser light of the white tile behind a filter that blocks it, of that which passes"
+    name, what = (
+        "stray light",
+        "laser light of the white tile behind a filter that blocks it, relative to one that passes it",
+    )
     most = 100 * plan.limits.stray_light_rel
     limit, words = ToleranceInterval(-most, most), limit_text(-most, most, "%")
     if stray.missing is not None or stray.passed is None:

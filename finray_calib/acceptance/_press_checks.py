@@ -407,7 +407,7 @@ def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     lost_mm, lost_sd_mm, relaxed_mm = backlash_mm(touches) or (math.nan, math.nan, math.nan)
     turn = measured(
         "touch", "press axis turns without play",
-        "how much deeper the stage stands where it comes out of the pad, from the force there and the stiffness",
+        "how much deeper the stage is on its way out of the pad, from the force there and the stiffness",
         lost_mm, lost_sd_mm, "mm",
         f"{number} turns of {touches[0].deeper_mm:.3g} mm; the pad gave way by {relaxed_mm:.2g} mm meanwhile, which is "
         "in the uncertainty",
@@ -525,7 +525,7 @@ def _few(stops: int) -> str:
 
 
 _REASONS: Final[dict[Literal["request", "silent cell"], tuple[str, str]]] = {
-    "request": ("stage stops on request", "longest time from a request until the stage was seen to stand"),
+    "request": ("stage stops on request", "longest time from a request until the stage was seen to be at rest"),
     "silent cell": (
         "stage stops at a silent cell",
         "longest time from the cell's last reading until the stage was seen to stand",

@@ -204,8 +204,8 @@ def _camera(report: PhotometricErrorReport) -> Part:
     if curve is not None:
         picture = drawing(
             tone_figure(curve),
-            f"Captured level over the light of the render, with a fitted curve. {words.tone_sentence(curve)}",
-            "Without contact: captured level over the light of the render, one point for each block of pixels, the "
+            f"Captured level against the light of the render, with a fitted curve. {words.tone_sentence(curve)}",
+            "Without contact: captured level against the light of the render, one point for each block of pixels, the "
             "fitted curve of each channel and the 95 % band of its draws. What to see: the points should follow the "
             "curve; where they scatter, the render's light without contact is wrong.",
         )
