@@ -184,7 +184,8 @@ class PressLimits(AnswerLimits):
     )
     backlash_mm: StageMm = Field(
         default=0.05,
-        description="largest difference of a position in the pad reached from above and from below, by the force",
+        description="largest play: difference between positions in the pad reached from above and from below"
+        ", found from the force",
     )
     halt_s: PositiveS = Field(
         default=1.0, description="longest time from a request to stop until the stage is seen at rest"

@@ -273,7 +273,7 @@ class FittedNumber(Model):
     prior_origin: str = Field(description="where the prior's width comes from")
     posterior: Estimate
     left_of_prior_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="posterior over prior standard deviation, of the logarithm where the number is positive"
+        description="posterior / prior standard deviation, of the logarithm where the number is positive"
     )
     verdict: Determined = Field(
         description="how much of the prior's width is left: below a half, below nine tenths, or more; where the "

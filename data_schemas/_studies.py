@@ -594,7 +594,7 @@ class DatasetSample(Model):
         default=None, description="force of the indenter along the pad's normal; with finite elements only"
     )
     slip_torque_per_friction_n_mm: float | None = Field(
-        default=None, description="torque about the normal at which the contact slips, over Coulomb's coefficient"
+        default=None, description="torque about the normal at which the contact slips, divided by Coulomb's coefficient"
     )
 
 

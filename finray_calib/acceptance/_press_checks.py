@@ -57,7 +57,7 @@ FELT_SHARE: Final = 0.25
 """Of the force of a press: a zero that moved by more could have been the force."""
 NO_SCALE: Final = "that is the controller's own count; it is not confirmed that {axis} travels as far as commanded"
 NO_BLOCK: Final = (
-    "only the controller counts its way: no block of known thickness was laid on the pad; name one in the plan "
+    "only the controller reports its travel: no block of known thickness was laid on the pad; name one in the plan "
     "([gauge_block])"
 )
 NO_PICTURE_SCALE: Final = "the pixel size in mm is not known; give mm_per_px and mm_per_px_u_rel in the plan"
@@ -181,7 +181,8 @@ def _calibration(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettin
     worst_n = math.hypot(calibration.linearity_n, 0.5 * calibration.hysteresis_n)
     second = measured(
         "load cell", straight,
-        "largest distance of the calibration from its straight line, with half the hysteresis, of its heaviest mass",
+        "largest distance of the calibration from its straight line, with half the "
+    "hysteresis, relative to the heaviest mass",
         100 * worst_n / heaviest_n, 100 * sd_n / heaviest_n, "%",
         f"{1e3 * calibration.linearity_n:.2g} mN from the line, {1e3 * calibration.hysteresis_n:.2g} mN between "
         f"loading and unloading, up to {heaviest_n:.3g} N",
@@ -209,7 +210,7 @@ def _factor(
     Its uncertainty holds that of the mass and of gravity, noise, the scatter of the layings, how far the zero moved
     (evenly likely), and the calibration's form. The slope's own does not count: the slope is what is judged.
     """
-    name, what = "calibration holds", "force of a known mass by the calibration less its weight, of its weight"
+    name, what = "calibration holds", "calibrated force of a known mass minus its weight, relative to its weight"
     known, laid, most = plan.known_mass, facts.laid, 100 * plan.limits.factor_rel
     limits = ToleranceInterval(-most, most)
     if known is None or laid is None:
@@ -382,7 +383,7 @@ def _by_block(stage: StageSettings, facts: PressFacts, plan: TactileCheckPlan) -
 
 def _names(axis: str, witness: str) -> tuple[str, str]:
     """Return name and meaning of the row on how far an axis goes."""
-    return f"{axis} goes as far as sent", f"way of {axis} by {witness} less the way that it was sent, of that way"
+    return f"{axis} goes as far as sent", f"travel of {axis} by {witness} minus the commanded travel, relative to it"
 
 
 def _most(plan: TactileCheckPlan) -> float:

@@ -141,7 +141,7 @@ def demo_report(results: DemoResults) -> str:
             picture=PicturePair(untouched, touched, "Slide between the captured images without and with contact"),
             key_numbers=_key_numbers(results),
             parts=(
-                Part("What was seen", _seen(results)),
+                Part("What was found", _seen(results)),
                 limits_section(trust_limits(results), all_notes(results), assumptions(results)),
                 *sections(results),
                 methods_part(_methods(results), results.provenance),
@@ -516,7 +516,7 @@ def _paint(demo: Demo, colour: Colour) -> PaintResult:
             mode_nm=truth.mode_nm,
             fwhm_nm=truth.fwhm_nm,
             energy_yield=truth.energy_yield,
-            kind="hidden paper-family paint" if material is None else f"measured material {material.name}",
+            kind="simulated paint of the paper's family" if material is None else f"measured material {material.name}",
         ),
         room_light_rgb8=_room_light_preview(demo.path(colour) / "session", colour, session),
     )

@@ -85,7 +85,7 @@ class DemoSettings:
     out
         Folder that receives everything.
     materials
-        Colour -> CSV file of a measured re-radiation matrix; a hidden paper-family paint where left out.
+        Colour -> CSV file of a measured re-radiation matrix; a simulated paint of the paper's family where left out.
     sensor
         CSV file of a measured camera response; the assumed one when None.
     seed

@@ -76,7 +76,7 @@ def _beside(truth: PaintTruth, value_nm: float, estimate: Estimate) -> str:
 def model_statement(paint: FittedPaint, truth: PaintTruth) -> str:
     """Say how well the fit describes the true emission, with the paper's curve beside it."""
     agreement, paper = curve_agreement(paint.fit, truth.emission), paper_agreement(paint.fit, truth.emission)
-    remark = "" if truth.is_measured else " (this hidden paint is exactly such a curve; no measured paint is)"
+    remark = "" if truth.is_measured else " (the simulated paint is exactly such a curve; no measured paint is)"
     return (
         f"{paint.titled('the')} 95 % band covers {percent(agreement.coverage_95_rel)} of the {truth.word} curve, "
         f"and the fitted curve differs from it by {percent(agreement.error_rel)} (relative RMS): "
