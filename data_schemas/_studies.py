@@ -194,7 +194,7 @@ class StiffnessRow(Model):
     twist_n_mm_per_deg: float | None = Field(default=None, description="turn of the tip end about the long axis")
     slip_torque_per_friction_n_mm: float | None = Field(
         default=None,
-        description="torque about the pad's normal at which a gripped cylinder begins to turn, over Coulomb's "
+        description="torque about the pad's normal at which a gripped cylinder begins to turn / Coulomb's "
         "coefficient; only for unchanged designs",
     )
     tipping_torque_n_mm: float | None = Field(
