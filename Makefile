@@ -146,7 +146,7 @@ verification: $(VENV)/installed-dev
 schemas: $(VENV)/installed-dev
 	$(BIN)/python -m data_schemas.json_schemas
 
-# The rooms, drawn in docs/explanation/architecture.md and listed in docs/reference/rooms.md; a test compares them with the code.
+# The packages, drawn in docs/explanation/architecture.md and listed in docs/reference/rooms.md; a test compares them with the code.
 drawing: $(VENV)/installed-dev
 	$(BIN)/python -m docs.rooms_drawing
 

@@ -9,7 +9,7 @@ from data_schemas.storage import assumed_camera_response, halogen_lamp
 from finray_calib.fit import Discrepancy, EmissionPrior
 from finray_calib.fit._band_data import band_values
 from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
-from finray_calib.spectra import WAVELENGTH_NM, EmissionFamily, weights_of
+from finray_calib.spectra import WAVELENGTH_NM, EmissionFamily, rig_emission_weights
 from rigs import simulated_rig
 
 CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)
@@ -51,7 +51,7 @@ def drawn_paint(
     nominal = nominal_optics()
     count = len(nominal.filters)
     imperfections = rng.standard_normal((4, count))  # calibration, blocking, centre, width
-    weights = weights_of(_real(nominal, imperfections), CHANNEL_WEIGHTS)
+    weights = rig_emission_weights(_real(nominal, imperfections), CHANNEL_WEIGHTS)
     joint = prior.of(family, with_blocking=True)
     theta = joint.draw(1, rng)[0]
     signed = _with_discrepancy(family, theta, discrepancy, rng) * (weights.laser_nm <= WAVELENGTH_NM)

@@ -14,7 +14,7 @@ from finray_calib.spectra import (
     emission_weights,
     family_named,
     filter_transmission,
-    weights_of,
+    rig_emission_weights,
 )
 from finray_calib.spectra._band_weights import laser_line
 
@@ -48,7 +48,9 @@ def paint_signals(seed: int) -> BandSignals:
     """Return the band signals of the orange paint, eight bands of three channels."""
     optics = nominal_optics()
     y, sd = _measured(
-        family_named("log_normal_wavenumber"), weights_of(optics, CHANNEL_WEIGHTS), np.random.default_rng(seed)
+        family_named("log_normal_wavenumber"),
+        rig_emission_weights(optics, CHANNEL_WEIGHTS),
+        np.random.default_rng(seed),
     )
     return BandSignals(
         paint_name="orange",

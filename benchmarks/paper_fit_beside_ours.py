@@ -79,7 +79,8 @@ def draw(axes: Axes, model: Model, posterior: EmissionPosterior, truth: np.ndarr
     axes.text(
         0.98,
         0.95,
-        f"fit {row['error']:.0%} off (relative RMS)\n95 % band holds {row['coverage95']:.0%}\nof the measured spectrum",
+        f"error {100 * row['error']:.0f} % (relative RMS)\n95 % band contains "
+        f"{100 * row['coverage95']:.0f} %\nof the measured spectrum",
         transform=axes.transAxes,
         ha="right",
         va="top",

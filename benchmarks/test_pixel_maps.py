@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from benchmarks.drawn_paints import nominal_optics
 from finray_calib.fit import map_pixels
 from finray_calib.fit._pixel_maps import pixel_problem
-from finray_calib.spectra import weights_of
+from finray_calib.spectra import rig_emission_weights
 from tests.fit.pixel_scenes import SPREAD, PixelScene, center_of, scene, whole_rule
 
 FAMILIES = ("zheng2014", "log_normal_wavenumber")
@@ -45,7 +45,7 @@ def frame(name: str) -> PixelScene:
 
 def scipy_rate(made: PixelScene) -> float:
     """Pixels per processor second of scipy (MINPACK): same priors and bands, Gauss nodes as a product, same start."""
-    problem, _ = pixel_problem(made.region, weights_of(made.optics, made.pixels.channel_weights), SPREAD)
+    problem, _ = pixel_problem(made.region, rig_emission_weights(made.optics, made.pixels.channel_weights), SPREAD)
     curve = made.region.family.curves
     nodes, weights = whole_rule(problem)
     precision = np.sqrt(problem.precision)

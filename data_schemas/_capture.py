@@ -265,7 +265,7 @@ class LoadCellCalibration(Record):
 
     @property
     def form_uncertainty_n(self) -> float:
-        """Standard uncertainty (N) by the form of the curve: linearity and half the hysteresis, evenly likely."""
+        """Standard uncertainty (N) by the form of the curve: linearity and half the hysteresis, both uniform."""
         return float(np.hypot(self.linearity_n, 0.5 * self.hysteresis_n) / np.sqrt(3.0))
 
     @model_validator(mode="after")

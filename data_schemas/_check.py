@@ -174,7 +174,7 @@ class PressLimits(AnswerLimits):
         default=0.2, description="largest difference of the readings a second from rate_hz, relative to that"
     )
     stage_overhead_s: PositiveS = Field(
-        default=1.0, description="longest time that a move takes beyond its distance over its speed"
+        default=1.0, description="longest time that a move takes beyond distance / speed"
     )
     stage_report_mm: StageMm = Field(
         default=0.01, description="largest distance of the reported position from the one that was asked for"
@@ -184,7 +184,8 @@ class PressLimits(AnswerLimits):
     )
     backlash_mm: StageMm = Field(
         default=0.05,
-        description="largest difference of a position in the pad reached from above and from below, by the force",
+        description="largest play: difference between positions in the pad reached from above and from below"
+        ", found from the force",
     )
     halt_s: PositiveS = Field(
         default=1.0, description="longest time from a request to stop until the stage is seen at rest"
@@ -401,7 +402,7 @@ class DiodeLevels(Model):
     off_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser off by its controller")
     on_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser on")
     threshold_rel: Annotated[float, Field(ge=0.0)] = Field(description="readings below it count as dark")
-    readings: Annotated[int, Field(ge=1)] = Field(description="so many in a row below it count as off")
+    readings: Annotated[int, Field(ge=1)] = Field(description="this many readings in a row below it count as off")
     sees_pulses: bool = Field(description="a reading holds all since the one before, so that no pulse is missed")
 
 
@@ -474,7 +475,7 @@ class StageMoves(Model):
 
     axis: str
     moves: Annotated[int, Field(ge=1)]
-    longest_overhead_s: DurationS = Field(description="longest time of a move beyond its distance over its speed")
+    longest_overhead_s: DurationS = Field(description="longest time of a move beyond distance / speed")
     furthest_off_mm: Annotated[float, Field(ge=0.0)] = Field(
         description="largest distance of the reported position from the one that was asked for"
     )
@@ -523,7 +524,7 @@ class MovingStop(Model):
     limit_n: ForceN
     way_mm: Annotated[float, Field(gt=0.0)] = Field(description="length of the move, had it not been stopped")
     unstopped_n: float = Field(description="settled force at its end, as steps had reached it before")
-    peak_n: float = Field(description="largest force that the cell reported until the stage stood, and after")
+    peak_n: float = Field(description="largest force that the cell reported until the stage was at rest, and after")
 
 
 class ForceStop(Model):
@@ -609,7 +610,7 @@ CERTIFIED: Final[dict[CertifiedName, tuple[str, str]]] = {
     "mode_nm": ("Wavelength of the maximum of the emission", "nm"),
     "fwhm_nm": ("Full width at half maximum", "nm"),
     "peak_per_nm": ("Emission at the maximum, as radiance factor per nm", "1/nm"),
-    "energy_yield": ("Energy yield: emitted over incident energy", ""),
+    "energy_yield": ("Energy yield: emitted / incident energy", ""),
     "reflectance_at_laser": ("Reflectance at the laser line", ""),
 }
 """Quantity -> what it is, and its unit."""

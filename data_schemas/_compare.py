@@ -124,7 +124,7 @@ class ErrorRow(Model):
         description="RMS error of the gradient of (image - its no-contact image), relative to the pad's level",
     )
     chromaticity_rms: Interval | None = Field(
-        default=None, description="RMS error of R and G over R + G + B; None where noise hides them"
+        default=None, description="RMS error of R / (R + G + B) and G / (R + G + B); None where noise hides them"
     )
     ms_ssim: float | None = Field(default=None, description="multi-scale SSIM of the frame; None in small images")
     ciede2000_mean: float | None = Field(
@@ -489,7 +489,9 @@ class ForcePoint(Model):
     displacement_mm: float = Field(description="as measured")
     depth_mm: float = Field(description="push from first touch, at which the simulation is read")
     force_n: float = Field(description="as measured")
-    simulated_n: ForceEstimate = Field(description="95 % over the design's inputs and the numerics, at this push")
+    simulated_n: ForceEstimate = Field(
+        description="95 % interval from the design's inputs and the numerics, at this push"
+    )
     error_n: float
     u_numerical_n: NotNegative
     u_input_n: NotNegative

@@ -176,7 +176,7 @@ class DesignParameter(Model):
     field: str = Field(description="dotted field of the design; for a place, with its coordinate: light.position_mm[y]")
     low: float
     high: float
-    is_whole: bool = Field(default=False, description="whole numbers only, such as a number of ribs")
+    is_integer: bool = Field(default=False, description="whole numbers only, such as a number of ribs")
     start: float = Field(description="value in the starting design")
 
 
@@ -254,7 +254,7 @@ class MainEffect(Model):
 class DesignOptimum(Record):
     """The best design found within limits, what it gains and trades, and how much better another could be."""
 
-    schema_version: ClassVar[int] = 3
+    schema_version: ClassVar[int] = 4
     written_by: ClassVar[str] = "'finray design optimise'"
     shown: ClassVar[tuple[str, ...]] = ("sentence",)
 
@@ -455,7 +455,7 @@ class LightPlaceMap(Model):
         description="standard uncertainty of the difference to the best, by paths, paints and noise"
     )
     evenness_rel: Annotated[Floats, ArraySpec("<f8", ("first", "second"), allow_nan=True)] = Field(
-        description="5 % over 95 % quantile over the pad of the luminance without contact"
+        description="ratio of the 5 % and the 95 % quantile over the pad of the luminance without contact"
     )
     brightness_rel: Annotated[Floats, ArraySpec("<f8", ("first", "second"), allow_nan=True)]
 

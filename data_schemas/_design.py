@@ -209,7 +209,7 @@ def of_known_fields(model: type[BaseModel], told: dict[str, Any]) -> dict[str, A
             raise ValueError(f"'{name}' is not a field of the design; {hint}")
         if isinstance(told[name], float) and told[name] > 1.0:
             raise ValueError(
-                f"'{name}' = {told[name]:g}: is a standard uncertainty over the value, so at most 1 is allowed; write "
+                f"'{name}' = {told[name]:g}: is a relative standard uncertainty, so at most 1 is allowed; write "
                 "0.05 for 5 %"
             )
     return told

@@ -71,7 +71,9 @@ class GelPad(FromPackage):
     mould's STEP file has a case of its own.
     """
 
-    shape: str = Field(default="flat", description=f"{', '.join(PAD_SHAPE_NAMES)}, or one that a package brings")
+    shape: str = Field(
+        default="flat", description=f"{', '.join(PAD_SHAPE_NAMES)}, or one that another package provides"
+    )
     length_mm: LengthMm = 70.0
     width_mm: LengthMm = 35.0
     thickness_mm: LengthMm = 6.0
@@ -223,7 +225,7 @@ class Indenter(FromPackage):
     """
 
     shape: str = Field(
-        default="cylinder", description=f"{', '.join(INDENTER_SHAPE_NAMES)}, or one that a package brings"
+        default="cylinder", description=f"{', '.join(INDENTER_SHAPE_NAMES)}, or one that another package provides"
     )
     radius_mm: LengthMm = Field(default=10.0, description="radius of a cylinder or a ball")
     size_mm: tuple[LengthMm, LengthMm, LengthMm] | None = Field(

@@ -134,8 +134,8 @@ class EmissionDetection(Model):
     blanks: int = Field(ge=1, description="number of simulated blanks: same rig and reflectance, no emission")
     false_alarm: Fraction = Field(description="share of blanks that the threshold calls emission")
     yield_limit: Annotated[float, Field(ge=0.0)] | None = Field(
-        description="energy yield that this session would have called emission with 95 % probability; none where "
-        "emission was measured, whose own stray light would count"
+        description="energy yield that this session would have detected with 95 % probability; none where emission "
+        "was measured, because its stray light would add to the limit"
     )
     limit_low_nm: WavelengthNm = Field(description="the limit holds for emission with its mode above this")
     limit_high_nm: WavelengthNm = Field(description="and below this")
@@ -372,7 +372,7 @@ class PaintCalibration(Record):
         default={},
         description="shares of mode_nm, fwhm_nm, peak_per_nm, energy_yield, stokes_shift_nm; empty: not judged",
     )
-    energy_yield: Estimate = Field(description="emitted over incident energy, emission above the laser line to 780 nm")
+    energy_yield: Estimate = Field(description="emitted / incident energy, emission above the laser line to 780 nm")
     band_integrals: tuple[Estimate, ...] = Field(
         description="emission through each filter: integral of emission times transmission over that of transmission"
     )

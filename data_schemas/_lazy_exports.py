@@ -3,7 +3,7 @@
 A package lists what it offers once, as imports below ``if TYPE_CHECKING:`` in its ``__init__``. Readers, editors and
 type checkers see ordinary imports; a program that needs one name loads one module, not all that the package needs.
 
-Rooms above this one bring methods of records: plots, exports, draws through a function. The ground knows their names
+Packages above this one add methods to records: plots, exports, draws through a function. This package knows their names
 only. Who provides one registers where it lives, as text.
 """
 

@@ -386,7 +386,7 @@ def propagate_draws(draws: Floats, function: Callable[[Floats], ArrayLike]) -> P
         What was given is no function, or it returned different shapes, or what is not a finite number.
     """
     if not callable(function):
-        raise RecordError(f"a function of an emission is needed, such as numpy.max, and no {type(function).__name__}")
+        raise RecordError(f"a function of an emission is needed, such as numpy.max; got {type(function).__name__}")
     _require_one_argument(function)
     made = [np.asarray(function(draw)) for draw in draws]
     shapes = {one.shape for one in made}

@@ -384,4 +384,6 @@ def require_address(driver: str, address: str) -> None:
         raise ValueError(f"address: driver '{driver}' needs an address; 'finray rig detect' prints it")
     near = difflib.get_close_matches(driver, (*NO_ADDRESS, *_WITH_ADDRESS), 1, cutoff=0.6)
     hint = f"did you mean '{near[0]}'? If" if near else "if"
-    raise ValueError(f"driver: finray has no driver '{driver}'; {hint} a package brings it, state its address as well")
+    raise ValueError(
+        f"driver: finray has no driver '{driver}'; {hint} another package provides it, state its address as well"
+    )

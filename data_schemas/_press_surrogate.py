@@ -31,10 +31,11 @@ class PressFamily(Model):
         """Return what of an indenter is not in the family, with what is; nothing where all of it is."""
         flat = indenter.shape == "ball" or indenter.rotation_deg[2] == 0.0
         told = {
-            f'shape = "{indenter.shape}"; it was taught "cylinder" and "ball"': indenter.shape in ("cylinder", "ball"),
-            f"friction = {indenter.friction:g}; it was taught presses without friction": indenter.friction == 0.0,
-            "path; it was taught presses along the pad's normal": not indenter.path,
-            f"rotation_deg = {list(indenter.rotation_deg)} deg; it was taught with cylinders that lie flat": flat,
+            f'shape = "{indenter.shape}"; it was trained on "cylinder" and "ball"': indenter.shape
+            in ("cylinder", "ball"),
+            f"friction = {indenter.friction:g}; it was trained on presses without friction": indenter.friction == 0.0,
+            "path; it was trained on presses along the pad's normal": not indenter.path,
+            f"rotation_deg = {list(indenter.rotation_deg)} deg; it was trained on cylinders that lie flat": flat,
         }
         sizes = [name for name in type(self).model_fields if name != "turn_deg"]
         numbers = {name: (getattr(indenter, name), getattr(self, name), "mm") for name in sizes}
@@ -42,7 +43,7 @@ class PressFamily(Model):
         for name, (value, (low, high), unit) in (
             numbers | {"rotation_deg[1]": (turn_deg, self.turn_deg, "deg")}
         ).items():
-            told[f"{name} = {value:g} {unit}; it was taught {low:g} to {high:g} {unit}"] = low <= value <= high
+            told[f"{name} = {value:g} {unit}; it was trained on {low:g} to {high:g} {unit}"] = low <= value <= high
         return next((f"indenter.{what}" for what, holds in told.items() if not holds), "")
 
     def features(self, indenter: Indenter) -> Floats:
@@ -118,7 +119,7 @@ class PressSurrogate(Record):
     shapes_rest_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="share of displacement away from the coat that the shapes do not describe"
     )
-    presses: Annotated[int, Field(gt=0)] = Field(description="number of presses by finite elements that taught it")
+    presses: Annotated[int, Field(gt=0)] = Field(description="number of training presses, by finite elements")
     sample_press: Annotated[NDArray[np.int64], ArraySpec("<i8", ("sample",))]
     sample_features: Annotated[Floats, ArraySpec("<f8", ("sample", "feature"))]
     modes: Annotated[NDArray[np.float32], ArraySpec("<f4", ("mode", "unknown"))] = Field(
@@ -142,7 +143,7 @@ class PressSurrogate(Record):
     )
     surface_floor_rel: Annotated[float, Field(ge=0.0)] = Field(
         description="floor of the standard deviation: a share of its median over left-out presses, chosen so that the "
-        "bars are narrowest over the family"
+        "error bars are as narrow as possible over the family"
     )
     force_bar_rel: Annotated[float, Field(gt=0.0)]
     force_floor_rel: Annotated[float, Field(ge=0.0)]
@@ -156,7 +157,7 @@ class PressSurrogate(Record):
         "near which the surrogate does not answer; None if there are none",
     )
     processor_s: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "s"})] = Field(
-        description="processor time of the teaching"
+        description="processor time of the training"
     )
 
     @model_validator(mode="after")

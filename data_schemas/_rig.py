@@ -63,7 +63,7 @@ class BandPassFilter(Model):
     curve: str | None = Field(
         default=None,
         description="CSV file of the measured transmission (0 to 1) with the header wavelength_nm,transmission, over "
-        "the range in which it stands above the instrument's noise; its centre must lie within 5 nm of center_nm",
+        "the range in which it is above the instrument's noise; its centre must lie within 5 nm of center_nm",
     )
     center_nm: WavelengthNm
     center_uncertainty_nm: FilterUncertaintyNm = Field(
@@ -87,7 +87,7 @@ def _driver_name(name: str) -> str:
     if not re.fullmatch(DRIVER_NAME, name):
         raise ValueError(
             "is the name of a driver, such as 'thorlabs': at most 40 lower-case letters, digits and hyphens; a rig "
-            "file cannot name a module, because it must not decide which code runs: install the package that brings "
+            "file cannot name a module, because it must not decide which code runs: install the package that provides "
             "the driver"
         )
     return name
@@ -420,7 +420,7 @@ def practice_fault(text: str, faults: Mapping[str, FaultSizes] = PRACTICE_FAULTS
         known = (*faults, EXCHANGED_FILTERS) if faults is PRACTICE_FAULTS else tuple(faults)
         near = difflib.get_close_matches(name, known, 1, cutoff=0.5)
         hint = f"did you mean '{near[0]}'? " if near else ""
-        raise ValueError(f"'{name}' is not a practice fault; {hint}There are {', '.join(known)}")
+        raise ValueError(f"'{name}' is not a practice fault; {hint}allowed are {', '.join(known)}")
     sizes = faults[name]
     if not size:
         return PracticeFault(name, sizes.value)

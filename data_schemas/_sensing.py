@@ -168,7 +168,7 @@ class NormalMapRecord(Record):
     on the half that did not teach it, and the mean angle of its normals.
     """
 
-    schema_version: ClassVar[int] = 4
+    schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray sense teach'"
 
     name: str
@@ -183,7 +183,7 @@ class NormalMapRecord(Record):
         default=None, description="relative standard uncertainty, as the captures state it; none: not known"
     )
     encoding: Encoding = Field(
-        description="encoding of the captures that taught the map; it senses captures of the same encoding only"
+        description="encoding of the captures that the map was trained on; it senses captures of the same encoding only"
     )
     presses: Annotated[int, Field(ge=1)]
     held_out_explained_rel: Annotated[Floats, ArraySpec("<f8", ("split",))]
@@ -191,7 +191,7 @@ class NormalMapRecord(Record):
     held_out_depth_rms_mm: Annotated[Floats, ArraySpec("<f8", ("press",), "mm")] | None = Field(
         default=None,
         description="for each press, RMS error of the depth inside its circle after its mean is removed, by a map "
-        "that the other five sixths of the presses taught; none: not measured",
+        "trained on the other five sixths of the presses; none: not measured",
     )
     held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
         default=None,
@@ -200,11 +200,11 @@ class NormalMapRecord(Record):
     held_out_level_mm: Annotated[Floats, ArraySpec("<f8", ("ring",), "mm")] | None = Field(
         default=None,
         description="mean depth, relative to the border of the picture, in a ring 2.5 to 3.5 radii from the contact, "
-        "where the gel should be flat; for each press with this ring in view, by maps taught without it; "
+        "where the gel should be flat; for each press with this ring in view, by maps trained without it; "
         "none: not known",
     )
-    taught_by_sha256: tuple[str, ...] = Field(
-        default=(), description="SHA-256 of the contact images that taught it; none: not known"
+    training_sha256: tuple[str, ...] = Field(
+        default=(), description="SHA-256 of the contact images that it was trained on; none: not known"
     )
     notes: tuple[str, ...] = ()
 
@@ -243,13 +243,13 @@ class SensedPress(Record):
         description="standard uncertainty, from that of the depth alone"
     )
     outside_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
-        description="share of the contact's pixels whose change of colour occurs in no teaching press"
+        description="share of the contact's pixels whose change of colour occurs in no training press"
     )
     clipped_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         description="share of the contact's pixels that are clipped"
     )
     is_of_teaching: bool | None = Field(
-        description="whether this press taught the map; none: the map does not state it"
+        description="whether the map was trained on this press; none: the map does not state it"
     )
     notes: tuple[str, ...] = ()
 
@@ -273,7 +273,7 @@ class FittedNumber(Model):
     prior_origin: str = Field(description="where the prior's width comes from")
     posterior: Estimate
     left_of_prior_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="posterior over prior standard deviation, of the logarithm where the number is positive"
+        description="posterior / prior standard deviation, of the logarithm where the number is positive"
     )
     verdict: Determined = Field(
         description="how much of the prior's width is left: below a half, below nine tenths, or more; where the "

@@ -395,7 +395,7 @@ class SurrogateBars(Model):
     level_share: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
         description="share of answers whose error the bars should contain"
     )
-    presses: Annotated[int, Field(gt=0)] = Field(description="that taught it")
+    presses: Annotated[int, Field(gt=0)] = Field(description="number of training presses")
     limit_rel: Annotated[float, Field(gt=0.0)] = Field(
         description="largest error bar, relative to the force or to the surface's displacement; above it "
         "finite elements compute the press"
@@ -472,7 +472,7 @@ class PressMechanics(Record):
         default=None, description="motion of an indenter on a path, whose pushes need not rise; None for a plain press"
     )
     surrogate: SurrogateBars | None = Field(
-        default=None, description="error bars of a press by a taught surrogate; None where finite elements computed it"
+        default=None, description="error bars of a press by a surrogate; None where finite elements computed it"
     )
     notes: tuple[str, ...] = ()
 

@@ -76,7 +76,8 @@ class FluorescentRendering(_Study):
         description="part of the baked radiance that light of other paint has excited"
     )
     wall_error_rel: Annotated[Floats, ArraySpec("<f8", ("alternative", "wall"))] = Field(
-        description="norm of the difference to the baked radiance along z at equal means, over its norm"
+        description="difference from the baked radiance along z, both scaled to equal means: norm of the difference, "
+        "relative to the norm of the baked radiance"
     )
     second_order_wall_share: dict[str, float]
     second_order_coat_share: dict[str, float] = Field(
@@ -193,7 +194,7 @@ class StiffnessRow(Model):
     twist_n_mm_per_deg: float | None = Field(default=None, description="turn of the tip end about the long axis")
     slip_torque_per_friction_n_mm: float | None = Field(
         default=None,
-        description="torque about the pad's normal at which a gripped cylinder begins to turn, over Coulomb's "
+        description="torque about the pad's normal at which a gripped cylinder begins to turn / Coulomb's "
         "coefficient; only for unchanged designs",
     )
     tipping_torque_n_mm: float | None = Field(
@@ -259,7 +260,7 @@ class CurveFit(Model):
     mode_nm: WavelengthNm
     fwhm_nm: float
     curve: SpectralCurve
-    residual_rel: float = Field(description="norm of the difference to the whole measured curve over its norm")
+    residual_rel: float = Field(description="difference from the whole measured curve: norm, relative to the curve's")
 
 
 class BandFit(Model):
@@ -274,7 +275,9 @@ class BandFit(Model):
     mean_per_nm: OverEmission
     low95_per_nm: OverEmission
     high95_per_nm: OverEmission
-    residual_rel: float = Field(description="norm of the mean's difference to the measured emission over its norm")
+    residual_rel: float = Field(
+        description="difference of the mean from the measured emission: norm, relative to that of the emission"
+    )
     covered_share: Fraction = Field(
         description="share of the measured samples above 5 % of the peak within the pointwise 95 % band"
     )
@@ -311,8 +314,8 @@ class PaintStandIn(Model):
     absorption_edge_nm: WavelengthNm = Field(description="where absorption has fallen to half, towards the red")
     laser_absorption_factor: float = Field(description="a(laser) / maximum")
     filter_bands: dict[str, float] = Field(description="radiance factor in the band of each filter, per 10 nm")
-    energy_yield: float = Field(description="emitted over incident energy, laser line to 780 nm")
-    photon_yield: float = Field(description="emitted over incident photons")
+    energy_yield: float = Field(description="emitted / incident energy, laser line to 780 nm")
+    photon_yield: float = Field(description="emitted / incident photons")
     printed_patch: ColourPatch
     closest_patch: ColourPatch
     paper_curve: CurveFit = Field(description="the paper's family, fitted to the whole emission")
@@ -397,7 +400,7 @@ class DesignStudy(Record):
 
     kind: Literal["design"] = "design"
     name: Annotated[str, Field(min_length=1, max_length=80)]
-    about: str = Field(default="", description="what the study is for, in a sentence")
+    about: str = Field(default="", description="purpose of the study, in one sentence")
     design: str = Field(default="flat-70x35", description="a ready-made finger, or a design file beside the plan")
     combine: Literal["grid", "together", "random"] = Field(
         default="grid",
@@ -417,7 +420,7 @@ class DesignStudy(Record):
         if twice:
             raise ValueError(f"{twice[0]} is given twice; vary it or set it, once")
         if (self.combine == "random") != (self.count is not None):
-            raise ValueError('count goes with combine = "random", and only with it')
+            raise ValueError('count belongs to combine = "random" only')
         ranged = [variation.field for variation in self.vary if not variation.values]
         listed = [variation.field for variation in self.vary if variation.values]
         if self.combine == "random" and listed:
@@ -591,7 +594,7 @@ class DatasetSample(Model):
         default=None, description="force of the indenter along the pad's normal; with finite elements only"
     )
     slip_torque_per_friction_n_mm: float | None = Field(
-        default=None, description="torque about the normal at which the contact slips, over Coulomb's coefficient"
+        default=None, description="torque about the normal at which the contact slips, divided by Coulomb's coefficient"
     )
 
 

@@ -27,7 +27,7 @@ The tree (the command line prints the message and ends with status 2; no traceba
     ├── CompareError           a render and a capture cannot be compared
     ├── DecideError            a sweep does not allow a decision
     ├── MissingExtraError      an optional package or system library is needed
-    └── DiedError              a process of its own died, or did not end in time
+    └── ProcessDiedError              a process of its own died, or did not end in time
 
 Messages name the thing (file and field, or device), what was asked, what is allowed with units, and what
 to do next.
@@ -150,7 +150,7 @@ class MissingExtraError(FinrayError):
     """An optional package or system library is needed for what was asked."""
 
 
-class DiedError(FinrayError):
+class ProcessDiedError(FinrayError):
     """A child process died, or did not end in time; what it had stored before is complete."""
 
 

@@ -16,12 +16,12 @@ PACKAGES = ("finray_calib", "sim", "rigs", "data_schemas")
 BESIDE = {
     "tactile-captures.md": "Tactile captures in one container: a layout that any program can write",
     "files-that-are-read.md": "Files that are read: formats, limits, what is refused, how it was tried",
-    "rooms.md": "Rooms of the code and what they import",
+    "rooms.md": "Packages of the code and what they import",
     "practice-faults.md": "Faults of the rig without devices, to practise on",
     "extend-finray.md": "Extend finray from a package of your own: ten kinds, a protocol and a contract each",
     "checks-of-a-rig.md": "Checks of a rig: what each one measures, and when it passes",
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
-    "paper-experiments.md": "The paper's experiments: what it says, what comes out here, why they differ",
+    "paper-experiments.md": "The paper's experiments: what it says, what the studies give, why they differ",
     "moduli-by-force-curves.md": "Moduli by force curves: what is given, fitted and not known; derivatives of a press",
     "other-simulators.md": "Other simulators of touch, and when to take them",
     "published-fin-ray.md": "A published Fin Ray finger, pressed: force and direction against measured ones",
@@ -151,8 +151,8 @@ def index() -> str:
     """Return the page that lists the faces."""
     rows = [f"| [{face}]({face}.md) | {_purpose(face)} |" for face in faces()]
     beside = [f"- [{what}]({name})" for name, what in BESIDE.items()]
-    table = ["| face | what it is for |", "|---|---|", *rows]
-    return "\n".join(["# Reference", "", HEAD, "", *table, "", "Beside the faces:", "", *beside, ""])
+    table = ["| package | what it is for |", "|---|---|", *rows]
+    return "\n".join(["# Reference", "", HEAD, "", *table, "", "Other pages:", "", *beside, ""])
 
 
 def _purpose(face: str) -> str:

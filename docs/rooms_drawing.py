@@ -90,7 +90,7 @@ def _node(room: str) -> str:
 
 def table(rooms: Mapping[str, set[str]]) -> str:
     """Return room, its first sentence and the rooms that it imports, as a table; all import ``data_schemas``."""
-    lines = ["| room | what it is for | imports, beside `data_schemas` |", "|---|---|---|"]
+    lines = ["| package | what it is for | imports, besides `data_schemas` |", "|---|---|---|"]
     for room in sorted(rooms):
         first = (ROOT / room.replace(".", "/") / "__init__.py").read_text(encoding="utf-8").partition("\n")[0]
         words = first.lstrip("r").strip('"').replace("|", "\\|").replace(":mod:", "")
@@ -103,7 +103,7 @@ def table_page(rooms: Mapping[str, set[str]]) -> str:
     """Return the page with the table of all rooms."""
     head = "Made by `make drawing` from the code, with no arrow left out; a test fails when it differs."
     drawn = "[How the code is built](../explanation/architecture.md#the-drawing) has the drawing."
-    return "\n\n".join(["# Rooms of the code and what they import", f"{head} {drawn}", table(rooms)]) + "\n"
+    return "\n\n".join(["# Packages of the code and what they import", f"{head} {drawn}", table(rooms)]) + "\n"
 
 
 def drawn_part(rooms: Mapping[str, set[str]]) -> str:

@@ -8,8 +8,8 @@
 >>> report = finray.compare_press(press, "capture.json")
 >>> finray.write_record(report, "report.json")
 
-Functions take records or the paths of stored ones, and return records; the command line calls the same code. The rooms
-below (`fit`, `compare`, `reports` ...) hold what each stage does. Names are loaded when they are asked for.
+Functions take records or the paths of stored ones, and return records; the command line calls the same code. The
+packages below (`fit`, `compare`, `reports` ...) hold what each stage does. Names are loaded when they are asked for.
 """
 
 from importlib.util import find_spec

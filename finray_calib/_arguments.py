@@ -1,7 +1,7 @@
 """What the functions of the library take and tell: records or paths, lists, seeds, options; origins and errors.
 
-Every argument is asked for before any work is done. An error that a room below raises in the words of the command line
-names the argument of the function in place of the option.
+Every argument is checked before any work is done. An error that a package below raises in the words of the command
+line names the argument of the function in place of the option.
 """
 
 import hashlib
@@ -122,8 +122,8 @@ def require_progress(progress: object) -> None:
     """
     if progress is not None and not callable(progress):
         raise RecordError(
-            f"progress={progress!r}: a function of three arguments is needed (parts done, parts in all, what is done), "
-            "such as print, or None"
+            f"progress={progress!r}: allowed are None or a function of three arguments (steps done, steps in total, "
+            "a text), such as print"
         )
 
 
@@ -147,7 +147,7 @@ _ARGUMENTS: Final = {
     "--weights": "weights",
     "--white-balance": "white_balance",
 }
-"""Option of the command line, as errors of the rooms below name it -> argument of the library."""
+"""Option of the command line, as errors of the packages below name it -> argument of the library."""
 
 
 @contextmanager

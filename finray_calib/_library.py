@@ -342,7 +342,13 @@ def fit_paint(
     FitError
         The signals do not allow a fit.
     """
-    from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, FitOptions, calibrate_paint, departing_warnings
+    from finray_calib.fit import (
+        NO_DISCREPANCY,
+        PAINT_DISCREPANCY,
+        FitOptions,
+        calibrate_paint,
+        outlying_session_warnings,
+    )
 
     seed = checked_seed(seed)
     require_truths(discrepancy=discrepancy, check=check)
@@ -358,7 +364,7 @@ def fit_paint(
     with naming(FitError, *files):
         paint = calibrate_paint(signals, seed, options, [other for other, _ in others], match)
     if scatter is not None and isinstance(paint, PaintCalibration):
-        warnings_of_all = (*paint.warnings, *departing_warnings(scatter))
+        warnings_of_all = (*paint.warnings, *outlying_session_warnings(scatter))
         paint = paint.model_copy(update={"between_sessions": scatter, "warnings": warnings_of_all})
     if room_light is not None:
         from rigs.capture import SESSION_NAME

@@ -1,7 +1,7 @@
 """Devices and the capture of sessions; of this project it imports data_schemas only.
 
 ``with open_rig(rig, folder) as opened:`` turns a rig file into a camera, a filter wheel, a laser, a lamp, an operator
-and a clock that keep the protocols of this room, whether they are real, behind a server or simulated. Every exchange
+and a clock that keep the protocols of this package, whether they are real, behind a server or simulated. Every exchange
 has a deadline, and a device is asked anew instead of remembering its last answer.
 
 Drivers lie in ``cameras``, ``filter_wheels``, ``lights``, ``stages`` and ``load_cells``, one file per make or protocol,
@@ -60,11 +60,11 @@ if TYPE_CHECKING:
         LightSwitch,
         LoadCell,
         NoAnswerError,
-        OffWords,
         Operator,
         OverloadError,
         RawFrame,
         Stage,
+        SwitchOffCommand,
         SystemClock,
         TerminalOperator,
         discard_typed_input,
@@ -106,13 +106,13 @@ __all__ = [
     "LightSwitch",
     "LoadCell",
     "NoAnswerError",
-    "OffWords",
     "OpenRig",
     "Operator",
     "OverloadError",
     "RawFrame",
     "Role",
     "Stage",
+    "SwitchOffCommand",
     "SystemClock",
     "TerminalOperator",
     "camera_plan",

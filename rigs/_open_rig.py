@@ -523,7 +523,8 @@ def _stage(rig: TactileRig, folder: Path) -> Lines:
             yield f"{says.model}{f', firmware {says.firmware}' if says.firmware else ''}"
             yield "its position is unknown until a session homes it"
             yield (
-                f"by the rig file: {rig.stage.press_axis} presses and is clear at {rig.stage.clear_mm:g} mm, travel "
+                f"the rig file states: {rig.stage.press_axis} presses and is clear at {rig.stage.clear_mm:g} mm, "
+                "travel "
                 f"{rig.stage.press_travel_mm[0]:g} to {rig.stage.press_travel_mm[1]:g} mm"
             )
 
@@ -572,7 +573,7 @@ def _laser(rig: RigFile, folder: Path) -> Lines:
     laser = rig.laser
     with open_rig_laser(rig, folder) as light:
         yield from _light(light)
-    yield f"by the rig file: {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}"
+    yield f"the rig file states: {laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}"
 
 
 def _lamp(rig: RigFile, folder: Path) -> Lines:

@@ -166,7 +166,7 @@ class LightSwitch(Protocol):
         ...
 
 
-class OffWords(NamedTuple):
+class SwitchOffCommand(NamedTuple):
     """What switches a light off without its driver, which may hang or be gone.
 
     Attributes
@@ -184,7 +184,7 @@ class OffWords(NamedTuple):
 class GuardedSwitch(LightSwitch, Protocol):
     """The bare switch of a light that a controller or server switches, and a guard can hold."""
 
-    def off_words(self) -> OffWords:
+    def off_words(self) -> SwitchOffCommand:
         """Return what switches it off over a line that the guard does not hold."""
         ...
 

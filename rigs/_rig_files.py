@@ -32,7 +32,7 @@ from rigs._drivers import FoundDevice, Kind, offered
 from rigs.light_guard import TEST_HOLDS_DAYS
 
 PAPER_FILTERS_NM = (405, 450, 500, 532, 560, 600, 630, 660)
-# The simulated filters come with a certificate: centre and width within 0.2 nm, evenly likely, is 0.12 nm, rounded up.
+# The simulated filters come with a certificate: centre and width within 0.2 nm, uniform, is 0.12 nm, rounded up.
 CERTIFIED_NM = 0.15
 CAMERA_FILTER = "532"
 REGION_OF_HEIGHT = 220 / 1024

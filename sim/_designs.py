@@ -240,7 +240,7 @@ def _listed(name: str, entries: tuple[BaseModel, ...], idle: Collection[str]) ->
 def _uncertainty_lines(stated: Mapping[str, float], example_field: str = "mechanics.gel.c10_mpa") -> str:
     """Return the table of uncertainties, or an example of it as a comment."""
     lines = [f"{_toml_value(field)} = {_toml_value(u)}" for field, u in stated.items()]
-    head = "# Standard uncertainty of a number over its value, for comparisons with a measured force."
+    head = "# Relative standard uncertainty of a number, for comparisons with a measured force."
     example = f'# [uncertainty_rel]\n# "{example_field}" = 0.2'
     return "\n".join(["", head, *(["[uncertainty_rel]", *lines] if lines else [example]), ""])
 

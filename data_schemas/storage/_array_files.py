@@ -25,7 +25,7 @@ from typing import Any, BinaryIO, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import ChecksumError, DiedError, FinrayError, ImportFormatError, RecordError
+from data_schemas import ChecksumError, FinrayError, ImportFormatError, ProcessDiedError, RecordError
 from data_schemas.storage._child_process import Child
 from data_schemas.storage._foreign_files import LARGEST_ARRAY_FILE_BYTES, MB, digest_as_read, read_bytes
 from data_schemas.storage._whole_files import write_bytes
@@ -271,7 +271,7 @@ def parse_in_child(
             answer = _child().call(
                 f"{__name__}:parse_file", arguments, time_s=LONGEST_PARSING_S, memory_bytes=MOST_MEMORY_BYTES
             )
-        except DiedError as death:
+        except ProcessDiedError as death:
             raise error(
                 f"{where}: cannot be read as {what}: its parser {death}; the file is damaged, or malicious"
             ) from None

@@ -28,7 +28,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Final, Self
 
-from data_schemas import DiedError, FinrayError, errors
+from data_schemas import FinrayError, ProcessDiedError, errors
 
 Json = Any
 Hear = Callable[[Json], None]
@@ -128,7 +128,7 @@ class Child:
             What the function raised, of the same kind and in the same words.
         OSError
             What the operating system told the function.
-        DiedError
+        ProcessDiedError
             The child died, ran out of memory or time, or failed by a fault of its own. The text is what follows a
             name, such as "was ended by SIGSEGV (...)": the caller says in front what it was doing.
         KeyboardInterrupt
@@ -153,7 +153,7 @@ class Child:
             raise
         if answer is None:
             late = deadline_s is not None and time.monotonic() >= deadline_s
-            raise DiedError(self._death(f"took longer than {time_s:g} s" if late else "", kills_before, log))
+            raise ProcessDiedError(self._death(f"took longer than {time_s:g} s" if late else "", kills_before, log))
         if "result" in answer:
             return answer["result"]
         if answer.get("kind") == "MemoryError":
@@ -173,7 +173,7 @@ class Child:
             self._reap()
 
     def kill(self, by: signal.Signals = signal.SIGKILL) -> None:
-        """Kill the child from another thread than the one that calls it, which gets a DiedError.
+        """Kill the child from another thread than the one that calls it, which gets a ProcessDiedError.
 
         An interrupt in place of the kill lets it tidy up.
         """
@@ -294,7 +294,7 @@ def tell(message: Json) -> None:
         _write({"told": message})
 
 
-def progress_teller() -> Callable[[int, int, str], None]:
+def progress_sender() -> Callable[[int, int, str], None]:
     """Return what sends ``[done, total, what]`` to the parent, a few times a second at most."""
     last_s = -math.inf
 
@@ -371,10 +371,10 @@ def _error_of(answer: dict[str, Json]) -> Exception:
         return OSError(answer["errno"], answer["text"], answer["file"])
     if kind == "MemoryError":
         limit = answer["limit_bytes"]
-        allowed = "" if limit is None else f" (it may take {limit / 2**30:.2g} GiB more than its start)"
-        return DiedError(f"ran out of memory{allowed}; it had taken {answer['peak_bytes'] / 2**30:.2f} GiB")
+        allowed = "" if limit is None else f" (its limit is {limit / 2**30:.2g} GiB more than it had at the start)"
+        return ProcessDiedError(f"ran out of memory{allowed}; it had taken {answer['peak_bytes'] / 2**30:.2f} GiB")
     if kind == "fault":
-        return DiedError(f"failed by a fault of finray itself ({answer['text']})")
+        return ProcessDiedError(f"failed by a fault of finray itself ({answer['text']})")
     error: FinrayError = getattr(errors, kind)(answer["text"])
     return error
 

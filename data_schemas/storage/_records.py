@@ -44,7 +44,7 @@ from data_schemas.storage._foreign_files import (
     read_toml_tables,
 )
 from data_schemas.storage._product_set import ProductSet, refuse_unfinished
-from data_schemas.storage._whole_files import refuse_taken
+from data_schemas.storage._whole_files import refuse_existing
 
 INLINE_VALUES = 512
 A_RECORD = "a stored record (.json)"
@@ -71,7 +71,7 @@ def write_record(record: Record, path: Path, provenance: Provenance, products: P
         The file exists already: a stored record is never overwritten.
     """
     if products is None:
-        refuse_taken(path)
+        refuse_existing(path)
         with ProductSet(path) as alone:
             return write_record(record, path, provenance, alone)
     content = record.model_copy(update={"provenance": provenance}).model_dump(mode="python")
@@ -363,6 +363,20 @@ def _with_relative_of_command(body: Body) -> Body:
     return {**body, "relative": any("--relative".startswith(word) and len(word) > 4 for word in command.split())}
 
 
+def _with_integer_parameters(body: Body) -> Body:
+    """Return a design search whose parameters are `is_integer`, which was `is_whole`."""
+    parameters = [
+        {"is_integer" if key == "is_whole" else key: value for key, value in parameter.items()}
+        for parameter in body["parameters"]
+    ]
+    return {**body, "parameters": parameters}
+
+
+def _with_training_sha256(body: Body) -> Body:
+    """Return a normal map whose `taught_by_sha256` has the name that other trained records use."""
+    return {"training_sha256" if key == "taught_by_sha256" else key: value for key, value in body.items()}
+
+
 LEAST_LIMIT: Final = 1e-9
 """In place of a limit of 0, of which no rig keeps any more than of this one."""
 
@@ -541,6 +555,9 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     # whether only the change by contact was judged; a note and the command said so before
     ("PhotometricErrorReport", 5): _with_relative_of_notes,
     ("ComparisonBatch", 3): _with_relative_of_command,
+    # names that others use
+    ("DesignOptimum", 3): _with_integer_parameters,
+    ("NormalMapRecord", 4): _with_training_sha256,
 }
 """(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
 

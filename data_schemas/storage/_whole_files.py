@@ -90,10 +90,10 @@ def write_bytes(path: Path, content: bytes) -> None:
     RecordError
         Something has this name already: nothing stored is overwritten.
     """
-    write_whole(path, lambda handle: write_all(handle, content, path))
+    write_atomically(path, lambda handle: write_all(handle, content, path))
 
 
-def write_whole(path: Path, fill: Callable[[int], None]) -> None:
+def write_atomically(path: Path, fill: Callable[[int], None]) -> None:
     """Write a new file of any length as :func:`write_bytes` does.
 
     Parameters
@@ -158,10 +158,10 @@ def write_zip(path: Path, files: Iterable[tuple[str, bytes]]) -> None:
                 file.flush()
                 os.fsync(handle)
 
-    write_whole(path, fill)
+    write_atomically(path, fill)
 
 
-def refuse_taken(path: Path) -> None:
+def refuse_existing(path: Path) -> None:
     """Refuse a name that something has already.
 
     Raises

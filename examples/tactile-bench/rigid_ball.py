@@ -4,7 +4,7 @@
         --command "python examples/tactile-bench/rigid_ball.py {teach} {judge} {renders}"
 
 What a touch changes, relative to the image without contact, is a polynomial of second degree in the slopes of the ball,
-fitted to the teaching presses inside their circles. Outside the circle nothing changes: it knows no halo.
+fitted to the training presses inside their circles. Outside the circle nothing changes: it knows no halo.
 """
 
 import json
@@ -29,7 +29,7 @@ def read(folder):
 
 
 def main():
-    """Learn from the teaching presses, and render the judged ones."""
+    """Learn from the training presses, and render the judged ones."""
     teach, judge, renders = map(Path, sys.argv[1:4])
     terms, changes = [], []
     for folder in sorted(teach.iterdir()):

@@ -459,8 +459,9 @@ def _settling(warm: WarmUp, plan: CheckPlan, camera: CameraSettings, words: tupl
     least_dn = max(LEAST_WHITE_SHARE * (2**camera.bit_depth - 1), 5.0 * float(dark_dn.std(ddof=1)))
     if levels.size < 2 * last or levels[-last:].mean() < least_dn:
         reason = (
-            f"the lamp was hardly seen: {levels[-last:].mean():.3g} DN above the dark frames in {levels.size} looks, "
-            f"{least_dn:.3g} DN in {2 * last} looks are needed; check lamp, tile and lens cap, or raise warm_up_s"
+            f"the lamp was hardly seen: {levels[-last:].mean():.3g} DN above the dark frames in {levels.size} "
+            f"readings, {least_dn:.3g} DN in {2 * last} readings are needed; check lamp, tile and lens cap, or raise "
+            "warm_up_s"
         )
         return unmeasured("warm-up", name, what, "UNDECIDED", reason, limit)
     away = levels / levels[-last:].mean() - 1.0
@@ -513,7 +514,10 @@ def judge_stray_light(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, 
     """
     if (stray := facts.stray_light) is None:
         return ()
-    name, what = "stray light", "laser light of the white tile behind a filter that blocks it, of that which passes"
+    name, what = (
+        "stray light",
+        "laser light of the white tile behind a filter that blocks it, relative to one that passes it",
+    )
     most = 100 * plan.limits.stray_light_rel
     limit, words = ToleranceInterval(-most, most), limit_text(-most, most, "%")
     if stray.missing is not None or stray.passed is None:

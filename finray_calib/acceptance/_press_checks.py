@@ -55,12 +55,12 @@ AGE_SD_DAYS: Final = 0.5
 FELT_SD: Final = 5.0
 FELT_SHARE: Final = 0.25
 """Of the force of a press: a zero that moved by more could have been the force."""
-NO_SCALE: Final = "that is what the controller counts, and nobody has proven that {axis} goes as far as it was sent"
+NO_SCALE: Final = "that is the controller's own count; it is not confirmed that {axis} travels as far as commanded"
 NO_BLOCK: Final = (
-    "only the controller counts its way: no block of known thickness was laid on the pad; name one in the plan "
+    "only the controller reports its travel: no block of known thickness was laid on the pad; name one in the plan "
     "([gauge_block])"
 )
-NO_PICTURE_SCALE: Final = "how many millimetres that is, nobody said; give mm_per_px and mm_per_px_u_rel in the plan"
+NO_PICTURE_SCALE: Final = "the pixel size in mm is not known; give mm_per_px and mm_per_px_u_rel in the plan"
 NO_DENT: Final = (
     "the camera did not see the contact move with {axis}; light the pad, check exposure_s, or raise beside_mm"
 )
@@ -68,7 +68,7 @@ FEWEST_DENTS: Final = 6
 DENT_LIGHT_PX: Final = 0.25
 """Standard uncertainty of the centre of a contact by light that falls unevenly: stated, an eighth of a Bayer cell."""
 ONLY_COUNTED: Final = (
-    "only the controller says that the stage stood: the cell could not feel whether it drove on; press harder, or "
+    "only the controller says that the stage stopped: the cell could not detect whether it moved on; press harder, or "
     "watch it with a dial gauge"
 )
 NO_MASS: Final = (
@@ -146,7 +146,7 @@ def unfelt(facts: PressFacts) -> str | None:
     """
     touches = (*facts.touches, *facts.after_stops)
     if not touches:
-        return "no touch was felt, so nobody saw that the stage moves or that the cell feels"
+        return "no touch was detected, so it is not confirmed that the stage moves or that the cell responds"
     for one in touches:
         grew = one.deeper_n - one.from_above_n > FELT_SD * math.sqrt(2.0) * one.noise_n
         gone = abs(one.zero_shift_n) < FELT_SHARE * one.from_above_n
@@ -181,7 +181,8 @@ def _calibration(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettin
     worst_n = math.hypot(calibration.linearity_n, 0.5 * calibration.hysteresis_n)
     second = measured(
         "load cell", straight,
-        "largest distance of the calibration from its straight line, with half the hysteresis, of its heaviest mass",
+        "largest distance of the calibration from its straight line, with half the "
+    "hysteresis, relative to the heaviest mass",
         100 * worst_n / heaviest_n, 100 * sd_n / heaviest_n, "%",
         f"{1e3 * calibration.linearity_n:.2g} mN from the line, {1e3 * calibration.hysteresis_n:.2g} mN between "
         f"loading and unloading, up to {heaviest_n:.3g} N",
@@ -209,7 +210,7 @@ def _factor(
     Its uncertainty holds that of the mass and of gravity, noise, the scatter of the layings, how far the zero moved
     (evenly likely), and the calibration's form. The slope's own does not count: the slope is what is judged.
     """
-    name, what = "calibration holds", "force of a known mass by the calibration less its weight, of its weight"
+    name, what = "calibration holds", "calibrated force of a known mass minus its weight, relative to its weight"
     known, laid, most = plan.known_mass, facts.laid, 100 * plan.limits.factor_rel
     limits = ToleranceInterval(-most, most)
     if known is None or laid is None:
@@ -309,7 +310,7 @@ def _moves_of(
     most_s = plan.limits.stage_overhead_s
     rows = (
         measured(
-            "stage", f"{axis} moves in time", f"longest time that a move of {axis} takes beyond its way over its speed",
+            "stage", f"{axis} moves in time", f"longest time that a move of {axis} takes beyond distance / speed",
             moves.longest_overhead_s, CLOCK_SD_S, "s", told, limits=ToleranceInterval(None, most_s),
         ),
         measured(
@@ -320,7 +321,7 @@ def _moves_of(
     )  # fmt: skip
     scale = _by_camera(axis, facts, plan) if axis == stage.pad_axis else _by_block(stage, facts, plan)
     if scale.verdict != "PASS":
-        whys = (f"nobody saw that {axis} goes as far as it was sent", NO_SCALE.format(axis=axis))
+        whys = (f"it is not confirmed that {axis} travels as far as commanded", NO_SCALE.format(axis=axis))
         rows = not_proven(rows[0], whys[0]), not_proven(rows[1], whys[1])
     return *rows, scale
 
@@ -382,7 +383,7 @@ def _by_block(stage: StageSettings, facts: PressFacts, plan: TactileCheckPlan) -
 
 def _names(axis: str, witness: str) -> tuple[str, str]:
     """Return name and meaning of the row on how far an axis goes."""
-    return f"{axis} goes as far as sent", f"way of {axis} by {witness} less the way that it was sent, of that way"
+    return f"{axis} goes as far as sent", f"travel of {axis} by {witness} minus the commanded travel, relative to it"
 
 
 def _most(plan: TactileCheckPlan) -> float:
@@ -407,7 +408,7 @@ def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     lost_mm, lost_sd_mm, relaxed_mm = backlash_mm(touches) or (math.nan, math.nan, math.nan)
     turn = measured(
         "touch", "press axis turns without play",
-        "how much deeper the stage stands where it comes out of the pad, by the force there over the stiffness",
+        "how much deeper the stage is on its way out of the pad, from the force there and the stiffness",
         lost_mm, lost_sd_mm, "mm",
         f"{number} turns of {touches[0].deeper_mm:.3g} mm; the pad gave way by {relaxed_mm:.2g} mm meanwhile, which is "
         "in the uncertainty",
@@ -525,7 +526,7 @@ def _few(stops: int) -> str:
 
 
 _REASONS: Final[dict[Literal["request", "silent cell"], tuple[str, str]]] = {
-    "request": ("stage stops on request", "longest time from a request until the stage was seen to stand"),
+    "request": ("stage stops on request", "longest time from a request until the stage was seen to be at rest"),
     "silent cell": (
         "stage stops at a silent cell",
         "longest time from the cell's last reading until the stage was seen to stand",

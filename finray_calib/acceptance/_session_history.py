@@ -339,7 +339,7 @@ def _lights(session: CaptureSession, steps: SessionSteps) -> dict[str, float]:
     apart = white - design @ line
     return {
         "lamp level (%)": float(line[0]),
-        "lamp colour, long over short wavelengths (%)": float(line[1]),
+        "lamp colour, long / short wavelengths (%)": float(line[1]),
         **{f"filter {name} (%)": float(value) for name, value in zip(steps.names, apart, strict=True)},
         "laser level (%)": PERCENT * float(np.log(_summed(steps.laser_white.signal_dn_per_s))),
     }

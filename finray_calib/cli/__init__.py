@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from finray_calib.cli._radiometry import add_radiometry
     from finray_calib.cli._rig import add_live, add_rig
     from finray_calib.cli._sense import add_sense
-    from finray_calib.cli._simulate import add_recolour, add_simulate, spelled_now
+    from finray_calib.cli._simulate import add_recolour, add_simulate, current_spelling
     from finray_calib.cli._study import add_study
     from finray_calib.cli._trace import add_trace, add_verify
 else:
@@ -53,5 +53,5 @@ __all__ = [
     "add_study",
     "add_trace",
     "add_verify",
-    "spelled_now",
+    "current_spelling",
 ]

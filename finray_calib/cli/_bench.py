@@ -35,7 +35,7 @@ also beside a physical model that is fitted to these presses: a ball in an elast
 whose image taught are never judged. OUT gets the page of the comparison (scores/summary.html), row.json and row.csv:
 skill with its interval, digests of all captures, what the command was and how long it took. A run that was
 interrupted or failed starts from the beginning when the same OUT is given again."""
-TABLE, BLANK = "table of the teaching presses", "doing nothing"
+TABLE, BLANK = "table of the training presses", "doing nothing"
 GEL = "elastic gel under three lights"
 MOST_TEACHING = 6
 CAPTURE = ".capture.json"
@@ -58,12 +58,10 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "--command", dest="simulator_command", metavar="WORDS",
         help="command that runs your simulator, as one string; without it, only the table is scored",
     )  # fmt: skip
-    tactile.add_argument(
-        "--teach", type=int, default=MOST_TEACHING, metavar="N", help="presses that teach (default: 6)"
-    )
+    tactile.add_argument("--teach", type=int, default=MOST_TEACHING, metavar="N", help="training presses (default: 6)")
     tactile.add_argument(
         "--elastic-gel", action="store_true",
-        help="also fit our physical model of a gel to the teaching presses (balls with circles)",
+        help="also fit our physical model of a gel to the training presses (balls with circles)",
     )  # fmt: skip
     tactile.add_argument(
         "--limit-s", type=float, default=3600.0, metavar="S", help="longest time of the command (default: 3600)"
@@ -174,14 +172,15 @@ def _split(captures: "Mapping[str, TactileCapture]", count: int) -> tuple[list[s
     most = min(MOST_TEACHING, len(names) - 1)
     if not 1 <= count <= most:
         raise CompareError(
-            f"--teach {count}: must be 1 to {most}: there are {len(names)} presses, and those that do not teach judge"
+            f"--teach {count}: must be 1 to {most}: there are {len(names)} presses, and those that are not used for "
+            "training judge"
         )
     taught = [names[i] for i in spread_over(len(names), count)]
     seen = {contact_sha256(captures[name]) for name in taught}
     judged = [name for name in names if contact_sha256(captures[name]) not in seen]
     if not judged:
         raise CompareError(
-            "no press is left to judge: every contact image is one of those that teach; give a set "
+            "no press is left to judge: every contact image is one of those used for training; give a set "
             "with more presses, or a smaller --teach"
         )
     return taught, judged
@@ -229,11 +228,11 @@ def _presses(
 def _of_gel(
     captures: "Mapping[str, TactileCapture]", taught: Sequence[str], judged: Sequence[str]
 ) -> "tuple[dict[str, dict[str, SimulatedPress]], tuple[GelNumber, ...]]":
-    """Return what our model of a gel predicts, and the numbers that the teaching presses gave it."""
-    from sim.experiments import predict_on_gel, teach_gel
+    """Return what our model of a gel predicts, and the numbers that the training presses gave it."""
+    from sim.experiments import fit_gel, predict_on_gel
 
     say(f"fitting {GEL} to {len(taught)} presses, which takes a minute or two")
-    gel = teach_gel([captures[name] for name in taught])
+    gel = fit_gel([captures[name] for name in taught])
     for number in gel.numbers:
         unit = "" if number.unit == "1" else f" {number.unit}"
         say(f"  {number.name}: {number.value:.3g} [{number.low95:.3g}, {number.high95:.3g}]{unit}")

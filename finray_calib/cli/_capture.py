@@ -156,9 +156,8 @@ def _stated_presses(times: "StatedTimes", *, by_hand: bool) -> str:
     """Return how long a tactile session takes at the most, as it is told before it begins."""
     hands = " plus the time for what you do by hand" if by_hand else ""
     return (
-        f"about {times.typical_s / 60:.1f} min{hands}; {times.longest_s / 60:.0f} min at the longest{hands}; "
-        f"recovery from faults may add up to {times.healing_s / 60:.0f} min, after which the session ends and "
-        "can be resumed"
+        f"this takes about {times.typical_s / 60:.1f} min{hands}, and at most {times.longest_s / 60:.0f} min{hands}. "
+        f"Recovery from faults may add up to {times.healing_s / 60:.0f} min; then the session ends, and can be resumed"
     )
 
 
@@ -222,7 +221,8 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         expected = forecast(plan, rig, steps)
         give(
             steps=expected.steps, most_frames=expected.most_frames, disk_bytes=expected.disk_bytes,
-            typical_s=expected.typical_s, longest_s=expected.longest_s, healing_s=expected.healing_s,
+            typical_s=expected.typical_s, longest_s=expected.longest_s, recovery_s=expected.healing_s,
+            healing_s=expected.healing_s,
         )  # fmt: skip
         say(f"{expected.steps} steps, at most {expected.most_frames} frames, {1e-6 * expected.disk_bytes:.0f} MB")
         say(f"{expected.targets} changes of the target, {expected.moves} moves of the wheel")
@@ -248,8 +248,9 @@ def capture_paint(arguments: argparse.Namespace) -> None:
 def _stated(typical_s: float, longest_s: float, healing_s: float) -> str:
     """Return how long a session takes at the most, as it is told before it begins."""
     return (
-        f"about {typical_s / 60:.0f} min; {longest_s / 60:.0f} min if every exposure is the longest; recovery "
-        f"from faults may add up to {healing_s / 60:.0f} min, after which the session ends and can be resumed"
+        f"this takes about {typical_s / 60:.0f} min ({longest_s / 60:.0f} min if every exposure has to be the longest "
+        f"that the rig file allows). Recovery from faults may add up to {healing_s / 60:.0f} min; then the session "
+        "ends, and can be resumed"
     )
 
 

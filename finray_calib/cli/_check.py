@@ -512,7 +512,7 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     from data_schemas import CertificateDetails, FinrayError, PaintCalibration, digest_of_input
     from data_schemas.storage import ProductSet, read_record, read_toml
     from finray_calib.acceptance import certified_results
-    from finray_calib.reports import certificate_of, certificate_page, certificate_pdf
+    from finray_calib.reports import certificate_page, certificate_pdf, paint_certificate
 
     path: Path = arguments.paint
     stem = path.name.removesuffix(".json").removesuffix(".paint")
@@ -531,7 +531,7 @@ def run_certificate(arguments: argparse.Namespace) -> int:
         results = certified_results(paint, details, measured_on)
     budget = () if arguments.budget is None else _budget(arguments.budget, paint)
     today = datetime.now(UTC).date()
-    certificate = certificate_of(paint, results, details, digest_of_input(path), today, session, budget, lineage)
+    certificate = paint_certificate(paint, results, details, digest_of_input(path), today, session, budget, lineage)
     with ProductSet(page) as products:
         products.add(pdf, certificate_pdf(certificate, paint))
         products.add(page, certificate_page(certificate, paint).encode())

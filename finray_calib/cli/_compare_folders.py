@@ -17,7 +17,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from data_schemas import CompareError, DiedError, FieldError, FinrayError, RecordError
+from data_schemas import CompareError, FieldError, FinrayError, ProcessDiedError, RecordError
 from data_schemas.storage import Child, files_in, has_file, read_json, stopping_together
 from finray_calib.cli._output import Progress, give, progress_bar, say, suggest_file, warn, wrote
 from finray_calib.cli._run import (
@@ -304,7 +304,7 @@ class _Workers:
 
         Raises
         ------
-        DiedError
+        ProcessDiedError
             A process was killed or crashed; reports that are written stay, and the same command continues.
         """
         with progress_bar(title) as progress:
@@ -392,9 +392,9 @@ def _pixels(capture: Path) -> int:
 
 def _of_worker(error: BaseException, jobs: Sequence["_Job"]) -> BaseException:
     """Return what to raise for the error of a process that did these jobs."""
-    if not isinstance(error, DiedError):
+    if not isinstance(error, ProcessDiedError):
         return error
-    return DiedError(
+    return ProcessDiedError(
         f"the process that compared {', '.join(job.name for job in jobs)} {error}. Reports already written "
         "are complete; run the same command again for the others"
     )

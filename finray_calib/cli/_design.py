@@ -410,7 +410,7 @@ def run_paints(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import camera_response, write_record
     from finray_calib.decide import paint_choice
     from sim import given_design
-    from sim.experiments import BareFinger, PaintDraws, paint_pairs
+    from sim.experiments import PaintDraws, UnpaintedFinger, paint_pairs
     from sim.optics import read_calibration
 
     design, files, folder = given_design(arguments.design)
@@ -418,7 +418,7 @@ def run_paints(arguments: argparse.Namespace) -> None:
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.paint-choice.json"), ".json")
     camera = design.camera
     with naming(SimulateError, arguments.design):
-        finger = BareFinger(
+        finger = UnpaintedFinger(
             design,
             camera_response(camera.response, folder),
             open_engine(arguments.engine),

@@ -280,8 +280,8 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
     if paint.prior_shares:
         shares = ", ".join(f"{_LABELS[name]} {100 * value.share:.0f} %" for name, value in paint.prior_shares.items())
-        say(f"  share of the prior's variance that is left: {shares}")
-    beside = "" if paint.spectrum_from in ("", paint.family_title) else " of the parameters besides the spectrum"
+        say(f"  variance after the measurement, as a share of the prior's: {shares}")
+    beside = "" if paint.spectrum_from in ("", paint.family_title) else " of curves for comparison"
     say(f"  family{beside}: {paint.family_choice}")
     trust = "trusted" if paint.diagnostics.trusted else "NOT trusted"
     if paint.detection is not None:
@@ -445,11 +445,12 @@ def run_sensor_fit(arguments: argparse.Namespace) -> None:
 def _say_sensor_fit(fit: "SensorFit") -> None:
     """Tell each number before and after, what is not told apart, and how good the model is."""
     give(
-        name=fit.name, numbers=fit.numbers, brightness=fit.brightness, not_told_apart=fit.not_told_apart,
+        name=fit.name, numbers=fit.numbers, brightness=fit.brightness, indistinguishable=fit.not_told_apart,
+        not_told_apart=fit.not_told_apart,
         discrepancy_rel=fit.discrepancy_rel, independent_rel=fit.independent_rel, residual_rel=fit.residual_rel,
         emulator_rel=fit.emulator_rel, trusted=fit.trusted, notes=fit.notes,
     )  # fmt: skip
-    say("  number: 95 % interval after the fit (before it), and the share of the prior's width that is left:")
+    say("  number: 95 % interval after the fit (before it), and its width as a share of the prior's:")
     for number in fit.numbers:
         say(f"    {_number_line(number)}")
     say("  brightness of each layer relative to the design, with one gain for all:")
@@ -471,13 +472,13 @@ def _number_line(number: "FittedNumber") -> str:
     """Return a number before and after in one line."""
     unit = "" if number.unit == "1" else f" {number.unit}"
     told = "" if number.verdict == "determined" else f": {number.verdict.upper()}"
-    left = f"{100 * number.left_of_prior_rel:.0f} % left{told}"
+    left = f"{100 * number.left_of_prior_rel:.0f} % of the prior{told}"
     return f"{number.name:32s} {number.posterior}{unit} ({number.prior}), {left}"
 
 
 MATERIAL_HELP = "fit the moduli of a gel to force curves of a bench"
 MATERIAL_DESCRIPTION = """\
-Fit the moduli of a gel to measured curves of force over displacement. The curves come from blocks of the gel between
+Fit the moduli of a gel to measured force-displacement curves. The curves come from blocks of the gel between
 plates, or from a finger. The model is the finite elements of 'finray simulate press' with their derivatives. The fit
 gives C10 and K/mu of the gel, and for a finger also the moduli of its other parts, together with first touch, zero and
 drift of the load cell and the noise. Each modulus is reported as measured, constrained in part, or not measured; where
@@ -594,11 +595,11 @@ def _say_material(fit: "MaterialFit") -> None:
         name=fit.name, moduli=fit.moduli, bulk_modulus_mpa=fit.bulk_modulus_mpa, trusted=fit.trusted,
         design_toml=fit.design_toml, notes=fit.notes,
     )  # fmt: skip
-    say("  modulus: 95 % interval after the fit (before it), and the share of the prior's width that is left:")
+    say("  modulus: 95 % interval after the fit (before it), and its width as a share of the prior's:")
     for modulus in fit.moduli:
         unit = "" if modulus.unit == "1" else f" {modulus.unit}"
         told = modulus.verdict if modulus.verdict == "measured" else modulus.verdict.upper()
-        left = f"{100 * modulus.left_of_prior_rel:.0f} % left: {told}"
+        left = f"{100 * modulus.left_of_prior_rel:.0f} % of the prior: {told}"
         say(f"    {modulus.field:34s} {_plain(modulus.posterior)}{unit} ({_plain(modulus.prior)}), {left}")
     say(f"    {'K of the gel':34s} {_plain(fit.bulk_modulus_mpa)} MPa")
     for curve in fit.curves:

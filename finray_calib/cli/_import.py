@@ -38,7 +38,7 @@ repeat_no_contact (all DNG or 16-bit TIFF, or all PNG or JPEG), the metadata of 
 (contact.json, from rpicam-still --metadata) and press.toml (name, [indenter]). Images with auto exposure or
 auto white balance are refused."""
 OTHER = """\
-Import the folder of one press by a format that another installed package brings, as a tactile capture. How to
+Import the folder of one press in a format that another installed package provides, as a tactile capture. How to
 write one: docs/how-to/import-captures.md."""
 CAPTURE_OUT = "FOLDER.capture.json, with --predict-from also FOLDER.press.json beside it"
 
@@ -429,7 +429,7 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
         "--mm-per-px", type=float, metavar="S", help="mm per pixel, replaces that of the recipe; not px per mm"
     )
     parser.add_argument(
-        "--predict-from", type=int, metavar="N", help="teach a table with N presses and predict the others"
+        "--predict-from", type=int, metavar="N", help="train a table on N presses and predict the others"
     )
     add_out(parser, "FOLDER.captures, a folder with NAME.capture.json")
     parser.set_defaults(run=run_captures)
@@ -547,7 +547,7 @@ def _predicted(
         if contact_sha256(capture) not in table.training_sha256:
             yield name, predict_press(table, capture), taught
         elif capture.name not in table.training_presses:
-            warn(f"{name}: has the same image as a press that taught the table, and is not predicted")
+            warn(f"{name}: has the same image as a training press of the table, and is not predicted")
 
 
 def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int) -> None:
@@ -568,7 +568,7 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
     for why, names in left_out.items():
         say(f"  left out: {', '.join(names)}: {why}")
     if predicted:
-        say(f"  {predicted} presses are predicted by a table that other presses taught")
+        say(f"  {predicted} presses are predicted by a table that was trained on other presses")
         suggest_command("finray compare", out, out)
     if first.contact_told_by == "search":
         correct = (

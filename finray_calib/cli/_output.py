@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from data_schemas import FinrayError, system_words
-from data_schemas.storage import is_child, progress_teller, tell
+from data_schemas.storage import is_child, progress_sender, tell
 
 Progress = Callable[[int, int, str], None]
 WIDTH = 80
@@ -40,7 +40,7 @@ class _Spoken:
     result: dict[str, Any] = field(default_factory=dict)
     written: list[str] = field(default_factory=list)
     error: str | None = None
-    look_at: str | None = None
+    open_first: str | None = None
     next: str | None = None
     is_told: bool = False
     command: str = ""
@@ -98,7 +98,7 @@ def give(**values: Any) -> None:
 
 def suggest_file(path: Path) -> None:
     """Name the file that a person opens first, in the last line."""
-    _spoken.look_at = os.fspath(path)
+    _spoken.open_first = os.fspath(path)
 
 
 def suggest_command(*words: str | Path) -> None:
@@ -145,8 +145,8 @@ def finish(command: str, status: int) -> None:
         return
     if _spoken.next is not None:
         say(f"next: {_spoken.next}")
-    if _spoken.look_at is not None:
-        say(f"look at: {_spoken.look_at}")
+    if _spoken.open_first is not None:
+        say(f"look at: {_spoken.open_first}")
 
 
 def spoken(status: int) -> dict[str, Any]:
@@ -160,7 +160,8 @@ def spoken(status: int) -> dict[str, Any]:
         "error": _spoken.error,
         "result": plain(_spoken.result),
         "written": _spoken.written,
-        "look_at": _spoken.look_at,
+        "open_first": _spoken.open_first,
+        "look_at": _spoken.open_first,  # the name before 0.1.0, for one release
         "next": _spoken.next,
         "warnings": _spoken.warnings,
         "text": [line for line in _spoken.text if line],
@@ -235,7 +236,7 @@ def progress_bar(title: str) -> Iterator[Progress]:
         return
     if is_child():  # its parent shows it
         tell({"bar": title})
-        yield progress_teller()
+        yield progress_sender()
         tell({"bar": None})
         return
     if not sys.stderr.isatty():

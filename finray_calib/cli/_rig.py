@@ -394,7 +394,7 @@ With --terminal the same is shown in this terminal, of 80 x 24 or more; ? shows 
 
 With --plan it runs the session of 'finray capture' in the view: what to do next in large words, the newest frame,
 signal to noise, drift of the references, time left, and a key that switches all lights off. Closing the page or the
-terminal does not end the session; the same address, which also stands in OUT.live-address while it runs, shows it
+terminal does not end the session; the same address, which is also written to OUT.live-address while it runs, shows it
 again. Ctrl-C ends it with the lights off; --resume, here or in 'finray capture', continues it."""
 LAST_EXPOSURE_S = 10.0
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from data_schemas import DiedError, FinrayError, RecordError, SimulateError
+from data_schemas import FinrayError, ProcessDiedError, RecordError, SimulateError
 from data_schemas import naming as naming
 from data_schemas.storage import Child, given_path, tell
 from finray_calib.cli._output import AS_JSON, QUIET, how_to_speak, leave_to_other_process
@@ -300,7 +300,7 @@ def run_in_own_process(work: LongWork, words: Sequence[str]) -> int:
 
     Raises
     ------
-    DiedError
+    ProcessDiedError
         The process died; the message names what it did, its log and what to do.
     """
     log = _log_file(work.beside, words[0])
@@ -310,8 +310,8 @@ def run_in_own_process(work: LongWork, words: Sequence[str]) -> int:
             terminals = [sys.stdout.isatty(), sys.stderr.isatty()]
             job = {"words": [*words, *how_to_speak()], "terminals": terminals}
             status = child.call("finray_calib.cli._run:run_verb", job, log=log, hear=screen.show)
-        except DiedError as died:
-            raise DiedError(
+        except ProcessDiedError as died:
+            raise ProcessDiedError(
                 f"{work.words} {died}. Its log is {log}. {work.kept}; if that fails again, 'finray doctor' lists what "
                 "this machine lacks"
             ) from None

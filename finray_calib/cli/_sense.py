@@ -1,4 +1,4 @@
-"""``finray sense``: sense with a tactile camera, from its scale over teaching presses to depth, normals and contact.
+"""``finray sense``: sense with a tactile camera, from its scale over training presses to depth, normals and contact.
 
 A printed ChArUco board gives the lens and the millimetres per pixel on the pad; ball presses teach the map that senses
 a surface normal from a colour; the map senses other presses.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from data_schemas import CharucoBoard, PixelScale, SensedPress, TactileCapture
 
 
-SENSE_HELP = "sense with a tactile camera: its scale, a map taught by ball presses, and depth of other presses"
+SENSE_HELP = "sense with a tactile camera: its scale, a map trained on ball presses, and depth of other presses"
 
 
 def add_sense(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -42,7 +42,7 @@ PIXEL_SCALE_HELP = "calibrate the camera and measure millimetres per pixel on th
 PIXEL_SCALE_DESCRIPTION = """\
 Calibrate the lens and measure how many millimetres a pixel spans on the pad, along rows and along columns,
 with standard uncertainty. It needs one picture of a ChArUco board that lies where the coat of the pad is, and
-four or more (ten are good) with the board turned and tilted, all with the camera as it stands in the
+four or more (ten are good) with the board turned and tilted, all with the camera in its place in the
 finger. Pictures through the mirror are recognised. Writes the record, and beside it the lens (FILE.lens.yaml)
 for 'camera.calibration' of a design."""
 
@@ -439,7 +439,7 @@ def run_sense(arguments: argparse.Namespace) -> None:
     wrote(picture, "depth, normals and contact")
     wrote(mesh, "the surface of the gel, mm")
     names = ("deepest_mm", "deepest_u_mm", "contact_area_mm2", "contact_area_u_mm2", "is_of_teaching", "notes")
-    give(name=sensed.name, **{name: getattr(sensed, name) for name in names})
+    give(name=sensed.name, is_training_capture=sensed.is_of_teaching, **{name: getattr(sensed, name) for name in names})
     suggest_file(picture)
 
 
@@ -452,4 +452,7 @@ def _report_sensed(sensed: "SensedPress") -> None:
     for note in sensed.notes:
         say(f"  note: {note}")
     if sensed.is_of_teaching:
-        warn(f"{sensed.name} taught the map '{sensed.normal_map}': its result proves nothing about other presses")
+        warn(
+            f"{sensed.name} is a training press of the map '{sensed.normal_map}': its result proves nothing about "
+            "other presses"
+        )

@@ -83,7 +83,7 @@ def add_simulate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     add_sensor_fit(jobs)
 
 
-TEACH_HELP = "teach a surrogate of a finger, which presses in milliseconds with error bars"
+TEACH_HELP = "train a surrogate of a finger, which presses in milliseconds with error bars"
 TEACH_DESCRIPTION = """\
 Teach a surrogate that answers presses of the design's finger in milliseconds, each with error bars, for 'finray
 simulate press --surrogate': by a cylinder or a ball of 6 to 20 mm radius, along the middle of the pad, off its middle
@@ -99,7 +99,7 @@ def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--presses",
         type=_presses,
         metavar="N",
-        help=("presses by finite elements that teach the surrogate, at least 20 (default: 40)"),
+        help=("presses by finite elements to train the surrogate on, at least 20 (default: 40)"),
     )
     add_out(parser, "NAME.surrogate.json")
     parser.set_defaults(run=run_teach, long_work=_long_teach)
@@ -108,7 +108,7 @@ def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def _long_teach(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
     kept = "Finished presses are kept: the same command continues after the last one"
-    return LongWork("the teaching of a surrogate", kept, arguments.out)
+    return LongWork("the training of a surrogate", kept, arguments.out)
 
 
 MOST_PRESSES = 400
@@ -127,7 +127,7 @@ def run_teach(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import clear_leftovers, read_record, write_record
     from finray_calib.spectra import machine_threads
     from sim import read_design
-    from sim.experiments import USUAL_PRESSES, TeachSettings, teach_surrogate
+    from sim.experiments import USUAL_PRESSES, TeachSettings, train_surrogate
 
     design = read_design(arguments.design)
     out = require_new(arguments.out or Path(f"{file_name(arguments.design.stem)}.surrogate.json"), ".json")
@@ -144,7 +144,7 @@ def run_teach(arguments: argparse.Namespace) -> None:
 
     settings = TeachSettings(arguments.presses or USUAL_PRESSES, threads=machine_threads())
     with progress_bar("teach") as progress, naming(SimulateError, arguments.design):
-        taught = teach_surrogate(design, settings, stored=stored, store=store, progress=progress)
+        taught = train_surrogate(design, settings, stored=stored, store=store, progress=progress)
     write_record(taught, out, origin)
     _report_taught(taught, out, kept)
     suggest_command("finray simulate press", arguments.design, "--surrogate", out)
@@ -155,7 +155,7 @@ def _report_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     import numpy as np
 
     wrote(out, taught.label)
-    wrote(kept, "the presses that taught it; the same command with more --presses continues with them")
+    wrote(kept, "the presses that it was trained on; the same command with more --presses continues with them")
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():
@@ -179,7 +179,7 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser = jobs.add_parser("render", help=RENDER_HELP, description=RENDER_DESCRIPTION)
     parser.add_argument(
         "design", type=Path, metavar="DESIGN|SURFACES",
-        help="finger design (TOML), or NAME.surfaces.json, whose design stands in NAME.mechanics.json beside it",
+        help="finger design (TOML), or NAME.surfaces.json, whose design is in NAME.mechanics.json beside it",
     )  # fmt: skip
     _add_scene(parser)
     parser.add_argument(
@@ -317,7 +317,7 @@ RENAMED = {("study", "normal-map"): ("sense", "teach"), ("study", "pixel-scale")
 """Verb and job of an earlier version -> those of today."""
 
 
-def spelled_now(words: Sequence[str]) -> list[str]:
+def current_spelling(words: Sequence[str]) -> list[str]:
     """Return the words of a command as they are spelled now, and report them where they are spelled as before.
 
     Before, ``finray simulate DESIGN`` did the three jobs by its options ``--only mechanics``, ``--only optics`` and

@@ -54,8 +54,8 @@ def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "--down", choices=["tip", "side", "near"], default="tip",
-        help="where the weight pulls: tip (default; the gripper points down), side (it lies, fingers side by side), or "
-        "near (it lies on the near finger)",
+        help="direction of gravity: tip (default; the gripper points down), side (the gripper is horizontal, with its "
+        "fingers side by side), or near (horizontal, with the near finger below the object)",
     )  # fmt: skip
     parser.add_argument(
         "--increments", type=increment_count, default=4, metavar="N",

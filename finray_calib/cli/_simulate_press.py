@@ -69,7 +69,7 @@ def _surrogate_file(arguments: argparse.Namespace) -> list[Path]:
         return []
     from data_schemas.storage import read_bytes
 
-    read_bytes(arguments.surrogate, "a taught surrogate (.json)")
+    read_bytes(arguments.surrogate, "a surrogate (.json)")
     return [arguments.surrogate]
 
 
@@ -412,8 +412,10 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
             say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
     if mechanics.slip_torque_per_friction_n_mm is not None:
         say(
-            f"  torque at slip {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction, "
-            f"about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's axis without friction"
+            "  torque that the grip resists: about the pad's normal "
+            f"{mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction; about the finger's "
+            "long axis "
+            f"{mechanics.tipping_torque_n_mm:.3g} N mm, also without friction"
         )
     if mechanics.sensitivities is not None:
         _report_sensitivities(mechanics.sensitivities)
@@ -446,7 +448,7 @@ def _report_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     for depth, force, bar, surface in rows:
         say(f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat +- {1e3 * surface:.0f} um")
     say(
-        f"  answer of a surrogate: in {100 * bars.level_share:.0f} % of presses its bars contain its "
+        f"  computed by a surrogate: in {100 * bars.level_share:.0f} % of presses its bars contain its "
         "difference from finite elements, whose own error adds to it"
     )
 
@@ -480,7 +482,7 @@ LARGEST_FORCE_N, LARGEST_BUDGET_S = 1000.0, 1e6
 PRESS_HELP = "press the indenter into a finger by finite elements"
 PRESS_DESCRIPTION = """\
 Press the indenter of the design into the finger by finite elements, as finely as the design's [mesh] table says. The
-command stores force over push (NAME.mechanics.json), the deformed finger (NAME.surfaces.json, for 'finray simulate
+command stores force against push (NAME.mechanics.json), the deformed finger (NAME.surfaces.json, for 'finray simulate
 render'), its mesh (.vtu) and a picture, and each increment on the way, from which an interrupted press continues."""
 
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from data_schemas import DiedError, FinrayError, RecordError, system_words
+from data_schemas import FinrayError, ProcessDiedError, RecordError, system_words
 from data_schemas.storage import OBJECTS_PER_COLLECTION, given_path
 from finray_calib.cli import (
     add_bench,
@@ -41,7 +41,7 @@ from finray_calib.cli import (
     add_study,
     add_trace,
     add_verify,
-    spelled_now,
+    current_spelling,
 )
 from finray_calib.cli._output import AS_JSON, QUIET, WIDTH, begin, fail, finish, give, say
 
@@ -270,7 +270,7 @@ def main(arguments: Sequence[str] | None = None, in_own_process: bool = False) -
     user's mistake, 3 when the process of a long stage died, 130 when interrupted.
     """
     gc.set_threshold(OBJECTS_PER_COLLECTION)
-    words = spelled_now(begin(sys.argv[1:] if arguments is None else arguments))
+    words = current_spelling(begin(sys.argv[1:] if arguments is None else arguments))
     try:
         command, status = _run(words, in_own_process)
         finish(command, status)
@@ -305,7 +305,7 @@ def _run(words: list[str], in_own_process: bool) -> tuple[str, int]:
         return command, _work(parsed, words, in_own_process)
     except (FinrayError, OSError) as error:
         fail(f"finray {parsed.verb or '--version'}: error: {_one_line(error)}")
-        return command, DIED if isinstance(error, DiedError) else USER_MISTAKE
+        return command, DIED if isinstance(error, ProcessDiedError) else USER_MISTAKE
     except KeyboardInterrupt:
         fail(f"finray {parsed.verb}: interrupted; files already written are complete")
         return command, INTERRUPTED

@@ -93,7 +93,7 @@ def teach_table(captures: Sequence[TactileCapture]) -> PressTable:
     normal, right = np.zeros((_TERMS, _TERMS)), np.zeros((_TERMS, 3))
     for capture, distance in zip(captures, distances, strict=True):
         if distance.shape != shape:
-            raise CompareError(f"{capture.name}: has another size than {captures[0].name}; teach with one camera")
+            raise CompareError(f"{capture.name}: has another size than {captures[0].name}; train with one camera")
         contact, level = levelled_images(capture, distance)
         used = _near(distance) & np.isfinite(contact + level).all(axis=-1) & (level > 0.0).all(axis=-1)
         used[np.arange(shape[0]) % _STRIDE_PX > 0] = False
@@ -139,12 +139,12 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
     """
     if contact_sha256(capture) in table.training_sha256:
         raise CompareError(
-            f"{capture.name}: its contact image taught the table ({', '.join(table.training_presses)}), so "
+            f"{capture.name}: its contact image was used to train the table ({', '.join(table.training_presses)}), so "
             "its prediction for this press proves nothing"
         )
     distance = _distance(capture)
     if distance.shape != table.shape_px:
-        raise CompareError(f"{capture.name}: has another size than the presses that taught the table")
+        raise CompareError(f"{capture.name}: has another size than the training presses of the table")
     ratio = np.ones((*distance.shape, 3))
     near = np.flatnonzero(_near(distance))
     for part in np.array_split(near, max(1, len(near) // _PIXELS_AT_ONCE)):
@@ -152,7 +152,7 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
         where[part] = True
         where = where.reshape(distance.shape)
         ratio[where] += _terms(distance, where, table.half_width_px) @ table.coefficients
-    taught = f"taught by {len(table.training_presses)} other presses: {', '.join(table.training_presses)}"
+    taught = f"trained on {len(table.training_presses)} other presses: {', '.join(table.training_presses)}"
     return predicted_press(capture, ratio, distance, ("table", TABLE_LABEL, "table"), taught)
 
 

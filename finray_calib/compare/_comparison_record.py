@@ -211,13 +211,13 @@ def _placed_press(press: SimulatedPress, capture: TactileCapture, registered: bo
     except CompareError as error:
         if registered:
             raise CompareError(f"{error}. {_WHAT_TO_DO}, or compare without --register") from None
-        return press, [f"it is not known whether the camera stands where the render assumes it: {error}. {_WHAT_TO_DO}"]
+        return press, [f"it is not known whether the camera is where the render assumes it: {error}. {_WHAT_TO_DO}"]
     if not found.significant:
         return press, [f"{NO_DRIFT}, by the images with {state}: {found}"]
     if not registered:
         seen = f"the camera has drifted, as the images with {state} show: {found}"
         return press, [f"{seen}; the option 'register' moves the render"]
-    return move_press(press, found.to_render), [f"the render was moved, by the images with {state}: {found}"]
+    return move_press(press, found.to_render), [f"the render was moved to fit the images with {state}: {found}"]
 
 
 Floats = NDArray[np.float64]
@@ -420,8 +420,8 @@ def _error_map(simulated: Floats, comparison: Comparison) -> NDArray[np.float32]
 
 COVERS_INPUTS = (
     "the metric between the noise-free capture and the noise-free render with the true paints, camera and "
-    "pose: these 95 % intervals hold what the uncertain inputs of the budget leave open; noise is removed "
-    "from every error"
+    "pose: these 95 % intervals include the uncertain inputs that the budget lists; noise is removed from every "
+    "error"
 )
 _PARTS: Final = (
     "these intervals show how much a number depends on which pixels of this press are evaluated (square "

@@ -33,15 +33,15 @@ if TYPE_CHECKING:
     )
     from finray_calib.decide._light_angle import AngleDecision, SweptContact, decide_angle, decide_contacts
     from finray_calib.decide._light_powers import (
-        EvenPowers,
         LightBasis,
         OptimalPowers,
         PoweredLight,
         PowerLimits,
+        UniformPowers,
         error_change,
         even_powers,
         light_powers,
-        most_even,
+        most_uniform_powers,
     )
     from finray_calib.decide._tolerances import (
         ChaosEmulator,
@@ -64,7 +64,6 @@ __all__ = [
     "DesignEmulator",
     "DesignSearch",
     "Estimates",
-    "EvenPowers",
     "LightBasis",
     "Limit",
     "OptimalPowers",
@@ -73,6 +72,7 @@ __all__ = [
     "PoweredLight",
     "SobolIndices",
     "SweptContact",
+    "UniformPowers",
     "best_design",
     "decide",
     "decide_angle",
@@ -88,7 +88,7 @@ __all__ = [
     "limit_of_curve",
     "limit_together",
     "losses",
-    "most_even",
+    "most_uniform_powers",
     "next_design",
     "paint_choice",
     "pick_freeze_indices",

@@ -287,8 +287,8 @@ def _notes_on_scales(captures: Sequence[ValidatingCapture], groups: Sequence[tup
     if _spread_deg([capture.angle_deg for capture in captures if _is_exposed(capture.error)]) < _APART_DEG:
         return []
     return [
-        "exposures and LED currents are known at several angles but not compared: the reports do not name one rig "
-        "with one set of paints"
+        "exposures and LED currents are known at several angles but were not compared, because the "
+        "reports do not name one rig with one set of paints"
     ]
 
 

@@ -484,8 +484,8 @@ def outside(contacts: Sequence[DecidedContact], indenter: Indenter, aim: Aim = "
     places = sorted({contact.position_mm for contact in contacts})
     if aim == "normal":
         return (
-            f"It holds for facets of the undeformed pad at {places[0]:g} to {places[-1]:g} mm, tilted by up to 20 deg; "
-            "shadows of the object that is touched are left out."
+            f"The answer holds for facets of the undeformed pad at {places[0]:g} to {places[-1]:g} mm, tilted by up to "
+            "20 deg; shadows of the object that is touched are left out."
         )
     across = sorted({contact.across_mm for contact in contacts})
     depths = sorted({contact.depth_mm for contact in contacts})
@@ -495,8 +495,8 @@ def outside(contacts: Sequence[DecidedContact], indenter: Indenter, aim: Aim = "
     beside = "on the middle line" if across == [0.0] else f"{across[0]:g} to {across[-1]:g} mm from the middle line"
     deep = f"{depths[0]:g} mm" if len(depths) == 1 else f"{depths[0]:g} to {depths[-1]:g} mm"
     return (
-        f"It holds for touches at {along} along the pad, {beside}, {deep} deep, by a {' or '.join(shapes)}{size}; "
-        "other places, depths and objects were not simulated."
+        f"The answer holds for touches at {along} along the pad, {beside}, {deep} deep, by a {' or '.join(shapes)}"
+        f"{size}; other places, depths and objects were not simulated."
     )
 
 

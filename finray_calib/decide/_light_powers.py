@@ -184,7 +184,7 @@ class OptimalPowers:
     gap_rel: float
 
 
-def most_even(spread: Floats, level: Floats, limits: PowerLimits) -> OptimalPowers:
+def most_uniform_powers(spread: Floats, level: Floats, limits: PowerLimits) -> OptimalPowers:
     r"""Return the powers p that minimise the relative variance of the brightness over the places.
 
     .. math:: \min_p \frac{p^T C p}{(m^T p)^2}, \quad l \le p \le h, \; a^T p \le A
@@ -261,7 +261,7 @@ def _corner(gradient: Floats, level: Floats, limits: PowerLimits) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class EvenPowers:
+class UniformPowers:
     """The most even powers and how sure they are.
 
     Attributes
@@ -298,7 +298,7 @@ class EvenPowers:
         return np.asarray(1.0 - np.divide(self.variation_draws, now, out=np.ones_like(now), where=now > 0.0))
 
 
-def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: int = DRAWS) -> EvenPowers:
+def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: int = DRAWS) -> UniformPowers:
     r"""Find the powers by which the coat is lit most evenly, and draw how they scatter with paths and paints.
 
     A draw is one draw of the paints and one of the mean of the batches: batches B_r scatter about their mean by
@@ -320,14 +320,14 @@ def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: in
     Raises
     ------
     DecideError
-        See :func:`most_even`.
+        See :func:`most_uniform_powers`.
     """
     rng = np.random.default_rng(seed)
     mean, batches = basis.mean, len(basis.of_batches)
     scatter = (basis.of_batches - mean) / np.sqrt(batches * (batches - 1.0))
     noise = np.sum([basis.spread(one) for one in scatter], axis=0)
     now = np.ones(mean.shape[0])
-    best = most_even(basis.spread(mean) - noise, basis.level(mean), limits)
+    best = most_uniform_powers(basis.spread(mean) - noise, basis.level(mean), limits)
     found = np.empty((draws, len(now)))
     variation = np.empty((2, draws))
     for d in range(draws):
@@ -335,10 +335,10 @@ def even_powers(basis: LightBasis, limits: PowerLimits, seed: int = 0, draws: in
         moved = np.tensordot(rng.standard_normal(batches), scatter, axes=1) * np.sqrt(factor2)
         drawn = basis.of_draws[d % len(basis.of_draws)] + moved
         spread, level = basis.spread(drawn) - (1.0 + factor2) * noise, basis.level(drawn)
-        found[d] = most_even(spread, level, limits).powers
+        found[d] = most_uniform_powers(spread, level, limits).powers
         variation[:, d] = [_variation(spread, level, powers) for powers in (now, best.powers)]
     spread, level = basis.spread(mean) - noise, basis.level(mean)
-    return EvenPowers(
+    return UniformPowers(
         powers=best.powers,
         variation_now_rel=_variation(spread, level, now),
         variation_rel=_variation(spread, level, best.powers),
@@ -392,7 +392,7 @@ def light_powers(
     lights: Sequence[PoweredLight],
     basis: LightBasis,
     limits: PowerLimits,
-    found: EvenPowers,
+    found: UniformPowers,
     places_mm: Floats,
     normal_error: NormalErrorChange | None = None,
     mapped: LightPlaceMap | None = None,
@@ -464,7 +464,7 @@ def powers_sentence(record: LightPowers) -> str:
     now, then, gain = record.variation_now_rel, record.variation_rel, record.gain_rel
     if len(record.rows) == 1:
         return (
-            "There is one light, so its power does not change the evenness: the brightness of the coat "
+            "There is one light, so its power does not change how evenly the pad is lit: the brightness of the coat "
             f"varies by {100 * now.estimate:.0f} % over the pad ({100 * now.low95:.0f} % to "
             f"{100 * now.high95:.0f} %)."
         )
@@ -472,8 +472,8 @@ def powers_sentence(record: LightPowers) -> str:
     more = f" and {len(record.rows) - _MOST_NAMED} more as listed" if len(record.rows) > _MOST_NAMED else ""
     if gain.high95 <= _NO_GAIN:
         sentence = (
-            f"No allowed powers are more even: keep {told}{more}, where the brightness of the coat varies by "
-            f"{100 * then.estimate:.0f} % over the pad."
+            f"No powers within the limits light the pad more evenly: keep {told}{more}. The brightness of the coat "
+            f"then varies by {100 * then.estimate:.0f} % over the pad."
         )
     else:
         lead = (

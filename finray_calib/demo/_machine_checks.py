@@ -19,7 +19,7 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import Final, Literal
 
-from data_schemas import DiedError, FinrayError
+from data_schemas import FinrayError, ProcessDiedError
 from data_schemas.storage import Child
 
 State = Literal["good", "note", "bad"]
@@ -105,7 +105,7 @@ def check_machine(limit_s: float = LIMIT_S, checks: tuple[Check, ...] = CHECKS) 
             try:
                 found = child.call(check.function, {}, time_s=left_s)
                 return Finding(check.name, found["state"], found["found"], found["mend"])
-            except DiedError as died:
+            except ProcessDiedError as died:
                 if time.monotonic() >= deadline_s:
                     return _unanswered(check, limit_s)
                 return Finding(check.name, check.if_dead, f"its trial {died}", check.mend)

@@ -320,6 +320,6 @@ def truth_statement(results: DemoResults) -> str | None:
     best_deg, loss = true_loss(results.true_sweeps, results.decision.angle_deg)
     cost = "nothing measurable" if loss < 0.0005 else percent(loss)
     return (
-        f"On the hidden true finger the best rendered angle is {best_deg:.0f} deg, and the chosen "
-        f"{results.decision.angle_deg:.0f} deg loses {cost} against it."
+        f"On the true finger, which the fit and the decision did not see, the best angle is {best_deg:.0f} deg, "
+        f"and the chosen {results.decision.angle_deg:.0f} deg loses {cost} against it."
     )

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from data_schemas import DiedError, Record, RecordError, provenance
+from data_schemas import ProcessDiedError, Record, RecordError, provenance
 from data_schemas.storage import (
     MANIFEST_NAME,
     Child,
@@ -378,7 +378,7 @@ def run_demo(
     ------
     RecordError
         The folder holds something else, a finished demo or one with other settings, or a product was changed.
-    DiedError
+    ProcessDiedError
         The process of a stage died; the message names the stage, its log and what to do.
     FinrayError
         What a stage refuses.
@@ -426,8 +426,8 @@ class _Processes:
             said = child.call(
                 stage.function, arguments, log=log, hear=None if count is None else lambda message: count(*message)
             )
-        except DiedError as died:
-            raise DiedError(
+        except ProcessDiedError as died:
+            raise ProcessDiedError(
                 f"{stage.words} {died}. Its log is {log}. Finished work is kept: the same command continues there; "
                 "if that fails again, 'finray doctor' lists what this machine lacks"
             ) from None

@@ -32,7 +32,7 @@ from data_schemas import (
     digest_of_input,
     provenance,
 )
-from data_schemas.storage import progress_teller, read_bytes, read_record, write_bytes, write_record
+from data_schemas.storage import progress_sender, read_bytes, read_record, write_bytes, write_record
 from sim.optics import RendererChoice, open_renderer
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class DemoSettings:
     out
         Folder that receives everything.
     materials
-        Colour -> CSV file of a measured re-radiation matrix; a hidden paper-family paint where left out.
+        Colour -> CSV file of a measured re-radiation matrix; a simulated paint of the paper's family where left out.
     sensor
         CSV file of a measured camera response; the assumed one when None.
     seed
@@ -254,10 +254,10 @@ class Demo:
 
     def true_finger(self, design: FingerDesign | None = None) -> "PaintedFinger":
         """Return the finger as it was really built: true paints, light and coating a little off."""
-        from sim.experiments import hidden_design
+        from sim.experiments import as_built_design
 
         paints = {colour: true_paint_optics(colour, self.truth(colour)) for colour in COLOURS}
-        return self._finger(hidden_design(design or self.design()), paints)
+        return self._finger(as_built_design(design or self.design()), paints)
 
     def twin(self, progress: Progress) -> TactileCapture:
         """Capture the digital twin: hidden true paints, another light angle, coating and seed."""
@@ -384,4 +384,4 @@ def demo_of(stored: Mapping[str, Any]) -> Demo:
 def run_stage(settings: Mapping[str, Any], what: str, arguments: Mapping[str, Any]) -> None:
     """Run a stage in a process of its own: a method of :class:`Demo` that stores its product."""
     method = getattr(demo_of(settings), what)
-    method(**arguments, **({"progress": progress_teller()} if what in WITH_PROGRESS else {}))
+    method(**arguments, **({"progress": progress_sender()} if what in WITH_PROGRESS else {}))

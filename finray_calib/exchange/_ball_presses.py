@@ -374,8 +374,8 @@ _NOT_NEEDED = {
     "polycalib.npz": "the shading table: it was made from the presses, and 'finray sense teach' fits a normal map to "
     "them",
     "gelmap.npy": "the height of the undeformed gel: not part of a capture",
-    "real_bg.npy": "a background: f0 of dataPack.npz is used in its place",
-    "bg.jpg": "a background: f0 of dataPack.npz is used in its place",
+    "real_bg.npy": "a picture without contact: f0 of dataPack.npz is used instead",
+    "bg.jpg": "a picture without contact: f0 of dataPack.npz is used instead",
 }
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from data_schemas import BandPassFilter, MissingExtraError, naming_file
-from data_schemas.storage import refuse_taken, write_bytes, write_whole
+from data_schemas.storage import refuse_existing, write_atomically, write_bytes
 from finray_calib.exchange._session_frames import FrameSink, Progress, SessionFrame, SessionFrames, exchangeable
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def write_nexus(session: SessionFrames, out: Path, origin: str, progress: Progre
 
             _fill_entry(_group(file, "entry", "NXentry"), session, origin, stored)
 
-    write_whole(out, fill)
+    write_atomically(out, fill)
     return len(session.frames)
 
 
@@ -233,7 +233,7 @@ def write_bluesky_documents(session: SessionFrames, out: Path, origin: str, prog
         A frame is missing or was changed.
     """
     frames = out.with_suffix(".nxs")
-    refuse_taken(out)
+    refuse_existing(out)
     documents = list(bluesky_documents(session, frames, origin))
     lines = "".join(f"{json.dumps(document, allow_nan=False)}\n" for document in documents)
     write_nexus(session, frames, origin, progress)

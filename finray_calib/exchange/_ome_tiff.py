@@ -12,7 +12,7 @@ from typing import Final
 from xml.etree import ElementTree
 
 from data_schemas import naming_file
-from data_schemas.storage import write_whole
+from data_schemas.storage import write_atomically
 from finray_calib.exchange._session_frames import (
     DARK,
     LARGEST_PLAIN_BYTES,
@@ -81,7 +81,7 @@ def write_ome_tiff(session: SessionFrames, out: Path, origin: str, progress: Pro
                 sink.require_room()
                 progress(number + 1, len(planes), frame.filter_name)
 
-    write_whole(out, fill)
+    write_atomically(out, fill)
     return len(series)
 
 

@@ -45,7 +45,7 @@ def origin_lines(paint: PaintCalibration, origin: Provenance) -> tuple[str, ...]
     laser_nm = paint.optics.laser.wavelength_nm
     return (
         f"paint: {paint.paint_name}",
-        f"quantity: {QUANTITY}, for excitation at {laser_nm:g} nm; its integral is emitted over incident energy",
+        f"quantity: {QUANTITY}, for excitation at {laser_nm:g} nm; its integral is emitted / incident energy",
         f"family: {paint.family_title}; {paint.family_choice}",
         *(f"warning: {warning}" for warning in paint.warnings),
         f"made by: {origin.command} (finray-calib {origin.package_version}, {origin.created_utc})",

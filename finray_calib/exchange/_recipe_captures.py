@@ -558,7 +558,7 @@ class _Folder:
             return label_entry(path, value)
         if press is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': 'press' is missing, which belongs to file = \"{file}\"; name "
+                f"recipe '{self.recipe.name}': 'press' is missing next to file = \"{file}\"; name "
                 "the column that holds the press of each line"
             )
         table = self._tables.get((path, press)) or read_label_table(path, press)

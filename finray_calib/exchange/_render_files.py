@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from data_schemas import ContactCircle, ImportFormatError, Model, Provenance, SimulatedPress, TactileCapture, explain
-from data_schemas.storage import ProductSet, read_bytes, read_json, read_npy, refuse_taken
+from data_schemas.storage import ProductSet, read_bytes, read_json, read_npy, refuse_existing
 from finray_calib.exchange._paint_reradiation import exr_pixels
 from finray_calib.sensing import contact_distance, outline_distance
 from rigs.cameras import read_picture
@@ -72,7 +72,7 @@ def write_optics_folder(
     RecordError
         The folder exists already.
     """
-    refuse_taken(folder)
+    refuse_existing(folder)
     for name, image in _exr_images(products, f"{products.press.label}; made by {origin.command}").items():
         stored.add(folder / f"{name}.exr", image)
     for name in ("contact", "no_contact"):
@@ -115,7 +115,7 @@ def write_picture_folder(
     RecordError
         The folder exists already.
     """
-    refuse_taken(folder)
+    refuse_existing(folder)
     images = {"no_contact": press.no_contact, "contact": press.contact, "variance": press.variance}
     channels = {
         f"{name}.{colour}": image[..., k]

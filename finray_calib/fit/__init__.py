@@ -87,7 +87,7 @@ if TYPE_CHECKING:
         EmissionPrior,
         Prior,
     )
-    from finray_calib.fit._repeated_sessions import combine_sessions, departing_warnings
+    from finray_calib.fit._repeated_sessions import combine_sessions, outlying_session_warnings
     from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE
     from finray_calib.fit._sensor_posterior import (
         PictureBlocks,
@@ -144,7 +144,6 @@ __all__ = [
     "colour_checker_reflectance",
     "combine_sessions",
     "curve_bands",
-    "departing_warnings",
     "design_filters",
     "detect_emission",
     "estimate",
@@ -160,6 +159,7 @@ __all__ = [
     "map_paint",
     "map_pixels",
     "next_filters",
+    "outlying_session_warnings",
     "paper_parameters",
     "patch_colours",
     "picture_blocks",

@@ -31,10 +31,10 @@ from finray_calib.spectra import (
     BandTolerances,
     EmissionWeights,
     band_quadrature,
+    band_tolerances,
     extrapolated_shares,
     lamp_response,
-    tolerances_of,
-    weights_of,
+    rig_emission_weights,
 )
 
 FloatArray = NDArray[np.float64]
@@ -314,7 +314,7 @@ def band_data(bands: BandSignals) -> BandData:
     FitError
         Fewer than four usable bands, or values that are not numbers.
     """
-    weights = weights_of(bands.optics, bands.channel_weights)
+    weights = rig_emission_weights(bands.optics, bands.channel_weights)
     in_band = weights.leaked_white.reshape(-1, 3) <= LARGEST_LEAK_OF_WHITE
     return BandData(
         y=bands.fluorescence,
@@ -322,7 +322,7 @@ def band_data(bands: BandSignals) -> BandData:
         usable=bands.usable() & in_band,
         weights=weights,
         band_calibration_rel=bands.optics.band_uncertainty.calibration_rel,
-        tolerances=tolerances_of(bands.optics, bands.channel_weights),
+        tolerances=band_tolerances(bands.optics, bands.channel_weights),
         lamp_response_rel=lamp_response(bands.optics, bands.channel_weights),
         tile_uncertainty_rel=bands.optics.white_reference.uncertainty_rel,
     )

@@ -246,18 +246,18 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
     against = gain < -CLEAR_SCORE_SD * scores[best].difference_sd
     if scores[DEFAULT_FAMILY].probability < RULED_OUT_PROBABILITY and not clear and not against:
         return best, (
-            f"{best}: the bands rule out the default, {DEFAULT_FAMILY} (probabilities {told}; left-out bands "
-            f"{gain:+.1f} +- {scores[best].difference_sd:.1f} nats)"
+            f"{best}: the bands rule out the default, {DEFAULT_FAMILY} (probabilities {told}; log score of left-out "
+            f"bands {gain:+.1f} +- {scores[best].difference_sd:.1f} nats)"
         )
     if clear:
         return best, (
-            f"{best}: the bands clearly contradict the default, {DEFAULT_FAMILY} (probabilities {told}; left-out "
-            f"bands predicted better by {gain:.1f} +- {scores[best].difference_sd:.1f} nats)"
+            f"{best}: the bands clearly contradict the default, {DEFAULT_FAMILY} (probabilities {told}; {best} "
+            f"predicts left-out bands better by {gain:.1f} +- {scores[best].difference_sd:.1f} nats of log score)"
         )
-    left_out = f"left-out bands: {best} {gain:+.1f} +- {scores[best].difference_sd:.1f} nats"
+    left_out = f"log score of left-out bands: {best} {gain:+.1f} +- {scores[best].difference_sd:.1f} nats"
     if scores[DEFAULT_FAMILY].probability < SMALLEST_DEFAULT_PROBABILITY:
         return DEFAULT_FAMILY, (
-            f"{DEFAULT_FAMILY}: the default, although it is improbable given these bands (probabilities {told}), "
+            f"{DEFAULT_FAMILY}: the default stays although the bands make it improbable (probabilities {told}), "
             f"because {best} does not predict left-out bands clearly better ({left_out})"
         )
     return DEFAULT_FAMILY, (

@@ -39,9 +39,9 @@ from finray_calib.fit._prior import EmissionPrior
 from finray_calib.spectra import (
     WAVELENGTH_NM,
     EmissionWeights,
+    band_tolerances,
     lamp_response,
-    tolerances_of,
-    weights_of,
+    rig_emission_weights,
 )
 
 Floats = NDArray[np.float64]
@@ -371,7 +371,7 @@ def _best_rows(optics: Optics, filters: Sequence[BandPassFilter]) -> Floats:
     names = [f"{i}" for i in range(len(filters))]
     every = (at_laser, *(f.model_copy(update={"name": n}) for f, n in zip(filters, names, strict=True)))
     curves = {at_laser.name: optics.filter_curves[at_laser.name]} if at_laser.name in optics.filter_curves else {}
-    weights = weights_of(
+    weights = rig_emission_weights(
         optics.model_copy(update={"filters": every, "filter_curves": curves}), _channel_weights(optics)
     )
     leak = weights.leaked_white.reshape(len(every), -1)
@@ -476,7 +476,7 @@ class _Screen:
 def _known_rig(optics: Optics) -> tuple[EmissionWeights, BandData]:
     """Return the weights of a rig, and data of it whose values are still to come."""
     channels = _channel_weights(optics)
-    weights = weights_of(optics, channels)
+    weights = rig_emission_weights(optics, channels)
     rows = weights.band_index.size
     usable = (weights.leaked_white <= LARGEST_LEAK_OF_WHITE).reshape(weights.bands, -1)
     data = BandData(
@@ -485,7 +485,7 @@ def _known_rig(optics: Optics) -> tuple[EmissionWeights, BandData]:
         usable=usable,
         weights=weights,
         band_calibration_rel=optics.band_uncertainty.calibration_rel,
-        tolerances=tolerances_of(optics, channels),
+        tolerances=band_tolerances(optics, channels),
         lamp_response_rel=lamp_response(optics, channels),
     )
     return weights, data

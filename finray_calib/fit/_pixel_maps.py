@@ -53,8 +53,8 @@ from finray_calib.spectra import (
     band_quadrature,
     family_named,
     gauss_nodes,
+    rig_emission_weights,
     skew_shape_table,
-    weights_of,
 )
 from finray_calib.spectra.family_kernels import SHAPES
 
@@ -198,7 +198,7 @@ def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> 
     FitError
         No pixel is usable.
     """
-    problem, factor = pixel_problem(region, weights_of(pixels.optics, pixels.channel_weights), spread)
+    problem, factor = pixel_problem(region, rig_emission_weights(pixels.optics, pixels.channel_weights), spread)
     results, status, bands = _fit(problem, pixels)
     fitted = int((status > 0).sum())
     if fitted == 0:

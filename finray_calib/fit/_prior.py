@@ -182,7 +182,7 @@ class EmissionPrior:
             words = f"log-normal multiplier of the filters' leak, median 1, sd of the logarithm {self.ln_blocking_sd:g}"
             rows.append((BLOCKING, 0.0, self.ln_blocking_sd, -inf, inf, words))
         for name, sd in (own_leaks or {}).items():
-            words = f"normal(0, 1): ln(leak of filter {name} over the common one) in units of {sd:.2g}"
+            words = f"normal(0, 1): ln(leak of filter {name} / common leak) in units of {sd:.2g}"
             rows.append((OWN_LEAK.format(name), 0.0, 1.0, -inf, inf, words))
         names, mean, sds, low, high, texts = zip(*rows, strict=True)
         return Prior(names, np.array(mean), np.array(sds), np.array(low), np.array(high), texts)

@@ -173,11 +173,11 @@ def _notes(scatter: SessionScatter) -> tuple[str, ...]:
         f"{len(scatter.session_levels_rel)} sessions combined; the standard deviation between sessions is "
         f"{percent(scatter.level_rel)} of the level and {percent(scatter.filter_rel)} of a single filter in addition "
         f"(95 %); levels of the sessions: {levels}",
-        *departing_warnings(scatter),
+        *outlying_session_warnings(scatter),
     )
 
 
-def departing_warnings(scatter: SessionScatter) -> tuple[str, ...]:
+def outlying_session_warnings(scatter: SessionScatter) -> tuple[str, ...]:
     """Return a warning for each session that differs from the others by more than they scatter."""
     return tuple(
         f"session {number} differs from the other sessions by more than these differ from each other (p < "

@@ -119,7 +119,7 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps, accept_repeat: 
     tables = (steps.white, steps.reflectance, steps.fluorescence)
     return BandSignals(
         paint_name=session.plan.paint_name,
-        optics=optics_of(session),
+        optics=rig_optics(session),
         fluorescence=y.values.reshape(-1, 3),
         fluorescence_covariance=y.covariance,
         reflectance=rho.values.reshape(-1, 3),
@@ -142,7 +142,7 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps, accept_repeat: 
     )
 
 
-def optics_of(session: CaptureSession) -> Optics:
+def rig_optics(session: CaptureSession) -> Optics:
     """Return the known curves of the rig for the captured filters."""
     names = captured_filters(session)
     filters = tuple(f for f in session.rig.filter_wheel.filters if f.name in names)

@@ -365,8 +365,9 @@ def bleaching_note(bleaching: Bleaching) -> str:
     """Say in one sentence what was found and what was done about it."""
     found = (
         f"bleaching through filter {bleaching.filter_name}: {100 * bleaching.loss_per_j:.3g} +- "
-        f"{percent(bleaching.sd_per_j)} of the emission per joule, over {bleaching.dose_span_j:.3g} J"
+        f"{percent(bleaching.sd_per_j)} of the emission per joule of laser light, over "
+        f"{bleaching.dose_span_j:.3g} J"
     )
     if bleaching.resolved:
         return f"{found}; corrected to the first laser frame"
-    return f"{found}; not resolved, not corrected, carried as an uncertainty common to all bands"
+    return f"{found}; not significant, so it is not corrected, but counted as an uncertainty common to all bands"

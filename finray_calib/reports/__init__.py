@@ -12,7 +12,7 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.reports._batch_page import PressPictures, batch_lines, batch_page, press_pictures, ranking_figure
-    from finray_calib.reports._certificate_page import Certificate, certificate_of, certificate_page, certificate_pdf
+    from finray_calib.reports._certificate_page import Certificate, certificate_page, certificate_pdf, paint_certificate
     from finray_calib.reports._check_page import check_report, history_page
     from finray_calib.reports._comparison_figures import (
         error_map_figure,
@@ -105,14 +105,14 @@ if TYPE_CHECKING:
         drawing,
         figure_png,
         files_table,
-        found_part,
+        findings_section,
         in_rows,
         light_of,
+        limits_section,
         one_group,
         provenance_table,
         raster,
         report_html,
-        trust_part,
     )
     from finray_calib.reports._plain_text import (
         NO_VALUE,
@@ -184,7 +184,6 @@ __all__ = [
     "assessment_page",
     "batch_lines",
     "batch_page",
-    "certificate_of",
     "certificate_page",
     "certificate_pdf",
     "check_report",
@@ -210,6 +209,7 @@ __all__ = [
     "error_table",
     "figure_png",
     "files_table",
+    "findings_section",
     "finger_outline",
     "finger_page",
     "finger_page_png",
@@ -220,7 +220,6 @@ __all__ = [
     "fluorescent_rendering_png",
     "force_figure_png",
     "force_lines",
-    "found_part",
     "grasp_png",
     "grid_phrase",
     "headline",
@@ -236,6 +235,7 @@ __all__ = [
     "light_map_sentence",
     "light_of",
     "lights_from_the_side",
+    "limits_section",
     "lit_pad_figure",
     "material_fit_png",
     "methods_part",
@@ -245,6 +245,7 @@ __all__ = [
     "no_emission_page",
     "one_group",
     "pad_window",
+    "paint_certificate",
     "paint_map_figure",
     "paint_report",
     "paint_sentence",
@@ -288,7 +289,6 @@ __all__ = [
     "to_display",
     "touch_pair",
     "true_value",
-    "trust_part",
     "two_lights_png",
     "untouched_finger_png",
     "verdict_light",

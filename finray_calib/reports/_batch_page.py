@@ -35,12 +35,12 @@ from finray_calib.reports._page import (
     ReportTable,
     drawing,
     files_table,
-    found_part,
+    findings_section,
     in_rows,
     light_of,
+    limits_section,
     one_group,
     report_html,
-    trust_part,
 )
 from finray_calib.reports._plain_text import NO_VALUE, fixed, plain, skill_text
 from finray_calib.reports._style import BLUE, INK, MUTED, new_figure, styled, svg_text
@@ -147,8 +147,8 @@ def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: 
             picture=_ranking_picture(batch) if _ranked(batch) else None,
             key_numbers=tuple(_key_numbers(batch)),
             parts=(
-                *found_part((*list(_sentences(batch))[1:], *_failures(batch))),
-                trust_part(_limits(batch), batch.notes),
+                *findings_section((*list(_sentences(batch))[1:], *_failures(batch))),
+                limits_section(_limits(batch), batch.notes),
                 *_sections(batch, worst),
             ),
             command=command,

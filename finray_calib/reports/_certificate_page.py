@@ -83,7 +83,7 @@ class Certificate:
     end: str
 
 
-def certificate_of(
+def paint_certificate(
     paint: PaintCalibration,
     results: Sequence[CertifiedResult],
     details: CertificateDetails,
@@ -323,7 +323,7 @@ def _uncertainty(paint: PaintCalibration, has_budget: bool) -> str:
     stated = paint.optics.band_uncertainty
     told = (
         "U is half of the interval that holds 95 % of the posterior draws, symmetric in probability (JCGM 101), and k "
-        "is U over their standard deviation."
+        "is U divided by their standard deviation."
     )
     budget = (
         "The budget holds standard uncertainties (k = 1): sensitivity of the posterior mean times the standard "

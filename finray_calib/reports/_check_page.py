@@ -21,12 +21,12 @@ from finray_calib.reports._page import (
     TableGroup,
     drawing,
     files_table,
-    found_part,
+    findings_section,
     light_of,
+    limits_section,
     one_group,
     provenance_table,
     report_html,
-    trust_part,
 )
 from finray_calib.reports._plain_text import NO_VALUE, fixed, percent, plain
 from finray_calib.reports._style import (
@@ -72,16 +72,16 @@ def check_report(report: AcceptanceReport) -> str:
     return report_html(
         ReportPage(
             verb="finray check",
-            title=report.rig.name,
-            lead=f"Acceptance check {report.plan.check_name}: what the devices of this rig did, against the limits of "
-            "the plan.",
+            title=f"Rig: {report.rig.name}",
+            lead=f"Acceptance check '{report.plan.check_name}': what the devices of this rig did, against the limits "
+            "of the plan.",
             verdict=report.verdict,
             light=_LIGHTS[report.verdict],
             sentence=_SENTENCES[report.verdict],
             picture=_checks_picture(report),
             key_numbers=_check_numbers(report),
             parts=(
-                *found_part(f"{result.verdict}: {result.name}: {_short(result)}" for result in look),
+                *findings_section(f"{result.verdict}: {result.name}: {_short(result)}" for result in look),
                 Part("Checks", Content(rule, tables=(_results(report),))),
                 Part("Devices", Content(tables=(_devices(report),), parts=notes)),
                 methods_part(check_methods(GUARD_FACTOR), report.provenance),
@@ -244,8 +244,8 @@ def history_page(history: History, folder: str, reference: int) -> str:
             picture=_picture(alarmed[0]) if alarmed else None,
             key_numbers=key_numbers,
             parts=(
-                *found_part(_findings(history)),
-                trust_part(_limits(history, reference)),
+                *findings_section(_findings(history)),
+                limits_section(_limits(history, reference)),
                 *(_charts(name, history) for name in groups),
                 _ledger(history),
             ),

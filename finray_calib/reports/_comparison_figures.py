@@ -87,6 +87,10 @@ def draw_outline(axes: Axes, mask: NDArray[np.bool_], line: str) -> None:
     axes.contour(*centers, mask.astype(float), levels=[0.5], colors=INK, linewidths=1.2, linestyles=line)
 
 
+_TALLEST = 1.2
+"""Height of a picture over its width: the strip under a cylinder is six times as tall, and would fill screens."""
+
+
 @styled()
 def cause_figure(changed: NDArray[np.float32], all_changes: NDArray[np.float32]) -> str:
     """Draw what one cause changes in the image, on the scale of the largest of all causes.
@@ -101,7 +105,7 @@ def cause_figure(changed: NDArray[np.float32], all_changes: NDArray[np.float32])
     top = max(float(np.percentile(np.abs(all_changes), SHOWN_PERCENTILE)), 1e-9)
     rows, columns = np.flatnonzero(all_changes.any(axis=(0, 2))), np.flatnonzero(all_changes.any(axis=(0, 1)))
     part = changed if not rows.size else changed[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    figure, axes, below = _picture_over_bar(4.4, part.shape[0] / part.shape[1])
+    figure, axes, below = _picture_over_bar(4.4, min(part.shape[0] / part.shape[1], _TALLEST))
     drawn = axes.imshow(part, cmap="PuOr_r", vmin=-top, vmax=top)
     axes.set_axis_off()
     _put_bar(figure, drawn, below, "change / level (1)", "both")

@@ -59,14 +59,14 @@ from finray_calib.reports._page import (
     ReportPage,
     drawing,
     files_table,
-    found_part,
+    findings_section,
     images_table,
     in_rows,
     light_of,
+    limits_section,
     raster,
     report_html,
     scale_table,
-    trust_part,
 )
 from finray_calib.reports._plain_text import Json, fixed, interval_name, percent, plain, signed_percent, significant
 
@@ -102,7 +102,7 @@ def comparison_page(
     return report_html(
         ReportPage(
             verb="finray compare",
-            title=f"{report.simulated} against {report.captured}",
+            title=f"{report.simulated}, compared with {report.captured}",
             lead=f"How far a simulated touch is from a real one. Simulation: {report.label}. Compared "
             f"{words.grid_phrase(report)}; values: {report.values}.{words.relative_sentence(report)}",
             verdict=words.comparison_verdict(report),
@@ -111,8 +111,8 @@ def comparison_page(
             picture=_touched(report, pictures),
             key_numbers=_key_numbers(report),
             parts=(
-                *found_part(_findings(report)),
-                trust_part(words.limits(report), report.notes),
+                *findings_section(_findings(report)),
+                limits_section(words.limits(report), report.notes),
                 *_sections(report, press, capture, pictures),
                 methods_part(comparison_methods(report), report.provenance),
             ),
@@ -205,8 +205,8 @@ def _camera(report: PhotometricErrorReport) -> Part:
     if curve is not None:
         picture = drawing(
             tone_figure(curve),
-            f"Captured level over the light of the render, with a fitted curve. {words.tone_sentence(curve)}",
-            "Without contact: captured level over the light of the render, one point for each block of pixels, the "
+            f"Captured level against the light of the render, with a fitted curve. {words.tone_sentence(curve)}",
+            "Without contact: captured level against the light of the render, one point for each block of pixels, the "
             "fitted curve of each channel and the 95 % band of its draws. What to see: the points should follow the "
             "curve; where they scatter, the render's light without contact is wrong.",
         )
@@ -224,7 +224,7 @@ def _sensed(sensing: SensingError) -> Part:
     simulation = next(row for row in sensing.rows if row.candidate == "simulation")
     outside = max(sensing.outside_share_simulated, sensing.outside_share_captured)
     remarks = [
-        f"The map '{sensing.normal_map}' was taught by {sensing.presses} presses; of presses that it had not seen it "
+        f"The map '{sensing.normal_map}' was trained on {sensing.presses} presses; of presses that it had not seen it "
         f"explains {percent(score.estimate)} of the squared slopes ({percent(score.low95)} to {percent(score.high95)} "
         "over random halves). A wrong map is wrong on both sides in the same way, and its errors partly cancel here."
     ]

@@ -112,7 +112,7 @@ def verdict_meaning(report: PhotometricErrorReport) -> str:
         "between two captures of the same touch. This capture could not "
         "distinguish a better simulation from this one.",
         "Better than no simulation": f"The simulation predicts what the touch changes, but not all of it: {left} of "
-        f"the squared change is left over. The error map shows where.{wide}",
+        f"the squared change remains unexplained. The error map shows where.{wide}",
         "Not distinguishable from no simulation": "This capture gives no reason to prefer the simulation to an image "
         "of the "
         "untouched pad. Do not rely on the simulated touch; look at the findings, the pose and the light first.",
@@ -375,7 +375,7 @@ def packaged_metric_table(metrics: tuple[PackagedMetric, ...]) -> ReportTable:
         values = [shown.get(name, NO_VALUE) for name in _CANDIDATES]
         over = f", interval over {metric.draws} draws of the inputs" if metric.draws else ", without an interval"
         groups.append(TableGroup(metric.package, ((f"{metric.name}: {metric.words}{over}", *values, metric.better),)))
-    return ReportTable("Metrics that other packages bring", _METRIC_COLUMNS, tuple(groups))
+    return ReportTable("Metrics of other packages", _METRIC_COLUMNS, tuple(groups))
 
 
 def tone_table(curve: FittedToneCurve) -> ReportTable:
@@ -384,7 +384,7 @@ def tone_table(curve: FittedToneCurve) -> ReportTable:
     rows = [("exponent of the tone curve", _interval(curve.exponent)), ("offset (DN)", _interval(curve.offset_dn))]
     named = zip(CHANNELS, (red, green, blue), strict=True)
     rows += [
-        (f"white balance in light, {name} over green", None if value is None else _interval(value))
+        (f"white balance in light, {name} / green", None if value is None else _interval(value))
         for name, value in named
         if name != "green"
     ]
@@ -412,7 +412,7 @@ def white_balance_table(drift: WhiteBalanceDrift) -> ReportTable:
             )
         )
     return one_group(
-        "Contact over no contact, beyond 3 half-widths from the contact.",
+        "Contact / no contact, beyond 3 half-widths from the contact.",
         ("channel", "captured", "simulated", "standard uncertainty", "change across the picture"),
         tuple(rows),
     )

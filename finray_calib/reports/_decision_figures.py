@@ -219,9 +219,9 @@ def contacts_figure(decision: LightAngleDecision) -> str:
     order = np.argsort([contact.position_mm for contact in decision.contacts], kind="stable")
     contacts = [decision.contacts[k] for k in order]
     value = decision.contact_value[order]
-    loss, label, top = 1.0 - value, "less bright than at its best (1)", 0.6
+    loss, label, top = 1.0 - value, "brightness lost (1)", 0.6
     if decision.aim == "normal":
-        loss, label, top = 1.0 / value - 1.0, "error of the normal above its best (1)", 0.3
+        loss, label, top = 1.0 / value - 1.0, "error added (1)", 0.3
     figure = new_figure(5.8, 1.6 + 0.22 * len(contacts))
     axes = figure.subplots()
     rows = np.arange(len(contacts))
@@ -369,7 +369,7 @@ def lit_pad_figure(record: LightPowers) -> str:
         _draw_powers(axes, record, powers)
         axes.set_title(title)
     figure.axes[1].set_xlabel("along the pad from its base (mm)")
-    figure.colorbar(drawn[0], ax=figure.axes[:2], label="brightness over its mean", shrink=0.8)
+    figure.colorbar(drawn[0], ax=figure.axes[:2], label="brightness / its mean", shrink=0.8)
     return svg_text(figure)
 
 

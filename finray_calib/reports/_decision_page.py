@@ -36,9 +36,9 @@ from finray_calib.reports._page import (
     drawing,
     files_table,
     light_of,
+    limits_section,
     one_group,
     report_html,
-    trust_part,
 )
 from finray_calib.reports._plain_text import Json, percent, plain, probability, signed_percent
 
@@ -80,7 +80,7 @@ def decision_page(
             key_numbers=decision_numbers(decision),
             parts=(
                 *_opening(decision),
-                trust_part(limits(decision), (*decision.notes, *(n for n in told if n not in decision.notes))),
+                limits_section(limits(decision), (*decision.notes, *(n for n in told if n not in decision.notes))),
                 *_sections(decision, sweeps),
                 methods_part(decision_methods(decision, sweep), decision.provenance),
             ),
@@ -561,7 +561,7 @@ def discrepancy_sentence(decision: LightAngleDecision) -> str | None:
     """Say how far the simulation may be off at an angle without a capture; None where the record does not say."""
     if decision.discrepancy_rel is None:
         return None
-    source = "after what the captures have shown" if decision.validated else "assumed until a capture shows it"
+    source = "as the captures show" if decision.validated else "assumed until a capture measures it"
     return (
         f"At an angle without a capture the simulation may be off by {percent(decision.discrepancy_rel)}"
         f"{_range_text(decision)}, as one standard deviation, {source}."

@@ -22,12 +22,12 @@ from finray_calib.reports._page import (
     ReportTable,
     drawing,
     files_table,
-    found_part,
+    findings_section,
     light_of,
+    limits_section,
     one_group,
     raster,
     report_html,
-    trust_part,
 )
 from finray_calib.reports._plain_text import NO_VALUE, interval_text
 from finray_calib.reports._style import BLUE, CHANNELS, HAIRLINE, INK, MUTED, new_figure, png_bytes, styled, svg_text
@@ -53,7 +53,7 @@ _SHOWN = ("vividness", "variation_rel", "touch_rel", "brightness_rel", "force_n"
 _SHARES = tuple((f"{name}_share", marker, colour) for name, marker, colour in CHANNELS)
 """Metrics of one panel, the share of the coat where each light leads, with their markers and colours."""
 _IN_CAPTIONS: Mapping[str, str] = {
-    "variation_rel": "spread of the light over its mean",
+    "variation_rel": "standard deviation / mean of the light",
     "vividness": "vividness",
     "touch_rel": "change by the touch",
     "force_n": "force in N",
@@ -61,7 +61,7 @@ _IN_CAPTIONS: Mapping[str, str] = {
 """Metrics below a picture, in words."""
 _TITLES: Mapping[str, str] = {
     **_IN_CAPTIONS,
-    "brightness_rel": "brightness over the panel's radiance",
+    "brightness_rel": "brightness / the panel's radiance",
     "seen_area_mm2": "visible area in mm\u00b2",
 }
 _MOST_NAMED_POINTS, _LONGEST_POINT_NAME = 12, 22
@@ -109,13 +109,13 @@ def design_study_page(
                 *list(_key_numbers(result))[:2],
             ),
             parts=(
-                *found_part(
+                *findings_section(
                     (
                         *(f"Point {f.number} ({_words(f.changes)}) failed: {f.reason}" for f in result.failures),
                         *_mixed_code(result),
                     )
                 ),
-                trust_part(_limits(result), notes),
+                limits_section(_limits(result), notes),
                 *_sections(result, points),
                 methods_part(study_methods(result), result.provenance),
             ),
@@ -497,8 +497,8 @@ def _pictures(points: Sequence[StudyPoint]) -> Content:
         f"channel, smoothed (grey: nothing; black and white: {100 * _CHANGE_SHOWN_REL:.0f} % and more; edges light up "
         "where the picture moves because the finger bends). Each channel is balanced for the screen, in the same way "
         "in all pictures. Base of the finger at the left, tip at the right; red paint on one wall, green on the "
-        "other, blue light from the base. Below each picture: the share of the coat where each light leads, and the "
-        "evenness, the vividness and the change by the touch (the section 'What the metrics are' defines them)."
+        "other, blue light from the base. Below each picture: the share of the coat where each light is the strongest, "
+        "and the evenness, the vividness and the change by the touch (the section 'What the metrics are' defines them)."
     )
     return Content(lead, (pictures,))  # one grid, whose pictures are all as wide
 
@@ -507,7 +507,11 @@ def _caption(point: StudyPoint) -> str:
     """Return the numbers of a point in a line."""
     found = {metric.name: metric for metric in point.metrics}
     shares = [found[name].value for name, _, _ in _SHARES if name in found]
-    parts = [f"Red, green, blue lead {', '.join(f'{100.0 * share:.0f}' for share in shares)} %"] if shares else []
+    parts = (
+        [f"Red, green, blue is the strongest on {', '.join(f'{100.0 * share:.0f}' for share in shares)} % of the coat"]
+        if shares
+        else []
+    )
     parts += [f"{words} {_value(found[name])}" for name, words in _IN_CAPTIONS.items() if name in found]
     return f"{'; '.join(parts)}."
 

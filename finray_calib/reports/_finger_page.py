@@ -26,10 +26,10 @@ from finray_calib.reports._page import (
     ReportTable,
     TableGroup,
     files_table,
+    limits_section,
     one_group,
     render_page,
     report_html,
-    trust_part,
 )
 from finray_calib.reports._plain_text import NO_VALUE
 from finray_calib.reports._style import BLUE, GREEN, INK, MUTED, SKY, VERMILLION
@@ -412,7 +412,7 @@ def assessment_page(
             tables=(one_group("Stiffness of the finger", ("load", "stiffness", "range", "moved most by"), rows,
                               is_words=True),),
         )),
-        trust_part((*decision_limits(decision), _ASSESSED_LIMIT), tolerances.notes),
+        limits_section((*decision_limits(decision), _ASSESSED_LIMIT), tolerances.notes),
     )  # fmt: skip
     return report_html(
         ReportPage(

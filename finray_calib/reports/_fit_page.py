@@ -42,11 +42,11 @@ from finray_calib.reports._page import (
     ReportPage,
     drawing,
     files_table,
-    found_part,
+    findings_section,
     light_of,
+    limits_section,
     provenance_table,
     report_html,
-    trust_part,
 )
 from finray_calib.reports._plain_text import estimate_text, fixed, percent, plain
 
@@ -77,7 +77,7 @@ def paint_report(paint: PaintCalibration, bands: BandSignals, budget: Sequence[B
     return report_html(
         ReportPage(
             verb="finray fit",
-            title=paint.paint_name,
+            title=f"Paint: {paint.paint_name}",
             lead=_lead(fitted),
             verdict=verdict,
             light=_FIT_LIGHTS[verdict],
@@ -85,8 +85,8 @@ def paint_report(paint: PaintCalibration, bands: BandSignals, budget: Sequence[B
             picture=_emission_picture(fitted),
             key_numbers=_fit_key_numbers(paint),
             parts=(
-                *found_part(_fit_findings(fitted, verdict)),
-                trust_part(_fit_limits(fitted), assumed=_assumptions(fitted)),
+                *findings_section(_fit_findings(fitted, verdict)),
+                limits_section(_fit_limits(fitted), assumed=_assumptions(fitted)),
                 replace(emission, content=shown_above),
                 *([_budget(fitted, budget)] if budget else []),
                 *parts,
@@ -144,7 +144,7 @@ def _measured(paint: PaintCalibration, name: str) -> tuple[Light, str]:
     share = paint.prior_shares.get(name)
     if share is None:
         return "", "how much of it comes from the prior was not judged"
-    left = f"{percent(share.share)} of the variance before the measurement is left"
+    left = f"{percent(share.share)} of the prior's variance remains"
     return light_of(not share.mostly_prior), f"{'mostly prior' if share.mostly_prior else 'measured'}: {left}"
 
 
@@ -273,7 +273,7 @@ def _emission(paints: Paints) -> Content:
     laser_nm = paints[0].fit.optics.laser.wavelength_nm
     return Content(
         lead=f"What the paint emits at each wavelength for light at {laser_nm:g} nm, per nm of emission, relative to a "
-        "perfect diffuse white. The bands marked pointwise hold the truth at each wavelength by itself; the one of the "
+        "perfect diffuse white. The pointwise bands contain the truth at each wavelength by itself; the one of the "
         "whole curve holds all of it at once, where it exceeds 5 % of its peak.",
         remarks=tuple(said.prior_share_statement(paint) for paint in paints),
         picture_rows=_row(paints, _emission_picture),
@@ -450,7 +450,7 @@ def no_emission_page(paint: PaintWithoutEmission, command: str, digests: Mapping
             sentence=f"{found.statement[:1].upper()}{found.statement[1:]}.",
             picture=_signals(paint),
             key_numbers=_key_numbers(paint),
-            parts=(*found_part(_findings(paint)), trust_part(_limits(paint), paint.warnings)),
+            parts=(*findings_section(_findings(paint)), limits_section(_limits(paint), paint.warnings)),
             command=command,
             origin=files_table(digests, package_version()),
             summary=plain(paint.model_dump(mode="json", exclude={"provenance", "optics"})),

@@ -76,7 +76,7 @@ def _beside(truth: PaintTruth, value_nm: float, estimate: Estimate) -> str:
 def model_statement(paint: FittedPaint, truth: PaintTruth) -> str:
     """Say how well the fit describes the true emission, with the paper's curve beside it."""
     agreement, paper = curve_agreement(paint.fit, truth.emission), paper_agreement(paint.fit, truth.emission)
-    remark = "" if truth.is_measured else " (this hidden paint is exactly such a curve; no measured paint is)"
+    remark = "" if truth.is_measured else " (the simulated paint is exactly such a curve; no measured paint is)"
     return (
         f"{paint.titled('the')} 95 % band covers {percent(agreement.coverage_95_rel)} of the {truth.word} curve, "
         f"and the fitted curve differs from it by {percent(agreement.error_rel)} (relative RMS): "
@@ -137,12 +137,12 @@ def prior_share_statement(paint: FittedPaint) -> str:
     largest = max((n for n in shares if n in QUANTITIES), key=lambda name: shares[name].share)
     if weak:
         return paint.titled(
-            f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the variance "
-            "that it had before the measurement is left."
+            f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the "
+            "prior's variance remains after the measurement."
         )
     return paint.titled(
-        f"the measurement decides: of the variance before it at most {percent(shares[largest].share)} is left "
-        f"({QUANTITIES[largest][0]})."
+        f"the measurement determines every quantity: at most {percent(shares[largest].share)} of the prior's variance "
+        f"remains ({QUANTITIES[largest][0]})."
     )
 
 
@@ -268,12 +268,12 @@ _PARAMETER_WORDS = {
     "ln_shape_peak_per_nm": "its peak",
     "kappa": "skewness, as asinh",
     "ln_tail": "degrees of freedom",
-    "ln_asymmetry": "red over blue half width, logarithm",
+    "ln_asymmetry": "red / blue half width, logarithm",
     "shift_nm": "second component's shift",
     "ln_width_ratio": "second component's width",
     "ln_height_ratio": "second component's height",
     "ln_reflected_laser": "reflectance at the laser",
-    "ln_blocking": "filter leak over its nominal value",
+    "ln_blocking": "filter leak / its nominal value",
 }
 _OWN_LEAK = "leak_"
 
@@ -309,7 +309,7 @@ def quantities_table(paint: FittedPaint) -> ReportTable:
     columns = (
         "quantity",
         "fit",
-        "prior left (shift)",
+        "prior variance remaining (shift)",
         "the paper's curve alone",
         *([] if truth is None else [f"{truth.word} value"]),
     )

@@ -29,7 +29,7 @@ class PaintTruth:
     energy_yield
         Emitted over incident energy, 0 to 1.
     kind
-        "hidden paper-family paint" or "measured material FILE".
+        "simulated paint of the paper's family" or "measured material FILE".
     """
 
     emission: SpectralCurve

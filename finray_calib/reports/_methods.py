@@ -135,10 +135,9 @@ def comparison_methods(report: PhotometricErrorReport) -> tuple[str, ...]:
     compared_with = (
         f"The simulated touch \u201c{report.simulated}\u201d ({report.label}) was compared with the capture "
         f"\u201c{report.captured}\u201d {compared.grid_phrase(report)} in {report.values}. "
-        f"{compared.exposure_sentence(report)} The skill is 1 minus the squared error of the simulation over that of "
-        f"an "
-        "image of the untouched pad in its place, summed over channels and pixels of the region "
-        f"\u201c{report.headline_region}\u201d ({compared.headline(report).pixels} pixels)."
+        f"{compared.exposure_sentence(report)} The skill is 1 minus the ratio of the squared error of the "
+        "simulation to that of an image of the untouched pad in its place, summed over channels and pixels of the "
+        f"region \u201c{report.headline_region}\u201d ({compared.headline(report).pixels} pixels)."
     )
     others = _other_metrics(report, row is not None and row.ciede2000_mean is not None)
     covers = f"Intervals cover {report.interval_covers.rstrip('.')}"

@@ -190,13 +190,13 @@ def report_html(page: ReportPage) -> str:
     return render_page("report_page.html.j2", page=page, sections=tuple(zip(anchors, page.parts, strict=True)))
 
 
-def found_part(findings: Iterable[str]) -> tuple[Part, ...]:
+def findings_section(findings: Iterable[str]) -> tuple[Part, ...]:
     """Return the section of what was found, in sentences; none where nothing was."""
     points = tuple(findings)
     return (Part("What was found", Content(points=points)),) if points else ()
 
 
-def trust_part(limits: Iterable[str], notes: Sequence[str] = (), assumed: Sequence[str] = ()) -> Part:
+def limits_section(limits: Iterable[str], notes: Sequence[str] = (), assumed: Sequence[str] = ()) -> Part:
     """Return the section of what the numbers rest on: limits, assumptions, and the notes of the records in a fold."""
     parts = [] if not assumed else [Part("Assumed, not measured", Content(points=tuple(assumed)))]
     if notes:

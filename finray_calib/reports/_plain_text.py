@@ -135,7 +135,10 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
     str
         Lines separated by newlines, ending with one.
     """
-    lines = [f"{_cut(report.simulated)} against {_cut(report.captured)}", _cut(report.label, WIDTH_COLUMNS)]
+    lines = [
+        _cut(f"simulated: {report.simulated}, {report.label}", WIDTH_COLUMNS),
+        _cut(f"captured:  {report.captured}", WIDTH_COLUMNS),
+    ]
     lines.append(f"values: {report.values}; {_exposure(report)}")
     if report.relative:
         lines.append("relative: only the change by contact is judged, not the light of the render")
@@ -224,7 +227,7 @@ def force_lines(comparison: ForceComparison) -> str:
 
 def _lines(comparison: ForceComparison) -> Iterator[str]:
     """Yield the lines."""
-    yield f"{comparison.simulated} against {comparison.measured}, {len(comparison.points)} points"
+    yield f"simulated: {comparison.simulated}; measured: {comparison.measured}, {len(comparison.points)} points"
     yield comparison.label
     yield ""
     yield f"{'':<12}relative RMS" + ("" if comparison.withheld else " [95 % of the model's own error]")

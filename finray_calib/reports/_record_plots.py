@@ -131,7 +131,7 @@ def _bands(bands: BandSignals) -> str:
         shown = bands.usable()[:, column]
         values, bars = bands.fluorescence[shown, column], 2.0 * sd[shown, column]
         axes.errorbar(place[shown], values, bars, fmt=marker, color=colour, label=name)
-    axes.set(xlabel="centre of the filter (nm)", ylabel="fluorescence over white (1)")
+    axes.set(xlabel="centre of the filter (nm)", ylabel="fluorescence / white (1)")
     legend_above(figure, axes, 3)
     return svg_text(figure)
 

@@ -354,7 +354,7 @@ def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) 
         held_out_depth_rms_mm=errors.rms_mm,
         held_out_height_error_rel=errors.height_rel,
         held_out_level_mm=errors.level_mm,
-        taught_by_sha256=tuple(contact_sha256(capture) for capture in captures),
+        training_sha256=tuple(contact_sha256(capture) for capture in captures),
         notes=tuple(sorted({capture.source for capture in captures})),
     )
 
@@ -385,7 +385,7 @@ def check_senses(record: NormalMapRecord, capture: TactileCapture) -> None:
     """
     if record.encoding != capture.encoding:
         raise CompareError(
-            f"{capture.name} holds {capture.encoding} values, but the normal map '{record.name}' was taught by "
+            f"{capture.name} holds {capture.encoding} values, but the normal map '{record.name}' was trained on "
             f"{record.encoding} ones: fit a map to presses with the same camera settings"
         )
     if capture.mm_per_px is not None:
@@ -429,7 +429,7 @@ def require_ball_press(capture: TactileCapture) -> tuple[ContactCircle, float]:
     circle = capture.contact_circle
     if capture.indenter.shape != "ball" or circle is None:
         raise CompareError(
-            f"{capture.name}: a normal map is taught by presses of a ball with a known contact circle; this press is "
+            f"{capture.name}: a normal map is trained on presses of a ball with a known contact circle; this press is "
             f"by a {capture.indenter.shape} {'without' if circle is None else 'with'} one"
         )
     if capture.indenter.radius_mm is None:
@@ -462,7 +462,7 @@ def _check_together(captures: Sequence[TactileCapture]) -> None:
         if digest in name_of:
             raise CompareError(
                 f"{name_of[digest]} and {capture.name} are the same image: a press that is given twice would "
-                "be judged by a map that it has taught; give each press once"
+                "be judged by a map that was trained on it; give each press once"
             )
         name_of[digest] = capture.name
     for capture in captures[1:]:
@@ -470,13 +470,13 @@ def _check_together(captures: Sequence[TactileCapture]) -> None:
             one, other = getattr(first, field), getattr(capture, field)
             if one != other:
                 raise CompareError(
-                    f"{capture.name} has {field} {other}, {first.name} {one}: a normal map is taught by captures of "
+                    f"{capture.name} has {field} {other}, {first.name} {one}: a normal map is trained on captures of "
                     "one camera with one setting"
                 )
         if not np.isclose(_scale_mm(capture), _scale_mm(first), rtol=_SAME_SCALE_REL, atol=0.0):
             raise CompareError(
                 f"{capture.name} has {_scale_mm(capture):g} mm per px, {first.name} {_scale_mm(first):g}: a normal map "
-                "is taught by captures of one camera at one distance"
+                "is trained on captures of one camera at one distance"
             )
 
 
@@ -533,7 +533,7 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
     beyond = ((change < senses.low) | (change > senses.high)).any(axis=-1)
     known: NDArray[np.bool_] = touched & usable
     found = _Shares(_share(np.asarray(beyond, dtype=np.bool_), known) if known.any() else 1.0, _share(~usable, touched))
-    taught = contact_sha256(capture) in record.taught_by_sha256 if record.taught_by_sha256 else None
+    taught = contact_sha256(capture) in record.training_sha256 if record.training_sha256 else None
     normal = np.concatenate([-whole, np.ones((*whole.shape[:2], 1))], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     return SensedPress(
@@ -618,23 +618,28 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
     notes = []
     if taught:
         notes.append(
-            f"this press taught the map '{record.name}': its result does not hold for other presses, and the "
-            "stated uncertainty is too large for it; teach with other presses"
+            f"the map '{record.name}' was trained on this press: its result does not hold for other presses, and the "
+            "stated uncertainty is too large for it; train with other presses"
         )
     if taught is None:
-        notes.append("an older version made the map: whether this press taught it is not known; teach it again")
+        notes.append(
+            "an older version made the map: whether it was trained on this press is not known; run 'finray sense "
+            "teach' again"
+        )
     if record.held_out_level_mm is None and record.held_out_depth_rms_mm is not None:
         notes.append(
             "the error of the depth's zero level around a contact is not known: the stated uncertainty holds only "
-            "the scatter at the border of the picture; teach the map again, with contacts around which 3.5 radii are "
+            "the scatter at the border of the picture; train the map again, with contacts around which 3.5 radii are "
             "in view"
         )
     if record.held_out_depth_rms_mm is None:
-        notes.append("an older version made the map: the uncertainty of the depth is not known; teach it again")
+        notes.append(
+            "an older version made the map: the uncertainty of the depth is not known; run 'finray sense teach' again"
+        )
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
             f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no teaching "
-            "press did; there the map keeps its last value: teach with deeper presses, or at more places"
+            "press did; there the map keeps its last value: train with deeper presses, or at more places"
         )
     if shares.clipped_share > _CLIPPED_TOLD:
         notes.append(

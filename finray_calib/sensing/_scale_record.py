@@ -226,8 +226,8 @@ def _notes(
     if len({r.mirrored for r in residuals}) > 1:
         notes.append("some pictures show the board mirrored, others do not; a flat mirror changes no length")
     notes.append(
-        f"valid where the board lay, for the pad at rest; {found.model} model, {len(residuals) - 1} pictures for the "
-        "lens"
+        f"the scale is valid in the plane of the board, for the untouched pad; lens: {found.model} model, "
+        f"{len(residuals) - 1} pictures"
     )
     return tuple(notes)
 

@@ -436,7 +436,7 @@ def laser_line(laser: LaserSettings, wavelength_nm: ArrayLike) -> Floats:
     return np.asarray(2.0 ** (-(x**2)))
 
 
-def weights_of(optics: Optics, channel_weights: ArrayLike) -> EmissionWeights:
+def rig_emission_weights(optics: Optics, channel_weights: ArrayLike) -> EmissionWeights:
     """Return the band weights of a rig on the 380-780 nm grid.
 
     Parameters
@@ -541,7 +541,7 @@ class BandTolerances:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
-def tolerances_of(optics: Optics, channel_weights: ArrayLike) -> BandTolerances:
+def band_tolerances(optics: Optics, channel_weights: ArrayLike) -> BandTolerances:
     """Return the tolerances of a rig by forward differences of one standard uncertainty.
 
     A measured transmission is shifted as a whole, and stretched about its centre, by the uncertainties of its filter.
@@ -555,14 +555,14 @@ def tolerances_of(optics: Optics, channel_weights: ArrayLike) -> BandTolerances:
     channel_weights
         (3,) weights of the channels in V.
     """
-    nominal = weights_of(optics, channel_weights)
+    nominal = rig_emission_weights(optics, channel_weights)
     excitation = optics.excitation_filter
     emission, laser, level = [], [], []
     for field in ("center_nm", "fwhm_nm"):
-        only = weights_of(_moved(optics, field, {excitation}), channel_weights)
+        only = rig_emission_weights(_moved(optics, field, {excitation}), channel_weights)
         others = ~nominal.is_excitation
         ratio = float(only.emission[others].sum() / nominal.emission[others].sum())  # V_nominal / V_moved
-        moved = weights_of(_moved(optics, field, {f.name for f in optics.filters}), channel_weights)
+        moved = rig_emission_weights(_moved(optics, field, {f.name for f in optics.filters}), channel_weights)
         emission.append(moved.emission / ratio - nominal.emission)
         laser.append(moved.reflected_laser / ratio - nominal.reflected_laser)
         level.append(1 / ratio - 1)

@@ -101,11 +101,11 @@ _LN_TAIL = ShapeParameter(
     "ln_tail", float(np.log(4.0)), 0.7, -0.5, 4.0, "logarithm of the degrees of freedom; 0 is the paper's curve"
 )
 _ASYMMETRY = ShapeParameter(
-    "ln_asymmetry", 0.35, 0.2, -1.5, 1.5, "logarithm of red over blue half width in wavenumber; measured 0.30 to 0.47"
+    "ln_asymmetry", 0.35, 0.2, -1.5, 1.5, "logarithm of red / blue half width in wavenumber; measured 0.30 to 0.47"
 )
 _SHIFT = ShapeParameter("shift_nm", 35.0, 20.0, 5.0, 120.0, "second component's centre minus the first's")
-_WIDTH_RATIO = ShapeParameter("ln_width_ratio", 0.3, 0.3, -1.0, 1.5, "second width over the first's, logarithm")
-_HEIGHT_RATIO = ShapeParameter("ln_height_ratio", -1.0, 0.8, -6.0, 1.5, "second height over the first's, logarithm")
+_WIDTH_RATIO = ShapeParameter("ln_width_ratio", 0.3, 0.3, -1.0, 1.5, "second width / first width, logarithm")
+_HEIGHT_RATIO = ShapeParameter("ln_height_ratio", -1.0, 0.8, -6.0, 1.5, "second height / first height, logarithm")
 
 FAMILIES: Final = {
     family.name: family

@@ -269,7 +269,7 @@ def smooth_covariance(wavelength_nm: Floats, amplitude_rel: float, length_nm: fl
 
 
 def photon_yield(emission_per_nm: Floats, wavelength_nm: Floats, excitation_nm: float) -> Floats:
-    r"""Return emitted over incident photons of emission curves excited at one wavelength.
+    r"""Return the ratio of emitted to incident photons of emission curves excited at one wavelength.
 
     .. math:: P = \int_{\lambda_x} e(\lambda)\, \lambda / \lambda_x \, d\lambda
 

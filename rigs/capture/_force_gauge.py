@@ -181,8 +181,8 @@ class ForceGauge:
             made, late = (made + 1, late) if self._made_s > self._moved_s else (made, late + 1)
             if late > most_late:
                 raise LostError(
-                    f"load cell: {late} readings in a row were made before the stage stood, so they come too late to "
-                    "stop it; close other programs, and check the board's cable"
+                    f"load cell: {late} readings in a row were made before the stage was at rest, so they come too "
+                    "late to stop it; close other programs, and check the board's cable"
                 )
 
     def begin(self, now_s: Callable[[], float]) -> None:

@@ -50,7 +50,7 @@ STOP_WAY_S: Final = 2.0
 """How long a move takes that is stopped on its way, beside the time that the cell may be silent."""
 STOP_AT_SHARE: Final = 0.3
 LISTEN_S: Final = 4.0
-"""Beyond the longest allowed time: how long the cell feels whether a stage stands that was stopped."""
+"""Beyond the longest allowed time: how long the cell checks that a stopped stage is at rest."""
 STILL_SHARE: Final = 0.1
 STILL_SD: Final = 7.0
 """Of one reading: two differ by more once in 10^6."""

@@ -145,7 +145,7 @@ def open_tactile_rig(
     def lay_block(thickness_mm: float) -> bool:
         what = f"Lay the block of {thickness_mm:g} mm flat on the pad under the indenter"
         what = what if thickness_mm else "Take the block off the pad"
-        return hands.allows(f"The stage stands. {what}, and take your hands away. Is that done?")
+        return hands.allows(f"The stage is at rest. {what}, and take your hands away. Is that done?")
 
     with ExitStack() as stack:
         parts = {"camera": rig.camera, "stage": rig.stage, "load cell": rig.load_cell}
@@ -338,7 +338,7 @@ class StagePress:
             f"The stage reports its position as {where}. Have you brought it to the zero from which the rig "
             "file counts positions, and is the way to clear_mm free?"
         ):
-            raise NotAllowedError("stage: nobody has confirmed that it stands at its zero; bring it there, then resume")
+            raise NotAllowedError("stage: nobody has confirmed that it is at its zero; bring it there, then resume")
         self._stage.trust_places()
 
     def away(self, watch: Callable[[], None]) -> None:

@@ -81,7 +81,7 @@ class ReconnectingLight:
         if lacking := missing_members(switch, GuardedSwitch):
             raise RefusedError(
                 f"{self._name}: its driver {type(switch).__module__} returns a switch that lacks "
-                f"{', '.join(lacking)}; update the package that brings it, or tell its author "
+                f"{', '.join(lacking)}; update the package that provides it, or tell its author "
                 "(docs/how-to/write-a-driver.md)"
             )
         self._switch = switch

@@ -40,7 +40,7 @@ from rigs.light_guard.watch import LONGEST_PACKET_BYTES, LOOK_S, OtherProcess
 from rigs.transports import Fault, fault_listener
 
 if TYPE_CHECKING:
-    from rigs import GuardedSwitch, OffWords
+    from rigs import GuardedSwitch, SwitchOffCommand
 
 KEEP_ALIVE_S: Final = 0.08
 """Five fit into the 0.4 s of the firmware's dead-man: four may be lost or late."""
@@ -134,7 +134,7 @@ class WatchLine:
         self._lends_descriptor = False
         self._beat_s = 0.0
 
-    def arm(self, until_s: float, words: "OffWords") -> None:
+    def arm(self, until_s: float, words: "SwitchOffCommand") -> None:
         """Give the watch words and line, and return when it is armed.
 
         Raises
@@ -431,7 +431,7 @@ class Guard:
             send(self._owner, **message)
 
 
-def _for_the_owner(words: "OffWords") -> tuple[str, int, str] | None:
+def _for_the_owner(words: "SwitchOffCommand") -> tuple[str, int, str] | None:
     """Return host, port and words for the light's owner; None where the line is a port that has one opener."""
     return None if isinstance(words.line, int) else (*words.line, words.data.decode("latin-1"))
 

@@ -4,7 +4,7 @@ import time
 from typing import Final, Literal, Protocol
 
 from data_schemas import CaptureError, DeviceIdentity, LostError, RefusedError, UnsafeError
-from rigs import OffWords
+from rigs import SwitchOffCommand
 
 HAS_DEAD_MAN: Final = False
 LightRole = Literal["laser", "lamp"]
@@ -38,7 +38,7 @@ class Panel(Protocol):
         """Ask afresh whether it is on; one that is changing counts as on."""
         ...
 
-    def off_words(self) -> OffWords:
+    def off_words(self) -> SwitchOffCommand:
         """Return what switches it off over a connection of somebody else."""
         ...
 
@@ -108,7 +108,7 @@ class ServerLight:
         """
         return self._panel.reading(time.monotonic() + deadline_s)
 
-    def off_words(self) -> OffWords:
+    def off_words(self) -> SwitchOffCommand:
         """Return what switches it off over a connection of the watch."""
         return self._panel.off_words()
 

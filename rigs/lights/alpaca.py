@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from data_schemas import DeviceIdentity, RefusedError
-from rigs import GuardedSwitch, OffWords, Operator
+from rigs import GuardedSwitch, Operator, SwitchOffCommand
 from rigs.lights._server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
 from rigs.lights._server_light import LightRole, ServerLight
 from rigs.transports import ALPACA_OPENS_WITHIN_S, AlpacaClient, alpaca_address, alpaca_devices, device_number
@@ -50,9 +50,9 @@ class Relay:
         """Ask whether the switch is on."""
         return self._client.get_bool("getswitch", end_s, Id=self._number)
 
-    def off_words(self) -> OffWords:
+    def off_words(self) -> SwitchOffCommand:
         """Return the request that switches off."""
-        return OffWords(*self._client.put_request("setswitch", {"Id": self._number, "State": False}))
+        return SwitchOffCommand(*self._client.put_request("setswitch", {"Id": self._number, "State": False}))
 
 
 class Calibrator:
@@ -90,9 +90,9 @@ class Calibrator:
             )
         return _CALIBRATOR_STATES[state]
 
-    def off_words(self) -> OffWords:
+    def off_words(self) -> SwitchOffCommand:
         """Return the request that switches off."""
-        return OffWords(*self._client.put_request("calibratoroff", {}))
+        return SwitchOffCommand(*self._client.put_request("calibratoroff", {}))
 
 
 class AlpacaPanel:
@@ -128,7 +128,7 @@ class AlpacaPanel:
         """Ask the device whether the light is on; one that is changing counts as on."""
         return self._controlled.reading(end_s) is not False
 
-    def off_words(self) -> OffWords:
+    def off_words(self) -> SwitchOffCommand:
         """Return the request that switches off; the watch opens a connection for it."""
         return self._controlled.off_words()
 

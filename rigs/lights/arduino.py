@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from data_schemas import CaptureError, DeviceIdentity, LostError, RefusedError, TimedOutError, UnsafeError
-from rigs import OffWords
+from rigs import SwitchOffCommand
 from rigs.transports import SerialLink, repeated, usb_serial_ports
 
 if TYPE_CHECKING:
@@ -141,9 +141,9 @@ class ArduinoSwitch:
         """
         return self._asked("?", deadline_s).word == "ON"
 
-    def off_words(self) -> OffWords:
+    def off_words(self) -> SwitchOffCommand:
         """Return the off command; the line feed before it ends what is half said on the same line."""
-        return OffWords(b"\nL0\n", self._link.descriptor())
+        return SwitchOffCommand(b"\nL0\n", self._link.descriptor())
 
     def prove_dead_man(self, deadline_s: float) -> None:
         """Switch on and say nothing until the board tells that its dead-man has switched off.

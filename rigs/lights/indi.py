@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from data_schemas import DeviceIdentity, RefusedError
-from rigs import GuardedSwitch, OffWords, Operator
+from rigs import GuardedSwitch, Operator, SwitchOffCommand
 from rigs.lights._server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
 from rigs.lights._server_light import LightRole, ServerLight
 from rigs.transports import INDI_OPENS_WITHIN_S, LIGHT_INTERFACE, IndiClient, found_on_this_computer, new_vector
@@ -53,10 +53,10 @@ class IndiPanel:
         """
         return self._client.within(end_s, self._reading, min(ATTEMPT_S, 0.45 * (end_s - time.monotonic())))
 
-    def off_words(self) -> OffWords:
+    def off_words(self) -> SwitchOffCommand:
         """Return the message that switches off; the server obeys it from a connection that asked for nothing."""
         where = self._client.where
-        return OffWords(new_vector("Switch", where.device, _CONTROL, {_OFF: "On"}), (where.host, where.port))
+        return SwitchOffCommand(new_vector("Switch", where.device, _CONTROL, {_OFF: "On"}), (where.host, where.port))
 
     def _set(self, on: bool, end_s: float) -> None:
         """Switch on a connection that stands."""

@@ -57,12 +57,12 @@ if TYPE_CHECKING:
     from sim.experiments._mechanical_press import grasp_record, increment_record, press_records, stored_press
     from sim.experiments._optics_products import (
         OpticsProducts,
+        as_built_design,
         capture_twin,
-        hidden_design,
         simulate_images,
         simulated_capture,
     )
-    from sim.experiments._paint_choice import BareFinger, PaintDraws, PaintedPairs, paint_pairs
+    from sim.experiments._paint_choice import PaintDraws, PaintedPairs, UnpaintedFinger, paint_pairs
     from sim.experiments._painted_finger import (
         CameraResponse,
         FingerScene,
@@ -90,7 +90,7 @@ if TYPE_CHECKING:
         TeachSettings,
         candidate_presses,
         press_family,
-        teach_surrogate,
+        train_surrogate,
     )
     from sim.experiments._rendered_press import (
         Rendering,
@@ -125,7 +125,7 @@ if TYPE_CHECKING:
         render_finger_presses,
         simulate_sensor_press,
     )
-    from sim.experiments._taught_gel import GelNumber, TaughtGel, predict_on_gel, teach_gel
+    from sim.experiments._taught_gel import FittedGel, GelNumber, fit_gel, predict_on_gel
     from sim.experiments._tolerance_study import (
         FingerError,
         ToleranceFindings,
@@ -147,7 +147,6 @@ __all__ = [
     "REST_LEVEL",
     "USUAL_PRESSES",
     "BallPresses",
-    "BareFinger",
     "CameraResponse",
     "ClassicLayers",
     "DesignEvaluations",
@@ -158,6 +157,7 @@ __all__ = [
     "FingerEvaluator",
     "FingerLayers",
     "FingerScene",
+    "FittedGel",
     "FreeNumber",
     "GelNumber",
     "Layers",
@@ -177,12 +177,13 @@ __all__ = [
     "SensorScene",
     "SurrogateFinger",
     "SurrogatePress",
-    "TaughtGel",
     "TeachSettings",
     "ToleranceFindings",
     "ToleranceInput",
     "ToleranceSettings",
+    "UnpaintedFinger",
     "WhiteBalance",
+    "as_built_design",
     "block_force_model",
     "camera_rgb",
     "candidate_presses",
@@ -193,10 +194,10 @@ __all__ = [
     "design_parameter",
     "finger_force_model",
     "finger_scene",
+    "fit_gel",
     "fit_sensor",
     "fitted_design",
     "grasp_record",
-    "hidden_design",
     "imprinted_shapes",
     "increment_record",
     "is_of_light",
@@ -237,9 +238,8 @@ __all__ = [
     "study_light_angle",
     "study_tolerances",
     "study_two_lights",
-    "teach_gel",
-    "teach_surrogate",
     "tolerance_inputs",
+    "train_surrogate",
     "usual_parameters",
     "value_at",
     "varied_finger",

@@ -49,8 +49,8 @@ Evaluate = Callable[[FingerDesign], EvaluatedDesign]
 _LIGHT: Final = {
     "normal-error": DesignObjective(
         name="normal-error", unit="deg", larger_is_better=False,
-        meaning="expected error of the sensed normal at places that were left out when the map was taught; places that "
-            "the camera does not see count as not tilted",
+        meaning="expected error of the sensed normal at places that were left out when the map was trained; places "
+            "that the camera does not see count as not tilted",
     ),
     "evenness": DesignObjective(
         name="evenness", unit="1", larger_is_better=True,
@@ -58,7 +58,7 @@ _LIGHT: Final = {
     ),
     "brightness": DesignObjective(
         name="brightness", unit="1", larger_is_better=True,
-        meaning="camera signal of the coat without contact, over the radiance of a panel of power_rel = 1",
+        meaning="camera signal of the coat without contact / radiance of a panel of power_rel = 1",
     ),
 }  # fmt: skip
 _LOADS: Final = {
@@ -73,7 +73,7 @@ _LOADS: Final = {
     ),
     "twist-stiffness": DesignObjective(
         name="twist-stiffness", unit="N mm/deg", larger_is_better=True,
-        meaning=f"torque over angle when the tip is turned by {TWIST_DEG:g} deg",
+        meaning=f"torque / angle when the tip is turned by {TWIST_DEG:g} deg",
     ),
 }  # fmt: skip
 OBJECTIVES: Final[Mapping[str, DesignObjective]] = {**_LIGHT, **_LOADS}
@@ -167,8 +167,8 @@ def design_parameter(design: FingerDesign, text: str) -> DesignParameter:
             one.changed(design, round(limit) if isinstance(start, int) else limit)
         except SimulateError as refused:
             raise SimulateError(f"--within: {name.strip()} = {limit:g} is not possible: {refused}") from None
-    is_whole = isinstance(start, int)
-    return DesignParameter(field=name.strip(), low=low, high=high, is_whole=is_whole, start=float(start))
+    is_integer = isinstance(start, int)
+    return DesignParameter(field=name.strip(), low=low, high=high, is_integer=is_integer, start=float(start))
 
 
 def _limits(name: str, text: str, start: float) -> tuple[float, float]:
@@ -227,7 +227,7 @@ class DesignSpace:
         for at, one in zip(place.tolist(), self.parameters, strict=True):
             value = one.low + at * (one.high - one.low)
             # the design of a place has the same digits on the way there and back
-            found[one.field] = float(round(value)) if one.is_whole else round(value, _DECIMALS)
+            found[one.field] = float(round(value)) if one.is_integer else round(value, _DECIMALS)
         return found
 
     def snapped(self, place: Floats) -> Floats:
@@ -250,7 +250,7 @@ class DesignSpace:
         """
         design = self.start
         for one, value in zip(self.parameters, self.changes(place).values(), strict=True):
-            design = _Field.of(one.field).changed(design, round(value) if one.is_whole else value)
+            design = _Field.of(one.field).changed(design, round(value) if one.is_integer else value)
         varied = {_Field.of(one.field).path for one in self.parameters}
         origin = {name: where for name, where in design.origin.items() if name not in varied}
         return _of_equal_power(design.model_copy(update={"origin": origin}), self.start, varied)
@@ -355,7 +355,7 @@ def map_designs(
                 _Field.of(first).changed(design, float(at_first[i])), float(at_second[j])
             )
             found = evaluator.evaluate(finger, paints)
-            refused = refused or (f"the panel stands in {found.in_the_way}" if found.in_the_way else "")
+            refused = refused or (f"the panel collides with {found.in_the_way}" if found.in_the_way else "")
             if not found.in_the_way:
                 seen = found.seen_share * found.error_by_place_deg.mean(axis=1)
                 errors[i, j] = seen + (1.0 - found.seen_share) * found.blind_error_deg

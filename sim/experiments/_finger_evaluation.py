@@ -39,7 +39,7 @@ from sim.experiments._light_angle import (
     rows_along,
 )
 from sim.experiments._optics_products import tactile_sensor
-from sim.experiments._paint_choice import BareFinger, PaintDraws, PaintEmission, camera_column, camera_radiance
+from sim.experiments._paint_choice import PaintDraws, PaintEmission, UnpaintedFinger, camera_column, camera_radiance
 from sim.experiments._painted_finger import COLOURS, CameraResponse
 from sim.optics import (
     BAND_NAMES,
@@ -399,7 +399,7 @@ class FingerEvaluator:
         red, green = (paints[colour] for colour in COLOURS)
         bands = paint_bands(red.optics, green.optics, design.light)
         light, points = self._light(design, bands)
-        finger = BareFinger(design, self.response, self.renderer, self.calibration)
+        finger = UnpaintedFinger(design, self.response, self.renderer, self.calibration)
         drawn = [
             PaintEmission.drawn(paint, finger, self.settings.draws, np.random.default_rng([self.settings.seed, k]))
             for k, paint in enumerate((red, green))

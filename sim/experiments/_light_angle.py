@@ -392,8 +392,8 @@ def objectives_of(table: FacetTable, sensor: Sensor, seed: int) -> tuple[AngleOb
         _held_out_error(table, sensor, seed),
         AngleObjective(
             name="uniformity",
-            meaning="5 % over 95 % quantile over the pad of the luminance without contact, mean of R, G and B, each "
-            "relative to its mean over the pad",
+            meaning="ratio of the 5 % and the 95 % quantile over the pad of the luminance without contact, mean of "
+            "R, G and B, each relative to its mean over the pad",
             unit="1",
             larger_is_better=True,
             values=_uniformities(table),

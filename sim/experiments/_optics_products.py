@@ -227,7 +227,7 @@ LED_DRIFT_REL = 0.005
 LARGEST_ANGLE_DEG = 180.0
 
 
-def hidden_design(design: FingerDesign, light_error_deg: float = 3.0) -> FingerDesign:
+def as_built_design(design: FingerDesign, light_error_deg: float = 3.0) -> FingerDesign:
     """Return the finger as it was really built: the light at another angle, the coating rougher and more diffuse.
 
     Roughness and diffuse share grow by a tenth, at most to 1; an angle beyond 180 deg is the same one less 360 deg.
@@ -314,9 +314,9 @@ class ColourSpread:
             [f"{100 * v:.0f} %" for v in values] for values in (self.led_share, self.sd_rel, self.ratio_sd_rel)
         )
         return (
-            f"camera response at the LED uncertain by {100 * self.response_uncertainty_rel:.0f} %: red, green, blue "
-            f"contain {', '.join(shares)} of LED light and are uncertain by {', '.join(sds)}; red / blue by "
-            f"{ratios[0]}, green / blue by {ratios[1]}"
+            f"camera response to the LED: uncertain by {100 * self.response_uncertainty_rel:.0f} %. LED light makes up "
+            f"{', '.join(shares)} of red, green and blue, which are therefore uncertain by {', '.join(sds)}; the "
+            f"ratio red / blue by {ratios[0]}, green / blue by {ratios[1]}"
         )
 
 

@@ -112,7 +112,7 @@ class PaintedPairs:
 
 
 @dataclass(frozen=True, slots=True)
-class BareFinger:
+class UnpaintedFinger:
     """A finger without paints.
 
     Attributes
@@ -172,7 +172,7 @@ class PairPaths:
 
 
 def paint_pairs(
-    finger: BareFinger,
+    finger: UnpaintedFinger,
     paints: Mapping[str, PaintDraws],
     seed: int,
     draws: int = DRAWS,
@@ -237,7 +237,7 @@ def paint_pairs(
 
 
 def trace_pairs(
-    finger: BareFinger, bands: Sequence[PaintBands], paths: ProbePaths, steps: "Steps | None" = None
+    finger: UnpaintedFinger, bands: Sequence[PaintBands], paths: ProbePaths, steps: "Steps | None" = None
 ) -> PairPaths:
     """Trace the facets for all pairs: in the middle of their reflectances, and with one group of them at its highest.
 
@@ -285,7 +285,7 @@ class PaintEmission:
     gain: Floats
 
     @classmethod
-    def drawn(cls, paint: PaintDraws, finger: BareFinger, draws: int, rng: np.random.Generator) -> "PaintEmission":
+    def drawn(cls, paint: PaintDraws, finger: UnpaintedFinger, draws: int, rng: np.random.Generator) -> "PaintEmission":
         light = finger.design.light
         _, mean, _ = emission_band(paint.optics, light)
         count = len(paint.emission_per_nm)
@@ -303,7 +303,7 @@ class PaintEmission:
         return cls(camera, gain)
 
 
-def camera_column(finger: BareFinger, bands: PaintBands, band: int) -> Floats:
+def camera_column(finger: UnpaintedFinger, bands: PaintBands, band: int) -> Floats:
     """Return what the camera's channels make of a band, (3,)."""
     return np.array(
         [
@@ -355,7 +355,7 @@ def _interpolated(traced: PairPaths) -> float:
     return float(2.0 * change[..., first].sum(axis=(0, 1)).max())
 
 
-def _notes(finger: BareFinger, paints: Mapping[str, PaintDraws], bands: Sequence[PaintBands]) -> tuple[str, ...]:
+def _notes(finger: UnpaintedFinger, paints: Mapping[str, PaintDraws], bands: Sequence[PaintBands]) -> tuple[str, ...]:
     """Say what the numbers rest on."""
     light = finger.design.light
     elsewhere = [
@@ -388,7 +388,7 @@ class Steps:
             self.progress(self.count, self.total, what)
 
 
-def _check(finger: BareFinger, paints: Mapping[str, PaintDraws]) -> None:
+def _check(finger: UnpaintedFinger, paints: Mapping[str, PaintDraws]) -> None:
     """Refuse what cannot be compared."""
     if len(paints) < 2:
         raise SimulateError(f"a finger carries two paints, got {len(paints)}; give --paint FILE at least twice")

@@ -65,7 +65,7 @@ from finray_calib.spectra import (
     family_named,
     filter_transmission,
     photon_yield,
-    weights_of,
+    rig_emission_weights,
 )
 
 Floats = NDArray[np.float64]
@@ -196,7 +196,7 @@ def _optics() -> Optics:
 def _seen(emission_per_nm: Floats, reflectance_at_laser: float, rng: np.random.Generator) -> BandData:
     """Return noisy values of eight bands in three channels; noise grows where a channel responds less."""
     optics = _optics()
-    weights: EmissionWeights = weights_of(optics, LEVEL_CHANNELS)
+    weights: EmissionWeights = rig_emission_weights(optics, LEVEL_CHANNELS)
     exact = weights.emission @ emission_per_nm + reflectance_at_laser * weights.reflected_laser
     response = np.array([curve(np.array(FILTER_CENTER_NM)) for curve in optics.camera_response]).T
     relative = response / response.max(axis=1, keepdims=True)
@@ -547,7 +547,7 @@ def _share_of_light(paints: Sequence[PaintStandIn]) -> PaperStatement:
     return PaperStatement(
         subject="reradiation, read as share of the light",
         paper=_printed_band(),
-        measure="all emitted light over the laser's light",
+        measure="all emitted light / the laser's light",
         ours=_each(
             paints, lambda p: f"{_percent(p.energy_yield)} of the energy, {_percent(p.photon_yield)} of the photons"
         ),

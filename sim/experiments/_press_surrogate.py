@@ -189,7 +189,9 @@ def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if np.max(distance) > _SAME_NODE_MM:
-        raise SimulateError("the halves of the finger's mesh are not mirror images: one cannot be taught by the other")
+        raise SimulateError(
+            "the halves of the finger's mesh are not mirror images: training on one half cannot serve the other"
+        )
     return np.asarray(image)
 
 
@@ -228,7 +230,9 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError("no press can teach it: ribs pass through each other in all of them from the start")
+        raise SimulateError(
+            "it cannot be trained on any press: ribs pass through each other in all of them from the start"
+        )
     return whole
 
 
@@ -328,7 +332,7 @@ class TeachSettings:
     threads: int = 1
 
 
-def teach_surrogate(
+def train_surrogate(
     design: FingerDesign,
     settings: TeachSettings | None = None,
     *,
@@ -458,8 +462,8 @@ def _surrogate(
     modes = ((vectors[:, kept] / np.sqrt(np.maximum(values[kept], np.finfo(float).tiny))).T @ rests).astype(np.float32)
     presses, asked = int(samples.press.max()) + 1, family.evenly(qmc.Sobol(_FEATURES, seed=2).random(_ASKED))
     return PressSurrogate(
-        name=f"{design.name}, taught by {presses} presses",
-        label=f"surrogate taught by {presses} presses by finite elements",
+        name=f"{design.name}, trained on {presses} presses",
+        label=f"surrogate trained on {presses} presses by finite elements",
         preset=preset,
         design=design,
         family=family,
@@ -516,7 +520,7 @@ class SurrogateFinger:
     Parameters
     ----------
     record
-        What :func:`teach_surrogate` returned.
+        What :func:`train_surrogate` returned.
     limit_rel
         A bar over the force, or over the coat's own displacement, from which an answer is doubted.
     """
@@ -580,7 +584,7 @@ class SurrogateFinger:
             sets = (self.record.crossed_features, self.record.sample_features)
             squares = [((places - place) / self.record.surface_kernel.lengths) ** 2 for places in sets]
             if squares[0].sum(axis=1).min() <= squares[1].sum(axis=1).min():
-                return "in the most similar of the presses that taught it, ribs pass through each other or buckle"
+                return "in the most similar of its training presses, ribs pass through each other or buckle"
         return ""
 
     def surfaces(self, press: SurrogatePress) -> FingerSurfaces:
@@ -655,7 +659,8 @@ class SurrogateFinger:
         )
         notes = (
             f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within {last.force_bar_n:.2g} N, "
-            f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the elements that taught it",
+            f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the finite elements that it was "
+            "trained on",
             "it gives no energies; pressures are those of the condensed contact, scaled to add up to the force",
         )
         return pressed, bars, notes, last.doubt
@@ -665,6 +670,7 @@ class SurrogateFinger:
         other = _differs(self.record.design, design)
         if other:
             raise SimulateError(
-                f"the surrogate was taught another design: it differs in {', '.join(other)}; teach this one with "
+                f"the surrogate was trained for another design, which differs in {', '.join(other)}; "
+                "train one for this design with "
                 "'finray simulate teach', or press without --surrogate"
             )

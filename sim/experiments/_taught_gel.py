@@ -84,7 +84,7 @@ class GelNumber:
 
 
 @dataclass(frozen=True, slots=True)
-class TaughtGel:
+class FittedGel:
     """A model that presses of one sensor have taught.
 
     Attributes
@@ -293,7 +293,7 @@ def _cap(circle_rel: float) -> float:
     return float(1.0 - np.sqrt(1.0 - circle_rel**2))
 
 
-def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
+def fit_gel(captures: Sequence[TactileCapture]) -> FittedGel:
     """Fit the model to ball presses of one sensor.
 
     Parameters
@@ -304,7 +304,7 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
 
     Returns
     -------
-    TaughtGel
+    FittedGel
         The numbers with the greatest posterior density, and their intervals.
 
     Raises
@@ -314,7 +314,7 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     """
     if len(captures) < LEAST_TEACHING_PRESSES:
         raise SimulateError(
-            f"there are {len(captures)} teaching presses, but the model of an elastic gel needs at least "
+            f"there are {len(captures)} training presses, but the model of an elastic gel needs at least "
             f"{LEAST_TEACHING_PRESSES}"
         )
     first = captures[0]
@@ -325,7 +325,7 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     for capture in captures[1:]:
         if _ball_and_scale(capture) != (radius_mm, scale) or capture.contact.shape != first.contact.shape:
             raise SimulateError(
-                f"{capture.name}: has another ball, scale or size than {first.name}; teach with one ball and one camera"
+                f"{capture.name}: has another ball, scale or size than {first.name}; train with one ball and one camera"
             )
     presses = [_press(capture, taught=True) for capture in captures]
     for capture, press in zip(captures, presses, strict=True):
@@ -337,7 +337,7 @@ def teach_gel(captures: Sequence[TactileCapture]) -> TaughtGel:
     rests = ([*presses[:k], *presses[k + 1 :]] for k in range(len(presses)))
     without = np.array([_fitted(rest, start, theta, error)[0] for rest in rests])
     shape = _distance(first).shape
-    return TaughtGel(
+    return FittedGel(
         theta, start.directions, start.circle_rel, (shape[0], shape[1]), scale, radius_mm,
         tuple(c.name for c in captures), digests, _numbers(theta, curvature, without, start.directions, radius_mm),
     )  # fmt: skip
@@ -368,7 +368,7 @@ def _require_seen(capture: TactileCapture, press: _Press) -> None:
         )
 
 
-def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
+def predict_on_gel(gel: FittedGel, capture: TactileCapture) -> SimulatedPress:
     """Return what the model makes of the no-contact image of a capture, with the contact where the capture has it.
 
     Raises
@@ -378,15 +378,15 @@ def predict_on_gel(gel: TaughtGel, capture: TactileCapture) -> SimulatedPress:
     """
     if contact_sha256(capture) in gel.training_sha256:
         raise SimulateError(
-            f"{capture.name}: its contact image taught the model ({', '.join(gel.training_presses)}), so "
+            f"{capture.name}: its contact image was used to train the model ({', '.join(gel.training_presses)}), so "
             "its prediction for this press proves nothing"
         )
     distance = _distance(capture)
     if distance.shape != gel.shape_px:
-        raise SimulateError(f"{capture.name}: has another size than the presses that taught the model")
+        raise SimulateError(f"{capture.name}: has another size than the training presses of the model")
     if _ball_and_scale(capture) != (gel.ball_radius_mm, gel.mm_per_px):
         raise SimulateError(
-            f"{capture.name}: has another ball or scale than the presses that taught the model, of "
+            f"{capture.name}: has another ball or scale than the training presses of the model, of "
             f"{gel.ball_radius_mm:g} mm radius at {gel.mm_per_px:g} mm a pixel"
         )
     ratio = (

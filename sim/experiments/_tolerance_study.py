@@ -49,8 +49,8 @@ Evaluate = Callable[[FingerDesign, Paints, int], float]
 ALLOWED_REL: Final = 0.1
 RUNS: Final = 128
 OBJECTIVE: Final = (
-    "expected error of the sensed normal at places of the pad that were left out when the map was taught, mean "
-    "over the contact places, paint draws and the noise of the camera, at an exposure that is set again for each finger"
+    "expected error of the sensed normal, averaged over contact places, paint draws and camera noise; it is evaluated "
+    "at places of the pad that were not used to train the map, and the exposure is adjusted for each finger"
 )
 
 _MOUNTED, _PRINTED = "assumed: set by hand", "assumed: as cast or printed"

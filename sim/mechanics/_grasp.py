@@ -372,7 +372,7 @@ class _Gripper:
             before = left
             place, step = place.moved(self.step(stiffness, left, closes))
         raise NoEquilibriumError(
-            f"the object finds no balance in {len(sizes)} steps: {min(sizes):.2g} N (torque over "
+            f"the object finds no balance in {len(sizes)} steps: {min(sizes):.2g} N (torque divided by "
             f"{self._arm_mm:g} mm) remain, and {allowed:.2g} N are allowed; give more friction or closing "
             "force, or less mass"
         )

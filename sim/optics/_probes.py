@@ -211,7 +211,8 @@ def seen_points(
     if 2 * len(chosen) < len(grid):
         raise ImpossibleFingerError(
             f"the camera sees {len(chosen)} of {len(grid)} points spread over the pad, too few to judge a light "
-            f"angle; check camera.field_of_view_deg, the mirror and whether light.position_mm stands in the way"
+            f"angle; check camera.field_of_view_deg, the mirror and whether the panel at light.position_mm is in "
+            "the way"
         )
     points, legs = maps.position_mm[on_coat][chosen], maps.last_leg[on_coat][chosen]
     # halfway back to the inner face of the undeformed pad: a start inside the gel

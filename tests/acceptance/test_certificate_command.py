@@ -12,7 +12,7 @@ from data_schemas.storage import sha256_of, write_record
 from finray_calib.acceptance import certified_results
 from finray_calib.cli.main import main
 from finray_calib.fit import BudgetRow
-from finray_calib.reports import certificate_of, certificate_page, certificate_pdf
+from finray_calib.reports import certificate_page, certificate_pdf, paint_certificate
 from rigs import paint_plan, simulated_rig
 from rigs.capture import SessionRequest, capture_paint_session
 from tests.acceptance.paints import MEASURED_ON, example
@@ -112,7 +112,7 @@ def certificate(paint=None, **details):
         for source, share in zip(sources, shares, strict=True)
     )
     results = certified_results(paint, given, MEASURED_ON)
-    return certificate_of(paint, results, given, "0" * 64, MEASURED_ON, budget=budget)
+    return paint_certificate(paint, results, given, "0" * 64, MEASURED_ON, budget=budget)
 
 
 def test_words_of_a_user_are_text_and_no_markup():
@@ -134,7 +134,7 @@ def test_without_a_budget_the_stated_uncertainties_of_band_values_stand_there():
     stated = BandUncertainty(calibration_rel=0.02, response_rel=0.004, stray_light_rel=0.006)
     paint = paint.model_copy(update={"optics": paint.optics.model_copy(update={"band_uncertainty": stated})})
     details = CertificateDetails()
-    bare = certificate_of(paint, certified_results(paint, details, MEASURED_ON), details, "0" * 64, MEASURED_ON)
+    bare = paint_certificate(paint, certified_results(paint, details, MEASURED_ON), details, "0" * 64, MEASURED_ON)
     told = dict(bare.statements)["Uncertainty"]
     assert "was not requested" in told
     assert re.search(r"2.*% for the calibration of each filter, 0\.4.*% for each channel's response, and 0\.6.*%", told)
@@ -161,7 +161,7 @@ def test_pdf_is_one_sheet_and_repeats():
 def test_a_pdf_with_many_warnings_takes_more_sheets():
     warned = example().model_copy(update={"warnings": tuple(f"warning {i} " + "word " * 40 for i in range(60))})
     given = CertificateDetails()
-    made = certificate_of(warned, certified_results(warned, given, None), given, "0" * 64, MEASURED_ON)
+    made = paint_certificate(warned, certified_results(warned, given, None), given, "0" * 64, MEASURED_ON)
     assert len(re.findall(rb"/Type\s*/Page\b", certificate_pdf(made, warned))) > 1
 
 

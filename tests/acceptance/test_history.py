@@ -50,7 +50,7 @@ def test_lamp_and_laser_of_the_frames_are_those_of_the_bench(usual, tmp_path):
     second_nm_k = 1.438776877e7
     change = 100 * (np.log(np.expm1(second_nm_k / (centres * 2856)) / np.expm1(second_nm_k / (centres * 2906))))
     slope = np.polyfit((centres - centres.mean()) / np.ptp(centres), change, 1)[0]
-    colour = "lamp colour, long over short wavelengths (%)"
+    colour = "lamp colour, long / short wavelengths (%)"
     assert warm.rig[colour] - usual.rig[colour] == pytest.approx(slope, abs=0.5)
     assert strong.rig["laser level (%)"] - usual.rig["laser level (%)"] == pytest.approx(100 * math.log(1.05), abs=0.5)
     assert strong.rig["lamp level (%)"] - usual.rig["lamp level (%)"] == pytest.approx(0.0, abs=0.3)

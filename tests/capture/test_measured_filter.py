@@ -7,7 +7,7 @@ import pytest
 
 from data_schemas import BandPassFilter, BandUncertainty, CurveError, PaintPlan, RigFile, SpectralCurve, half_maximum_nm
 from data_schemas.storage import sha256_of
-from finray_calib.radiometry import optics_of
+from finray_calib.radiometry import rig_optics
 from rigs import open_rig
 from rigs.capture import SessionRequest, capture_paint_session, read_session
 from rigs.simulated._bench import FILTER_TOLERANCE_NM, filter_transmission
@@ -34,13 +34,13 @@ def test_session_stores_the_curve_and_hands_it_to_the_band_signals(rig: RigFile,
     assert session.provenance is not None
     assert session.provenance.input_sha256["f600.csv"] == sha256_of(tmp_path / "f600.csv")
     assert any("measured transmission f600.csv" in note for note in session.notes)
-    optics = optics_of(session)
+    optics = rig_optics(session)
     assert [f.curve for f in optics.filters] == [None, "f600.csv"]
     assert optics.filter_curves["600"]([598.0]) == pytest.approx([0.8])
     assert optics.band_uncertainty.stray_light_rel == 0.001
     # a filter that was not captured takes its curve with it
     assert (
-        optics_of(session.model_copy(update={"plan": plan.model_copy(update={"filters": ("450",)})})).filter_curves
+        rig_optics(session.model_copy(update={"plan": plan.model_copy(update={"filters": ("450",)})})).filter_curves
         == {}
     )
 

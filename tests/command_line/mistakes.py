@@ -453,7 +453,7 @@ CASES = (
     Case(
         "uncertainty in per cent",
         "design show {tmp}/finger.toml",
-        r"'uncertainty_rel': 'pad\.thickness_mm' = 10: is a standard uncertainty over the value, so at most 1 .* 0\.05",
+        r"'uncertainty_rel': 'pad\.thickness_mm' = 10: is a relative standard uncertainty, so at most 1 .* 0\.05",
         design('[uncertainty_rel]\n"pad.thickness_mm" = 10.0'),
     ),
     Case(

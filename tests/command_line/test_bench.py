@@ -74,7 +74,7 @@ def test_a_simulator_is_judged_on_presses_that_it_has_not_seen(captures: Path) -
     assert len(list(Path("out/protocol/teach").rglob("contact.png"))) == 2
     batch = read_record(Path("out/scores/summary.json"), ComparisonBatch)
     assert {score.simulator for score in batch.simulators} == {
-        "shifted", "table of the teaching presses", "doing nothing",
+        "shifted", "table of the training presses", "doing nothing",
     }  # fmt: skip
     assert batch.simulators[-1].simulator == "doing nothing"
     cells = Path("out/row.csv").read_text().splitlines()[1].split(",")
@@ -87,7 +87,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
     outcome = finray("bench tactile set --teach 3 --out out")
     assert outcome.status == 0, outcome.err
     row = json.loads(Path("out/row.json").read_text())
-    assert (row["simulator"], row["command"], row["seconds"]) == ("table of the teaching presses", None, None)
+    assert (row["simulator"], row["command"], row["seconds"]) == ("table of the training presses", None, None)
     assert row["skill"] == row["table"]
     assert row["skill"]["low95"] is None  # two presses are left to judge
 
@@ -167,7 +167,7 @@ def test_presses_that_are_all_one_image_cannot_be_judged(captures: Path) -> None
         (Path("set") / f"000{k}.capture.json").write_bytes(first.read_bytes())
     outcome = finray("bench tactile set --teach 1 --out out")
     assert outcome.status == 2
-    assert "no press is left to judge: every contact image is one of those that teach; give a set" in outcome.err
+    assert "no press is left to judge: every contact image is one of those used for training; give a set" in outcome.err
 
 
 def test_our_physics_beside_the_table(captures: Path) -> None:
@@ -181,11 +181,11 @@ def test_our_physics_beside_the_table(captures: Path) -> None:
     assert "thickness of the gel: " in run.out
     batch = read_record(captures.parent / "gel" / "scores" / "summary.json", ComparisonBatch)
     assert {pair.simulator for pair in batch.pairs} == {
-        "elastic gel under three lights", "table of the teaching presses", "doing nothing"
+        "elastic gel under three lights", "table of the training presses", "doing nothing"
     }  # fmt: skip
     refused = finray("bench tactile set --elastic-gel --teach 2 --out two")
     assert refused.status == 2
-    assert "there are 2 teaching presses, but the model of an elastic gel needs at least 3" in refused.err
+    assert "there are 2 training presses, but the model of an elastic gel needs at least 3" in refused.err
     for name in ("elastic gel under three lights", "doing nothing"):
         mistaken = finray(f"bench tactile set --simulator '{name}' --command 'true' --out mistaken")
         assert mistaken.status == 2

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from data_schemas import DiedError, RecordError, RefusedError
+from data_schemas import ProcessDiedError, RecordError, RefusedError
 from finray_calib.demo import can_continue
 from finray_calib.demo._report import write_report
 from finray_calib.demo._run import STAGES as REAL_STAGES
@@ -68,7 +68,7 @@ def test_stages_run_in_order_in_their_processes(tmp_path):
 def test_a_stage_that_dies_is_named_and_the_same_command_goes_on(tmp_path, how, message):
     out = tmp_path / "d"
     poison(out, "two", **how)
-    with pytest.raises(DiedError, match=message) as died:
+    with pytest.raises(ProcessDiedError, match=message) as died:
         small_demo.run(out)
     log = out / "logs" / "stage-two.log"
     assert f"Its log is {log}. Finished work is kept: the same command continues there; " in str(died.value)
@@ -138,7 +138,7 @@ def children_of(pid: int) -> list[int]:
 def begun(out: Path) -> None:
     """Leave a demo of which stage three died."""
     poison(out, "three", number=signal.SIGKILL)
-    with pytest.raises(DiedError):
+    with pytest.raises(ProcessDiedError):
         small_demo.run(out)
 
 

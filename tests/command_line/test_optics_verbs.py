@@ -7,7 +7,7 @@ import pytest
 
 from data_schemas import SimulatedPress, TactileCapture, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.cli import spelled_now
+from finray_calib.cli import current_spelling
 from sim import read_design
 from sim.surface_meshes import pressed_shape, rest_shape, store_shapes
 from tests.command_line.running import finray, succeed
@@ -78,7 +78,7 @@ def test_camera_that_sees_nothing_and_missing_calibration_are_told(design, tmp_p
 )
 def test_an_earlier_spelling_says_what_to_type_now(before, now, capsys):
     names = {"design": "a/my.toml", "paints": "--paint red=r.json --paint green=g.json"}
-    assert spelled_now(f"simulate {before.format(**names)}".split()) == f"simulate {now.format(**names)}".split()
+    assert current_spelling(f"simulate {before.format(**names)}".split()) == f"simulate {now.format(**names)}".split()
     assert (
         f"will be removed in the next one; type now: finray simulate {now.format(**names)}\n" in capsys.readouterr().err
     )
@@ -86,7 +86,7 @@ def test_an_earlier_spelling_says_what_to_type_now(before, now, capsys):
 
 @pytest.mark.parametrize("words", ["", "fit a.json --map", "simulate", "simulate --help", "simulate press d.toml"])
 def test_a_spelling_of_now_is_left_alone(words, capsys):
-    assert spelled_now(words.split()) == words.split()
+    assert current_spelling(words.split()) == words.split()
     assert capsys.readouterr().err == ""
 
 

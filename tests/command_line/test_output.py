@@ -18,7 +18,8 @@ from finray_calib.cli.main import build_parser, commands, completion_script
 from tests.command_line.running import documented, finray, succeed
 
 KEYS = {
-    *("finray_version", "command", "exit_status", "error", "result", "written", "look_at", "next", "warnings", "text"),
+    *("finray_version", "command", "exit_status", "error", "result", "written"),
+    *("open_first", "look_at", "next", "warnings", "text"),
 }
 COMMANDS = tuple(commands(build_parser()))
 # commands that take seconds, on the small laboratory; those of minutes are checked where their own tests run them,
@@ -82,7 +83,8 @@ def test_the_object_of_a_command_that_succeeds(command, lab, tmp_path):
     assert said["text"]
     assert all(Path(path).exists() for path in said["written"])
     assert bool(said["written"]) == (command in STORES)
-    assert said["look_at"] is None or Path(said["look_at"]).exists()
+    assert said["open_first"] is None or Path(said["open_first"]).exists()
+    assert said["look_at"] == said["open_first"]
 
 
 @pytest.mark.parametrize("command", QUICK)

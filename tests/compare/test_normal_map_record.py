@@ -90,7 +90,7 @@ def test_a_bayer_sensor_gives_the_same_map(captures):
     [
         (
             {"contact_circle": None},
-            "press 2: a normal map is taught by presses of a ball .* this press is by a ball without one",
+            "press 2: a normal map is trained on presses of a ball .* this press is by a ball without one",
         ),
         ({"mm_per_px": None}, "press 2: mm_per_px is missing"),
         ({"encoding": "unknown"}, "press 2 has encoding unknown, press 1 linear"),
@@ -117,7 +117,7 @@ def test_a_press_that_is_given_twice_is_refused(captures):
 def test_a_map_senses_its_own_encoding_only(captures):
     record = normal_map_record(captures, "map", seed=1)
     check_senses(record, captures[0])
-    with pytest.raises(CompareError, match="holds unknown values, but the normal map 'map' was taught by linear ones"):
+    with pytest.raises(CompareError, match="holds unknown values, but the normal map 'map' was trained on linear ones"):
         check_senses(record, captures[0].model_copy(update={"encoding": "unknown"}))
     with pytest.raises(CompareError, match="slopes and depths would be wrong; fit the map"):
         check_senses(record, captures[0].model_copy(update={"mm_per_px": 1.1 * MM_PER_PX}))

@@ -147,7 +147,7 @@ def test_a_press_that_taught_is_told_and_clipped_pixels_are_filled(presses, taug
 
 
 def test_a_map_of_an_earlier_version_knows_no_uncertainty(presses, taught):
-    old = {"held_out_depth_rms_mm": None, "held_out_height_error_rel": None, "taught_by_sha256": ()}
+    old = {"held_out_depth_rms_mm": None, "held_out_height_error_rel": None, "training_sha256": ()}
     sensed = sense_press(taught.model_copy(update=old), capture_of(presses[30], "q"))
     assert (sensed.depth_u_mm, sensed.deepest_u_mm, sensed.contact_area_u_mm2, sensed.is_of_teaching) == (None,) * 4
     assert sum("teach it again" in note for note in sensed.notes) == 2
@@ -170,7 +170,7 @@ def test_teach_and_run_lead_from_presses_to_depth(presses, tmp_path, monkeypatch
     write_record(capture_of(presses[30], "other"), tmp_path / "other.capture.json", provenance("pytest"))
     said = succeed("sense teach set --out map.json")
     assert "the height from rim to" in said
-    assert len(read_record(tmp_path / "map.json", NormalMapRecord).taught_by_sha256) == 14
+    assert len(read_record(tmp_path / "map.json", NormalMapRecord).training_sha256) == 14
     said = succeed("sense run map.json other.capture.json")
     assert "deepest" in said
     assert read_record(tmp_path / "other.sensed.json", SensedPress).is_of_teaching is False
@@ -178,7 +178,7 @@ def test_teach_and_run_lead_from_presses_to_depth(presses, tmp_path, monkeypatch
     assert len((tmp_path / "other.sensed.stl").read_bytes()) == 84 + 50 * 2 * 59 * 79
     own = finray("sense run map.json set/p00.capture.json")
     assert own.status == 0
-    assert "p0 taught the map 'map': its result proves nothing about other presses" in own.err
+    assert "p0 is a training press of the map 'map': its result proves nothing about other presses" in own.err
     (tmp_path / "empty").mkdir()
     nothing = finray("sense teach empty --out none.json")
     assert (nothing.status, "holds no NAME.capture.json; import presses" in nothing.err) == (2, True)

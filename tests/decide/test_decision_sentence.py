@@ -84,8 +84,8 @@ def test_an_angle_at_the_end_of_the_sweep_is_not_to_be_mounted(losses):
 
 def test_what_lies_outside_is_said():
     assert outside(touches(0.0, 0.0), Indenter()) == (
-        "It holds for touches at 8 to 12 mm along the pad, on the middle line, 1.5 mm deep, by a cylinder of 10 mm "
-        "radius; "
+        "The answer holds for touches at 8 to 12 mm along the pad, on the middle line, 1.5 mm deep, by a cylinder of "
+        "10 mm radius; "
         "other places, depths and objects were not simulated."
     )
     wide = [*touches(0.0), *touches(0.0, across_mm=3.0, depth_mm=3.0)]
@@ -149,8 +149,8 @@ def test_a_decision_on_the_normal_tells_the_error_and_its_places():
         "the best at any of the 2 places from 8 to 12 mm, and 14 % on average."
     )
     assert outside(touches(0.0, 0.0), Indenter(), "normal") == (
-        "It holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the object that "
-        "is touched are left out."
+        "The answer holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the "
+        "object that is touched are left out."
     )
 
 

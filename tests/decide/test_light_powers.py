@@ -8,7 +8,7 @@ from scipy.optimize import minimize, nnls
 
 from data_schemas import DecideError, LightPowers
 from data_schemas.storage import read_record
-from finray_calib.decide import LightBasis, PowerLimits, error_change, even_powers, most_even
+from finray_calib.decide import LightBasis, PowerLimits, error_change, even_powers, most_uniform_powers
 from finray_calib.decide._light_powers import powers_sentence
 
 LOW, HIGH, TOTAL = 0.25, 4.0, 1.0
@@ -31,7 +31,7 @@ def relative_variance(powers, spread, level):
 @pytest.mark.parametrize(("count", "seed"), [(2, 0), (3, 1), (3, 2), (6, 3), (12, 4), (24, 5)])
 def test_powers_are_those_of_another_solver_and_meet_the_conditions_of_an_optimum(count, seed):
     spread, level = problem(count, seed)
-    found = most_even(spread, level, limits_of(count))
+    found = most_uniform_powers(spread, level, limits_of(count))
     powers = found.powers
     assert relative_variance(powers, spread, level) == pytest.approx(found.variance_rel, rel=1e-9)
     assert found.gap_rel <= 1e-8 * found.variance_rel
@@ -64,17 +64,17 @@ def test_the_brightest_of_equally_even_powers_are_taken():
     left = np.linspace(2.0, 0.5, 20)
     brightness = np.stack([left, left[::-1]])
     spread, level = np.cov(brightness, bias=True), brightness.mean(axis=1)
-    assert most_even(spread, level, limits_of(2)).powers == pytest.approx([1.0, 1.0], abs=1e-6)
-    assert most_even(spread, level, limits_of(2, total=0.5)).powers == pytest.approx([0.5, 0.5], abs=1e-6)
-    assert most_even(spread, level, limits_of(2, high=0.8)).powers == pytest.approx([0.8, 0.8], abs=1e-6)
+    assert most_uniform_powers(spread, level, limits_of(2)).powers == pytest.approx([1.0, 1.0], abs=1e-6)
+    assert most_uniform_powers(spread, level, limits_of(2, total=0.5)).powers == pytest.approx([0.5, 0.5], abs=1e-6)
+    assert most_uniform_powers(spread, level, limits_of(2, high=0.8)).powers == pytest.approx([0.8, 0.8], abs=1e-6)
 
 
 def test_a_perfectly_even_coat_is_found():
-    found = most_even(np.zeros((3, 3)), np.ones(3), limits_of(3))
+    found = most_uniform_powers(np.zeros((3, 3)), np.ones(3), limits_of(3))
     assert found.variance_rel == 0.0
     rising = np.linspace(0.0, 2.0, 9)
     brightness = np.stack([rising, 2.0 - rising, np.ones(9)])
-    found = most_even(np.cov(brightness, bias=True), brightness.mean(axis=1), limits_of(3))
+    found = most_uniform_powers(np.cov(brightness, bias=True), brightness.mean(axis=1), limits_of(3))
     assert found.variance_rel < 1e-10
 
 
@@ -103,7 +103,7 @@ def test_intervals_of_powers_and_gain_hold_at_their_rate():
     limits, worlds = limits_of(3), 60
     true, _ = world(0)
     truth = basis_of(np.repeat(true[None], 3, axis=0))
-    best = most_even(truth.spread(truth.mean), truth.level(truth.mean), limits).powers
+    best = most_uniform_powers(truth.spread(truth.mean), truth.level(truth.mean), limits).powers
 
     def variation(powers):
         return np.sqrt(relative_variance(powers, truth.spread(truth.mean), truth.level(truth.mean)))

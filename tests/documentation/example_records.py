@@ -84,7 +84,7 @@ def example_results(seed: int = SEED, paint_name: str = "fluorescent red", measu
     red = _paint("red", paint_name, (606.0, 48.0, 4.5e-3), 0.0, optics, rng)
     green = _paint("green", "fluorescent green", (519.0, 36.0, 6.2e-3), 0.22 if measured_green else 0.0, optics, rng)
     if not measured_green:
-        green = replace(green, truth=replace(green.truth, kind="hidden paper-family paint"))
+        green = replace(green, truth=replace(green.truth, kind="simulated paint of the paper's family"))
     press, capture, report = _comparison(rng)
     sweep, true_sweep = _sweep(rng, 32.0, 3), _sweep(rng, 34.0, 1)
     return DemoResults(
@@ -179,7 +179,7 @@ def _paint(
     truth_values = _emission(WAVELENGTH_NM, *shape)
     truth_values = truth_values + second_peak_rel * peak_per_nm * _bell(WAVELENGTH_NM, mode_nm + 70.0, 50.0)
     bands, predicted = _bands(name, truth_values, shape, optics, rng)
-    kind = "hidden paper-family paint" if second_peak_rel == 0 else "measured material green.csv"
+    kind = "simulated paint of the paper's family" if second_peak_rel == 0 else "measured material green.csv"
     truth = PaintTruth(_curve("truth", truth_values), mode_nm, fwhm_nm, float(truth_values.sum() * 2.0), kind)
     return PaintResult(
         colour=colour,

@@ -14,7 +14,7 @@ from data_schemas import Interval, Provenance, RecordError
 from data_schemas.storage import write_record
 from finray_calib.reports import _comparison_statements as words
 from finray_calib.reports import comparison_page, headline
-from finray_calib.reports._comparison_figures import budget_figure
+from finray_calib.reports._comparison_figures import budget_figure, cause_figure
 from finray_calib.reports._comparison_statements import budget_table, judged_skill, metric_table, validation_table
 from finray_calib.reports._images import LARGEST_PIXELS, touch_changes, touch_pictures
 from finray_calib.reports._page import images_table
@@ -84,7 +84,7 @@ def test_the_verdict_stands_before_trust_images_and_tables(html, page):
     [
         ((-0.5, -0.3, -0.1), True, "Worse than no simulation", "untouched pad is nearer to the capture"),
         ((-0.1, 0.1, 0.3), True, "Not distinguishable from no simulation", "gives no reason to prefer the simulation"),
-        ((0.8, 0.9, 0.95), True, "Better than no simulation", "10 % of the squared change is left over"),
+        ((0.8, 0.9, 0.95), True, "Better than no simulation", "10 % of the squared change remains unexplained"),
         (
             (0.92, 0.95, 0.999),
             True,
@@ -92,7 +92,7 @@ def test_the_verdict_stands_before_trust_images_and_tables(html, page):
             "no larger than that between two captures of the same touch",
         ),
         ((0.8, 0.9, 0.999), True, "Better than no simulation", "as good as the capture can show, or explain only 80 %"),
-        ((0.8, 0.9, 0.999), False, "Better than no simulation", "10 % of the squared change is left over"),
+        ((0.8, 0.9, 0.999), False, "Better than no simulation", "10 % of the squared change remains unexplained"),
     ],
 )
 def test_the_verdict_is_where_the_interval_lies(interval, floor, verdict, says):
@@ -398,3 +398,11 @@ def test_noise_does_not_hide_what_the_touch_changes():
 def test_an_interval_above_one_altogether_means_disagreement():
     assert any("model and noise disagree" in limit for limit in words.limits(with_skill(1.05, 1.1, 1.2)))
     assert not any("model and noise disagree" in limit for limit in words.limits(with_skill(0.95, 1.02, 1.1)))
+
+
+def test_the_picture_of_a_cause_under_a_cylinder_does_not_fill_the_screen():
+    """The region that such a picture shows is six times as tall as wide; the picture with its bar is nearly square."""
+    change = np.random.default_rng(1).normal(size=(180, 30)).astype(np.float32)
+    size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', cause_figure(change, change[None]))
+    assert size
+    assert float(size[2]) < 1.6 * float(size[1])

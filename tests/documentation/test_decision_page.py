@@ -127,7 +127,7 @@ def test_without_a_capture_it_is_said_at_once():
     ) in plain(html[: html.index(TRUST)])
     text = plain(html)
     assert "At an angle without a capture the simulation may be off by 10 %" in text
-    assert "assumed until a capture shows it" in text
+    assert "assumed until a capture measures it" in text
     assert "At most 2 % is lost with probability 0.51" in text
     assert "Next capture: none is expected to change the decision." in text
     assert "Another objective may prefer another angle." in text

@@ -173,7 +173,7 @@ def test_the_paper_stands_beside_the_fit_and_the_truth() -> None:
     assert rows["mode"][-1] == "519.0 nm, inside"
     assert rows["location (\u03bb\u2080)"][2] == "507.0 [504.1, 509.9] nm"
     alone = quantities_table(FittedPaint(GREEN.bands, GREEN.fit))
-    assert alone.columns == ("quantity", "fit", "prior left (shift)", "the paper's curve alone")
+    assert alone.columns == ("quantity", "fit", "prior variance remaining (shift)", "the paper's curve alone")
     assert {len(row) for group in alone.groups for row in group.rows} == {4}
 
 
@@ -197,12 +197,12 @@ def test_the_bands_table_marks_what_is_not_used_and_not_explained() -> None:
 def test_the_chain_is_tabled_only_where_emcee_ran() -> None:
     table = chain_table(RED)
     assert table is not None
-    assert cells(table)["filter leak over its nominal value"] == ("1.004", "6350", "8.1", "-0.03")
+    assert cells(table)["filter leak / its nominal value"] == ("1.004", "6350", "8.1", "-0.03")
     alone = replace(RED, fit=with_diagnostics(RED.fit, chain=None))
     assert chain_table(alone) is None
     own = RED.fit.diagnostics.chain.model_copy(update={"mean_shift_sd": {}})
     fallback = replace(RED, fit=with_diagnostics(RED.fit, chain=own, method="emcee"))
-    assert cells(chain_table(fallback))["filter leak over its nominal value"][-1] == "\u2013"
+    assert cells(chain_table(fallback))["filter leak / its nominal value"][-1] == "\u2013"
     assert said.is_trusted(fallback.fit.diagnostics)
     assert "walkers, steps" in cells(sampling_table(RED))
     assert "walkers, steps" not in cells(sampling_table(alone))

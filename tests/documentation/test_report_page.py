@@ -158,7 +158,11 @@ def test_another_verdict_is_named_in_title_and_box(hostile: str) -> None:
 
 
 def test_true_finger_and_paper_emitter_are_told_only_where_they_were_rendered(page: Page, hostile: str) -> None:
-    for words in ("On the hidden true finger", "With the paper's emitter", "simulation, paper's emitter 0.702"):
+    for words in (
+        "On the true finger, which the fit and the decision did not see",
+        "With the paper's emitter",
+        "simulation, paper's emitter 0.702",
+    ):
         assert words in page.prose
         assert words not in Page(hostile).prose
 

@@ -323,7 +323,7 @@ def test_circles_for_captures_that_have_none(tmp_path):
     outcome = finray(f"sense teach {named} --out {tmp_path}/m.json")
     assert outcome.status == 2
     assert f"{files[0]}: " in outcome.err
-    assert "press 1: a normal map is taught by presses of a ball with a known contact circle" in outcome.err
+    assert "press 1: a normal map is trained on presses of a ball with a known contact circle" in outcome.err
     (tmp_path / "circles.csv").write_text("\n".join(lines[:-1]) + "\n")
     outcome = finray(f"sense teach {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
     assert outcome.status == 2

@@ -9,7 +9,7 @@ from data_schemas import BandSignals, PaintCalibration, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.cli._export import SUFFIXES
 from finray_calib.exchange import PAINT_FORMATS, import_band_folder
-from finray_calib.spectra import WAVELENGTH_NM, weights_of
+from finray_calib.spectra import WAVELENGTH_NM, rig_emission_weights
 from tests.command_line.running import finray, succeed
 from tests.exchange.band_folders import EXPOSURE_S, edit, write_folder
 
@@ -107,7 +107,7 @@ def test_import_mistakes_end_with_status_2(tmp_path):
 def test_monochrome_import_is_accepted_by_the_fit(tmp_path):
     """A paint of known emission, seen by a monochrome camera through five filters: the interval holds its mode."""
     optics = import_band_folder(write_folder(tmp_path / "probe", "monochrome"))[0].optics
-    weights = weights_of(optics, MONOCHROME_WEIGHTS)
+    weights = rig_emission_weights(optics, MONOCHROME_WEIGHTS)
     bell = np.exp2(-((2 * (WAVELENGTH_NM - MODE_NM) / FWHM_NM) ** 2))
     emission_per_nm = YIELD * bell / bell.sum()
     values = (weights.emission @ emission_per_nm + REFLECTED * weights.reflected_laser).reshape(-1, 3)[:, 1]

@@ -494,10 +494,12 @@ def test_a_press_that_taught_is_not_predicted_under_another_name(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     outcome = finray("import captures fots --recipe fots-gelsight --predict-from 1 --out set")
     assert outcome.status == 0
-    assert "0002: has the same image as a press that taught the table, and is not predicted" in outcome.err
+    assert "0002: has the same image as a training press of the table, and is not predicted" in outcome.err
     assert sorted(p.name for p in (tmp_path / "set").glob("*.press.json")) == [f"000{k}.press.json" for k in (3, 4, 5)]
     captures = read_by_recipe(folder, shipped("fots-gelsight")).captures
-    with pytest.raises(CompareError, match=r"0002: its contact image taught the table \(0001\), so its prediction"):
+    with pytest.raises(
+        CompareError, match=r"0002: its contact image was used to train the table \(0001\), so its prediction"
+    ):
         predict_press(teach_table([captures["0001"]]), captures["0002"])
 
 

@@ -8,7 +8,7 @@ from data_schemas import Estimate, PixelSignals, RegionOfInterest
 from finray_calib.fit import PixelSpread
 from finray_calib.fit._band_data import band_values
 from finray_calib.fit._pixel_maps import RegionFit
-from finray_calib.spectra import family_named, weights_of
+from finray_calib.spectra import family_named, rig_emission_weights
 
 CHANNEL_WEIGHTS = (0.25, 0.5, 0.25)
 OWN = {"zheng2014": 0.9, "log_normal_wavenumber": 0.25}
@@ -40,7 +40,7 @@ class PixelScene:
 
 
 def bands_of(name, optics, theta):
-    weights = weights_of(optics, CHANNEL_WEIGHTS)
+    weights = rig_emission_weights(optics, CHANNEL_WEIGHTS)
     family = family_named(name)
     parts = [
         band_values(family.curves(t[:, :4], weights.wavelength_nm), t[:, 4], weights)

@@ -5,7 +5,14 @@ import pytest
 
 from data_schemas import Optics
 from finray_calib.fit import EmissionPrior
-from finray_calib.spectra import FAMILIES, EmissionWeights, band_quadrature, emission_weights, gauss_nodes, weights_of
+from finray_calib.spectra import (
+    FAMILIES,
+    EmissionWeights,
+    band_quadrature,
+    emission_weights,
+    gauss_nodes,
+    rig_emission_weights,
+)
 from tests.fit.synthetic_bands import orange
 
 CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)
@@ -23,7 +30,7 @@ def by_rule(rule, weights, family, theta):
 
 def weights_with(optics: Optics, shape_order: float, fwhm_nm: float) -> EmissionWeights:
     filters = tuple(f.model_copy(update={"shape_order": shape_order, "fwhm_nm": fwhm_nm}) for f in optics.filters)
-    return weights_of(optics.model_copy(update={"filters": filters}), CHANNEL_WEIGHTS)
+    return rig_emission_weights(optics.model_copy(update={"filters": filters}), CHANNEL_WEIGHTS)
 
 
 @pytest.fixture(scope="module", params=[(1.0, 10.0), (2.0, 10.0), (4.0, 13.0)], ids=["Gaussian", "flat", "hard-coated"])

@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 from data_schemas import Optics
 from finray_calib.fit import BandData, EmissionPrior, LogPosterior
 from finray_calib.fit._band_data import Reference, tolerance_columns
-from finray_calib.spectra import tolerances_of, weights_of
+from finray_calib.spectra import band_tolerances, rig_emission_weights
 from tests.fit.synthetic_bands import ZHENG, full_sum
 
 SHARES = (0.1, 0.3, 0.6)
@@ -41,19 +41,21 @@ def moved(optics: Optics, name: str, **change: float) -> Optics:
     ],
 )
 def test_column_is_the_effect_of_moving_that_filter(optics, name, change, kind):
-    nominal = weights_of(optics, SHARES)
-    columns = columns_of(nominal, tolerances_of(optics, SHARES))
+    nominal = rig_emission_weights(optics, SHARES)
+    columns = columns_of(nominal, band_tolerances(optics, SHARES))
     band = [f.name for f in optics.filters].index(name)
     mu = values(nominal)
-    effect = values(weights_of(moved(optics, name, **change), SHARES)) - mu
+    effect = values(rig_emission_weights(moved(optics, name, **change), SHARES)) - mu
     # an excitation filter's columns lose second order in a shift of 1.5 % of its width
     np.testing.assert_allclose(columns[:, 8 * kind + band], effect, rtol=0.02, atol=1e-6 * np.abs(mu).max())
 
 
 def test_blocking_column_is_the_slope_in_the_optical_density(optics):
-    columns = columns_of(weights_of(optics, SHARES), tolerances_of(optics, SHARES))
+    columns = columns_of(rig_emission_weights(optics, SHARES), band_tolerances(optics, SHARES))
     step = 1e-4
-    leakier, tighter = (values(weights_of(moved(optics, "500", blocking_od=sign * step), SHARES)) for sign in (-1, 1))
+    leakier, tighter = (
+        values(rig_emission_weights(moved(optics, "500", blocking_od=sign * step), SHARES)) for sign in (-1, 1)
+    )
     slope = (leakier - tighter) / (2 * step) * 0.2  # one standard uncertainty is 0.2 in optical density
     assert np.abs(slope).max() > 0
     np.testing.assert_allclose(columns[:, 2], slope, rtol=1e-3, atol=1e-12)
@@ -66,16 +68,16 @@ def test_leak_multiplier_equals_another_optical_density(optics):
     excitation_kept = moved(leakier, "450", blocking_od=0.3 / np.log(10))
     more = PLAIN.copy()
     more[5] = 0.3
-    got = values(weights_of(optics, SHARES), more)
-    others = weights_of(optics, SHARES).band_index != 1
-    np.testing.assert_allclose(got[others], values(weights_of(excitation_kept, SHARES))[others], rtol=1e-9)
+    got = values(rig_emission_weights(optics, SHARES), more)
+    others = rig_emission_weights(optics, SHARES).band_index != 1
+    np.testing.assert_allclose(got[others], values(rig_emission_weights(excitation_kept, SHARES))[others], rtol=1e-9)
     # through the excitation filter the laser level V is held at its nominal value, which cancels between channels
-    expected = values(weights_of(leakier, SHARES))
+    expected = values(rig_emission_weights(leakier, SHARES))
     np.testing.assert_allclose(got[3:5] / got[5], expected[3:5] / expected[5], rtol=1e-4)
 
 
 def test_likelihood_with_tolerances_equals_the_plain_gaussian(optics):
-    weights, tolerances = weights_of(optics, SHARES), tolerances_of(optics, SHARES)
+    weights, tolerances = rig_emission_weights(optics, SHARES), band_tolerances(optics, SHARES)
     rng = np.random.default_rng(3)
     mu = values(weights)
     noise = np.diag((0.003 * mu + 1e-6) ** 2)

@@ -5,7 +5,7 @@ import pytest
 
 from data_schemas import CurveError, LampSettings, RigFile
 from data_schemas.storage import halogen_lamp, lamp_curve, planck_relative, read_toml
-from finray_calib.spectra import lamp_response, weights_of
+from finray_calib.spectra import lamp_response, rig_emission_weights
 from rigs import simulated_rig, write_rig
 from rigs.simulated import Bench
 from rigs.simulated._bench import WAVELENGTH_NM
@@ -18,7 +18,7 @@ def test_band_values_move_with_the_lamp_as_new_weights_say(optics):
     curve = np.exp(-0.5 * ((np.arange(380.0, 781.0) - 580) / 25) ** 2)
     stated = optics.model_copy(update={"lamp_temperature_uncertainty_k": 10.0})
     hotter = optics.model_copy(update={"lamp": halogen_lamp(2866.0)})
-    told, real = weights_of(stated, CHANNELS), weights_of(hotter, CHANNELS)
+    told, real = rig_emission_weights(stated, CHANNELS), rig_emission_weights(hotter, CHANNELS)
     signals = told.emission @ curve, real.emission @ curve
     seen = (signals[0] > 1e-3 * signals[0].max()) & (told.leaked_white < 0.01)
     # the true lamp is hotter than the stated one: measured values are those of the hotter weights

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from data_schemas import BandPassFilter, BandSignals, FilterWheelSettings, Optics, SpectralCurve, half_maximum_nm
 from data_schemas.storage import assumed_camera_response, halogen_lamp
 from finray_calib.fit import NO_DISCREPANCY, EmissionPrior, band_data, fit_emission
-from finray_calib.spectra import WAVELENGTH_NM, tolerances_of, weights_of
+from finray_calib.spectra import WAVELENGTH_NM, band_tolerances, rig_emission_weights
 from finray_calib.spectra._band_weights import measured_transmission
 from rigs import simulated_rig
 from rigs._rig_files import PAPER_FILTERS_NM
@@ -127,8 +127,8 @@ def test_transmission_on_the_grid_integrates_the_curve_and_holds_the_floor_besid
 @pytest.mark.parametrize(("kind", "field"), [(0, "center_uncertainty_nm"), (1, "fwhm_uncertainty_nm")])
 def test_tolerance_of_a_measured_filter_shifts_and_stretches_its_curve(kind, field):
     _, optics = bench_optics(True)
-    shift = tolerances_of(optics, SHARES).emission_shift[kind]
-    weights = weights_of(optics, SHARES)
+    shift = band_tolerances(optics, SHARES).emission_shift[kind]
+    weights = rig_emission_weights(optics, SHARES)
     rows = weights.band_index == list(PAPER_FILTERS_NM).index(600)
     x = weights.wavelength_nm
     sd_nm = getattr(optics.filters[5], field)
@@ -138,7 +138,7 @@ def test_tolerance_of_a_measured_filter_shifts_and_stretches_its_curve(kind, fie
     by = 1.0 if kind == 0 else (curve.wavelength_nm - middle_nm) / (high_nm - low_nm)
     moved_nm = curve.wavelength_nm + sd_nm * by
     moved = optics.filter_curves | {"600": curve.model_copy(update={"wavelength_nm": moved_nm})}
-    after = weights_of(optics.model_copy(update={"filter_curves": moved}), SHARES)
+    after = rig_emission_weights(optics.model_copy(update={"filter_curves": moved}), SHARES)
     np.testing.assert_allclose(shift[rows], (after.emission - weights.emission)[rows], atol=1e-9)
     centroid = (after.emission[rows] @ x / after.emission[rows].sum(axis=1)) - (
         weights.emission[rows] @ x / weights.emission[rows].sum(axis=1)

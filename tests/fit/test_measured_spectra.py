@@ -17,7 +17,7 @@ from finray_calib.fit._measured_spectra import (
     prior_curves,
 )
 from finray_calib.fit._reported_spectrum import prior_share, simultaneous_band
-from finray_calib.spectra import curve_quantities, weights_of
+from finray_calib.spectra import curve_quantities, rig_emission_weights
 from tests.fit.synthetic_bands import orange, simulate
 
 CHANNELS = np.array([0.01, 0.09, 0.9])
@@ -137,7 +137,7 @@ def test_the_lamp_widens_the_yield_by_what_its_temperature_moves(bands_of_orange
 
 @pytest.fixture(scope="module")
 def bands_of_orange(optics):
-    weights = weights_of(optics, CHANNELS)
+    weights = rig_emission_weights(optics, CHANNELS)
     data, _ = simulate(orange(), weights, np.random.default_rng(2))
     signals = BandSignals(
         paint_name="orange",

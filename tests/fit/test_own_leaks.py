@@ -20,7 +20,7 @@ from finray_calib.fit import (
 from finray_calib.fit._band_data import band_values, decisive_leaks
 from finray_calib.fit._emission import curve_draws
 from finray_calib.fit._importance import MixtureProposal, WeightedSample
-from finray_calib.spectra import tolerances_of, weights_of
+from finray_calib.spectra import band_tolerances, rig_emission_weights
 from tests.fit.synthetic_bands import LOG_NORMAL, orange
 
 SHARES = (0.1, 0.3, 0.6)
@@ -52,12 +52,12 @@ def exact_filters(optics, **only):
 def measured(optics, noise_rel, leak=0.0, discrepancy=NO_DISCREPANCY):
     """Return the posterior of an orange paint on exact filters refined there; `leak` is ln of the leak at 500 nm."""
     rig, theta = exact_filters(optics), np.append(orange()[:5], 0.0)
-    weights = weights_of(rig, SHARES)
+    weights = rig_emission_weights(rig, SHARES)
     own = np.where(weights.band_index == LEAKY, np.exp(leak), 1.0)
     curve = LOG_NORMAL.curves(theta[None], weights.wavelength_nm)
     mu = band_values(curve, np.exp(theta[4:5]), weights, own[None])[0]
     sd = np.where(weights.band_index == LEAKY, noise_rel, UNFELT_REL) * mu
-    data = BandData(mu.reshape(8, 3), np.diag(sd**2), np.ones((8, 3), bool), weights, 0.0, tolerances_of(rig, SHARES))
+    data = BandData(mu.reshape(8, 3), np.diag(sd**2), np.ones((8, 3), bool), weights, 0.0, band_tolerances(rig, SHARES))
     return LogPosterior(data, known_paint(), KNOWN, discrepancy).refined(theta)[0]
 
 
@@ -117,7 +117,9 @@ def test_leak_of_known_size_splits_between_common_and_own_as_normal_conditioning
 def test_one_standard_deviation_of_an_own_leak_is_that_of_the_optical_density(optics):
     posterior = measured(optics, 1e-3)
     theta = np.concatenate([orange()[:5], [0.0, 1.0]])
-    moved = weights_of(exact_filters(optics, f500={"blocking_od": optics.filters[LEAKY].blocking_od - 0.2}), SHARES)
+    moved = rig_emission_weights(
+        exact_filters(optics, f500={"blocking_od": optics.filters[LEAKY].blocking_od - 0.2}), SHARES
+    )
     curve = LOG_NORMAL.curves(theta[None], moved.wavelength_nm)
     expected = band_values(curve, np.exp(theta[4:5]), moved)[0]
     rows = moved.band_index == LEAKY

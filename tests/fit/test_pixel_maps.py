@@ -14,7 +14,7 @@ from finray_calib.fit import FitOptions, PixelSpread, calibrate_paint, map_paint
 from finray_calib.fit._pixel_maps import RegionFit, pixel_problem, region_fit
 from finray_calib.reports import paint_map_figure, spot_sentence, spread_sentence
 from finray_calib.reports._fit_figures import thinned
-from finray_calib.spectra import family_named, weights_of
+from finray_calib.spectra import family_named, rig_emission_weights
 from finray_calib.spectra.family_kernels import CURVE_CONSTANTS, LANES, SHAPES, curve_constants, curve_slopes, logarithm
 from tests.fit.pixel_scenes import CHANNEL_WEIGHTS, SPREAD, bands_of, center_of, drawn_truths, scene, whole_rule
 
@@ -40,7 +40,7 @@ def drawn(request, optics):
 def test_slopes_of_the_curve(name, optics):
     center = center_of(name)
     region = scene(name, optics, np.tile(center, (64, 1)), np.random.default_rng(0)).region
-    problem, _ = pixel_problem(region, weights_of(optics, CHANNEL_WEIGHTS), SPREAD)
+    problem, _ = pixel_problem(region, rig_emission_weights(optics, CHANNEL_WEIGHTS), SPREAD)
     family, k = family_named(name), np.empty(CURVE_CONSTANTS * LANES)
     wavelengths = np.array([520.0, 590.0, 600.0, 690.0])
     block = np.tile(center[:SHAPES, None], LANES)
@@ -87,7 +87,7 @@ def map_at(found, i):
 def test_agrees_with_scipy(drawn):
     """The same bands and prior: only the fitter differs."""
     made, found = drawn
-    problem, _ = pixel_problem(made.region, weights_of(made.optics, CHANNEL_WEIGHTS), SPREAD)
+    problem, _ = pixel_problem(made.region, rig_emission_weights(made.optics, CHANNEL_WEIGHTS), SPREAD)
     nodes, weights = whole_rule(problem)
     channel, curves = made.pixels.channel.ravel(), made.region.family.curves
     for i in np.random.default_rng(8).choice(channel.size, 100, replace=False):

@@ -8,7 +8,7 @@ import pytest
 from data_schemas import FitError, PaintCalibration, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib import fit_paint
-from finray_calib.fit import combine_sessions, departing_warnings
+from finray_calib.fit import combine_sessions, outlying_session_warnings
 from rigs import simulated_rig
 from rigs.simulated import bench_truth
 from tests.schemas.freeze import ORIGIN
@@ -81,7 +81,7 @@ def test_a_session_with_another_filter_is_named_and_others_are_not(session):
     sessions[3] = sessions[3].model_copy(update={"fluorescence": y})
     _, scatter = combine_sessions(sessions)
     assert scatter.departing == (4,)
-    assert departing_warnings(scatter)[0].startswith("session 4 differs from the other sessions")
+    assert outlying_session_warnings(scatter)[0].startswith("session 4 differs from the other sessions")
 
 
 def test_the_common_values_lie_among_those_of_the_sessions_however_their_channels_disagree(session, red_bands):

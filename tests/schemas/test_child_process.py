@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from data_schemas import DiedError, NoEquilibriumError, RefusedError
+from data_schemas import NoEquilibriumError, ProcessDiedError, RefusedError
 from data_schemas.storage import Child, call_in_child, is_child, memory_left
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,7 +71,7 @@ def test_results_and_messages_come_back_from_one_process(child):
     ],
 )  # fmt: skip
 def test_a_death_is_an_error_and_the_next_call_works(child, function, arguments, message):
-    with pytest.raises(DiedError, match=message) as died:
+    with pytest.raises(ProcessDiedError, match=message) as died:
         child.call(f"{DYING}:{function}", arguments)
     if function != "stumble":  # it lives on
         assert "it had taken 0." in str(died.value)
@@ -80,7 +80,7 @@ def test_a_death_is_an_error_and_the_next_call_works(child, function, arguments,
 
 def test_a_death_before_the_call_is_noticed_at_the_call(child):
     os.kill(child.pid, signal.SIGKILL)
-    with pytest.raises(DiedError, match=r"was killed \(SIGKILL\)"):
+    with pytest.raises(ProcessDiedError, match=r"was killed \(SIGKILL\)"):
         child.call(f"{DYING}:add", {"a": 1.0, "b": 1.0})
 
 
@@ -102,7 +102,8 @@ def test_errors_of_the_operating_system_keep_their_file(child, tmp_path):
 
 def test_memory_is_limited_and_told():
     with pytest.raises(
-        DiedError, match=r"^ran out of memory \(it may take 0\.5 GiB more than its start\); it had taken 0"
+        ProcessDiedError,
+        match=r"^ran out of memory \(its limit is 0\.5 GiB more than it had at the start\); it had taken 0",
     ):
         call_in_child(f"{DYING}:take_memory", {"gib": 1.0}, memory_bytes=1 << 29)
     assert call_in_child(f"{DYING}:take_memory", {"gib": 0.25}, memory_bytes=1 << 29) == 1 << 28
@@ -110,7 +111,7 @@ def test_memory_is_limited_and_told():
 
 def test_time_is_limited():
     start = time.monotonic()
-    with pytest.raises(DiedError, match=r"^took longer than 1 s"):
+    with pytest.raises(ProcessDiedError, match=r"^took longer than 1 s"):
         call_in_child(f"{DYING}:wait", {"seconds": 60.0, "ignore_interrupts": True}, time_s=1.0)
     assert time.monotonic() - start < 30.0
 
@@ -118,9 +119,9 @@ def test_time_is_limited():
 def test_what_it_writes_goes_to_its_log_with_the_place_of_a_crash(child, tmp_path, capfd):
     log = tmp_path / "stage.log"
     child.call(f"{DYING}:write_and_warn", {}, log=log)
-    with pytest.raises(DiedError, match="SIGSEGV"):
+    with pytest.raises(ProcessDiedError, match="SIGSEGV"):
         child.call(f"{DYING}:read_address_zero", {}, log=log)
-    with pytest.raises(DiedError, match="fault of finray itself"):
+    with pytest.raises(ProcessDiedError, match="fault of finray itself"):
         child.call(f"{DYING}:stumble", {}, log=log)
     text = log.read_text()
     assert "to standard output\n" in text

@@ -12,6 +12,7 @@ from pydantic import create_model
 from data_schemas import (
     AcceptanceReport,
     ChecksumError,
+    DesignOptimum,
     FingerDesign,
     LightAngleDecision,
     NewerSchemaError,
@@ -83,7 +84,10 @@ def test_migration_keeps_what_was_stored(record_type):
     assert changed <= CHANGED.get((record_type.__name__, record_type.schema_version - 1), set())
 
 
-CHANGED: dict[tuple[str, int], set[str]] = {}
+CHANGED: dict[tuple[str, int], set[str]] = {
+    ("DesignOptimum", 3): {"parameters"},
+    ("NormalMapRecord", 4): {"taught_by_sha256"},
+}
 """(kind, version) -> fields that its step changes or drops on purpose."""
 
 
@@ -265,3 +269,14 @@ def test_an_old_file_that_does_not_fit_names_the_commit_that_wrote_it(tmp_path):
         r"commit 8ef2b25",
     ):
         read_record(path, LightAngleDecision)
+
+
+def test_what_has_another_name_is_kept():
+    """`is_whole` and `taught_by_sha256` of earlier files are read under the names of today."""
+    search = json.loads(example_of(DesignOptimum, 3).read_text(encoding="utf-8"))["record"]
+    search["parameters"][0]["is_whole"] = True
+    found = MIGRATIONS["DesignOptimum", 3](search)["parameters"]
+    assert [one["is_integer"] for one in found] == [True, *(False for _ in found[1:])]
+    assert not any("is_whole" in one for one in found)
+    known = {"taught_by_sha256": ["0" * 64], "seed": 1}
+    assert MIGRATIONS["NormalMapRecord", 4](known) == {"training_sha256": ["0" * 64], "seed": 1}

@@ -31,7 +31,7 @@ def finger(paints, first_nm=380.0):
 
 
 def test_finger_as_built_differs_from_its_design():
-    built = digital_twin.hidden_design(FingerDesign())
+    built = digital_twin.as_built_design(FingerDesign())
     assert built.light.angle_deg == 33.0
     assert built.coating.roughness_alpha == pytest.approx(0.275)
     assert built.coating.diffuse_share == pytest.approx(0.385)
@@ -44,7 +44,7 @@ def test_finger_as_built_differs_from_its_design():
 
 def test_finger_as_built_keeps_every_bound():
     extreme = FingerDesign(coating=Coating(roughness_alpha=0.95, diffuse_share=1.0), light=LightPanel(angle_deg=179.0))
-    built = digital_twin.hidden_design(extreme)
+    built = digital_twin.as_built_design(extreme)
     assert (built.coating.roughness_alpha, built.coating.diffuse_share) == (1.0, 1.0)
     assert built.light.angle_deg == -178.0  # 182 deg
     assert FingerDesign.model_validate(built.model_dump()) == built

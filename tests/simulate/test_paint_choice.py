@@ -8,7 +8,7 @@ import pytest
 from data_schemas import FingerDesign, SimulateError, SpectralCurve
 from data_schemas._design_parts import TactileCamera
 from finray_calib.decide import rank_by_draws
-from sim.experiments import BareFinger, PaintDraws, paint_pairs
+from sim.experiments import PaintDraws, UnpaintedFinger, paint_pairs
 from sim.experiments._light_angle import POINTS_ACROSS, POINTS_ALONG, facet_slopes
 from sim.experiments._paint_choice import trace_pairs
 from sim.optics import (
@@ -41,7 +41,7 @@ def steps():
 
 
 def finger(renderer):
-    return BareFinger(DESIGN, steps(), renderer)
+    return UnpaintedFinger(DESIGN, steps(), renderer)
 
 
 def calibrated(paint, seed):

@@ -26,7 +26,7 @@ from sim.experiments import (
     candidate_presses,
     press_family,
     press_records,
-    teach_surrogate,
+    train_surrogate,
 )
 from sim.experiments import _press_surrogate as surrogate
 from sim.mechanics import (
@@ -113,7 +113,7 @@ def taught(
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(surrogate, "condense_finger", lambda *_: condensed)
         patched.setattr(surrogate, "press_to_teach", by_the_law(finger))
-        return teach_surrogate(design, TeachSettings(PRESSES), store=presses.__setitem__)
+        return train_surrogate(design, TeachSettings(PRESSES), store=presses.__setitem__)
 
 
 def test_a_small_push_on_the_condensed_finger_is_that_of_finite_elements(
@@ -231,14 +231,14 @@ def test_teaching_goes_on_after_the_last_press(
     monkeypatch.setattr(surrogate, "press_to_teach", by_the_law(finger))
     kept = {number: press for number, press in presses.items() if number < 22}
     new: dict[int, TaughtPress] = {}
-    again = teach_surrogate(design, TeachSettings(PRESSES), stored=kept.get, store=new.__setitem__)
+    again = train_surrogate(design, TeachSettings(PRESSES), stored=kept.get, store=new.__setitem__)
     assert sorted(new) == [22, 23]
     np.testing.assert_array_equal(again.sample_features, taught.sample_features)
     np.testing.assert_allclose(again.amplitudes_rel, taught.amplitudes_rel)
     stiffer = design.model_copy(update={"pad": design.pad.model_copy(update={"length_mm": 50.0})})
     kept[0] = kept[0].model_copy(update={"design": stiffer})
     with pytest.raises(SimulateError, match="press 1 in the folder belongs to another design"):
-        teach_surrogate(design, TeachSettings(PRESSES), stored=kept.get)
+        train_surrogate(design, TeachSettings(PRESSES), stored=kept.get)
 
 
 def test_the_presses_beyond_the_first_are_those_least_known(design: FingerDesign, taught: PressSurrogate) -> None:
@@ -266,13 +266,13 @@ def test_surfaces_are_those_of_the_records(design: FingerDesign, taught: PressSu
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"shape": "cuboid", "size_mm": (20.0, 10.0, 10.0)}, 'indenter.shape = "cuboid"; it was taught'),
-        ({"friction": 0.2}, "indenter.friction = 0.2; it was taught presses without friction"),
-        ({"radius_mm": 3.0}, "indenter.radius_mm = 3 mm; it was taught 6 to 20 mm"),
-        ({"position_mm": 47.0}, "indenter.position_mm = 47 mm; it was taught 9.6 to 40.8 mm"),
-        ({"depth_mm": 4.5}, "indenter.depth_mm = 4.5 mm; it was taught 0.5 to 4 mm"),
-        ({"rotation_deg": (0.0, 45.0, 0.0)}, r"indenter.rotation_deg\[1\] = 45 deg; it was taught -30 to 30 deg"),
-        ({"rotation_deg": (0.0, 0.0, 5.0)}, "it was taught with cylinders that lie flat"),
+        ({"shape": "cuboid", "size_mm": (20.0, 10.0, 10.0)}, 'indenter.shape = "cuboid"; it was trained on'),
+        ({"friction": 0.2}, "indenter.friction = 0.2; it was trained on presses without friction"),
+        ({"radius_mm": 3.0}, "indenter.radius_mm = 3 mm; it was trained on 6 to 20 mm"),
+        ({"position_mm": 47.0}, "indenter.position_mm = 47 mm; it was trained on 9.6 to 40.8 mm"),
+        ({"depth_mm": 4.5}, "indenter.depth_mm = 4.5 mm; it was trained on 0.5 to 4 mm"),
+        ({"rotation_deg": (0.0, 45.0, 0.0)}, r"indenter.rotation_deg\[1\] = 45 deg; it was trained on -30 to 30 deg"),
+        ({"rotation_deg": (0.0, 0.0, 5.0)}, "it was trained on cylinders that lie flat"),
     ],
 )
 def test_a_press_that_was_not_taught_is_refused(
@@ -286,7 +286,7 @@ def test_another_finger_is_refused_and_another_light_is_not(design: FingerDesign
     opened = SurrogateFinger(taught)
     opened.check_design(design.model_copy(update={"light": design.light.model_copy(update={"angle_deg": 50.0})}))
     softer = design.mechanics.model_copy(update={"gel": design.mechanics.gel.model_copy(update={"c10_mpa": 0.1})})
-    with pytest.raises(SimulateError, match="was taught another design: it differs in mechanics"):
+    with pytest.raises(SimulateError, match="was trained for another design, which differs in mechanics"):
         opened.check_design(design.model_copy(update={"mechanics": softer}))
 
 
@@ -315,7 +315,7 @@ def test_a_condensation_of_another_mesh_is_refused(design: FingerDesign, condens
 
 def test_too_few_presses_are_refused(design: FingerDesign) -> None:
     with pytest.raises(SimulateError, match="19 presses are too few"):
-        teach_surrogate(design, TeachSettings(19))
+        train_surrogate(design, TeachSettings(19))
 
 
 @pytest.fixture
@@ -363,7 +363,11 @@ def test_the_command_falls_back_on_finite_elements(command: str, tmp_path: Path)
     ("old", "new", "said"),
     [
         ("length_mm = 48.0", "length_mm = 50.0", "was taught another design: it differs in pad"),
-        ("depth_mm = 0.6", "depth_mm = 4.5", "does not cover indenter.depth_mm = 4.5 mm; it was taught 0.5 to 4 mm"),
+        (
+            "depth_mm = 0.6",
+            "depth_mm = 4.5",
+            "does not cover indenter.depth_mm = 4.5 mm; it was trained on 0.5 to 4 mm",
+        ),
     ],
 )
 def test_the_command_refuses_another_finger_and_another_press(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_schemas import ContactCircle, IndenterPose, SimulateError, TactileCapture
-from sim.experiments import predict_on_gel, teach_gel
+from sim.experiments import fit_gel, predict_on_gel
 
 RADIUS_MM, MM_PER_PX, SHAPE = 6.0, 0.1, (120, 160)
 EXPONENT, DIRECTIONS_DEG, LEVEL = 0.45, (-160.0, -30.0, 85.0), 55.0
@@ -64,7 +64,7 @@ def capture(number, widths_mm=(1.0, 1.6), **lights):
 
 @pytest.fixture(scope="module")
 def gel():
-    return teach_gel([capture(number) for number in range(6)])
+    return fit_gel([capture(number) for number in range(6)])
 
 
 def test_it_finds_the_sensor_that_was_hidden(gel):
@@ -118,7 +118,7 @@ STRIPS = {"widths_mm": (2.4, 3.2), "height_mm": 5.0, "half_length_mm": 16.0}
 
 
 def test_strips_of_light_are_told_from_points():
-    gel = teach_gel([capture(number, **STRIPS) for number in range(3)])
+    gel = fit_gel([capture(number, **STRIPS) for number in range(3)])
     length = next(number for number in gel.numbers if number.name == "half-length of the lights over their distance")
     assert length.low95 < 16.0 / 20.0 < length.high95
     # points of light lose LOST_BY_POINTS of them
@@ -126,24 +126,24 @@ def test_strips_of_light_are_told_from_points():
 
 
 def test_what_taught_is_not_predicted(gel):
-    with pytest.raises(SimulateError, match=r"press 3: its contact image taught the model"):
+    with pytest.raises(SimulateError, match=r"press 3: its contact image was used to train the model"):
         predict_on_gel(gel, capture(3).model_copy(update={"name": "press 3"}))
 
 
 def test_refusals():
     presses = [capture(number) for number in range(3)]
-    with pytest.raises(SimulateError, match="2 teaching presses, but the model of an elastic gel needs at least 3"):
-        teach_gel(presses[:2])
+    with pytest.raises(SimulateError, match="2 training presses, but the model of an elastic gel needs at least 3"):
+        fit_gel(presses[:2])
     for change in (
         {"contact_circle": None}, {"mm_per_px": None},
         {"indenter": IndenterPose(shape="cuboid", radius_mm=None, depth_mm=0.5, position_mm=None)},
     ):  # fmt: skip
         with pytest.raises(SimulateError, match="needs the circle of a ball's contact, the ball's radius"):
-            teach_gel([*presses[:2], presses[2].model_copy(update=change)])
+            fit_gel([*presses[:2], presses[2].model_copy(update=change)])
     with pytest.raises(SimulateError, match="press 2: has another ball, scale or size than press 0"):
-        teach_gel([*presses[:2], presses[2].model_copy(update={"mm_per_px": 0.2})])
+        fit_gel([*presses[:2], presses[2].model_copy(update={"mm_per_px": 0.2})])
     with pytest.raises(SimulateError, match="press 1: one contact image is given twice"):
-        teach_gel([*presses[:2], presses[1]])
+        fit_gel([*presses[:2], presses[1]])
     away = ContactCircle(row_px=900.0, column_px=900.0, radius_px=10.0)
     wide = ContactCircle(row_px=60.0, column_px=80.0, radius_px=70.0)
     dark = np.array(presses[2].no_contact)
@@ -154,10 +154,10 @@ def test_refusals():
         ({"no_contact": dark}, "press 2: near the contact 100 % of the blue values are clipped, or dark"),
     ):
         with pytest.raises(SimulateError, match=message):
-            teach_gel([*presses[:2], presses[2].model_copy(update=change)])
+            fit_gel([*presses[:2], presses[2].model_copy(update=change)])
 
 
 def test_a_press_of_another_ball_is_not_predicted(gel):
     other = capture(40).model_copy(update={"mm_per_px": 0.05})
-    with pytest.raises(SimulateError, match="press 40: has another ball or scale than the presses that taught"):
+    with pytest.raises(SimulateError, match="press 40: has another ball or scale than the training presses"):
         predict_on_gel(gel, other)

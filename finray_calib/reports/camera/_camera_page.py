@@ -19,9 +19,10 @@ from finray_calib.reports import (
     ReportPage,
     ReportTable,
     drawing,
-    found_part,
+    findings_section,
     legend_above,
     light_of,
+    limits_section,
     methods_part,
     new_figure,
     one_group,
@@ -31,7 +32,6 @@ from finray_calib.reports import (
     report_html,
     styled,
     svg_text,
-    trust_part,
 )
 
 Floats = NDArray[np.float64]
@@ -65,13 +65,13 @@ def camera_page(camera: CameraCharacterisation) -> str:
             picture=drawing(photon_transfer_svg(camera), *_TRANSFER_WORDS),
             key_numbers=_key_numbers(camera),
             parts=(
-                *found_part((*_findings(camera), *camera.warnings)),
+                *findings_section((*_findings(camera), *camera.warnings)),
                 Part("Quantities", Content(_UNCERTAINTY, tables=(_quantities(camera),), has_wide_tables=True)),
                 Part("Figures", Content(picture_rows=((
                     drawing(snr_svg(camera), *_SNR_WORDS, is_small=True),
                     drawing(linearity_svg(camera), *_LINEARITY_WORDS, is_small=True),
                 ),))),
-                trust_part(_limits(camera), camera.notes),
+                limits_section(_limits(camera), camera.notes),
                 Part("Exposures", Content(tables=tuple(map(_levels, camera.channels))), is_detail=True),
                 methods_part(_methods(camera), origin),
             ),
@@ -83,8 +83,8 @@ def camera_page(camera: CameraCharacterisation) -> str:
 
 
 _UNCERTAINTY: Final = (
-    f"Behind the sign \u00b1 stands the expanded uncertainty U = {COVERAGE_FACTOR:g} u (coverage factor k = "
-    f"{COVERAGE_FACTOR:g}, some 95 %). Where a quantity cannot be distinguished from zero, its upper limit with 95 % "
+    f"The number after \u00b1 is the expanded uncertainty U = {COVERAGE_FACTOR:g} u (coverage factor k = "
+    f"{COVERAGE_FACTOR:g}, about 95 %). Where a quantity cannot be distinguished from zero, its upper limit with 95 % "
     f"confidence is given instead."
 )
 _TRANSFER_WORDS: Final = (

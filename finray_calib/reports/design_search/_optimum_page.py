@@ -29,12 +29,13 @@ from finray_calib.reports import (
     ReportTable,
     drawing,
     files_table,
-    found_part,
+    findings_section,
     interval_text,
     legend_above,
     light_map_figure,
     light_map_sentence,
     lights_from_the_side,
+    limits_section,
     lit_pad_figure,
     methods_part,
     new_figure,
@@ -45,7 +46,6 @@ from finray_calib.reports import (
     signed_percent,
     styled,
     svg_text,
-    trust_part,
 )
 
 #: Designs shown as the front: as likely on it as not.
@@ -107,12 +107,12 @@ def optimum_page(optimum: DesignOptimum, command: str, digests: Mapping[str, str
                 ),
             ),
             parts=(
-                *found_part(_found(optimum)),
+                *findings_section(_found(optimum)),
                 Part("The recommended finger", _finger(optimum)),
                 Part("What was gained, and how much of it was chance", _gains(optimum)),
                 Part("The front", _front(optimum)),
                 Part("What each parameter does", _effects(optimum)),
-                trust_part(_limits(optimum), optimum.notes),
+                limits_section(_limits(optimum), optimum.notes),
                 Part("All designs", _all_designs(optimum), is_detail=True),
                 methods_part(_methods(optimum), optimum.provenance),
             ),
@@ -497,7 +497,7 @@ def light_powers_page(record: LightPowers, command: str, digests: Mapping[str, s
             picture=drawing(
                 lit_pad_figure(record), "the pad with its lights, now and with the recommended powers",
                 "The pad from its inner side, with the lights and their powers. Dots are the brightness of the coat "
-                "over its mean at rest, triangles that of touches; a good picture has one colour.",
+                "relative to its mean at rest, triangles that of touches; a good picture has one colour.",
             ),
             key_numbers=(
                 KeyNumber("Variation over the pad", percent(record.variation_rel.estimate),
@@ -505,7 +505,7 @@ def light_powers_page(record: LightPowers, command: str, digests: Mapping[str, s
                 KeyNumber("Brightness", f"{record.brightness_rel:.2f}", "times that of now"),
                 *_error_number(record),
             ),
-            parts=(*parts, trust_part([_sentence_case(f"{note}.") for note in record.notes])),
+            parts=(*parts, limits_section([_sentence_case(f"{note}.") for note in record.notes])),
             command=command,
             origin=files_table(digests, package_version()),
             summary=record.model_dump(
@@ -529,7 +529,7 @@ def _error_number(record: LightPowers) -> Iterator[KeyNumber]:
         yield KeyNumber(
             "Expected error of the sensed normal", f"{error.recommended_deg:.2f} deg",
             f"now {error.now_deg:.2f} deg; change {signed_percent(error.low95_rel)} to "
-            f"{signed_percent(error.high95_rel)} (95 %, by the same draws)",
+            f"{signed_percent(error.high95_rel)} (95 %, from the same draws)",
             "good" if error.high95_rel < 0.0 else "bad" if error.low95_rel > 0.0 else "care",
             "falls" if error.high95_rel < 0.0 else "grows" if error.low95_rel > 0.0 else "no difference is shown",
         )  # fmt: skip
@@ -553,9 +553,9 @@ def _powers_content(record: LightPowers) -> Content:
         "share of the light now",
     )
     return Content(
-        f"The design file beside this page has these powers. No allowed powers are more even by a share of more than "
-        f"{max(record.gap_rel, 1e-12):.0e} on this basis (bound by the gradient). All lights together emit at most "
-        f"{record.total_rel:.3g} times what they do now.",
+        f"The design file beside this page has these powers. On this basis no powers within the limits are more even "
+        f"by a share larger than {max(record.gap_rel, 1e-12):.0e} (bound by the gradient). All lights together emit at "
+        f"most {record.total_rel:.3g} times what they do now.",
         tables=(one_group("Powers (radiance along the normal, relative)", columns, rows),),
         has_wide_tables=True,
     )
@@ -574,7 +574,7 @@ def _map_content(found: LightPlaceMap) -> Content:
     """Show a map."""
     return Content(
         light_map_sentence(found),
-        picture_rows=((drawing(light_map_figure(found), "error of the normal, evenness and brightness over two numbers",
+        picture_rows=((drawing(light_map_figure(found), "error of the normal, evenness and brightness, for two numbers",
                                "Star: least error of the sensed normal. Dots: not distinguishable (two "
                                "standard uncertainties). White: cannot be built. Everything else is as in "
                                "the design, with the present powers."),),),

@@ -176,7 +176,7 @@ def _pad_svg(protocol: PressProtocol) -> str:
             xlim=(-0.05 * length, 1.05 * length),
             ylim=(-0.6 * width, 0.6 * width),
             aspect="equal",
-            title="blue: balls that teach; red: balls that test; cross: all solids",
+            title="blue: balls for training; red: balls that test; cross: all solids",
         )
         return svg_text(figure)
 

@@ -27,13 +27,13 @@ from finray_calib.reports import (
     label_row,
     legend_above,
     light_of,
+    limits_section,
     new_figure,
     one_group,
     percent,
     report_html,
     styled,
     svg_text,
-    trust_part,
 )
 from sim.optics import camera_pose, panel_frame
 from sim.surface_meshes import mirror_shape
@@ -84,7 +84,7 @@ def tolerance_page(found: FingerTolerances, command: str, digests: Mapping[str, 
                 "number alone. 'over' marks the largest distance that was evaluated.",
             ),
             key_numbers=_key_numbers(found),
-            parts=(*_sections(found), trust_part(_limits(found), found.notes)),
+            parts=(*_sections(found), limits_section(_limits(found), found.notes)),
             command=command,
             origin=files_table(digests, package_version()),
             summary=found.model_dump(mode="json", exclude={"provenance", "inputs", "losses_rel", "design"}),

@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from data_schemas import DeviceIdentity, LostError, RefusedError, UnsafeError
-from rigs import Driver, OffWords, Operator, offered
+from rigs import Driver, Operator, SwitchOffCommand, offered
 
 # Ends when nobody holds the other end of its pipe any more.
 LINE = """
@@ -81,10 +81,10 @@ class FileSwitch:
             time.sleep(deadline_s)
         return (self.folder / "on").exists()
 
-    def off_words(self) -> OffWords:
+    def off_words(self) -> SwitchOffCommand:
         if (port := self.folder / "line_port").exists():
-            return OffWords(b"\noff\n", ("127.0.0.1", int(port.read_text())))
-        return OffWords(b"\noff\n", self._line)
+            return SwitchOffCommand(b"\noff\n", ("127.0.0.1", int(port.read_text())))
+        return SwitchOffCommand(b"\noff\n", self._line)
 
     def prove_dead_man(self, deadline_s: float) -> None:
         raise RefusedError("a file has no dead-man")
