@@ -5,7 +5,7 @@ not explain is found by leaving each run out in turn, and widens every interval.
 hold the true index far too seldom, because what the polynomial leaves out is not in them.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Final
@@ -214,46 +214,6 @@ def _share(coefficients: Floats, mask: NDArray[np.bool_]) -> Floats:
     """Return (draw, input)."""
     squares = coefficients[:, 1:] ** 2
     return np.asarray(squares @ mask[1:] / np.maximum(squares.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny))
-
-
-def pick_freeze_indices(
-    result: Callable[[Floats], Floats], inputs: int, samples: int = 4096, seed: int = 0
-) -> tuple[Floats, Floats]:
-    r"""Return first and total Sobol' indices by exchanging one input at a time, each (input,).
-
-    .. math:: S_i = E[f(B) (f(A_B^i) - f(A))] / V, \quad T_i = E[(f(A) - f(A_B^i))^2] / 2 V
-
-    Needs samples times (inputs + 2) results: the other way to the indices of an emulator, or of a formula.
-
-    Parameters
-    ----------
-    result
-        Takes (point, input) of -1 to 1, returns (point,).
-    inputs
-        How many.
-    samples
-        A power of 2.
-    seed
-        Of the scrambled Sobol' sequence.
-
-    References
-    ----------
-    A. Saltelli et al., Variance based sensitivity analysis of model output, Comput. Phys. Commun. 181 (2010) 259-270.
-    """
-    sequence = qmc.Sobol(2 * inputs, rng=np.random.default_rng(seed))
-    points = 2.0 * sequence.random(samples) - 1.0
-    one, other = points[:, :inputs], points[:, inputs:]
-    of_one, of_other = result(one), result(other)
-    centre = of_one.mean()
-    variance = np.concatenate([of_one, of_other]).var()
-    first, total = np.empty(inputs), np.empty(inputs)
-    for k in range(inputs):
-        mixed = one.copy()
-        mixed[:, k] = other[:, k]
-        of_mixed = result(mixed)
-        first[k] = ((of_other - centre) * (of_mixed - of_one)).mean() / variance
-        total[k] = ((of_one - of_mixed) ** 2).mean() / (2.0 * variance)
-    return first, total
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         lamp_response,
         tolerances_of,
         transmissions,
+        trapezoidal_weights,
         weights_of,
     )
     from finray_calib.spectra._emission_families import (
@@ -95,5 +96,6 @@ __all__ = [
     "smooth_covariance",
     "tolerances_of",
     "transmissions",
+    "trapezoidal_weights",
     "weights_of",
 ]
