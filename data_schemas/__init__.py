@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from data_schemas._lazy_exports import lazy_exports, register_record_methods
 
 if TYPE_CHECKING:
-    from data_schemas._arrays import ArraySpec, read_only
+    from data_schemas._arrays import ArraySpec, bayer_planes, read_only
     from data_schemas._capture import (
         CaptureSession,
         CharucoBoard,
@@ -708,6 +708,7 @@ __all__ = [
     "WidthNm",
     "Witness",
     "WrongPositionError",
+    "bayer_planes",
     "check_magnitude",
     "check_pad_shape",
     "code_digest",

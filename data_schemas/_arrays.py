@@ -175,3 +175,21 @@ def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def bayer_planes(raw: NDArray[np.uint16] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the red, green (mean of its two pixels) and blue planes of an RGGB mosaic.
+
+    Parameters
+    ----------
+    raw
+        Mosaic of even height and width, shape (2h, 2w).
+
+    Returns
+    -------
+    ndarray
+        Shape (h, w, 3), half resolution, in the unit of `raw`.
+    """
+    values = np.asarray(raw, dtype=np.float64)
+    green = 0.5 * (values[0::2, 1::2] + values[1::2, 0::2])
+    return np.stack([values[0::2, 0::2], green, values[1::2, 1::2]], axis=-1)

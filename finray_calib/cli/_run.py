@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import io
 import logging
+import math
 import os
 import re
 import shlex
@@ -21,7 +22,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from data_schemas import DiedError, FinrayError, RecordError, SimulateError
 from data_schemas import naming as naming
@@ -67,11 +68,49 @@ def add_engine(parser: argparse.ArgumentParser, *, is_scalar_enough: bool = True
     )  # fmt: skip
 
 
-def increment_count(text: str) -> int:
-    """Parse a number of increments."""
-    if not text.isdecimal() or not 1 <= int(text) <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 1000")
-    return int(text)
+def whole_number(least: int, most: int, *, even: bool = False) -> Callable[[str], int]:
+    """Return what parses a whole number within bounds; of paths it is even, as each half of a picture takes half."""
+
+    def parse(text: str) -> int:
+        if not text.isdecimal() or not least <= int(text) <= most or (even and int(text) % 2):
+            kind = "an even whole number" if even else "a whole number"
+            raise argparse.ArgumentTypeError(f"{text!r} must be {kind} from {least} to {most}")
+        return int(text)
+
+    return parse
+
+
+def number_above_zero(what: str, most: float) -> Callable[[str], float]:
+    """Return what parses a number above 0, such as "a force in N"."""
+
+    def parse(text: str) -> float:
+        if not 0.0 < (number := _float_or_nan(text)) <= most:
+            raise argparse.ArgumentTypeError(f"{text!r} must be {what} above 0 and at most {most:g}")
+        return number
+
+    return parse
+
+
+def number_within(what: str, least: float, most: float) -> Callable[[str], float]:
+    """Return what parses a number within bounds."""
+
+    def parse(text: str) -> float:
+        if not least <= (number := _float_or_nan(text)) <= most:
+            raise argparse.ArgumentTypeError(f"{text!r} must be {what} of {least:g} to {most:g}")
+        return number
+
+    return parse
+
+
+def _float_or_nan(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+increment_count: Final = whole_number(1, 1000)
+path_count: Final = whole_number(2, 1_000_000, even=True)
 
 
 def _whole_number(text: str) -> int:

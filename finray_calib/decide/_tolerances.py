@@ -258,12 +258,12 @@ def _crossing(size: Floats, loss: Floats, level: float) -> float | None:
 
 
 _SCALES: Final = 60
+_SAMPLES: Final = 2048
+CONFIDENCE: Final = 0.95
 
 
-def limit_together(
-    emulator: ChaosEmulator, allowed: float, confidence: float = 0.95, samples: int = 2048, seed: int = 0
-) -> Limit:
-    """Return how far all inputs may vary together: largest half-range at which few results exceed what is allowed.
+def limit_together(emulator: ChaosEmulator, allowed: float, seed: int = 0) -> Limit:
+    """Return how far all inputs may vary together: largest half-range at which 95 % of results keep what is allowed.
 
     All inputs are uniform within plus and minus the half-range, as a share of the emulated one. A result is counted
     from that where all inputs are 0, and with the emulator's residual added in proportion to the half-range, as if all
@@ -275,48 +275,44 @@ def limit_together(
         Of the loss.
     allowed
         Largest loss.
-    confidence
-        Share of results within it.
-    samples
-        Of the inputs.
     seed
         Of inputs and residuals.
     """
     rng = np.random.default_rng(seed)
-    unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(samples) - 1.0
-    residual = emulator.residual * rng.standard_normal(samples)
+    unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(_SAMPLES) - 1.0
+    residual = emulator.residual * rng.standard_normal(_SAMPLES)
     scales = np.linspace(0.0, 1.0, _SCALES + 1)[1:]
     drawn = emulator.predict_draws(np.zeros((1, unit.shape[1])))
     within = np.stack(
         [(emulator.predict_draws(scale * unit) - drawn + scale * residual <= allowed).mean(axis=1) for scale in scales]
     )
-    of_draws = [_largest(scales, one, confidence) for one in within.T]
+    of_draws = [_largest(scales, one) for one in within.T]
     low, high = np.quantile(of_draws, LIMITS)
-    value = _largest(scales, within.mean(axis=1), confidence)
+    value = _largest(scales, within.mean(axis=1))
     return Limit(*(float(x) if x < 1.0 else None for x in (value, low, high)))
 
 
-def share_within(emulator: ChaosEmulator, scale: float, allowed: float, samples: int = 4096, seed: int = 0) -> float:
+def share_within(emulator: ChaosEmulator, scale: float, allowed: float) -> float:
     """Return the share of results within what is allowed, inputs uniform within plus and minus a half-range."""
-    rng = np.random.default_rng(seed)
-    unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(samples) - 1.0
+    rng = np.random.default_rng(0)
+    unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(2 * _SAMPLES) - 1.0
     found = emulator.predict(scale * unit) - emulator.predict(np.zeros((1, unit.shape[1])))
-    found += scale * emulator.residual * rng.standard_normal(samples)
+    found += scale * emulator.residual * rng.standard_normal(2 * _SAMPLES)
     return float((found <= allowed).mean())
 
 
-def _largest(scales: Floats, within: Floats, confidence: float) -> float:
+def _largest(scales: Floats, within: Floats) -> float:
     """Return the last scale before the share within falls below the confidence for the first time; 1 if it never does.
 
     0 where even the smallest one is too large.
     """
-    below = np.flatnonzero(within < confidence)
+    below = np.flatnonzero(within < CONFIDENCE)
     if not below.size:
         return 1.0
     k = int(below[0])
     if k == 0:
         return 0.0
-    share = (within[k - 1] - confidence) / (within[k - 1] - within[k])
+    share = (within[k - 1] - CONFIDENCE) / (within[k - 1] - within[k])
     return float(scales[k - 1] + share * (scales[k] - scales[k - 1]))
 
 

@@ -1,9 +1,9 @@
-"""Level c: path tracing through paint that changes the colour of light.
+"""Path tracing through paint that changes the colour of light, and level c: the same in three bands.
 
 Any scene of the renderer will do: paint is recognised by the pointer of a surface's BSDF and treated as Lambertian on
 the side of its normal; everything else scatters and shines as in the renderer's own ``path``, with multiple importance
-sampling of emitters. What a path carries, and what happens to it at paint, is a :class:`BandCarrier`. The tests bring
-one for full spectra, against which three bands are measured.
+sampling of emitters. What a path carries, and what happens to it at paint, is a :class:`Carrier`: of three bands here,
+of a classic sensor's channels in :mod:`sim.optics._band_paths`, of full spectra in the tests.
 Import this module after a variant of the renderer has been set (see :func:`sim.optics.open_renderer`).
 """
 
@@ -22,6 +22,28 @@ from sim.optics._renderer import check_variant
 
 # a matrix from measured tables may exceed energy balance by rounding only
 _ENERGY_TOLERANCE = 1e-9
+
+
+class Carrier(Protocol):
+    """What a path carries from the eye, and how paint changes it; all values are renderer arrays."""
+
+    def start(self) -> Any:
+        """Return what a fresh path carries."""
+
+    def received(self, carried: Any, light: Any) -> Any:
+        """Return the contribution to the result of light met by the path."""
+
+    def scattered(self, carried: Any, weight: Any) -> Any:
+        """Return what is carried on after a surface (or roulette) of this weight."""
+
+    def reradiated(self, carried: Any, si: Any, sampler: Any, paint: Any, painted: Any) -> Any:
+        """Return what is carried on after paint number `paint` where `painted`; may change si.wavelengths."""
+
+    def largest(self, carried: Any) -> Any:
+        """Return the largest share of light that is still carried, for roulette."""
+
+    def panel_light(self, si: Any, radiance: Any) -> Any:
+        """Return light of the LED panels, whose radiance is one number, as this carrier sees it."""
 
 
 class PanelLight(Protocol):
@@ -85,7 +107,7 @@ class BandCarrier:
 
 
 def fluorescent_integrator(
-    carrier: BandCarrier,
+    carrier: Carrier,
     paints: Sequence[Any],
     max_depth: int = MAX_DEPTH,
     roulette_depth: int = ROULETTE_DEPTH,
@@ -238,7 +260,7 @@ def _trace(  # type: ignore[no-untyped-def]
 
 
 def _light_met(
-    carrier: BandCarrier,
+    carrier: Carrier,
     panels: PanelLight | None,
     scene: Any,
     si: Any,
@@ -254,7 +276,7 @@ def _light_met(
 
 
 def _light_aimed_at(
-    carrier: BandCarrier,
+    carrier: Carrier,
     panels: PanelLight | None,
     scene: Any,
     si: Any,

@@ -10,9 +10,14 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from data_schemas import DesignValue, StudyMetric, StudyPoint, StudyResult, StudyRow
-from finray_calib.reports._images import ByteImage, to_display
-from finray_calib.reports._methods import methods_part, study_methods
-from finray_calib.reports._page import (
+from finray_calib.reports import (
+    BLUE,
+    CHANNELS,
+    HAIRLINE,
+    INK,
+    MUTED,
+    NO_VALUE,
+    ByteImage,
     Content,
     KeyNumber,
     Light,
@@ -20,17 +25,24 @@ from finray_calib.reports._page import (
     Picture,
     ReportPage,
     ReportTable,
+    aligned_lines,
     drawing,
     files_table,
     found_part,
+    interval_text,
     light_of,
+    methods_part,
+    new_figure,
     one_group,
+    png_bytes,
     raster,
     report_html,
+    study_methods,
+    styled,
+    svg_text,
+    to_display,
     trust_part,
 )
-from finray_calib.reports._plain_text import NO_VALUE, interval_text
-from finray_calib.reports._style import BLUE, CHANNELS, HAIRLINE, INK, MUTED, new_figure, png_bytes, styled, svg_text
 
 MOST_PICTURES = 60
 """Points whose pictures the page shows; the records hold all."""
@@ -180,11 +192,7 @@ def _mixed_code(result: StudyResult) -> Iterator[str]:
 def study_text(result: StudyResult) -> str:
     """Return the table of a study as aligned text: one line a point."""
     names = _metric_names(result)
-    head = ["point", *result.varied, *names]
-    rows = [[str(row.number), *_change_cells(result, row), *_metric_cells(row, names)] for row in result.points]
-    widths = [max(len(line[k]) for line in [head, *rows]) for k in range(len(head))]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip()
-                     for line in [head, *rows])  # fmt: skip
+    return "\n".join(aligned_lines(("point", *result.varied, *names), _all_cells(result, names)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -621,8 +629,12 @@ def _effects(result: StudyResult, names: Sequence[str]) -> ReportTable:
 
 def _table(result: StudyResult, names: Sequence[str]) -> ReportTable:
     """Return all numbers."""
-    rows = [(str(row.number), *_change_cells(result, row), *_metric_cells(row, names)) for row in result.points]
-    return one_group("All points", ("point", *result.varied, *names), rows)
+    return one_group("All points", ("point", *result.varied, *names), _all_cells(result, names))
+
+
+def _all_cells(result: StudyResult, names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the cells of each point: its number, what it changes, its metrics."""
+    return [(str(row.number), *_change_cells(result, row), *_metric_cells(row, names)) for row in result.points]
 
 
 def _meanings(result: StudyResult) -> ReportTable:
