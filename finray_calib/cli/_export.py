@@ -20,7 +20,7 @@ from finray_calib.cli._run import (
     increment_count,
     input_digests,
     naming,
-    number_above_zero,
+    number_within,
     open_engine,
     paint_files,
     require_new,
@@ -108,7 +108,7 @@ def add_taxim_options(parser: argparse.ArgumentParser) -> None:
     )
     taxim.add_argument(
         "--ball-diameter-mm",
-        type=number_above_zero("a number of mm", 100.0),
+        type=number_within("a number of mm", (0.0, 100.0), above=True),
         metavar="D",
         help=f"diameter of the ball in mm (default {BALL_DIAMETER_MM:g})",
     )

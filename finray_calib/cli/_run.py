@@ -80,33 +80,21 @@ def whole_number(least: int, most: int, *, even: bool = False) -> Callable[[str]
     return parse
 
 
-def number_above_zero(what: str, most: float) -> Callable[[str], float]:
-    """Return what parses a number above 0, such as "a force in N"."""
+def number_within(what: str, bounds: tuple[float, float], *, above: bool = False) -> Callable[[str], float]:
+    """Return what parses a number within bounds, such as "a force in N", or above the lower one."""
+    least, most = bounds
 
     def parse(text: str) -> float:
-        if not 0.0 < (number := _float_or_nan(text)) <= most:
-            raise argparse.ArgumentTypeError(f"{text!r} must be {what} above 0 and at most {most:g}")
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not least <= number <= most or (above and number == least):
+            allowed = f"above {least:g} and at most {most:g}" if above else f"of {least:g} to {most:g}"
+            raise argparse.ArgumentTypeError(f"{text!r} must be {what} {allowed}")
         return number
 
     return parse
-
-
-def number_within(what: str, least: float, most: float) -> Callable[[str], float]:
-    """Return what parses a number within bounds."""
-
-    def parse(text: str) -> float:
-        if not least <= (number := _float_or_nan(text)) <= most:
-            raise argparse.ArgumentTypeError(f"{text!r} must be {what} of {least:g} to {most:g}")
-        return number
-
-    return parse
-
-
-def _float_or_nan(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 increment_count: Final = whole_number(1, 1000)

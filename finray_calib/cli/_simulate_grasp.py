@@ -44,7 +44,7 @@ def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter is the object")
     parser.add_argument(
         "--force",
-        type=number_within("a force in N", 0.01, LARGEST_FORCE_N),
+        type=number_within("a force in N", (0.01, LARGEST_FORCE_N)),
         required=True,
         metavar="NEWTON",
         help="closing force, as the mean over both fingers",
@@ -77,7 +77,7 @@ def _long_grasp(arguments: argparse.Namespace) -> LongWork:
 
 def _mass(text: str) -> float:
     """Parse a mass."""
-    return 0.0 if text.strip() == "0" else number_within("0 or a mass in kg", 1e-6, LARGEST_MASS_KG)(text)
+    return 0.0 if text.strip() == "0" else number_within("0 or a mass in kg", (1e-6, LARGEST_MASS_KG))(text)
 
 
 def _paths(out: Path) -> dict[str, Path]:

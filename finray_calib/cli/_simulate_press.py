@@ -18,7 +18,7 @@ from finray_calib.cli._run import (
     increment_count,
     input_digests,
     naming,
-    number_above_zero,
+    number_within,
     require_ending,
     require_new,
 )
@@ -492,7 +492,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--increments", type=increment_count, metavar="N", help=f"steps of the push (default {DEFAULT_INCREMENTS})"
     )
     parser.add_argument(
-        "--force", type=number_above_zero("a force in N", LARGEST_FORCE_N), metavar="NEWTON",
+        "--force", type=number_within("a force in N", (0.0, LARGEST_FORCE_N), above=True), metavar="NEWTON",
         help="press until the indenter pushes with this force, frictionless, in place of the design's depth_mm",
     )  # fmt: skip
     parser.add_argument(
@@ -506,7 +506,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="continue from a stored increment, or from the last one in a folder NAME.increments",
     )  # fmt: skip
     parser.add_argument(
-        "--budget", type=number_above_zero("a processor time in s", LARGEST_BUDGET_S), metavar="SECONDS",
+        "--budget", type=number_within("a processor time in s", (0.0, LARGEST_BUDGET_S), above=True), metavar="SECONDS",
         help="end the press before it takes more than this processor time (all threads "
         "together); the increments up to there are kept, with a picture, and the exit status is 2",
     )  # fmt: skip
@@ -537,7 +537,7 @@ def _add_surrogate(parser: argparse.ArgumentParser) -> None:
             "elements are used where its bars are too large",
     )  # fmt: skip
     parser.add_argument(
-        "--largest-error", type=number_above_zero("a share (0.1 is 10 %)", 1.0), metavar="SHARE",
+        "--largest-error", type=number_within("a share (0.1 is 10 %)", (0.0, 1.0), above=True), metavar="SHARE",
         help="largest error bar of a surrogate, relative to the force or to the surface's displacement; above it, "
             "finite elements are used (default: 0.1)",
     )  # fmt: skip

@@ -374,7 +374,7 @@ def add_stiffness_study(studies: "argparse._SubParsersAction[argparse.ArgumentPa
     )
     parser.add_argument("designs", nargs="+", metavar="DESIGN", help="finger design (TOML), or the name of a preset")
     parser.add_argument(
-        "--vary", type=number_within("a change in per cent", 0.0, 50.0), default=20.0, metavar="PERCENT",
+        "--vary", type=number_within("a change in per cent", (0.0, 50.0)), default=20.0, metavar="PERCENT",
         help="change of the assumed dimensions, 0 to 50 (default 20); 0 leaves them unchanged",
     )  # fmt: skip
     add_out(parser, f"{STIFFNESS_NAME}, a folder")

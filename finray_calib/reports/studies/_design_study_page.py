@@ -31,6 +31,7 @@ from finray_calib.reports import (
     found_part,
     interval_text,
     light_of,
+    lit_window,
     methods_part,
     new_figure,
     one_group,
@@ -49,11 +50,7 @@ MOST_PICTURES = 60
 
 _LARGEST_SIDE_PX, _WEBP_QUALITY = 200, 85
 _PANELS_IN_A_ROW, _PICTURES_IN_A_ROW, _MOST_IN_A_ROW = 2, 4, 6
-_LIT_PERCENTILE, _LIT_SHARE = 95.0, 0.1
-"""Pictures of a study are cut alike: to where any of them has this share of the light of its brightest 5 %."""
 _WHITE_PERCENTILE = 97.0  # of what is lit: brighter are the base and, at some angles, the panel itself
-_MEDIAN_PX, _FEWEST_LIT = 5, 0.05
-"""A single bright pixel is the render's noise, and a row or column with fewer lit pixels than this is left out."""
 _CHANGE_SHOWN_REL, _DARK_REL, _CHANGE_BLUR_PX = 0.5, 0.02, 1.0
 """Change of light that is shown as black or white, what is added to dark pixels as a share of white, and the standard
 deviation over which both pictures are smoothed before their change is taken, because their noise hides it."""
@@ -441,27 +438,10 @@ def _in_words(field: str) -> tuple[str, str]:
 def _common_white(points: Sequence[StudyPoint]) -> NDArray[np.float64]:
     """Return the white of all pictures, by what is lit in those without contact."""
     pixels = np.concatenate(
-        [image[_lit([image])].reshape(-1, 3) for p in points if (image := p.no_contact) is not None]
+        [image[lit_window([image])].reshape(-1, 3) for p in points if (image := p.no_contact) is not None]
     )
     white = np.percentile(pixels, _WHITE_PERCENTILE, axis=0).astype(np.float64)
     return np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
-
-
-def _lit(images: Sequence[NDArray[np.float32]]) -> tuple[slice, slice]:
-    """Return the rows and columns that are lit in any of some pictures of one size: the dark around is left out."""
-    rows, columns = (np.zeros(size) for size in images[0].shape[:2])
-    for image in images:
-        level = np.percentile(image, _LIT_PERCENTILE, axis=(0, 1))
-        light = (image / np.where(level > 0.0, level, 1.0)).mean(axis=-1, dtype=np.float32)
-        is_lit = cv2.medianBlur(light, _MEDIAN_PX) > _LIT_SHARE
-        rows, columns = np.maximum(rows, is_lit.mean(axis=1)), np.maximum(columns, is_lit.mean(axis=0))
-    return _reach(rows), _reach(columns)
-
-
-def _reach(share: NDArray[np.floating]) -> slice:
-    """Return from the first to the last place with enough lit pixels; all where there is none."""
-    found = np.flatnonzero(share > _FEWEST_LIT)
-    return slice(int(found[0]), int(found[-1]) + 1) if found.size else slice(None)
 
 
 def _all_views(points: Sequence[StudyPoint]) -> list[list[ByteImage]]:
@@ -470,7 +450,7 @@ def _all_views(points: Sequence[StudyPoint]) -> list[list[ByteImage]]:
     for point in points:
         if point.no_contact is not None:
             of_size.setdefault(point.no_contact.shape, []).append(point.no_contact)
-    lit = {size: _lit(images) for size, images in of_size.items()}
+    lit = {size: lit_window(images) for size, images in of_size.items()}
     return [_views(p, white, lit[p.no_contact.shape]) for p in points if p.no_contact is not None]
 
 
