@@ -380,7 +380,7 @@ def normal_quantile(share: ArrayLike) -> FloatArray:
 
 
 def chi_square_of_bands(
-    residual: FloatArray, covariance: FloatArray, band: NDArray[np.int64], bands: int
+    residual: FloatArray, covariance: NDArray[np.floating], band: NDArray[np.int64], bands: int
 ) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
     """Return chi-square, channels and predictive p of each band, NaN where none is usable, means over the draws.
 
