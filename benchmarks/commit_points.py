@@ -107,7 +107,7 @@ COMMANDS = {
         "c.camera.json",
         (
             "finray_calib.radiometry._camera_characterisation:characterise_camera",
-            "finray_calib.reports.camera._camera_page:camera_page",
+            "finray_calib.reports._camera_page:camera_page",
         ),
     ),
     "compare": Command("compare {i}/press.json {i}/capture.json --out {o}/e.json", "e.json", COMPARED),
@@ -168,7 +168,7 @@ COMMANDS = {
         "protocol",
         (
             "sim.experiments._press_protocol:press_protocol",
-            "finray_calib.reports.protocol._protocol_page:protocol_page",
+            "finray_calib.reports.studies._protocol_page:protocol_page",
         ),
     ),
     "import ball-presses": Command(
@@ -219,7 +219,7 @@ COMMANDS = {
     "study run": Command(
         "study run {i}/study.toml --engine scalar --out {o}/study",
         "study/study.json",
-        ("sim.studies._point:_rendered", "finray_calib.reports._design_study_page:design_study_page"),
+        ("sim.studies._point:_rendered", "finray_calib.reports.studies._design_study_page:design_study_page"),
         ("/points/",),
         0,
     ),
@@ -245,7 +245,7 @@ COMMANDS = {
         "t.json",
         (
             "sim.experiments._tolerance_study:study_tolerances",
-            "finray_calib.reports.tolerances._tolerance_page:tolerance_page",
+            "finray_calib.reports.studies._tolerance_page:tolerance_page",
         ),
     ),
     "design optimise": Command(
@@ -254,7 +254,7 @@ COMMANDS = {
         "found/optimum.json",
         (
             "finray_calib.decide._design_optimum:design_optimum",
-            "finray_calib.reports.design_search._optimum_page:optimum_page",
+            "finray_calib.reports.studies._optimum_page:optimum_page",
         ),
         ("/evaluations/",),
         0,

@@ -96,7 +96,7 @@ def measure(
 
     from sim.optics import LoadedScene, bake_walls, last_band, open_guide, open_scene
     from sim.optics._band_paths import band_paths
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
     from sim.optics._render import lit_integrator
     from sim.surface_meshes import pressed_shape
 
@@ -150,9 +150,9 @@ def measure_spectral(design: FingerDesign, seeds: range, samples_per_pixel: int)
 
     from sim.optics import open_scene
     from sim.optics._band_paths import band_paths
-    from sim.optics._fluorescent_paint import fluorescent_paint, fluorescent_spectrum
     from sim.optics._paint_bands import led_band
     from sim.surface_meshes import pressed_shape
+    from tests.simulate.spectral_paths import fluorescent_paint, fluorescent_spectrum
 
     shape, bands, led = pressed_shape(design), paint_bands(*paints().values(), design.light), led_band(design.light)
     scene = open_scene(design, shape, bands, mi)

@@ -1,6 +1,10 @@
 """The base package: what is stored in files or typed on the command line, with units, versions, provenance and errors.
 
-Records are frozen pydantic models; :mod:`data_schemas.storage` reads and writes. Names load when they are asked for.
+Each stage has a file of its records (`_capture`, `_radiometry`, `_fit`, `_simulate`, `_compare`, `_decide`), and beside
+them stand rigs, checks, designs of fingers and sensors, curves and studies. A record is a frozen pydantic model:
+numbers carry bounds and unit (`_units`), arrays their dimensions (`ArraySpec`), whose lengths every model compares. A
+mistake is an error of `errors` that names field, value and what is allowed. :mod:`data_schemas.storage` reads and
+writes. Names load when they are asked for.
 """
 
 from typing import TYPE_CHECKING
@@ -8,7 +12,7 @@ from typing import TYPE_CHECKING
 from data_schemas._lazy_exports import lazy_exports, register_record_methods
 
 if TYPE_CHECKING:
-    from data_schemas._arrays import ArraySpec, read_only
+    from data_schemas._arrays import ArraySpec, bayer_planes, read_only
     from data_schemas._capture import (
         CaptureSession,
         CharucoBoard,
@@ -709,6 +713,7 @@ __all__ = [
     "WidthNm",
     "Witness",
     "WrongPositionError",
+    "bayer_planes",
     "check_magnitude",
     "check_pad_shape",
     "code_digest",

@@ -3,12 +3,12 @@
 A field is declared as ``Annotated[NDArray[np.float64], ArraySpec("f8", ("filter", "channel"), unit="DN/s")]``.
 In Python it is a numpy array; in a stored record it is a nested list when small, else a reference into the
 record's ``.npz`` file (see :mod:`data_schemas.storage._records`). Dimensions of the same name must agree within a
-model: use :func:`check_dimensions` in a validator.
+model, which its base class checks (:func:`check_dimensions`).
 """
 
+import functools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import Any, TypeVar, get_args
 
 import numpy as np
@@ -97,7 +97,7 @@ class ArraySpec:
         return {"anyOf": [items, reference], "unit": self.unit, "dimensions": list(self.dims)}
 
 
-def check_dimensions(record: BaseModel, lists: Mapping[str, str] | None = None) -> None:
+def check_dimensions(record: BaseModel, lists: Mapping[str, str]) -> None:
     """Refuse a record two of whose fields disagree on the length of a dimension of the same name.
 
     Parameters
@@ -105,14 +105,14 @@ def check_dimensions(record: BaseModel, lists: Mapping[str, str] | None = None) 
     record
         Its array fields carry an :class:`ArraySpec`; those that are None are left out.
     lists
-        Field that is no array (dots lead into inner models) -> the dimension that it runs along.
+        Field that is no array (dots lead into inner models) -> the dimension that it runs along; None is left out.
 
     Raises
     ------
     ValueError
         Two lengths differ; the message names both fields.
     """
-    lengths = [(field, name, len(attrgetter(field)(record))) for field, name in (lists or {}).items()]
+    lengths = [(field, name, len(held)) for field, name in lists.items() if (held := _at(record, field)) is not None]
     seen: dict[str, tuple[int, str]] = {}
     for field, name, size in (*lengths, *_array_lengths(record)):
         length, owner = seen.setdefault(name, (size, field))
@@ -120,15 +120,32 @@ def check_dimensions(record: BaseModel, lists: Mapping[str, str] | None = None) 
             raise ValueError(f"'{field}' has {size} along '{name}' but '{owner}' has {length}")
 
 
+def _at(record: BaseModel, path: str) -> Any:
+    """Return the value at a dotted path, None where the path leads through None."""
+    value: Any = record
+    for name in path.split("."):
+        value = None if value is None else getattr(value, name)
+    return value
+
+
 def _array_lengths(record: BaseModel) -> Iterator[tuple[str, str, int]]:
     """Yield (field, dimension, length) of every array of a record."""
-    for field, info in type(record).model_fields.items():
+    for field, dims in _arrays_of(type(record)).items():
         array = getattr(record, field)
+        if array is not None:
+            yield from ((field, name, size) for name, size in zip(dims, array.shape, strict=True))
+
+
+@functools.cache
+def _arrays_of(model: type[BaseModel]) -> Mapping[str, tuple[str, ...]]:
+    """Return array field -> names of its dimensions."""
+    found = {}
+    for field, info in model.model_fields.items():
         # the spec of an optional array stands inside the union
         inner = (m for part in get_args(info.annotation) for m in getattr(part, "__metadata__", ()))
-        spec = next((m for m in (*info.metadata, *inner) if isinstance(m, ArraySpec)), None)
-        if spec is not None and array is not None:
-            yield from ((field, name, size) for name, size in zip(spec.dims, array.shape, strict=True))
+        for spec in (m for m in (*info.metadata, *inner) if isinstance(m, ArraySpec)):
+            found[field] = spec.dims
+    return found
 
 
 def _nan_for_none(value: Any, truths: bool) -> Any:
@@ -158,3 +175,21 @@ def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def bayer_planes(raw: NDArray[np.uint16] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the red, green (mean of its two pixels) and blue planes of an RGGB mosaic.
+
+    Parameters
+    ----------
+    raw
+        Mosaic of even height and width, shape (2h, 2w).
+
+    Returns
+    -------
+    ndarray
+        Shape (h, w, 3), half resolution, in the unit of `raw`.
+    """
+    values = np.asarray(raw, dtype=np.float64)
+    green = 0.5 * (values[0::2, 1::2] + values[1::2, 0::2])
+    return np.stack([values[0::2, 0::2], green, values[1::2, 1::2]], axis=-1)

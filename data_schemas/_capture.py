@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._arrays import ArraySpec
 from data_schemas._curves import SpectralCurve, check_named_curves
 from data_schemas._model import Model, Record
 from data_schemas._rig import (
@@ -367,7 +367,6 @@ class TactileCapture(Record):
 
     @model_validator(mode="after")
     def _images_agree(self) -> "TactileCapture":
-        check_dimensions(self)
         if self.contact_outline is not None and (self.contact_circle is not None or len(self.contact_outline) < 3):
             raise ValueError(
                 "contact_outline: needs 3 corners or more, and replaces contact_circle; leave out the circle"

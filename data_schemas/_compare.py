@@ -4,13 +4,14 @@ A batch holds each pair's headline, their mean, and what failed. A force compari
 displacement against a simulated press, with what is uncertain in both.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._arrays import ArraySpec
 from data_schemas._design import FingerIdentity
 from data_schemas._model import Estimate, Model, Record
 from data_schemas._record_text import interval_text
@@ -609,15 +610,11 @@ class FittedForceCurve(Model):
     scale_ln: Estimate = Field(description="logarithm of the factor by which the computed force is wrong")
     residual_rms_n: NotNegative
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "FittedForceCurve":
-        check_dimensions(self)
-        return self
-
 
 class MaterialFit(Record):
     """Moduli by measured force curves of blocks of gel, or of a finger."""
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"moduli": "modulus"}
     schema_version: ClassVar[int] = 1
     written_by: ClassVar[str] = "'finray fit-material'"
 
@@ -635,8 +632,3 @@ class MaterialFit(Record):
     trusted: bool = Field(description="the draws cover the posterior, and their effective number is large enough")
     design_toml: str = Field(description="lines of a finger's design with what was measured of the gel; may be empty")
     notes: tuple[str, ...] = ()
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "MaterialFit":
-        check_dimensions(self, {"moduli": "modulus"})
-        return self

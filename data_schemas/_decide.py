@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._arrays import ArraySpec
 from data_schemas._design import FingerDesign
 from data_schemas._model import Estimate, Model, Record
 from data_schemas._plain_sensor import PlainSensor
@@ -459,11 +459,6 @@ class LightPlaceMap(Model):
     )
     brightness_rel: Annotated[Floats, ArraySpec("<f8", ("first", "second"), allow_nan=True)]
 
-    @model_validator(mode="after")
-    def _of_one_grid(self) -> "LightPlaceMap":
-        check_dimensions(self)
-        return self
-
 
 class LightPowers(Record):
     """Powers of the lights by which a coat is lit most evenly, and what they cost."""
@@ -524,7 +519,6 @@ class LightPowers(Record):
             raise ValueError(
                 "light powers belong either to a finger (design) or to a classic sensor (sensor); give one of them"
             )
-        check_dimensions(self)
         return self
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._arrays import ArraySpec
 from data_schemas._capture import RegionOfInterest
 from data_schemas._curves import SpectralCurve
 from data_schemas._lazy_exports import call_record_method
@@ -107,11 +107,6 @@ class Reradiation(Model):
     )
     statement: str = Field(description="what the measurement determines and what comes from the prior")
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "Reradiation":
-        check_dimensions(self)
-        return self
-
 
 NO_SPECTRUM = (
     "'finray fit' found no emission in this sample, so there is no spectrum to simulate, map, compare or export. Give "
@@ -164,6 +159,7 @@ class EmissionDetection(Model):
 class PaintWithoutEmission(Record):
     """A sample in whose band signals no emission was found: a limit of its yield in place of a spectrum."""
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"optics.filters": "filter", "reflectance": "filter"}
     schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray fit'"
 
@@ -182,11 +178,6 @@ class PaintWithoutEmission(Record):
         description="standard deviation of the blank over noise, leaks, tolerances and calibration"
     )
     warnings: tuple[str, ...] = ()
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "PaintWithoutEmission":
-        check_dimensions(self, {"optics.filters": "filter", "reflectance": "filter"})
-        return self
 
 
 Curve = Annotated[Floats, ArraySpec("<f8", ("wavelength",))]
@@ -329,6 +320,11 @@ class PaintCalibration(Record):
     location_nm = lambda_0 (not the peak), scale_nm = gamma, skewness = omega, amplitude_nm = h.
     """
 
+    dimension_of: ClassVar[Mapping[str, str]] = {
+        "sampled": "parameter",
+        "families": "family",
+        **dict.fromkeys(("optics.filters", "bands", "reflectance", "band_integrals"), "filter"),
+    }
     schema_version: ClassVar[int] = 9
     written_by: ClassVar[str] = "'finray fit'"
     other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
@@ -399,12 +395,6 @@ class PaintCalibration(Record):
     )
     diagnostics: Diagnostics
     warnings: tuple[str, ...] = ()
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "PaintCalibration":
-        along_filters = dict.fromkeys(("optics.filters", "bands", "reflectance", "band_integrals"), "filter")
-        check_dimensions(self, {"sampled": "parameter", "families": "family", **along_filters})
-        return self
 
     @property
     def mostly_prior(self) -> tuple[str, ...]:
@@ -569,7 +559,6 @@ class PaintMap(Record):
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> "PaintMap":
-        check_dimensions(self)
         rows, columns = self.chi_square.shape
         if (self.area.height_px, self.area.width_px) != (rows, columns):
             raise ValueError(

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self, get_arg
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
+from data_schemas._arrays import check_dimensions
 from data_schemas._lazy_exports import call_record_method
 from data_schemas._provenance import Provenance
 from data_schemas._record_text import array_text, formatted_interval, interval_text, record_html, record_text
@@ -90,9 +91,21 @@ class Model(_MadeInPython):
         When it is made with a value that is not allowed; the message names field, value and what is allowed.
     pydantic.ValidationError
         In its place by ``model_validate`` and ``model_validate_json``.
+
+    Attributes
+    ----------
+    dimension_of
+        Field that is no array (dots lead into inner models) -> the dimension of its arrays along which it runs.
     """
 
+    dimension_of: ClassVar[Mapping[str, str]] = {}
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True)
+
+    @model_validator(mode="after")
+    def _dimensions_agree(self) -> Self:
+        """Refuse arrays and lists that run along one dimension and differ in length."""
+        check_dimensions(self, self.dimension_of)
+        return self
 
     def __eq__(self, other: object) -> bool:
         """Return whether all fields are equal, NaN to NaN; pydantic's own comparison fails on arrays."""

@@ -4,9 +4,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._arrays import ArraySpec
 from data_schemas._design import FingerDesign
 from data_schemas._design_parts import Indenter, Preset
 from data_schemas._model import Model, Record
@@ -89,11 +89,6 @@ class TaughtPress(Record):
     unreached: str = Field(description="why the push ended early; empty when it did not")
     processor_s: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "s"})]
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "TaughtPress":
-        check_dimensions(self)
-        return self
-
 
 class PressSurrogate(Record):
     """A finger that answers presses of a family in milliseconds: condensed to its coat, the remainder learned.
@@ -159,8 +154,3 @@ class PressSurrogate(Record):
     processor_s: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "s"})] = Field(
         description="processor time of the training"
     )
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "PressSurrogate":
-        check_dimensions(self)
-        return self

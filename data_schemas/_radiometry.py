@@ -5,13 +5,14 @@ characterisation's quantities are those of EMVA Standard 1288, release 4.0. Quan
 detector and is not part of it. The standard gives its gain K in DN/e; here it is e/DN, as in the rig file.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._arrays import ArraySpec
 from data_schemas._capture import Frame, RegionOfInterest
 from data_schemas._curves import SpectralCurve, check_named_curves
 from data_schemas._model import Estimate, Model, Record
@@ -213,6 +214,7 @@ class PixelSignals(Record):
         Laser over lamp irradiance relative to the region's mean, smoothed.
     """
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"optics.filters": "filter"}
     schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray radiometry --pixels'"
 
@@ -237,7 +239,6 @@ class PixelSignals(Record):
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> "PixelSignals":
-        check_dimensions(self, {"optics.filters": "filter"})
         rows, columns = self.channel.shape
         if (self.area.height_px, self.area.width_px) != (rows, columns):
             raise ValueError(
@@ -318,11 +319,6 @@ class PhotonTransferCurve(Model):
     saturated_fraction: Annotated[Floats, ArraySpec("<f8", ("level",))]
     in_line: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("level",))]
     deviation_rel: Annotated[Floats, ArraySpec("<f8", ("level",), allow_nan=True)]
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "PhotonTransferCurve":
-        check_dimensions(self)
-        return self
 
 
 class ChannelCharacterisation(Model):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._arrays import ArraySpec
 from data_schemas._capture import CharucoBoard, Encoding
 from data_schemas._design import FingerDesign
 from data_schemas._model import Estimate, Model, Record
@@ -150,7 +150,6 @@ class PixelScale(Record):
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "PixelScale":
-        check_dimensions(self)
         expected = 4 + len(self.calibration.distortion) + 6
         if self.covariance.shape[0] != expected:
             raise ValueError(f"covariance: {self.covariance.shape[0]} rows, but lens and place have {expected} numbers")
@@ -208,11 +207,6 @@ class NormalMapRecord(Record):
     )
     notes: tuple[str, ...] = ()
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "NormalMapRecord":
-        check_dimensions(self)
-        return self
-
 
 class SensedPress(Record):
     """What a normal map senses in one capture: depth, normals and contact, one value per pixel of the colour image.
@@ -252,11 +246,6 @@ class SensedPress(Record):
         description="whether the map was trained on this press; none: the map does not state it"
     )
     notes: tuple[str, ...] = ()
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "SensedPress":
-        check_dimensions(self)
-        return self
 
 
 Determined = Literal[
@@ -334,7 +323,6 @@ class SensorFit(Record):
 
     @model_validator(mode="after")
     def _one_draw_of_each(self) -> "SensorFit":
-        check_dimensions(self)
         if self.draws.shape[1] != len(self.numbers):
             raise ValueError(f"draws: {self.draws.shape[1]} columns, but there are {len(self.numbers)} numbers")
         if (self.finger is None) == (self.sensor is None):

@@ -3,14 +3,14 @@
 The mechanics writes push, force and energy, increment by increment, and the surfaces that the optics renders.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._arrays import ArraySpec
 from data_schemas._curves import SpectralCurve
 from data_schemas._design import FingerDesign
 from data_schemas._design_parts import Indenter, Preset
@@ -37,6 +37,8 @@ class RenderedLight(Model):
     columns bands: mean reflectance, and the share of the band's energy that the wall emits in its own band.
     """
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"walls": "wall"}
+
     walls: tuple[str, ...] = ("red", "green")
     bands: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
     reflectance: OfWalls
@@ -45,11 +47,6 @@ class RenderedLight(Model):
         description="response of the camera: red, green, blue"
     )
     white_balance: tuple[float, float, float] = Field(default=(1.0, 1.0, 1.0), description="gains, in camera_matrix")
-
-    @model_validator(mode="after")
-    def _tables_agree(self) -> "RenderedLight":
-        check_dimensions(self, {"walls": "wall"})
-        return self
 
 
 class KnownInputs(Model):
@@ -60,30 +57,24 @@ class KnownInputs(Model):
     One key is one source of draws: two presses with the same key share its draws, number by number.
     """
 
+    dimension_of: ClassVar[Mapping[str, str]] = dict.fromkeys(("names", "keys", "evaluations", "sources"), "input")
+
     names: tuple[str, ...] = Field(description="such as 'red paint', 'green paint', 'camera response'")
     keys: tuple[str, ...] = Field(description="for each input, the origin of its draws, for example a checksum")
     evaluations: tuple[Literal["A", "B"], ...]
     sources: tuple[str, ...] = Field(description="where the uncertainty comes from, in plain words")
     factors: Annotated[NDArray[np.float32], ArraySpec("<f4", ("input", "draw", "3", "layer"))]
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "KnownInputs":
-        check_dimensions(self, {"names": "input", "keys": "input", "evaluations": "input", "sources": "input"})
-        return self
-
 
 class PoseResponse(Model):
     """How the contact image changes with the indenter's pose: derivatives of its layers by central differences."""
+
+    dimension_of: ClassVar[Mapping[str, str]] = {"names": "pose", "steps_mm": "pose"}
 
     names: tuple[Literal["depth_mm", "position_mm"], ...]
     steps_mm: tuple[float, ...] = Field(description="half of the interval over which the difference was taken")
     derivative: PoseLayers
     half_difference: PoseLayers = Field(description="half the difference of the derivatives of both halves")
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "PoseResponse":
-        check_dimensions(self, {"names": "pose", "steps_mm": "pose"})
-        return self
 
 
 class SimulatedPress(Record):
@@ -97,6 +88,7 @@ class SimulatedPress(Record):
     with ``rendered_light``; all its other images are those of ``shown_light``.
     """
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"bands": "band", "chains": "chain"}
     schema_version: ClassVar[int] = 6
     written_by: ClassVar[str] = "'finray simulate render'"
 
@@ -142,11 +134,6 @@ class SimulatedPress(Record):
             return self.design.indenter
         return None if self.sensor is None or self.sensor.surface is not None else self.sensor.indenter
 
-    @model_validator(mode="after")
-    def _images_agree(self) -> "SimulatedPress":
-        check_dimensions(self, {"bands": "band", "chains": "chain"})
-        return self
-
 
 class AngleObjective(Model):
     """A further objective over the light angle; as many repeats as it was measured with."""
@@ -173,7 +160,6 @@ class AngleObjective(Model):
             raise ValueError(
                 f"{self.name}: values at places and the places themselves belong together; give both or leave both out"
             )
-        check_dimensions(self)
         return self
 
     @property
@@ -188,6 +174,8 @@ class AngleConstraints(Model):
     Where the exposure is chosen anew for each angle so that it clips no more, the first is met by construction, and
     ``exposure_rel`` is its price.
     """
+
+    dimension_of: ClassVar[Mapping[str, str]] = {"in_the_way": "angle"}
 
     clipped_share: Annotated[Floats, ArraySpec("<f8", ("angle",), "1")] = Field(
         description="share of the pixels of the pressed coat with a channel at full scale, at that angle's exposure"
@@ -205,11 +193,6 @@ class AngleConstraints(Model):
         """Which angles meet all constraints, (angle,)."""
         fits = np.array([not name for name in self.in_the_way], dtype=np.bool_)
         return np.asarray(fits & (self.clipped_share < self.clipped_limit_share))
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "AngleConstraints":
-        check_dimensions(self, {"in_the_way": "angle"})
-        return self
 
 
 NARROWEST_SWEEP_DEG = 4.0
@@ -239,6 +222,7 @@ class LightAngleSweep(Record):
     change the ranking of angles.
     """
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"bands": "band", "constraints.clipped_share": "angle"}
     schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray simulate sweep'"
 
@@ -262,8 +246,6 @@ class LightAngleSweep(Record):
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "LightAngleSweep":
-        lists = {} if self.constraints is None else {"constraints.clipped_share": "angle"}
-        check_dimensions(self, {"bands": "band", **lists})
         for objective in self.other_objectives:
             if len(objective.values) != len(self.angles_deg):
                 raise ValueError(
@@ -291,11 +273,6 @@ class VariedPress(Model):
     )
     failure: str = Field(default="", description="why there are no forces, or why the push ended early")
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "VariedPress":
-        check_dimensions(self)
-        return self
-
 
 class ForceSlope(Model):
     """Derivative of a press's force by one number of its design, at each increment."""
@@ -304,11 +281,6 @@ class ForceSlope(Model):
     ln_force_per_ln_number: Annotated[PerIncrement, ArraySpec("<f8", ("increment",))] = Field(
         description="d ln F / d ln x, of the force along the pad's normal"
     )
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "ForceSlope":
-        check_dimensions(self)
-        return self
 
 
 class PressSensitivities(Model):
@@ -329,7 +301,6 @@ class PressSensitivities(Model):
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> "PressSensitivities":
-        check_dimensions(self)
         for slope in self.slopes:
             if len(slope.ln_force_per_ln_number) != len(self.depth_mm):
                 raise ValueError(
@@ -383,11 +354,6 @@ class PressMotion(Model):
         description="slip of the coat over the indenter in the increment; 0 where it sticks or does not touch"
     )
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "PressMotion":
-        check_dimensions(self)
-        return self
-
 
 class SurrogateBars(Model):
     """How far the answers of a taught surrogate may be from the finite elements that taught it."""
@@ -406,11 +372,6 @@ class SurrogateBars(Model):
     surface_bar_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "mm")] = Field(
         description="error bar of the coat: root mean square of the distance of its nodes from their true positions"
     )
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "SurrogateBars":
-        check_dimensions(self)
-        return self
 
 
 class PressMechanics(Record):
@@ -476,11 +437,6 @@ class PressMechanics(Record):
     )
     notes: tuple[str, ...] = ()
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "PressMechanics":
-        check_dimensions(self)
-        return self
-
 
 class PressIncrement(Record):
     """The state of a finger at one increment of a press, from which the press can continue."""
@@ -520,11 +476,6 @@ class PressIncrement(Record):
     )
     design: FingerDesign
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "PressIncrement":
-        check_dimensions(self)
-        return self
-
 
 Counts = Annotated[NDArray[np.int64], ArraySpec("<i8", ("part",))]
 
@@ -536,6 +487,7 @@ class FingerSurfaces(Record):
     within the part. Names and texture coordinates are those of :class:`sim.surface_meshes.FingerShape`.
     """
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"parts": "part"}
     schema_version: ClassVar[int] = 2
     written_by: ClassVar[str] = "'finray simulate press'"
 
@@ -562,7 +514,6 @@ class FingerSurfaces(Record):
 
     @model_validator(mode="after")
     def _counts_add_up(self) -> "FingerSurfaces":
-        check_dimensions(self, {"parts": "part"})
         for counts, rows in ((self.vertex_counts, self.vertices_mm), (self.triangle_counts, self.triangles)):
             if (counts < 0).any() or counts.sum() != len(rows):
                 raise ValueError(f"the counts of the parts add up to {counts.sum()}, but there are {len(rows)} rows")
@@ -617,8 +568,3 @@ class ObjectGrasp(Record):
     )
     lost: str = Field(description="why the fingers did not reach the requested force or weight; empty when they did")
     notes: tuple[str, ...] = ()
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "ObjectGrasp":
-        check_dimensions(self)
-        return self

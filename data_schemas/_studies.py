@@ -5,13 +5,14 @@ the panel. Stiffness, in bending and twist, comes with whether its order depends
 tested on measured materials. A design study is a plan (TOML), a record for each of its points, and their table.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec, check_dimensions
+from data_schemas._arrays import ArraySpec
 from data_schemas._curves import SpectralCurve
 from data_schemas._design import FingerDesign
 from data_schemas._design_parts import LEAST_DEPTH_MM, Indenter
@@ -56,6 +57,7 @@ class LevelDifference(Model):
 class FluorescentRendering(_Study):
     """The paper's emitter (level a, by the distance from the light) beside baked walls (level b)."""
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"levels": "alternative", "bands": "band", "walls": "wall"}
     schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray study fluorescent-rendering'"
 
@@ -88,11 +90,6 @@ class FluorescentRendering(_Study):
         description="baked radiance at other light angles; the paper's rule does not depend on the angle"
     )
 
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "FluorescentRendering":
-        check_dimensions(self, {"levels": "alternative", "bands": "band", "walls": "wall"})
-        return self
-
 
 class Uniformity(Model):
     """How evenly the coat is lit without contact."""
@@ -110,6 +107,7 @@ class Uniformity(Model):
 class TwoLights(_Study):
     """One panel at the base against panels at base and tip."""
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"lights": "alternative", "bands": "band", "channels": "channel"}
     schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray study two-lights'"
 
@@ -128,11 +126,6 @@ class TwoLights(_Study):
     along_rel: Annotated[Floats, ArraySpec("<f8", ("alternative", "channel", "z"), allow_nan=True)] = Field(
         description="means over the width, relative to the mean with one panel; NaN where the camera sees nothing"
     )
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "TwoLights":
-        check_dimensions(self, {"lights": "alternative", "bands": "band", "channels": "channel"})
-        return self
 
 
 class BrightestAngle(Model):
@@ -153,6 +146,7 @@ class BrightestAngle(Model):
 class LightAngleIntensity(_Study):
     """Brightness beside the indenter over the angle of the panel, with and without the mirror."""
 
+    dimension_of: ClassVar[Mapping[str, str]] = {"mirrors": "mirror", "probes": "probe", "bands": "band"}
     schema_version: ClassVar[int] = 5
     written_by: ClassVar[str] = "'finray study light-angle'"
 
@@ -172,11 +166,6 @@ class LightAngleIntensity(_Study):
     )
     printed_angle_deg: AngleDeg
     maxima: tuple[BrightestAngle, ...]
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "LightAngleIntensity":
-        check_dimensions(self, {"mirrors": "mirror", "probes": "probe", "bands": "band"})
-        return self
 
 
 Measure = Literal["bending_n_per_mm", "sideways_n_per_mm", "pad_n_per_mm", "twist_n_mm_per_deg"]
@@ -283,11 +272,6 @@ class BandFit(Model):
     )
     method: SamplingMethod
     trusted: bool = Field(description="whether the draws support 95 % limits")
-
-    @model_validator(mode="after")
-    def _lengths_agree(self) -> "BandFit":
-        check_dimensions(self)
-        return self
 
 
 class ColourPatch(Model):

@@ -272,10 +272,9 @@ def call_in_child(
     *,
     time_s: float | None = None,
     memory_bytes: int | None = None,
-    imports: Sequence[str] = (),
 ) -> Json:
     """Run one function in a process of its own with limits of time (s) and memory (bytes); see :meth:`Child.call`."""
-    with Child(imports) as child:
+    with Child() as child:
         return child.call(function, arguments, time_s=time_s, memory_bytes=memory_bytes)
 
 

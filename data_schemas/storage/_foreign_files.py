@@ -328,7 +328,6 @@ def read_text(
     path: Path,
     what: str = "a text file",
     error: type[FinrayError] = RecordError,
-    largest_bytes: int = LARGEST_TEXT_BYTES,
     encoding: str = "utf-8",
 ) -> str:
     """Return the text of a regular file; see :func:`read_bytes`.
@@ -339,7 +338,7 @@ def read_text(
         Of the class `error`: as :func:`read_bytes`, or the bytes are not text of this encoding.
     """
     try:
-        return read_bytes(path, what, error, largest_bytes).decode(encoding)
+        return read_bytes(path, what, error, LARGEST_TEXT_BYTES).decode(encoding)
     except UnicodeDecodeError as fault:
         raise error(
             f"{path}: cannot be read as {encoding.upper().removesuffix('-SIG')} text ({fault}); give {what}"
@@ -350,10 +349,9 @@ def parse_json(
     content: bytes,
     where: object,
     error: type[FinrayError] = RecordError,
-    deepest: int = DEEPEST_JSON,
     what: str = "",
 ) -> Any:
-    """Parse JSON: no key twice, no NaN and no infinite number, no half characters, at most `deepest` levels.
+    """Parse JSON: no key twice, no NaN and no infinite number, no half characters, at most :data:`DEEPEST_JSON` levels.
 
     Parameters
     ----------
@@ -363,8 +361,6 @@ def parse_json(
         File or device it came from, for messages.
     error
         Class of the error.
-    deepest
-        Levels of objects and lists within each other.
     what
         What to give in its place, such as "a stored record (.json)", for the error about a file that is no JSON.
 
@@ -374,7 +370,7 @@ def parse_json(
         Of the class `error`: it is no such JSON.
     """
     try:
-        _require_shallow_json(content, deepest)
+        _require_shallow_json(content)
         text = content.decode("utf-8")
         parsed = json.loads(
             text,
@@ -393,14 +389,9 @@ def parse_json(
     return parsed
 
 
-def read_json(
-    path: Path,
-    what: str = "a JSON file",
-    error: type[FinrayError] = RecordError,
-    largest_bytes: int = LARGEST_TEXT_BYTES,
-) -> Any:
+def read_json(path: Path, what: str = "a JSON file", error: type[FinrayError] = RecordError) -> Any:
     """Read a JSON file; see :func:`read_bytes` and :func:`parse_json`."""
-    return parse_json(read_bytes(path, what, error, largest_bytes), path, error, what=what)
+    return parse_json(read_bytes(path, what, error, LARGEST_TEXT_BYTES), path, error, what=what)
 
 
 def parse_toml(content: bytes, where: object, error: type[FinrayError] = RecordError) -> dict[str, Any]:
@@ -543,10 +534,10 @@ def _kind_of(mode: int) -> str | None:
     return next((words for is_kind, words in _KINDS if is_kind(mode)), "no regular file")
 
 
-def _require_shallow_json(content: bytes, deepest: int) -> None:
+def _require_shallow_json(content: bytes) -> None:
     """Refuse deep nesting and endless lists, looking at brackets and commas outside of strings only."""
     openings = content.count(b"[") + content.count(b"{")
-    if openings <= deepest and content.count(b",") <= MOST_VALUES:
+    if openings <= DEEPEST_JSON and content.count(b",") <= MOST_VALUES:
         return
     depth = values = 0
     for token in _JSON_TOKEN.finditer(content):
@@ -558,8 +549,8 @@ def _require_shallow_json(content: bytes, deepest: int) -> None:
             depth -= 1
         elif mark in b",":
             values += 1
-        if depth > deepest:
-            raise ValueError(f"more than {deepest} lists or objects within each other")
+        if depth > DEEPEST_JSON:
+            raise ValueError(f"more than {DEEPEST_JSON} lists or objects within each other")
         if values > MOST_VALUES:
             raise ValueError(f"more than {MOST_VALUES} values")
 

@@ -9,8 +9,8 @@ changes a record on purpose can compute it anew.
 The version of a kind is raised whenever its schema changes: a field is added, removed, renamed, or allows something
 else. ``tests/schemas/frozen/KIND/vN`` keeps the schema of every version and a file of it, and a test fails when
 the schema changed and the version did not. A file of an earlier version is migrated when it is read, one small
-function for each step of one version; nothing is rewritten on the disk. ``docs/explanation/versions-of-records.md``
-tells how to add a field.
+function for each step that is more than a new field with a default; nothing is rewritten on the disk.
+``docs/explanation/versions-of-records.md`` tells how to add a field.
 """
 
 import hashlib
@@ -327,11 +327,6 @@ LAST_UNSEALED: Final[dict[str, int]] = {**dict.fromkeys(_STORED_BEFORE_SEALS, 1)
 raised with the schema before: which one a file has, only its provenance tells (the commit of the source tree)."""
 
 
-def _as_it_is(body: Body) -> Body:
-    """Return a record whose new fields all have a value that says "not known"."""
-    return body
-
-
 def _with_verdict_of_captures(body: Body) -> Body:
     """Return a decision whose verdict "model-limited" has the name of what helps."""
     verdict = "needs captures" if body["verdict"] == "model-limited" else body["verdict"]
@@ -394,164 +389,9 @@ def _with_limits_that_can_be_kept(body: Body) -> Body:
 
 
 MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
-    # a stage presses and a load cell says the force; none: a person pressed
-    ("TactileRig", 2): _as_it_is,
-    ("TactilePlan", 1): _as_it_is,
-    ("TactileSession", 3): _as_it_is,
-    ("TactileCapture", 3): _as_it_is,
-    # provenance may name packages, processor, renderer and changed sources; the envelope carries a seal
-    **dict.fromkeys(LAST_UNSEALED.items(), _as_it_is),
-    # the probability that the loss is within the tolerance
-    ("LightAngleDecision", 2): _as_it_is,
-    # one touch or several; a verdict has another name
     ("LightAngleDecision", 3): _with_verdict_of_captures,
-    # what was decided on, and what other objectives would cost it; values of an objective at places
-    ("LightAngleDecision", 4): _as_it_is,
-    ("LightAngleSweep", 2): _as_it_is,
-    # whether there is emission at all; none: not judged
-    ("PaintCalibration", 3): _as_it_is,
-    # a laser may declare what switches it off outside the computer
-    ("RigFile", 1): _as_it_is,
-    ("CaptureSession", 2): _as_it_is,
-    ("CameraSession", 2): _as_it_is,
-    ("BandSignals", 2): _as_it_is,
-    ("PixelSignals", 2): _as_it_is,
-    ("AcceptanceReport", 2): _as_it_is,
-    ("PaintCalibration", 4): _as_it_is,
-    ("PaintWithoutEmission", 1): _as_it_is,
-    # a driver may be one of another package: any name that a driver can have
-    ("RigFile", 2): _as_it_is,
-    ("TactileRig", 1): _as_it_is,
-    ("CaptureSession", 3): _as_it_is,
-    ("CameraSession", 3): _as_it_is,
-    ("CameraCharacterisation", 2): _as_it_is,
-    ("TactileSession", 2): _as_it_is,
-    ("AcceptanceReport", 3): _as_it_is,
-    ("BandSignals", 3): _as_it_is,
-    ("PixelSignals", 3): _as_it_is,
-    ("PaintCalibration", 5): _as_it_is,
-    ("PaintWithoutEmission", 2): _as_it_is,
-    # whether devices come back, how long frames take, drift of the lamp; limits for them, and none: not tried
-    ("CheckPlan", 1): _as_it_is,
-    ("AcceptanceReport", 6): _as_it_is,
-    # shift of the picture, warm-up, stray light, trigger latency; none: not tried
-    ("CheckPlan", 2): _as_it_is,
-    ("AcceptanceReport", 7): _as_it_is,
-    # a photodiode as a witness, and rigs whose stage presses beside those with a wheel and lights; none: not there
-    ("CheckPlan", 3): _as_it_is,
-    ("AcceptanceReport", 8): _as_it_is,
-    # uncertainty of band values beside the noise of their frames; before, the same values for every rig
-    ("RigFile", 5): _as_it_is,
-    ("BandFolder", 1): _as_it_is,
-    ("CaptureSession", 6): _as_it_is,
-    ("CameraSession", 6): _as_it_is,
-    ("BandSignals", 5): _as_it_is,
-    ("PixelSignals", 5): _as_it_is,
-    ("PaintCalibration", 8): _as_it_is,
-    ("PaintWithoutEmission", 4): _as_it_is,
-    # a known mass, a gauge block, the picture's scale and the cell as witnesses of a stage; none: not there.
-    # Limits are above 0, and at most 1 where they are relative
-    ("CheckPlan", 4): _as_it_is,
-    ("TactileCheckPlan", 1): _as_it_is,
     ("AcceptanceReport", 9): _with_limits_that_can_be_kept,
-    # stops within a move, creep that stays unseen, levels of a photodiode with the beam closed; none: not tried
-    ("AcceptanceReport", 10): _as_it_is,
-    # whole rows and columns in the fixed pattern; none: not separated
-    ("CameraCharacterisation", 3): _as_it_is,
-    # a fitted tone curve and the gains far from the contact; none: not known
-    ("PhotometricErrorReport", 2): _as_it_is,
-    # the lamp's temperature and its uncertainty, 50 K where it was not stated
-    ("RigFile", 3): _as_it_is,
-    ("CaptureSession", 4): _as_it_is,
-    ("CameraSession", 4): _as_it_is,
-    ("AcceptanceReport", 4): _as_it_is,
-    ("BandSignals", 4): _as_it_is,
-    ("PixelSignals", 4): _as_it_is,
-    ("PaintWithoutEmission", 3): _as_it_is,
-    # simultaneous band, share of the prior, what the spectrum rests on; older files rest on their family
-    ("PaintCalibration", 6): _as_it_is,
-    # an outline in place of a circle, force, licence and what is missing; none: not known
-    ("TactileCapture", 2): _as_it_is,
-    # errors of the depth on unseen presses, and which presses taught; none: not known
-    ("NormalMapRecord", 2): _as_it_is,
-    # errors of the level of the depth; none: not known
-    ("NormalMapRecord", 3): _as_it_is,
-    # what the intervals are over, the contact's signal, causes of the error; none: not known
-    ("PhotometricErrorReport", 3): _as_it_is,
-    # the skill of all presses together, of several simulators, in place of the mean of skills
     ("ComparisonBatch", 2): _without_mean_of_skills,
-    # camera, mirror and panels anywhere; none: where the size of the pad puts them. A press may be a classic sensor's
-    ("FingerDesign", 1): _as_it_is,
-    ("SimulatedPress", 2): _as_it_is,
-    ("PressMechanics", 2): _as_it_is,
-    ("PressMechanics", 3): _as_it_is,
-    ("PressIncrement", 2): _as_it_is,
-    ("FluorescentRendering", 2): _as_it_is,
-    ("TwoLights", 2): _as_it_is,
-    ("LightAngleIntensity", 2): _as_it_is,
-    ("FingerStiffness", 2): _as_it_is,
-    ("StudyPoint", 1): _as_it_is,
-    # lights, coat, camera, surface and origins beside the three panels of one channel each
-    ("PlainSensor", 1): _as_it_is,
-    # a path of the indenter; none: it is pressed along the normal
-    ("DesignOptimum", 1): _as_it_is,
-    ("LightAngleSweep", 3): _as_it_is,
-    ("SimulatedPress", 3): _as_it_is,
-    ("PaintChoice", 1): _as_it_is,
-    ("FluorescentRendering", 3): _as_it_is,
-    ("StudyPoint", 2): _as_it_is,
-    ("TwoLights", 3): _as_it_is,
-    ("PlainSensor", 2): _as_it_is,
-    ("FingerDesign", 2): _as_it_is,
-    ("PressMechanics", 4): _as_it_is,
-    ("FingerStiffness", 3): _as_it_is,
-    ("DatasetShard", 1): _as_it_is,
-    ("LearningDataset", 1): _as_it_is,
-    ("LightAngleIntensity", 3): _as_it_is,
-    ("FingerTolerances", 1): _as_it_is,
-    ("PressIncrement", 3): _as_it_is,
-    ("EvaluatedDesign", 1): _as_it_is,
-    # the simulated rig may have a fault to practise on; none: it has none
-    ("RigFile", 4): _as_it_is,
-    ("CaptureSession", 5): _as_it_is,
-    ("CameraSession", 5): _as_it_is,
-    ("AcceptanceReport", 5): _as_it_is,
-    # how sessions that were combined differ; none: one session, or not known
-    ("PaintCalibration", 7): _as_it_is,
-    # metrics of other packages; none: not asked for
-    ("PhotometricErrorReport", 4): _as_it_is,
-    # a shape or a law of another package, with its parameters; none: one of our own
-    ("FingerDesign", 3): _as_it_is,
-    ("PlainSensor", 3): _as_it_is,
-    ("FingerStiffness", 4): _as_it_is,
-    ("PressIncrement", 4): _as_it_is,
-    # ... and derivatives beside presses with one number changed; none: all are such presses;
-    # bars of a press by a taught surrogate; none: finite elements pressed
-    ("PressMechanics", 5): _as_it_is,
-    ("SensorFit", 1): _as_it_is,
-    ("SimulatedPress", 4): _as_it_is,
-    ("LightAngleSweep", 4): _as_it_is,
-    ("FluorescentRendering", 4): _as_it_is,
-    ("TwoLights", 4): _as_it_is,
-    ("LightAngleIntensity", 4): _as_it_is,
-    ("StudyPoint", 3): _as_it_is,
-    ("FingerTolerances", 2): _as_it_is,
-    ("PaintChoice", 2): _as_it_is,
-    ("EvaluatedDesign", 2): _as_it_is,
-    ("DesignOptimum", 2): _as_it_is,
-    ("DatasetShard", 2): _as_it_is,
-    ("LearningDataset", 2): _as_it_is,
-    # a classic sensor's gel is an elastic layer; before, what was pressed in left its shape and a bulge
-    ("PlainSensor", 4): _as_it_is,
-    ("SimulatedPress", 5): _as_it_is,
-    ("SensorFit", 2): _as_it_is,
-    ("LightPowers", 1): _as_it_is,
-    # which code computed each point; none: not known
-    ("StudyResult", 1): _as_it_is,
-    # where a press may stand at an unstable equilibrium; none: not known
-    ("PressIncrement", 5): _as_it_is,
-    # from which push on parts of the finger touched; none: they did not, or it is not known
-    ("PressIncrement", 6): _as_it_is,
     # whether only the change by contact was judged; a note and the command said so before
     ("PhotometricErrorReport", 5): _with_relative_of_notes,
     ("ComparisonBatch", 3): _with_relative_of_command,
@@ -559,7 +399,10 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("DesignOptimum", 3): _with_integer_parameters,
     ("NormalMapRecord", 4): _with_training_sha256,
 }
-"""(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays."""
+"""(kind, version) -> what turns the content of that version into that of the next; arrays stand in it as arrays.
+
+A version without a step differs from the next by new fields alone, each with a default that says "not known" or what
+held before: its content is read as it is. The tests read a file of every version (``tests/schemas/frozen``)."""
 
 NOT_MIGRATED: Final[dict[tuple[str, int], str]] = {
     ("PaintCalibration", 1): "it holds draws of another model of the paint, without the discrepancy",
@@ -595,12 +438,13 @@ def migrate(path: Path, record_type: type[Record], version: int, body: Body) -> 
     refuse_newer(path, version, record_type)
     kind, today = record_type.__name__, record_type.schema_version
     for step in range(version, today):
-        if (kind, step) not in MIGRATIONS:
-            why = f" ({NOT_MIGRATED[kind, step]})" if (kind, step) in NOT_MIGRATED else ""
+        if (kind, step) in NOT_MIGRATED:
             raise RecordError(
                 f"{path}: was written by version {version} of the {kind} record, which differs from the "
-                f"present version {today}{why}; run {record_type.written_by} again"
+                f"present version {today} ({NOT_MIGRATED[kind, step]}); run {record_type.written_by} again"
             )
+        if (kind, step) not in MIGRATIONS:
+            continue
         try:
             body = MIGRATIONS[kind, step](body)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as fault:

@@ -92,18 +92,18 @@ def run_capture(arguments: argparse.Namespace) -> None:
 
 def capture(arguments: argparse.Namespace) -> None:
     """Capture what the plan is of, with who attends to it."""
-    KINDS[_plan_kind(arguments.plan, tuple(KINDS))](arguments)
+    KINDS[plan_kind(arguments.plan, tuple(KINDS))](arguments)
 
 
-def _plan_kind(path: Path, known: tuple[str, ...]) -> str:
-    """Return the kind of a plan; what is no TOML at all is left to the reader of plans, which says why."""
+def plan_kind(path: Path, known: tuple[str, ...]) -> str:
+    """Return the kind of a plan, by default the first; what is no TOML is left to the reader of plans."""
     from data_schemas import RecordError
     from data_schemas.storage import read_toml_tables
 
     try:
-        kind = read_toml_tables(path).get("kind", "paint")
+        kind = read_toml_tables(path).get("kind", known[0])
     except RecordError:
-        return "paint"
+        return known[0]
     if kind not in known:
         raise RecordError(f"{path}: 'kind' is {kind!r}; it must be one of {', '.join(map(repr, known))}")
     return str(kind)

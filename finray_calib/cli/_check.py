@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from finray_calib.cli._capture import plan_kind
 from finray_calib.cli._output import Progress, give, guide, progress_bar, say, suggest_file, warn, wrote
 from finray_calib.cli._run import (
     add_out,
@@ -74,7 +75,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     from finray_calib.exchange import junit_xml
     from finray_calib.reports import check_report
 
-    check = _press_check if _plan_kind(arguments.plan) == "tactile check" else _paint_check
+    check = _press_check if plan_kind(arguments.plan, KINDS) == "tactile check" else _paint_check
     report, out = check(arguments)
     seed = report.plan.seed if report.plan.kind == "check" else None
     origin = provenance(command_line(), input_digests([arguments.plan, arguments.rig]), seed)
@@ -91,20 +92,6 @@ def run_check(arguments: argparse.Namespace) -> int:
     wrote(out, f"{report.verdict}; holds report.html, junit.xml and check.json")
     suggest_file(out / "report.html")
     return NOT_ACCEPTED if report.verdict in ("FAIL", "ERROR") else 0
-
-
-def _plan_kind(path: Path) -> str:
-    """Return the kind of a plan; what is no TOML at all is left to the reader of plans, which says why."""
-    from data_schemas import RecordError
-    from data_schemas.storage import read_toml_tables
-
-    try:
-        kind = read_toml_tables(path).get("kind", "check")
-    except RecordError:
-        return "check"
-    if kind not in KINDS:
-        raise RecordError(f"{path}: 'kind' is {kind!r}; it must be one of {', '.join(map(repr, KINDS))}")
-    return str(kind)
 
 
 def _paint_check(arguments: argparse.Namespace) -> "tuple[AcceptanceReport, Path]":

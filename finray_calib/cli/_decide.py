@@ -23,6 +23,7 @@ from finray_calib.cli._run import (
     naming,
     new_page_beside,
     open_engine,
+    path_count,
     require_new,
 )
 
@@ -174,7 +175,7 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
         help="a number of the finger and its values; give it twice, for a map over two numbers",
     )  # fmt: skip
     lights.add_argument(
-        "--samples", type=_sample_count, metavar="N",
+        "--samples", type=path_count, metavar="N",
         help="paths of a batch, an even number: per point of a finger (default: 512), per pixel of a sensor (32)",
     )  # fmt: skip
     add_paint(lights)
@@ -183,16 +184,6 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     lights.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.light-powers.json; must be new")
     add_seed(lights)
     lights.set_defaults(run=run_lights)
-
-
-def _sample_count(text: str) -> int:
-    """Parse an even number of paths."""
-    if not text.isdecimal() or not 2 <= int(text) <= _MOST_SAMPLES or int(text) % 2:
-        raise argparse.ArgumentTypeError(f"{text!r} must be an even number from 2 to {_MOST_SAMPLES}")
-    return int(text)
-
-
-_MOST_SAMPLES = 65536
 
 
 def _power_range(text: str) -> tuple[float, float]:
@@ -303,7 +294,7 @@ def _store_powers(out: Path, record: "LightPowers", origin: "Provenance") -> Non
     """Store the record, its page and the design with the new powers together."""
     from data_schemas import FingerDesign
     from data_schemas.storage import ProductSet, write_record
-    from finray_calib.reports.design_search import light_powers_page
+    from finray_calib.reports.studies import light_powers_page
     from sim import design_toml, sensor_toml
     from sim.experiments import changed_numbers
 

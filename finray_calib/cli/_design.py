@@ -19,7 +19,7 @@ from finray_calib.cli._run import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from data_schemas import Optics, PaintCalibration, PaintChoice, RigFile
     from finray_calib.fit import CatalogueFilter
@@ -459,8 +459,10 @@ def _calibrations(files: "Sequence[Path]") -> "dict[str, PaintCalibration]":
     }
 
 
-def _paint_table(choice: "PaintChoice") -> "Iterator[str]":
-    """Yield the lines of the table, best pair first."""
+def _paint_table(choice: "PaintChoice") -> list[str]:
+    """Return the lines of the table, best pair first."""
+    from finray_calib.reports import aligned_lines
+
     head = ("red wall", "green wall", "error (deg)", "above best (deg)", "")
     rows = [
         (
@@ -472,6 +474,4 @@ def _paint_table(choice: "PaintChoice") -> "Iterator[str]":
         )
         for place, row in enumerate(choice.pairs)
     ]
-    widths = [max(len(line[k]) for line in (head, *rows)) for k in range(len(head))]
-    for line in (head, *rows):
-        yield "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+    return aligned_lines(head, rows)

@@ -7,7 +7,7 @@ import argparse
 import functools
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -27,6 +27,7 @@ from finray_calib.cli._run import (
     paint_files,
     require_folder,
     require_new,
+    whole_number,
 )
 from finray_calib.cli._study_run import calibrated_paints, stand_in_paints
 
@@ -166,7 +167,7 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
         help="a number that may change, and its limits (repeatable; default: light angle and place, pad "
             "thickness, and ribs and fin if stiffness is an objective)",
     )  # fmt: skip
-    search.add_argument("--evaluations", type=_evaluation_count, default=60, metavar="N",
+    search.add_argument("--evaluations", type=whole_number(1, _MOST_EVALUATIONS), default=60, metavar="N",
                         help="designs to compute (default: 60)")  # fmt: skip
     search.add_argument("--confirm", type=_confirmation_count, default=6, metavar="N",
                         help="other seeds and contact places that confirm the gain (default: 6; 0: none)")  # fmt: skip
@@ -176,13 +177,6 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     search.add_argument("--out", type=Path, metavar="DIR", help="folder of the search (default: NAME.optimised)")
     add_seed(search)
     search.set_defaults(run=run_optimise)
-
-
-def _evaluation_count(text: str) -> int:
-    """Parse a number of evaluations."""
-    if not text.isdecimal() or not 1 <= int(text) <= _MOST_EVALUATIONS:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to {_MOST_EVALUATIONS}")
-    return int(text)
 
 
 _MOST_EVALUATIONS = 1000
@@ -288,7 +282,7 @@ def light_measure(
 def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") -> Path:
     """Store finger, page and search together, in place of those of an earlier run; return the finger's file."""
     from data_schemas.storage import ProductSet, write_record
-    from finray_calib.reports.design_search import optimum_page
+    from finray_calib.reports.studies import optimum_page
     from sim import design_toml
 
     finger = out / f"{file_name(optimum.design.name)}.toml"
@@ -304,7 +298,7 @@ def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") ->
 
 def _report_optimum(optimum: "DesignOptimum") -> None:
     """Tell what was found."""
-    from finray_calib.reports.design_search import front_rows
+    from finray_calib.reports.studies import front_rows
 
     say(optimum.sentence)
     for gain in optimum.gains:
@@ -366,7 +360,7 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     """Find a finger's tolerances; store them with their page."""
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import ProductSet, write_record
-    from finray_calib.reports.tolerances import tolerance_page
+    from finray_calib.reports.studies import tolerance_page
     from sim import given_design
     from sim.experiments import ToleranceSettings
 
@@ -453,9 +447,10 @@ def _evaluators(
     return opened
 
 
-def _tolerance_table(record: "FingerTolerances") -> "Iterator[str]":
-    """Yield the lines of the table: limits alone and shares of the variance."""
-    from finray_calib.reports.tolerances import limit_text
+def _tolerance_table(record: "FingerTolerances") -> list[str]:
+    """Return the lines of the table: limits alone and shares of the variance."""
+    from finray_calib.reports import aligned_lines
+    from finray_calib.reports.studies import limit_text
 
     head = ("number", "drawn", "less by", "more by", "assumed or given", "share of variance", "")
     rows = [
@@ -470,9 +465,7 @@ def _tolerance_table(record: "FingerTolerances") -> "Iterator[str]":
         )
         for row in record.rows
     ]
-    widths = [max(len(line[k]) for line in (head, *rows)) for k in range(len(head))]
-    for line in (head, *rows):
-        yield "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+    return aligned_lines(head, rows)
 
 
 def run_assess(arguments: argparse.Namespace) -> None:
@@ -480,7 +473,7 @@ def run_assess(arguments: argparse.Namespace) -> None:
     from data_schemas import FingerStiffness, FingerTolerances, LightAngleDecision, SimulateError, provenance
     from data_schemas.storage import write_bytes
     from finray_calib.reports import assessment_page, decision_page, finger_outline
-    from finray_calib.reports.tolerances import tolerance_page
+    from finray_calib.reports.studies import tolerance_page
     from sim import design_inputs, design_toml, given_design, with_pad_size
     from sim.experiments import ToleranceSettings
 

@@ -20,9 +20,11 @@ from finray_calib.cli._run import (
     increment_count,
     input_digests,
     naming,
+    number_within,
     open_engine,
     paint_files,
     require_new,
+    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -101,33 +103,19 @@ PAINTS = "wall_paint"
 def add_taxim_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of a Taxim folder."""
     taxim = parser.add_argument_group("Taxim folders")
-    taxim.add_argument("--presses", type=_count, metavar="N", help=f"ball presses to render (default {PRESSES})")
+    taxim.add_argument(
+        "--presses", type=whole_number(1, 100_000), metavar="N", help=f"ball presses to render (default {PRESSES})"
+    )
     taxim.add_argument(
         "--ball-diameter-mm",
-        type=_length,
+        type=number_within("a number of mm", (0.0, 100.0), above=True),
         metavar="D",
         help=f"diameter of the ball in mm (default {BALL_DIAMETER_MM:g})",
     )
-    taxim.add_argument("--samples", type=_count, metavar="N", help=f"paths per pixel (default {SAMPLES})")
+    taxim.add_argument(
+        "--samples", type=whole_number(1, 100_000), metavar="N", help=f"paths per pixel (default {SAMPLES})"
+    )
     add_paint(taxim, "paint calibration of a finger's wall; without paints the design is a classic sensor", PAINTS)
-
-
-def _count(text: str) -> int:
-    """Parse a number of presses or paths."""
-    if not text.isdecimal() or not 1 <= int(text) <= 100_000:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 100000")
-    return int(text)
-
-
-def _length(text: str) -> float:
-    """Parse a length in mm."""
-    try:
-        length_mm = float(text)
-    except ValueError:
-        length_mm = 0.0
-    if not 0.0 < length_mm <= 100.0:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a number of mm above 0 and at most 100")
-    return length_mm
 
 
 def refuse_taxim_options(arguments: argparse.Namespace) -> None:
@@ -353,7 +341,7 @@ def run_protocol(arguments: argparse.Namespace) -> None:
     """Write the sheet, the table and the solids, and report."""
     from data_schemas import RecordError
     from data_schemas.storage import ProductSet
-    from finray_calib.reports.protocol import protocol_page
+    from finray_calib.reports.studies import protocol_page
     from sim import is_sensor, read_design, read_sensor
     from sim.experiments import press_protocol
 

@@ -154,7 +154,7 @@ def characterise(folder: Path, out: Path | None, page: Path | None = None) -> No
     origin = provenance(command_line(), input_digests([folder / SESSION_NAME]))
     with ProductSet(out) as products:
         if page is not None:
-            from finray_calib.reports.camera import camera_page
+            from finray_calib.reports import camera_page
 
             products.add(page, camera_page(camera.model_copy(update={"provenance": origin})).encode())
         write_record(camera, out, origin, products)

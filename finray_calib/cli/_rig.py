@@ -21,6 +21,7 @@ from finray_calib.cli._run import (
     input_digests,
     interruptible,
     require_new,
+    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -410,16 +411,11 @@ def add_live(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     add_out(parser, "NAME-session/, with --plan")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--port", type=_port, default=0, metavar="N", help="port on 127.0.0.1 (default: a free one)")
+    where.add_argument(
+        "--port", type=whole_number(1024, 65535), default=0, metavar="N", help="port on 127.0.0.1 (default: a free one)"
+    )
     where.add_argument("--terminal", action="store_true", help="show it in this terminal instead of the browser")
     parser.set_defaults(run=run_live)
-
-
-def _port(text: str) -> int:
-    """Parse a port that needs no rights."""
-    if not text.isdecimal() or not 1024 <= int(text) <= 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1024 to 65535")
-    return int(text)
 
 
 def run_live(arguments: argparse.Namespace) -> None:

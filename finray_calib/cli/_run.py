@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import io
 import logging
+import math
 import os
 import re
 import shlex
@@ -21,7 +22,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from data_schemas import FinrayError, ProcessDiedError, RecordError, SimulateError
 from data_schemas import naming as naming
@@ -67,11 +68,37 @@ def add_engine(parser: argparse.ArgumentParser, *, is_scalar_enough: bool = True
     )  # fmt: skip
 
 
-def increment_count(text: str) -> int:
-    """Parse a number of increments."""
-    if not text.isdecimal() or not 1 <= int(text) <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 1000")
-    return int(text)
+def whole_number(least: int, most: int, *, even: bool = False) -> Callable[[str], int]:
+    """Return what parses a whole number within bounds; of paths it is even, as each half of a picture takes half."""
+
+    def parse(text: str) -> int:
+        if not text.isdecimal() or not least <= int(text) <= most or (even and int(text) % 2):
+            kind = "an even whole number" if even else "a whole number"
+            raise argparse.ArgumentTypeError(f"{text!r} must be {kind} from {least} to {most}")
+        return int(text)
+
+    return parse
+
+
+def number_within(what: str, bounds: tuple[float, float], *, above: bool = False) -> Callable[[str], float]:
+    """Return what parses a number within bounds, such as "a force in N", or above the lower one."""
+    least, most = bounds
+
+    def parse(text: str) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not least <= number <= most or (above and number == least):
+            allowed = f"above {least:g} and at most {most:g}" if above else f"of {least:g} to {most:g}"
+            raise argparse.ArgumentTypeError(f"{text!r} must be {what} {allowed}")
+        return number
+
+    return parse
+
+
+increment_count: Final = whole_number(1, 1000)
+path_count: Final = whole_number(2, 1_000_000, even=True)
 
 
 def _whole_number(text: str) -> int:

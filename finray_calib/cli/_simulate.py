@@ -25,8 +25,10 @@ from finray_calib.cli._run import (
     input_digests,
     naming,
     paint_files,
+    path_count,
     require_ending,
     require_new,
+    whole_number,
     working_engine,
 )
 from finray_calib.cli._simulate_grasp import add_grasp
@@ -97,7 +99,7 @@ def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter is ignored")
     parser.add_argument(
         "--presses",
-        type=_presses,
+        type=whole_number(1, MOST_PRESSES),
         metavar="N",
         help=("presses by finite elements to train the surrogate on, at least 20 (default: 40)"),
     )
@@ -112,13 +114,6 @@ def _long_teach(arguments: argparse.Namespace) -> LongWork:
 
 
 MOST_PRESSES = 400
-
-
-def _presses(text: str) -> int:
-    """Parse a number of presses; the fewest are told by who teaches."""
-    if not text.isdecimal() or not 0 < int(text) <= MOST_PRESSES:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number, at most {MOST_PRESSES}")
-    return int(text)
 
 
 def run_teach(arguments: argparse.Namespace) -> None:
@@ -186,7 +181,7 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "--level", choices=["a", "a_inverse_square", "b", "c"], default="b", help="how the walls emit (default: b)"
     )
     parser.add_argument(
-        "--samples", type=_even, default=128, metavar="N", help="paths per pixel, an even number (default: 128)"
+        "--samples", type=path_count, default=128, metavar="N", help="paths per pixel, an even number (default: 128)"
     )
     parser.add_argument(
         "--images", action="store_true",
@@ -243,7 +238,7 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
             ),
     )  # fmt: skip
     parser.add_argument(
-        "--samples", type=_even, default=4000, metavar="N", help="paths per probe, an even number (default: 4000)"
+        "--samples", type=path_count, default=4000, metavar="N", help="paths per probe, an even number (default: 4000)"
     )
     add_out(parser, "NAME.sweep.json")
     add_seed(parser)
@@ -269,13 +264,6 @@ def _long_render(arguments: argparse.Namespace) -> LongWork:
 def _long_sweep(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
     return LongWork("the sweep of the light angle", NOTHING_KEPT, arguments.out)
-
-
-def _even(text: str) -> int:
-    """Parse an even number: a press is rendered as two independent halves, whose difference is the noise."""
-    if not text.isdecimal() or int(text) < 2 or int(text) % 2:
-        raise argparse.ArgumentTypeError(f"{text!r} must be an even whole number from 2, for example 128")
-    return int(text)
 
 
 def _angles(text: str) -> list[float]:

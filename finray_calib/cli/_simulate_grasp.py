@@ -1,7 +1,6 @@
 """``finray simulate grasp``: two fingers of a gripper close on the design's object and carry it."""
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,7 @@ from finray_calib.cli._run import (
     increment_count,
     input_digests,
     naming,
+    number_within,
     require_ending,
     require_new,
 )
@@ -44,7 +44,7 @@ def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML); its indenter is the object")
     parser.add_argument(
         "--force",
-        type=_force,
+        type=number_within("a force in N", (0.01, LARGEST_FORCE_N)),
         required=True,
         metavar="NEWTON",
         help="closing force, as the mean over both fingers",
@@ -75,25 +75,9 @@ def _long_grasp(arguments: argparse.Namespace) -> LongWork:
     )
 
 
-def _within(text: str, least: float, most: float, what: str) -> float:
-    """Parse a number within bounds."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not least <= number <= most:
-        raise argparse.ArgumentTypeError(f"{text!r} must be {what} of {least:g} to {most:g}")
-    return number
-
-
-def _force(text: str) -> float:
-    """Parse a closing force."""
-    return _within(text, 0.01, LARGEST_FORCE_N, "a force in N")
-
-
 def _mass(text: str) -> float:
     """Parse a mass."""
-    return 0.0 if text.strip() == "0" else _within(text, 1e-6, LARGEST_MASS_KG, "0 or a mass in kg")
+    return 0.0 if text.strip() == "0" else number_within("0 or a mass in kg", (1e-6, LARGEST_MASS_KG))(text)
 
 
 def _paths(out: Path) -> dict[str, Path]:

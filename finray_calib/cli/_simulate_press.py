@@ -5,7 +5,6 @@ press whose penalty rests on few nodes.
 """
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -19,6 +18,7 @@ from finray_calib.cli._run import (
     increment_count,
     input_digests,
     naming,
+    number_within,
     require_ending,
     require_new,
 )
@@ -494,7 +494,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--increments", type=increment_count, metavar="N", help=f"steps of the push (default {DEFAULT_INCREMENTS})"
     )
     parser.add_argument(
-        "--force", type=_force, metavar="NEWTON",
+        "--force", type=number_within("a force in N", (0.0, LARGEST_FORCE_N), above=True), metavar="NEWTON",
         help="press until the indenter pushes with this force, frictionless, in place of the design's depth_mm",
     )  # fmt: skip
     parser.add_argument(
@@ -508,7 +508,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="continue from a stored increment, or from the last one in a folder NAME.increments",
     )  # fmt: skip
     parser.add_argument(
-        "--budget", type=_budget, metavar="SECONDS",
+        "--budget", type=number_within("a processor time in s", (0.0, LARGEST_BUDGET_S), above=True), metavar="SECONDS",
         help="end the press before it takes more than this processor time (all threads "
         "together); the increments up to there are kept, with a picture, and the exit status is 2",
     )  # fmt: skip
@@ -539,7 +539,7 @@ def _add_surrogate(parser: argparse.ArgumentParser) -> None:
             "elements are used where its bars are too large",
     )  # fmt: skip
     parser.add_argument(
-        "--largest-error", type=_share, metavar="SHARE",
+        "--largest-error", type=number_within("a share (0.1 is 10 %)", (0.0, 1.0), above=True), metavar="SHARE",
         help="largest error bar of a surrogate, relative to the force or to the surface's displacement; above it, "
             "finite elements are used (default: 0.1)",
     )  # fmt: skip
@@ -563,41 +563,6 @@ def _has_path(file: Path) -> bool:
         return bool(read_design(file).indenter.path)
     except FinrayError:
         return False
-
-
-def _force(text: str) -> float:
-    """Parse a force."""
-    try:
-        force_n = float(text)
-    except ValueError:
-        force_n = math.nan
-    if not 0.0 < force_n <= LARGEST_FORCE_N:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a force in N above 0 and at most {LARGEST_FORCE_N:g}")
-    return force_n
-
-
-def _share(text: str) -> float:
-    """Parse a relative error."""
-    try:
-        share = float(text)
-    except ValueError:
-        share = math.nan
-    if not 0.0 < share <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a share above 0 and at most 1, such as 0.1 for 10 %")
-    return share
-
-
-def _budget(text: str) -> float:
-    """Parse a processor time."""
-    try:
-        budget_s = float(text)
-    except ValueError:
-        budget_s = math.nan
-    if not 0.0 < budget_s <= LARGEST_BUDGET_S:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} must be a processor time in s above 0 and at most {LARGEST_BUDGET_S:g}"
-        )
-    return budget_s
 
 
 def _require_one_way(arguments: argparse.Namespace, path: str) -> None:

@@ -20,9 +20,11 @@ from finray_calib.cli._run import (
     add_seed,
     command_line,
     input_digests,
+    number_within,
     open_engine,
     paint_files,
     require_new,
+    whole_number,
 )
 from finray_calib.cli._study_run import add_design_studies, calibrated_paints, stand_in_paints
 
@@ -185,8 +187,9 @@ def add_illumination_studies(studies: "argparse._SubParsersAction[argparse.Argum
             "--design", type=Path, metavar="TOML", help=f"finger design (default: preset {study.preset})"
         )
         add_paint(parser)
-        whose = "probe and repeat" if study.name == "light-angle" else "pixel, an even number"
-        parser.add_argument("--samples", type=partial(_samples, even=study.name != "light-angle"), metavar="N",
+        is_image = study.name != "light-angle"
+        whose = "pixel, an even number" if is_image else "probe and repeat"
+        parser.add_argument("--samples", type=whole_number(2, 1_000_000, even=is_image), metavar="N",
                             default=study.samples, help=f"paths per {whose} (default: {study.samples})")  # fmt: skip
         add_engine(parser)
         add_out(parser, f"{study.name}, a folder")
@@ -231,14 +234,6 @@ def _finger(study: _Study, arguments: argparse.Namespace) -> "tuple[PaintedFinge
     folder = Path() if arguments.design is None else arguments.design.parent
     paints, sources = calibrated_paints(files) if files else stand_in_paints()
     return paint_finger(design, paints, folder, open_engine(arguments.engine)), sources
-
-
-def _samples(text: str, even: bool) -> int:
-    """Parse a number of paths; an image is rendered as two halves, whose difference is its noise."""
-    if not text.isdecimal() or int(text) < 2 or (even and int(text) % 2):
-        kind = "an even whole number" if even else "a whole number"
-        raise argparse.ArgumentTypeError(f"{text!r} must be {kind} from 2, for example 64")
-    return int(text)
 
 
 def _make_fluorescent(finger: "PaintedFinger", *settings: Any) -> "FluorescentRendering":
@@ -379,22 +374,11 @@ def add_stiffness_study(studies: "argparse._SubParsersAction[argparse.ArgumentPa
     )
     parser.add_argument("designs", nargs="+", metavar="DESIGN", help="finger design (TOML), or the name of a preset")
     parser.add_argument(
-        "--vary", type=_percent, default=20.0, metavar="PERCENT",
+        "--vary", type=number_within("a change in per cent", (0.0, 50.0)), default=20.0, metavar="PERCENT",
         help="change of the assumed dimensions, 0 to 50 (default 20); 0 leaves them unchanged",
     )  # fmt: skip
     add_out(parser, f"{STIFFNESS_NAME}, a folder")
     parser.set_defaults(run=run_stiffness_study)
-
-
-def _percent(text: str) -> float:
-    """Parse a change in per cent."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 50.0:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a number from 0 to 50 (per cent)")
-    return value
 
 
 def run_stiffness_study(arguments: argparse.Namespace) -> None:

@@ -7,7 +7,7 @@ import argparse
 import csv
 import hashlib
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,9 @@ from finray_calib.cli._run import (
     file_name,
     input_digests,
     paint_files,
+    path_count,
     require_folder,
+    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -119,8 +121,7 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
     add_paint(run)
     add_paints_as_given(run)
     add_engine(run)
-    run.add_argument("--workers", type=_count, metavar="N", help="worker processes (default: by cores and memory)")
-    run.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
+    _add_workers(run)
     run.add_argument("--renew", action="store_true", help="compute again the points that another version or commit of "
                      "finray computed (default: keep them, and list them)")  # fmt: skip
     run.add_argument("--out", type=Path, metavar="DIR", help="folder of the study (default: its name)")
@@ -135,11 +136,20 @@ def add_design_studies(studies: "argparse._SubParsersAction[argparse.ArgumentPar
     compare.set_defaults(run=compare_studies)
 
 
+def _add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add who computes."""
+    workers = "worker processes (default: by cores and memory)"
+    parser.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help=workers)
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
+
+
 def _add_dataset(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register ``dataset``."""
     made = studies.add_parser("dataset", help=DATASET_HELP, description=DATASET_DESCRIPTION, epilog=DATASET_EPILOG)
     made.add_argument("design", metavar="DESIGN", help="finger design (TOML), or a ready-made finger by its name")
-    made.add_argument("--presses", type=_whole(1, 1_000_000), default=100, metavar="N", help="presses (default: 100)")
+    made.add_argument(
+        "--presses", type=whole_number(1, 1_000_000), default=100, metavar="N", help="presses (default: 100)"
+    )
     made.add_argument("--shape", action="append", choices=["ball", "cylinder"],
                       help="shape of the indenter; may be given twice (default: ball)")  # fmt: skip
     for name, range_mm, what in (("radius", (3.0, 10.0), "indenter's radius"), ("depth", (0.3, 2.0), "push")):
@@ -147,49 +157,28 @@ def _add_dataset(studies: "argparse._SubParsersAction[argparse.ArgumentParser]")
                           help=f"range of the {what} (default: {range_mm[0]:g} {range_mm[1]:g})")  # fmt: skip
     made.add_argument("--press", choices=["analytic", "finite elements"], default="analytic",
                       help="finite elements give the force, but take longer (default: analytic)")  # fmt: skip
-    made.add_argument(
-        "--lights", type=_whole(1, 1000), default=2, metavar="N", help="draws of the light for each press (default: 2)"
-    )
+    made.add_argument("--lights", type=whole_number(1, 1000), default=2, metavar="N",
+                      help="draws of the light for each press (default: 2)")  # fmt: skip
     made.add_argument("--light-angle-deg", type=float, default=5.0, metavar="REACH",
                       help="largest turn of the panels from their angle in the design (default: 5)")  # fmt: skip
-    made.add_argument(
-        "--paints", type=_whole(1, 1000), default=4, metavar="N", help="draws of the paints for each light (default: 4)"
-    )
+    made.add_argument("--paints", type=whole_number(1, 1000), default=4, metavar="N",
+                      help="draws of the paints for each light (default: 4)")  # fmt: skip
     made.add_argument("--emission-ratio", type=float, default=1.25, metavar="R",
                       help="paints without a posterior: their emission is multiplied by 1/R to R (default: "
                           "1.25)")  # fmt: skip
     made.add_argument("--size", type=_size, metavar="COLUMNSxROWS",
                       help="size of the pictures, one pixel for each Bayer cell (default: "
                            "the design's camera)")  # fmt: skip
-    made.add_argument("--samples", type=_even, default=32, metavar="N", help="paths per pixel (default: 32)")
-    made.add_argument("--presses-per-shard", type=_whole(1, 100_000), default=10, metavar="N",
+    made.add_argument("--samples", type=path_count, default=32, metavar="N", help="paths per pixel (default: 32)")
+    made.add_argument("--presses-per-shard", type=whole_number(1, 100_000), default=10, metavar="N",
                       help="presses in a shard (default: 10)")  # fmt: skip
     add_paint(made)
     add_paints_as_given(made)
     add_engine(made, is_scalar_enough=False)
-    made.add_argument("--workers", type=_count, metavar="N", help="worker processes (default: by cores and memory)")
-    made.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
+    _add_workers(made)
     add_seed(made)
     made.add_argument("--out", type=Path, metavar="DIR", help="folder of the data set (default: DESIGN-dataset)")
     made.set_defaults(run=run_learning_dataset)
-
-
-def _whole(low: int, high: int) -> Callable[[str], int]:
-    """Return what parses a whole number of a range."""
-
-    def parse(text: str) -> int:
-        if not text.isdecimal() or not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from {low} to {high}")
-        return int(text)
-
-    return parse
-
-
-def _even(text: str) -> int:
-    """Parse a number of paths."""
-    if not text.isdecimal() or not 2 <= int(text) <= 100_000 or int(text) % 2:
-        raise argparse.ArgumentTypeError(f"{text!r} must be an even whole number from 2 to 100000, for example 32")
-    return int(text)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -202,18 +191,11 @@ def _size(text: str) -> tuple[int, int]:
     return int(columns), int(rows)
 
 
-def _count(text: str) -> int:
-    """Parse a number of workers."""
-    if not text.isdecimal() or not 1 <= int(text) <= 1024:
-        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from 1 to 1024")
-    return int(text)
-
-
 def run_design_study(arguments: argparse.Namespace) -> None:
     """Run a study; store its table, its result and its page."""
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import clear_leftovers
-    from finray_calib.reports import points_by_code
+    from finray_calib.reports.studies import points_by_code
     from sim.studies import (
         STUDY_FOLDERS,
         StudyPaints,
@@ -271,7 +253,7 @@ def _result(task: "StudyTask", points: "Sequence[StudyPoint]", failures: "Sequen
 
 def _tell(result: "StudyResult") -> None:
     """Tell the table of a study and which points failed."""
-    from finray_calib.reports import study_text
+    from finray_calib.reports.studies import study_text
 
     give(name=result.name, varied=result.varied, points=result.points, failures=result.failures)
     say(study_text(result))
@@ -487,7 +469,7 @@ def _store(out: Path, result: "StudyResult", points: "Sequence[StudyPoint]", ori
     """Store table, page and result together, in place of those of an earlier run of the same study."""
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.exchange import parquet_table, study_netcdf
-    from finray_calib.reports import design_study_page, study_pictures_webp
+    from finray_calib.reports.studies import design_study_page, study_pictures_webp
 
     page = design_study_page(result, points, origin.command, origin.input_sha256, origin.package_version)
     made = {
@@ -546,7 +528,7 @@ def show_study(arguments: argparse.Namespace) -> None:
 def compare_studies(arguments: argparse.Namespace) -> None:
     """Show what two studies differ by."""
     from data_schemas import RecordError
-    from finray_calib.reports import study_differences, study_differences_text
+    from finray_calib.reports.studies import study_differences, study_differences_text
 
     first, second = _stored_study(arguments.first), _stored_study(arguments.second)
     differences = study_differences(first, second)

@@ -51,7 +51,6 @@ if TYPE_CHECKING:
         fit_chaos,
         limit_of_curve,
         limit_together,
-        pick_freeze_indices,
         share_within,
         sobol_indices,
     )
@@ -91,7 +90,6 @@ __all__ = [
     "most_uniform_powers",
     "next_design",
     "paint_choice",
-    "pick_freeze_indices",
     "rank_by_draws",
     "screening_designs",
     "share_within",

@@ -197,7 +197,10 @@ def _negative_ln_posterior(
     return float(value), gradient + away / sd
 
 
-def emulator_ensemble(fitted: DesignEmulator, rng: np.random.Generator, count: int = 24) -> tuple[DesignEmulator, ...]:
+_ENSEMBLE: Final = 24
+
+
+def emulator_ensemble(fitted: DesignEmulator, rng: np.random.Generator) -> tuple[DesignEmulator, ...]:
     """Return emulators with smoothness and hyperparameters drawn from their posterior, which intervals then include.
 
     Drawn from Student's t about the most probable ones of each smoothness, with the curvature there, and taken by the
@@ -209,8 +212,6 @@ def emulator_ensemble(fitted: DesignEmulator, rng: np.random.Generator, count: i
         By :func:`fit_emulator`.
     rng
         Source of the draws.
-    count
-        Of emulators.
     """
     centre, spread = fitted.centre
     scaled = (fitted.values - centre) / spread
@@ -223,7 +224,7 @@ def emulator_ensemble(fitted: DesignEmulator, rng: np.random.Generator, count: i
         ln_weights.append(weights)
     weights = np.concatenate(ln_weights)
     weights = np.exp(weights - weights.max())
-    return tuple(proposed[k] for k in rng.choice(len(proposed), size=count, p=weights / weights.sum()))
+    return tuple(proposed[k] for k in rng.choice(len(proposed), size=_ENSEMBLE, p=weights / weights.sum()))
 
 
 def _proposals(

@@ -5,7 +5,7 @@ not explain is found by leaving each run out in turn, and widens every interval.
 hold the true index far too seldom, because what the polynomial leaves out is not in them.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Final
@@ -216,46 +216,6 @@ def _share(coefficients: Floats, mask: NDArray[np.bool_]) -> Floats:
     return np.asarray(squares @ mask[1:] / np.maximum(squares.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny))
 
 
-def pick_freeze_indices(
-    result: Callable[[Floats], Floats], inputs: int, samples: int = 4096, seed: int = 0
-) -> tuple[Floats, Floats]:
-    r"""Return first and total Sobol' indices by exchanging one input at a time, each (input,).
-
-    .. math:: S_i = E[f(B) (f(A_B^i) - f(A))] / V, \quad T_i = E[(f(A) - f(A_B^i))^2] / 2 V
-
-    Needs samples times (inputs + 2) results: the other way to the indices of an emulator, or of a formula.
-
-    Parameters
-    ----------
-    result
-        Takes (point, input) of -1 to 1, returns (point,).
-    inputs
-        How many.
-    samples
-        A power of 2.
-    seed
-        Of the scrambled Sobol' sequence.
-
-    References
-    ----------
-    A. Saltelli et al., Variance based sensitivity analysis of model output, Comput. Phys. Commun. 181 (2010) 259-270.
-    """
-    sequence = qmc.Sobol(2 * inputs, rng=np.random.default_rng(seed))
-    points = 2.0 * sequence.random(samples) - 1.0
-    one, other = points[:, :inputs], points[:, inputs:]
-    of_one, of_other = result(one), result(other)
-    centre = of_one.mean()
-    variance = np.concatenate([of_one, of_other]).var()
-    first, total = np.empty(inputs), np.empty(inputs)
-    for k in range(inputs):
-        mixed = one.copy()
-        mixed[:, k] = other[:, k]
-        of_mixed = result(mixed)
-        first[k] = ((of_other - centre) * (of_mixed - of_one)).mean() / variance
-        total[k] = ((of_one - of_mixed) ** 2).mean() / (2.0 * variance)
-    return first, total
-
-
 @dataclass(frozen=True, slots=True)
 class Limit:
     """How far a size may go; 95 % limits. None where all that was tried is allowed."""
@@ -298,12 +258,12 @@ def _crossing(size: Floats, loss: Floats, level: float) -> float | None:
 
 
 _SCALES: Final = 60
+_SAMPLES: Final = 2048
+CONFIDENCE: Final = 0.95
 
 
-def limit_together(
-    emulator: ChaosEmulator, allowed: float, confidence: float = 0.95, samples: int = 2048, seed: int = 0
-) -> Limit:
-    """Return how far all inputs may vary together: largest half-range at which few results exceed what is allowed.
+def limit_together(emulator: ChaosEmulator, allowed: float, seed: int = 0) -> Limit:
+    """Return how far all inputs may vary together: largest half-range at which 95 % of results keep what is allowed.
 
     All inputs are uniform within plus and minus the half-range, as a share of the emulated one. A result is counted
     from that where all inputs are 0, and with the emulator's residual added in proportion to the half-range, as if all
@@ -315,48 +275,44 @@ def limit_together(
         Of the loss.
     allowed
         Largest loss.
-    confidence
-        Share of results within it.
-    samples
-        Of the inputs.
     seed
         Of inputs and residuals.
     """
     rng = np.random.default_rng(seed)
-    unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(samples) - 1.0
-    residual = emulator.residual * rng.standard_normal(samples)
+    unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(_SAMPLES) - 1.0
+    residual = emulator.residual * rng.standard_normal(_SAMPLES)
     scales = np.linspace(0.0, 1.0, _SCALES + 1)[1:]
     drawn = emulator.predict_draws(np.zeros((1, unit.shape[1])))
     within = np.stack(
         [(emulator.predict_draws(scale * unit) - drawn + scale * residual <= allowed).mean(axis=1) for scale in scales]
     )
-    of_draws = [_largest(scales, one, confidence) for one in within.T]
+    of_draws = [_largest(scales, one) for one in within.T]
     low, high = np.quantile(of_draws, LIMITS)
-    value = _largest(scales, within.mean(axis=1), confidence)
+    value = _largest(scales, within.mean(axis=1))
     return Limit(*(float(x) if x < 1.0 else None for x in (value, low, high)))
 
 
-def share_within(emulator: ChaosEmulator, scale: float, allowed: float, samples: int = 4096, seed: int = 0) -> float:
+def share_within(emulator: ChaosEmulator, scale: float, allowed: float) -> float:
     """Return the share of results within what is allowed, inputs uniform within plus and minus a half-range."""
-    rng = np.random.default_rng(seed)
-    unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(samples) - 1.0
+    rng = np.random.default_rng(0)
+    unit = 2.0 * qmc.Sobol(emulator.orders.shape[1], rng=rng).random(2 * _SAMPLES) - 1.0
     found = emulator.predict(scale * unit) - emulator.predict(np.zeros((1, unit.shape[1])))
-    found += scale * emulator.residual * rng.standard_normal(samples)
+    found += scale * emulator.residual * rng.standard_normal(2 * _SAMPLES)
     return float((found <= allowed).mean())
 
 
-def _largest(scales: Floats, within: Floats, confidence: float) -> float:
+def _largest(scales: Floats, within: Floats) -> float:
     """Return the last scale before the share within falls below the confidence for the first time; 1 if it never does.
 
     0 where even the smallest one is too large.
     """
-    below = np.flatnonzero(within < confidence)
+    below = np.flatnonzero(within < CONFIDENCE)
     if not below.size:
         return 1.0
     k = int(below[0])
     if k == 0:
         return 0.0
-    share = (within[k - 1] - confidence) / (within[k - 1] - within[k])
+    share = (within[k - 1] - CONFIDENCE) / (within[k - 1] - within[k])
     return float(scales[k - 1] + share * (scales[k] - scales[k - 1]))
 
 

@@ -24,6 +24,7 @@ from data_schemas import (
     PressMechanics,
     SimulatedPress,
     TactileCapture,
+    bayer_planes,
     provenance,
 )
 from data_schemas.storage import MANIFEST_NAME, ProductSet, manifest_text, read_record
@@ -112,7 +113,6 @@ from finray_calib.reports import (
 from finray_calib.sensing import rgb_image
 from rigs.capture import read_frame_of, read_session
 from rigs.simulated import lay_out
-from rigs.simulated.sensor import bayer_planes
 
 
 def demo_report(results: DemoResults) -> str:

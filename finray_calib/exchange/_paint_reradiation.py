@@ -41,6 +41,7 @@ from data_schemas import (
     require_coverage,
 )
 from data_schemas.storage import parse_in_child, read_bytes
+from finray_calib.spectra import trapezoidal_weights
 
 Floats = NDArray[np.float64]
 
@@ -436,7 +437,7 @@ def _one_light(spectra: PaintSpectra, light: SpectralCurve, response: CameraResp
     """Return the matrix of one light."""
     grid_nm = np.union1d(_fine(light.wavelength_nm), spectra.wavelength_nm)
     inside = (grid_nm >= light.wavelength_nm[0]) & (grid_nm <= light.wavelength_nm[-1])
-    weight = _trapezoid(grid_nm) * np.where(inside, light(grid_nm), 0.0)
+    weight = trapezoidal_weights(grid_nm) * np.where(inside, light(grid_nm), 0.0)
     weight = weight / weight.sum()
     seen = np.array([curve(grid_nm) for curve in response])
     # A filter's reflectance moves the interpolated curve linearly: one hat function per filter.
@@ -487,12 +488,6 @@ def _fine(wavelength_nm: Floats) -> Floats:
     """Return a grid that holds the given wavelengths and steps of at most 0.5 nm."""
     even = np.arange(wavelength_nm[0], wavelength_nm[-1], _STEP_NM)
     return np.union1d(even, wavelength_nm)
-
-
-def _trapezoid(wavelength_nm: Floats) -> Floats:
-    """Return the trapezoidal weights of a grid, nm."""
-    step_nm = np.diff(wavelength_nm)
-    return np.concatenate([step_nm[:1], step_nm[1:] + step_nm[:-1], step_nm[-1:]]) / 2
 
 
 def led_camera_json(

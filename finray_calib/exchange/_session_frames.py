@@ -356,11 +356,7 @@ def _bench_frames(
                 "lights_after": ", ".join(frame.lights_after) or "none",
                 "laser_dose_j": frame.laser_dose_j,
                 "tilt_deg": frame.tilt_deg,
-                "saturated_fraction": frame.saturated_fraction,
-                "attempts": frame.attempts,
-                "camera_frame_id": frame.frame_id,
-                "camera_time_s": frame.device_time_s,
-                **{f"setting_{name}": value for name, value in frame.settings.items()},
+                **_of_camera(frame),
             },
         )
         for frame, start_s in zip(frames, starts_s, strict=True)
@@ -407,15 +403,22 @@ def _tactile_frames(frames: tuple[TactileFrame, ...]) -> tuple[SessionFrame, ...
             {
                 "exposure_requested_s": frame.exposure_requested_s,
                 "place": frame.place,
-                "saturated_fraction": frame.saturated_fraction,
-                "attempts": frame.attempts,
-                "camera_frame_id": frame.frame_id,
-                "camera_time_s": frame.device_time_s,
-                **{f"setting_{name}": value for name, value in frame.settings.items()},
+                **_of_camera(frame),
             },
         )
         for frame, start_s in zip(frames, starts_s, strict=True)
     )
+
+
+def _of_camera(frame: Frame | TactileFrame) -> dict[str, Value]:
+    """Return what the camera said of a frame, and how often it was taken."""
+    return {
+        "saturated_fraction": frame.saturated_fraction,
+        "attempts": frame.attempts,
+        "camera_frame_id": frame.frame_id,
+        "camera_time_s": frame.device_time_s,
+        **{f"setting_{name}": value for name, value in frame.settings.items()},
+    }
 
 
 def _unix_s(utc: str) -> float:

@@ -279,7 +279,6 @@ def fit_absorption(
     prior: AbsorptionPrior,
     rng: np.random.Generator,
     least_reflectance: SpectralCurve | None = None,
-    excitation_nm: Floats = EXCITATION_NM,
 ) -> Reradiation:
     """Return the posterior of the absorption, one draw for each emission draw.
 
@@ -303,13 +302,11 @@ def fit_absorption(
         Source of all randomness.
     least_reflectance
         Reflectance that the paint has at least (0..1), for instance the lower 95 % limit; none counts as 0.
-    excitation_nm
-        (E,) grid of the result, nm.
 
     Returns
     -------
     Reradiation
-        Absorption relative to the laser with its 95 % limits and draws, and the Stokes shift.
+        Absorption relative to the laser with its 95 % limits and draws, on a grid of 5 nm, and the Stokes shift.
 
     Raises
     ------
@@ -319,13 +316,13 @@ def fit_absorption(
     """
     mode_nm = _modes(emission_draws_per_nm, wavelength_nm, laser_nm)
     seen = _relative_to_laser(yields, laser_nm)
-    sampler = _Sampler(mode_nm, seen, prior, excitation_nm, rng)
-    most = 1 - (np.zeros(excitation_nm.size) if least_reflectance is None else least_reflectance(excitation_nm))
+    sampler = _Sampler(mode_nm, seen, prior, EXCITATION_NM, rng)
+    most = 1 - (np.zeros(EXCITATION_NM.size) if least_reflectance is None else least_reflectance(EXCITATION_NM))
     ceiling = most / photon_yield(emission_draws_per_nm, wavelength_nm, laser_nm)[:, None]
     draws, shift_nm, rejected, violating = sampler.draw_below(ceiling)
     low95, high95 = np.quantile(draws, [0.025, 0.975], axis=0)
     return Reradiation(
-        excitation_nm=excitation_nm,
+        excitation_nm=EXCITATION_NM,
         laser_nm=laser_nm,
         absorption_rel=draws.mean(axis=0),
         low95=low95,

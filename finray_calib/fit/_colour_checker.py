@@ -33,6 +33,7 @@ from data_schemas import (
     PatchDistance,
     RadiometryError,
     SpectralCurve,
+    bayer_planes,
 )
 from finray_calib.spectra import WAVELENGTH_NM, transmissions
 
@@ -95,9 +96,7 @@ def linear_cells(counts: NDArray[np.uint16], dark_dn: Floats | float, full_scale
     full_scale_dn
         Largest count (DN).
     """
-    linear = np.where(counts >= full_scale_dn, np.nan, counts - dark_dn)
-    green = (linear[0::2, 1::2] + linear[1::2, 0::2]) / 2
-    return np.stack([linear[0::2, 0::2], green, linear[1::2, 1::2]], axis=-1)
+    return bayer_planes(np.where(counts >= full_scale_dn, np.nan, counts - dark_dn))
 
 
 def find_colour_checker(linear_rgb: Floats, reference: Floats) -> ColourCheckerPatches:

@@ -28,7 +28,7 @@ from finray_calib.fit._importance import (
 )
 from finray_calib.fit._likelihood import LogPosterior, Maxima, find_maxima, starting_points
 from finray_calib.fit._markov_chains import ChainDiagnostics, MovedDraws, SamplerSettings, moved_draws, sample_posterior
-from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, Discrepancy, EmissionPrior, chi_square_survival
+from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM, Discrepancy, EmissionPrior, chi_square_of_bands
 from finray_calib.spectra import CurveQuantities, EmissionFamily, curve_quantities
 
 FloatArray = NDArray[np.float64]
@@ -176,14 +176,6 @@ def check_bands(log_posterior: LogPosterior, draws: FloatArray) -> BandCheck:
     draws = draws[:: max(1, len(draws) // _MOST_DRAWS)]
     predicted, covariance = log_posterior.predict_usable(draws), log_posterior.covariances(draws)
     residual = p.y - predicted
-    bands = data.weights.bands
-    chi2, p_value = np.full(bands, np.nan), np.full(bands, np.nan)
-    freedom = np.bincount(p.band, minlength=bands).astype(np.int64)
-    for band in np.flatnonzero(freedom):
-        rows = np.flatnonzero(p.band == band)
-        own = residual[:, rows]
-        each = np.einsum("ni,ni->n", own, np.linalg.solve(covariance[:, rows][:, :, rows], own[..., None])[..., 0])
-        chi2[band], p_value[band] = each.mean(), chi_square_survival(each, rows.size).mean()
     total = np.einsum("ni,ni->n", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
     curves = log_posterior.family.curves(draws, data.weights.wavelength_nm)
     every = band_values(curves, np.exp(draws[:, p.shapes]), data.weights, log_posterior.leaks(draws))
@@ -192,9 +184,7 @@ def check_bands(log_posterior: LogPosterior, draws: FloatArray) -> BandCheck:
     variance[data.kept] += np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0) - measured
     shape = data.y.shape
     return BandCheck(
-        chi2,
-        freedom,
-        p_value,
+        *chi_square_of_bands(residual, covariance, p.band, data.weights.bands),
         float(total.mean()),
         every.mean(axis=0).reshape(shape),
         np.sqrt(np.maximum(variance, 0.0)).reshape(shape),

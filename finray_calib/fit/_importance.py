@@ -225,10 +225,10 @@ def tempered_weights(ln_weight: FloatArray, least_effective: float) -> FloatArra
     return normalised(power * ln_weight)
 
 
-def log_sum_exp(terms: FloatArray, axis: int = 0) -> FloatArray:
-    """Return ln sum exp(terms) along an axis, without overflow; some term of each sum is finite."""
-    top = terms.max(axis=axis)
-    return np.asarray(top + np.log(np.exp(terms - np.expand_dims(top, axis)).sum(axis=axis)))
+def log_sum_exp(terms: FloatArray) -> FloatArray:
+    """Return ln sum exp(terms) along the first axis, without overflow; some term of each sum is finite."""
+    top = terms.max(axis=0)
+    return np.asarray(top + np.log(np.exp(terms - top).sum(axis=0)))
 
 
 def normalised(ln_weight: FloatArray) -> FloatArray:

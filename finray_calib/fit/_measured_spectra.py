@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.fit._band_data import BandData, Reference, tolerance_columns
-from finray_calib.fit._prior import chi_square_survival
+from finray_calib.fit._prior import chi_square_of_bands
 
 Floats = NDArray[np.float64]
 
@@ -640,18 +640,11 @@ def _checked(
     data, residual = rig.data, rig.y - predicted
     some = slice(None, None, max(1, len(predicted) // 200))
     residual, covariance = residual[some], np.linalg.inv(inverses[some])
-    bands, band = data.weights.bands, data.weights.band_index[data.kept]
-    chi2, p = np.full(bands, np.nan), np.full(bands, np.nan)
-    for b in np.unique(band):
-        rows = np.flatnonzero(band == b)
-        own = residual[:, rows]
-        each = np.einsum("ni,ni->n", own, np.linalg.solve(covariance[:, rows][:, :, rows], own[..., None])[..., 0])
-        chi2[b], p[b] = each.mean(), chi_square_survival(each, rows.size).mean()
+    checks = chi_square_of_bands(residual, covariance, data.weights.band_index[data.kept], data.weights.bands)
     total = float(np.einsum("ni,nij,nj->n", residual, inverses[some], residual).mean())
     mean, sd = np.zeros(data.y.size), np.zeros(data.y.size)
     mean[data.kept] = predicted.mean(axis=0)
     measured = np.diag(data.covariance)[data.kept]
     variance = predicted.var(axis=0, ddof=1) + np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0) - measured
     sd[data.kept] = np.sqrt(np.maximum(variance, 0.0))
-    freedom = np.bincount(band, minlength=bands).astype(np.int64)
-    return chi2, freedom, p, total, mean.reshape(data.y.shape), sd.reshape(data.y.shape)
+    return *checks, total, mean.reshape(data.y.shape), sd.reshape(data.y.shape)

@@ -379,6 +379,27 @@ def normal_quantile(share: ArrayLike) -> FloatArray:
     return np.asarray(_quantile(np.clip(np.asarray(share, dtype=np.float64), _SMALLEST, _LARGEST)))
 
 
+def chi_square_of_bands(
+    residual: FloatArray, covariance: NDArray[np.floating], band: NDArray[np.int64], bands: int
+) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """Return chi-square, channels and predictive p of each band, NaN where none is usable, means over the draws.
+
+    Parameters
+    ----------
+    residual, covariance
+        (n, K) of the usable values of n draws, and their covariances (n, K, K).
+    band, bands
+        (K,) band of each value, and how many there are.
+    """
+    chi2, p_value = np.full(bands, np.nan), np.full(bands, np.nan)
+    for b in np.unique(band):
+        rows = np.flatnonzero(band == b)
+        own = residual[:, rows]
+        each = np.einsum("ni,ni->n", own, np.linalg.solve(covariance[:, rows][:, :, rows], own[..., None])[..., 0])
+        chi2[b], p_value[b] = each.mean(), chi_square_survival(each, rows.size).mean()
+    return chi2, np.bincount(band, minlength=bands).astype(np.int64), p_value
+
+
 def chi_square_survival(value: FloatArray, degrees_of_freedom: int) -> FloatArray:
     """Return the probability of a larger chi-square, in closed form for whole degrees of freedom.
 

@@ -292,6 +292,9 @@ class _Grid:
         return np.asarray(weight / weight.sum())
 
 
+DRAWS: Final = 2000
+
+
 def sample_picture_posterior(
     predict: Predict,
     blocks: PictureBlocks,
@@ -300,7 +303,6 @@ def sample_picture_posterior(
     *,
     correlation_length: float,
     start: Floats | None = None,
-    draws: int = 2000,
 ) -> PicturePosterior:
     r"""Fit standardised parameters to the blocks of pictures and draw from their posterior.
 
@@ -329,8 +331,6 @@ def sample_picture_posterior(
         Of the smooth error, in lengths of the pad's picture.
     start
         (parameter,) where the search begins; by default at zero.
-    draws
-        How many.
 
     Raises
     ------
@@ -359,8 +359,8 @@ def sample_picture_posterior(
     grid = _grid(tangent, features, SIZES_REL)
     best = int(np.argmax(grid.log_evidence))
     widening = _widening(tangent, features, SIZES_REL[best], grid.covariances[best])
-    cell = rng.choice(len(grid.weights), size=draws, p=grid.weights)
-    theta = np.empty((draws, len(steps)))
+    cell = rng.choice(len(grid.weights), size=DRAWS, p=grid.weights)
+    theta = np.empty((DRAWS, len(steps)))
     for k in np.unique(cell):
         own = cell == k
         root = widening @ np.linalg.cholesky(grid.covariances[k])

@@ -5,8 +5,7 @@ r"""Reduce frames to numbers: band signals of a paint with their covariance, or 
 with F the sample under the laser, W the white reference under the lamp and V the laser's level on the white reference,
 all dark-corrected and linear: sensitivity of the pixels and transmission of the filters cancel. `band_signals` does so
 over a region, `pixel_signals` for every raw pixel, `characterise_camera` gives gain, noise and saturation after EMVA
-1288. Also what a Raspberry Pi camera did to its images. No devices; a caller's function
-reads the frames.
+1288. Also what a Raspberry Pi camera did to its images. No devices; a caller's function reads the frames.
 """
 
 from typing import TYPE_CHECKING

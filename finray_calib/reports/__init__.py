@@ -12,6 +12,7 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.reports._batch_page import PressPictures, batch_lines, batch_page, press_pictures, ranking_figure
+    from finray_calib.reports._camera_page import camera_page
     from finray_calib.reports._certificate_page import Certificate, certificate_page, certificate_pdf, paint_certificate
     from finray_calib.reports._check_page import check_report, history_page
     from finray_calib.reports._comparison_figures import (
@@ -48,15 +49,6 @@ if TYPE_CHECKING:
         verdict_sentence,
         verdict_words,
     )
-    from finray_calib.reports._design_study_page import (
-        MetricDifference,
-        design_study_page,
-        points_by_code,
-        study_differences,
-        study_differences_text,
-        study_pictures_webp,
-        study_text,
-    )
     from finray_calib.reports._finger_page import assessment_page, finger_page, stiffness_rows
     from finray_calib.reports._finger_pictures import (
         finger_page_png,
@@ -66,7 +58,7 @@ if TYPE_CHECKING:
         sensor_text,
         untouched_finger_png,
     )
-    from finray_calib.reports._finger_views import PartLabel, draw_body, finger_outline, label_row
+    from finray_calib.reports._finger_views import PartLabel, draw_body, draw_panel, finger_outline, label_row
     from finray_calib.reports._fit_figures import (
         emission_figure,
         paint_map_figure,
@@ -85,6 +77,7 @@ if TYPE_CHECKING:
         denoised,
         display_remark,
         display_white,
+        lit_window,
         pad_window,
         raspberry_pi_display,
         require_denoiser,
@@ -92,7 +85,13 @@ if TYPE_CHECKING:
         to_display,
         touch_pair,
     )
-    from finray_calib.reports._methods import comparison_methods, decision_methods, fit_methods, methods_part
+    from finray_calib.reports._methods import (
+        comparison_methods,
+        decision_methods,
+        fit_methods,
+        methods_part,
+        study_methods,
+    )
     from finray_calib.reports._page import (
         Content,
         KeyNumber,
@@ -117,6 +116,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._plain_text import (
         NO_VALUE,
         Json,
+        aligned_lines,
         comparison_lines,
         decimals_for,
         duration,
@@ -141,6 +141,7 @@ if TYPE_CHECKING:
     from finray_calib.reports._style import (
         BLUE,
         CHANNELS,
+        HAIRLINE,
         INK,
         MUTED,
         SKY,
@@ -157,6 +158,7 @@ else:
 __all__ = [
     "BLUE",
     "CHANNELS",
+    "HAIRLINE",
     "INK",
     "MUTED",
     "NO_VALUE",
@@ -170,7 +172,6 @@ __all__ = [
     "Json",
     "KeyNumber",
     "Light",
-    "MetricDifference",
     "PaintTruth",
     "Part",
     "PartLabel",
@@ -180,10 +181,12 @@ __all__ = [
     "RecordPlot",
     "ReportPage",
     "ReportTable",
+    "aligned_lines",
     "angle_figure",
     "assessment_page",
     "batch_lines",
     "batch_page",
+    "camera_page",
     "certificate_page",
     "certificate_pdf",
     "check_report",
@@ -198,10 +201,10 @@ __all__ = [
     "decision_table",
     "decision_validation",
     "denoised",
-    "design_study_page",
     "display_remark",
     "display_white",
     "draw_body",
+    "draw_panel",
     "drawing",
     "duration",
     "emission_figure",
@@ -237,6 +240,7 @@ __all__ = [
     "lights_from_the_side",
     "limits_section",
     "lit_pad_figure",
+    "lit_window",
     "material_fit_png",
     "methods_part",
     "model_statement",
@@ -256,7 +260,6 @@ __all__ = [
     "plain",
     "plot_record",
     "png_bytes",
-    "points_by_code",
     "press_pictures",
     "pressed_finger_png",
     "probability",
@@ -280,10 +283,7 @@ __all__ = [
     "spots_note",
     "spread_sentence",
     "stiffness_rows",
-    "study_differences",
-    "study_differences_text",
-    "study_pictures_webp",
-    "study_text",
+    "study_methods",
     "styled",
     "svg_text",
     "to_display",

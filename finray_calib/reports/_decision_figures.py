@@ -20,7 +20,7 @@ from data_schemas import (
     LightPowers,
     SimulateError,
 )
-from finray_calib.reports._finger_views import FingerOutline, draw_body, finger_outline
+from finray_calib.reports._finger_views import FingerOutline, draw_body, draw_panel, finger_outline
 from finray_calib.reports._plain_text import interval_words
 from finray_calib.reports._style import (
     BLUE,
@@ -454,14 +454,10 @@ def lights_from_the_side(record: LightPowers) -> str:
     axes.set_axis_off()
     draw_body(axes, finger, rasterized=True)
     for light, row in zip(design.lights, record.rows, strict=True):
-        frame = panel_frame(light)
-        ends = np.stack([frame.centre_mm - frame.half_along_mm, frame.centre_mm + frame.half_along_mm])
-        axes.plot(ends[:, 2], ends[:, 1], color=BLUE, linewidth=5.0, solid_capstyle="butt", zorder=5)
-        tip = frame.centre_mm + 9.0 * frame.normal
-        axes.annotate("", (tip[2], tip[1]), (frame.centre_mm[2], frame.centre_mm[1]),
-                      arrowprops={"arrowstyle": "-|>", "color": BLUE, "lw": 1.5}, zorder=5)  # fmt: skip
+        panel = draw_panel(axes, light)
+        below = (panel.centre_mm[2], panel.centre_mm[1] - abs(panel.half_along_mm[1]))
         axes.annotate(
-            f"power {row.power_rel:.2g}\n{light.angle_deg:g}\N{DEGREE SIGN}", (frame.centre_mm[2], ends[:, 1].min()),
+            f"power {row.power_rel:.2g}\n{light.angle_deg:g}\N{DEGREE SIGN}", below,
             xytext=(0, -6), textcoords="offset points", ha="center", va="top", color=INK, fontsize=9, zorder=6,
             bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         )  # fmt: skip

@@ -14,10 +14,10 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
-from data_schemas import FingerDesign
+from data_schemas import FingerDesign, LightPanel
 from finray_calib.reports._style import BLUE, GREEN, HAIRLINE, INK, MUTED, ORANGE, SKY, VERMILLION
 from sim.mechanics import SkeletonLayout, back_curve_mm, rigid_indenter, side_outline_mm, skeleton_layout, skeleton_mesh
-from sim.optics import camera_pose, panel_frame
+from sim.optics import PanelFrame, camera_pose, panel_frame
 from sim.surface_meshes import rest_height_mm
 
 Floats = NDArray[np.float64]
@@ -219,15 +219,25 @@ def _draw_camera(axes: Axes, finger: FingerOutline) -> None:
         axes.plot(path[:, 1], path[:, 0], color=INK, lw=0.9, ls=":")
 
 
+_ARROW_MM = 7.0
+
+
+def draw_panel(axes: Axes, light: LightPanel) -> PanelFrame:
+    """Draw a light panel edge-on with its normal, and return where it stands."""
+    panel = panel_frame(light)
+    ends = np.array([panel.centre_mm - panel.half_along_mm, panel.centre_mm + panel.half_along_mm])
+    axes.plot(ends[:, 2], ends[:, 1], color=BLUE, lw=4.0, solid_capstyle="butt", zorder=5)
+    tip = panel.centre_mm + _ARROW_MM * panel.normal
+    axes.annotate("", (tip[2], tip[1]), (panel.centre_mm[2], panel.centre_mm[1]),
+                  arrowprops={"arrowstyle": "-|>", "color": BLUE, "lw": 1.5}, zorder=5)  # fmt: skip
+    return panel
+
+
 def _draw_lights(axes: Axes, design: FingerDesign) -> None:
-    """Draw each panel edge-on with its normal and its angle from the pad plane."""
+    """Draw each panel with its angle from the pad plane."""
     for light in design.lights:
-        panel = panel_frame(light)
-        ends = np.array([panel.centre_mm - panel.half_along_mm, panel.centre_mm + panel.half_along_mm])
-        axes.plot(ends[:, 2], ends[:, 1], color=BLUE, lw=4.0, solid_capstyle="butt", zorder=5)
-        y, z = panel.centre_mm[1:]
-        tip = panel.centre_mm + 7.0 * panel.normal
-        axes.annotate("", (tip[2], tip[1]), (z, y), arrowprops={"arrowstyle": "-|>", "color": BLUE, "lw": 1.5})
+        panel = draw_panel(axes, light)
+        tip = panel.centre_mm + _ARROW_MM * panel.normal
         axes.text(tip[2] + np.sign(panel.normal[2]) * 0.6, tip[1], f"{light.angle_deg:g}°", color=BLUE,
                   ha="left" if panel.normal[2] >= 0.0 else "right", va="center", fontsize=8)  # fmt: skip
 

@@ -8,6 +8,7 @@ in them. Many presses stand on one sheet with their contacts and a list of circl
 import base64
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from math import ceil, sqrt
@@ -562,3 +563,26 @@ def sensed_png(sensed: SensedPress, capture: TactileCapture) -> bytes:
             at.set_xlabel("mm")
             at.grid(visible=False)
         return figure_bytes(figure)
+
+
+_LIT_PERCENTILE, _LIT_SHARE = 95.0, 0.1
+"""Pictures of a study are cut alike: to where any of them has this share of the light of its brightest 5 %."""
+_MEDIAN_PX, _FEWEST_LIT = 5, 0.05
+"""A single bright pixel is the render's noise, and a row or column with fewer lit pixels than this is left out."""
+
+
+def lit_window(images: Sequence[NDArray[np.float32]]) -> tuple[slice, slice]:
+    """Return the rows and columns that are lit in any of some pictures of one size: the dark around is left out."""
+    rows, columns = (np.zeros(size) for size in images[0].shape[:2])
+    for image in images:
+        level = np.percentile(image, _LIT_PERCENTILE, axis=(0, 1))
+        light = (image / np.where(level > 0.0, level, 1.0)).mean(axis=-1, dtype=np.float32)
+        is_lit = cv2.medianBlur(light, _MEDIAN_PX) > _LIT_SHARE
+        rows, columns = np.maximum(rows, is_lit.mean(axis=1)), np.maximum(columns, is_lit.mean(axis=0))
+    return _reach(rows), _reach(columns)
+
+
+def _reach(share: NDArray[np.floating]) -> slice:
+    """Return from the first to the last place with enough lit pixels; all where there is none."""
+    found = np.flatnonzero(share > _FEWEST_LIT)
+    return slice(int(found[0]), int(found[-1]) + 1) if found.size else slice(None)

@@ -5,7 +5,7 @@ A number that is not finite becomes null in JSON.
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from textwrap import wrap
 from typing import Any
 
@@ -34,6 +34,13 @@ NO_VALUE = "\N{EN DASH}"
 def estimate_text(value: Estimate, unit: str = "", factor: float = 1.0) -> str:
     """Return an estimate with its 95 % interval, times a factor for the unit."""
     return interval_text(factor * value.estimate, factor * value.low95, factor * value.high95, unit)
+
+
+def aligned_lines(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return a table as lines whose columns stand below each other."""
+    lines = [head, *rows]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
 
 
 def percent(fraction: float) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 
-from data_schemas import CompareError, TactileCapture
+from data_schemas import CompareError, TactileCapture, bayer_planes
 
 Floats = NDArray[np.float64]
 
@@ -40,11 +40,7 @@ def rgb_image(counts: NDArray[np.uint16], capture: TactileCapture) -> Floats:
 
 def per_cell(values: Floats, capture: TactileCapture) -> Floats:
     """Return (H, W, 3) of an RGB image as it is, of a Bayer image one RGB value per cell."""
-    if capture.layout == "RGB":
-        return values
-    plane = values[..., 0]
-    green = (plane[0::2, 1::2] + plane[1::2, 0::2]) / 2
-    return np.stack([plane[0::2, 0::2], green, plane[1::2, 1::2]], axis=-1)
+    return values if capture.layout == "RGB" else bayer_planes(values[..., 0])
 
 
 def full_scale_dn(capture: TactileCapture) -> float:

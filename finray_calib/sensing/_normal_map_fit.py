@@ -81,7 +81,7 @@ class HeldOutScore:
     angle_deg: Floats
 
 
-def fit_normal_map(presses: Sequence[CalibrationPress], seed: int, degree: int = DEGREE) -> NormalMap:
+def fit_normal_map(presses: Sequence[CalibrationPress], seed: int) -> NormalMap:
     """Fit a normal map to ball presses by ridge regression.
 
     Inside a contact circle the gel has the ball's shape: slope = -offset / sqrt(R^2 - r^2). Beyond 2.5 radii it is
@@ -93,8 +93,6 @@ def fit_normal_map(presses: Sequence[CalibrationPress], seed: int, degree: int =
         At least 12, spread over pad and depth, with images of one camera.
     seed
         Of the choice of pixels.
-    degree
-        Of the polynomial.
 
     Raises
     ------
@@ -102,30 +100,26 @@ def fit_normal_map(presses: Sequence[CalibrationPress], seed: int, degree: int =
         When there are too few presses, images differ in size, a circle lies outside its image or is larger than its
         ball, or no press changes the picture.
     """
-    lessons = _lessons(presses, seed, degree)
+    lessons = _lessons(presses, seed)
     change = np.concatenate([lesson.change for lesson in lessons])
     rows, columns = presses[0].contact.shape[:2]
-    return NormalMap(_solve(lessons), degree, change.min(axis=0), change.max(axis=0), (rows, columns))
+    return NormalMap(_solve(lessons), DEGREE, change.min(axis=0), change.max(axis=0), (rows, columns))
 
 
-def held_out_score(
-    presses: Sequence[CalibrationPress], seed: int, degree: int = DEGREE, splits: int = HELD_OUT_SPLITS
-) -> HeldOutScore:
+def held_out_score(presses: Sequence[CalibrationPress], seed: int) -> HeldOutScore:
     """Fit random halves of the presses and score each on the other half.
 
     Parameters
     ----------
-    presses, degree
+    presses
         As in :func:`fit_normal_map`, with the same refusals.
     seed
         Of the choice of pixels and of the splits.
-    splits
-        Number of random halves.
     """
-    lessons = _lessons(presses, seed, degree)
-    rng = np.random.default_rng([seed, splits])
-    explained, angles = np.empty(splits), np.empty(splits)
-    for split in range(splits):
+    lessons = _lessons(presses, seed)
+    rng = np.random.default_rng([seed, HELD_OUT_SPLITS])
+    explained, angles = np.empty(HELD_OUT_SPLITS), np.empty(HELD_OUT_SPLITS)
+    for split in range(HELD_OUT_SPLITS):
         order = rng.permutation(len(lessons))
         half = len(lessons) // 2
         coefficients = _solve([lessons[i] for i in order[:half]])
@@ -176,7 +170,7 @@ def depth_errors(presses: Sequence[CalibrationPress], mm_per_px: float, seed: in
     mm_per_px
         Side of a pixel of the presses' images.
     """
-    lessons = _lessons(presses, seed, DEGREE)
+    lessons = _lessons(presses, seed)
     order = np.random.default_rng([seed, FOLDS]).permutation(len(lessons))
     rows, columns = presses[0].contact.shape[:2]
     rms, heights, levels = np.empty((3, len(lessons)))
@@ -239,7 +233,7 @@ class _Lesson:
     slopes: Floats
 
 
-def _lessons(presses: Sequence[CalibrationPress], seed: int, degree: int) -> list[_Lesson]:
+def _lessons(presses: Sequence[CalibrationPress], seed: int) -> list[_Lesson]:
     """Check the presses and choose their pixels."""
     if len(presses) < MINIMUM_PRESSES:
         raise CompareError(
@@ -248,15 +242,13 @@ def _lessons(presses: Sequence[CalibrationPress], seed: int, degree: int) -> lis
         )
     rng = np.random.default_rng(seed)
     shape = presses[0].contact.shape[:2]
-    lessons = [_lesson(press, f"press {k}", shape, degree, rng) for k, press in enumerate(presses, start=1)]
+    lessons = [_lesson(press, f"press {k}", shape, rng) for k, press in enumerate(presses, start=1)]
     if not any(np.ptp(lesson.change) > 0.0 for lesson in lessons):
         raise CompareError("no press changes the picture: contact and no-contact images are the same; check the files")
     return lessons
 
 
-def _lesson(
-    press: CalibrationPress, name: str, shape: tuple[int, ...], degree: int, rng: np.random.Generator
-) -> _Lesson:
+def _lesson(press: CalibrationPress, name: str, shape: tuple[int, ...], rng: np.random.Generator) -> _Lesson:
     """Choose pixels of a press and give their terms and slopes."""
     _check_press(press, name, shape)
     rows, columns = np.indices(shape, dtype=np.float64)
@@ -272,7 +264,7 @@ def _lesson(
     change = relative_change(press.contact, press.no_contact).reshape(-1, 3)[chosen]
     x, y = (c.ravel()[chosen] for c in coordinates((shape[0], shape[1])))
     slopes = ball_slopes(rows.ravel()[inside], columns.ravel()[inside], press)
-    terms = polynomial_terms(change, x, y, degree)
+    terms = polynomial_terms(change, x, y)
     taught = terms[: len(inside)]  # the others are flat and add nothing to the right-hand side
     return _Lesson(change, terms.T @ terms, taught.T @ slopes, taught, slopes)
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         lamp_response,
         rig_emission_weights,
         transmissions,
+        trapezoidal_weights,
     )
     from finray_calib.spectra._emission_families import (
         COMMON_PARAMETERS,
@@ -96,4 +97,5 @@ __all__ = [
     "skew_shape_table",
     "smooth_covariance",
     "transmissions",
+    "trapezoidal_weights",
 ]

@@ -164,7 +164,7 @@ def emission_weights(
         wavelength_nm, filters.transmission, response, lamp, white_reflectance, laser
     )
     share = _channel_shares(channel_weights, len(camera))
-    quadrature = _trapezoid(wavelength)
+    quadrature = trapezoidal_weights(wavelength)
     line = _unit_area("laser", line, quadrature)
     passed = transmission[:, None, :] * camera[None, :, :] * quadrature
     white_signal = _lit_white(passed @ (white * light))
@@ -253,13 +253,10 @@ def _channel_shares(channel_weights: ArrayLike, channels: int) -> FloatArray:
     return share
 
 
-def _trapezoid(wavelength_nm: FloatArray) -> FloatArray:
-    """Return the trapezoidal weights of a grid, nm."""
-    step = np.diff(wavelength_nm)
-    weights = np.zeros_like(wavelength_nm)
-    weights[:-1] += step / 2
-    weights[1:] += step / 2
-    return weights
+def trapezoidal_weights(wavelength_nm: FloatArray) -> FloatArray:
+    """Return the weights of the trapezoidal rule on a grid, nm."""
+    step = np.diff(wavelength_nm, prepend=wavelength_nm[0], append=wavelength_nm[-1])
+    return np.asarray((step[:-1] + step[1:]) / 2)
 
 
 def _unit_area(name: str, curve: FloatArray, quadrature: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from data_schemas import (
     SpectralCurve,
     read_only,
 )
+from finray_calib.spectra._band_weights import trapezoidal_weights
 
 Floats = NDArray[np.float64]
 ROUNDING = 1e-9
@@ -157,7 +158,7 @@ def _conservation_warnings(
 ) -> tuple[str, ...]:
     """Say where more energy (at any excitation) or more photons (under the laser) come back than come in."""
     excitation_nm, laser_nm = absorption.excitation_nm, absorption.laser_nm
-    counted = (emission_nm[:, None] > excitation_nm) * _trapezoid(emission_nm)[:, None]
+    counted = (emission_nm[:, None] > excitation_nm) * trapezoidal_weights(emission_nm)[:, None]
     energy = _returned((emission_draws_per_nm @ counted) * excited, excitation_nm, reflectance, reflectance_sd)
     laser_photons = photon_yield(emission_draws_per_nm, emission_nm, laser_nm)[:, None]
     photons = _returned(laser_photons, np.array([laser_nm]), reflectance, reflectance_sd)
@@ -182,12 +183,6 @@ def _returned(
     held = (excitation_nm < known_nm[0]) | (excitation_nm > known_nm[-1])
     sd = np.hypot(sd, EXTRAPOLATION_UNCERTAINTY_REL * reflected * held)
     return _Returned(emitted_draws.mean(axis=0), reflected, np.hypot(emitted_draws.std(axis=0), sd))
-
-
-def _trapezoid(wavelength_nm: Floats) -> Floats:
-    """Return the weights of the trapezoidal rule, nm."""
-    step = np.diff(wavelength_nm, prepend=wavelength_nm[0], append=wavelength_nm[-1])
-    return np.asarray((step[:-1] + step[1:]) / 2)
 
 
 LN_2, LN_10 = float(np.log(2.0)), float(np.log(10.0))

@@ -182,21 +182,3 @@ def mosaic(rgb: Floats) -> Floats:
     raw[0::2, 1::2] = raw[1::2, 0::2] = rgb[..., 1]
     raw[1::2, 1::2] = rgb[..., 2]
     return raw
-
-
-def bayer_planes(raw: NDArray[np.uint16] | Floats) -> Floats:
-    """Return the red, green (mean of its two pixels) and blue planes of an RGGB mosaic.
-
-    Parameters
-    ----------
-    raw
-        Mosaic of even height and width, shape (2h, 2w).
-
-    Returns
-    -------
-    ndarray
-        Shape (h, w, 3), half resolution, in the unit of `raw`.
-    """
-    values = np.asarray(raw, dtype=np.float64)
-    green = 0.5 * (values[0::2, 1::2] + values[1::2, 0::2])
-    return np.stack([values[0::2, 0::2], green, values[1::2, 1::2]], axis=-1)

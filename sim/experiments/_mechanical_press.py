@@ -73,17 +73,17 @@ def press_records(
     return mechanics, _surfaces(design, pressed, engine)
 
 
-def grasp_record(design: FingerDesign, task: GraspTask, grasp: Grasp, preset: Preset | None = None) -> ObjectGrasp:
+def grasp_record(design: FingerDesign, task: GraspTask, grasp: Grasp) -> ObjectGrasp:
     """Return a grasp as a record.
 
     Parameters
     ----------
-    design, task, preset
+    design, task
         As they went into :func:`sim.mechanics.grasp_object`.
     grasp
         What came out.
     """
-    mesh = preset or design.mesh.preset
+    mesh = design.mesh.preset
     return ObjectGrasp(
         name=design.name,
         label=f"finite elements, {mesh} mesh, two fingers close with {grasp.force_n[-1]:.3g} N",

@@ -225,14 +225,15 @@ def tactile_sensor(design: FingerDesign, seed: int) -> Sensor:
 # Two no-contact images of a real sensor differ by 0.8 to 2.6 % of full scale; blue LEDs drift by a fraction of it.
 LED_DRIFT_REL = 0.005
 LARGEST_ANGLE_DEG = 180.0
+LIGHT_ERROR_DEG = 3.0
 
 
-def as_built_design(design: FingerDesign, light_error_deg: float = 3.0) -> FingerDesign:
-    """Return the finger as it was really built: the light at another angle, the coating rougher and more diffuse.
+def as_built_design(design: FingerDesign) -> FingerDesign:
+    """Return the finger as it was really built: the light 3 deg aside, the coating rougher and more diffuse.
 
     Roughness and diffuse share grow by a tenth, at most to 1; an angle beyond 180 deg is the same one less 360 deg.
     """
-    angle_deg = design.light.angle_deg + light_error_deg
+    angle_deg = design.light.angle_deg + LIGHT_ERROR_DEG
     built = design.model_dump()
     built["name"] = f"{design.name}, as built"
     built["light"]["angle_deg"] = angle_deg if angle_deg <= LARGEST_ANGLE_DEG else angle_deg - 360.0

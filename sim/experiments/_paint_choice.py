@@ -96,9 +96,6 @@ class PaintedPairs:
         Angle between the colours of facets that tilt to opposite sides, median over the pad, (pair, draw).
     exposure_rel
         Exposure time relative to the shortest, (pair,).
-    interpolated_rel
-        Largest change of the light that the reflectance of the walls makes between two pairs, relative: what is
-        followed to first order.
     notes
         What the numbers rest on.
     """
@@ -107,7 +104,6 @@ class PaintedPairs:
     normal_error_deg: Floats
     separation_deg: Floats
     exposure_rel: Floats
-    interpolated_rel: float
     notes: tuple[str, ...]
 
 
@@ -231,9 +227,7 @@ def paint_pairs(
             errors_deg[k] = held_out_errors_deg(one, sensor, seed)[0].mean(axis=-1)
             steps.done(f"{red} and {green}")
     separation = np.median(colour_separations_deg(table), axis=2)
-    return PaintedPairs(
-        pairs, errors_deg, separation, table.exposure_rel, _interpolated(traced), _notes(finger, paints, bands)
-    )
+    return PaintedPairs(pairs, errors_deg, separation, table.exposure_rel, _notes(finger, paints, bands))
 
 
 def trace_pairs(
@@ -345,14 +339,6 @@ def camera_radiance(
         of_chains = to_camera @ chain_matrix(chains, gains)
         of_draws.append(np.einsum("kc,fpc->pfk", of_chains, light[d % len(light)]))
     return np.array(of_draws)
-
-
-def _interpolated(traced: PairPaths) -> float:
-    """Return the largest relative change between two pairs by the reflectance of the walls, mean over the facets."""
-    mean = traced.radiance_rel.mean(axis=(0, 1, 2))
-    change = np.abs((traced.growth * traced.radiance_rel).mean(axis=(2, 3, 4))) / np.where(mean > 0.0, mean, 1.0)
-    first = [traced.chains.index(chain) for chain in ("led", "led>red", "led>green")]
-    return float(2.0 * change[..., first].sum(axis=(0, 1)).max())
 
 
 def _notes(finger: UnpaintedFinger, paints: Mapping[str, PaintDraws], bands: Sequence[PaintBands]) -> tuple[str, ...]:

@@ -187,9 +187,7 @@ def imprinted_shapes(design: FingerDesign, folder: Path = Path()) -> tuple[Finge
     """
     if _is_by_formula(design.indenter):
         return None
-    pad = design.pad
-    x = np.linspace(-pad.width_mm / 2.0, pad.width_mm / 2.0, int(np.ceil(pad.width_mm / _IMPRINT_STEP_MM)) + 1)
-    z = np.linspace(0.0, pad.length_mm, int(np.ceil(pad.length_mm / _IMPRINT_STEP_MM)) + 1)
+    x, z = pad_grid_mm(design.pad, _IMPRINT_STEP_MM)
     gel = GelHeight(x, z, rest_height_mm(design, x[:, None], z[None, :]))
     pressed, distance = _imprinted(design, gel, folder)
     mirror = rest_shape(design).surfaces["mirror"]
@@ -207,7 +205,8 @@ def _given_coat(sensor: PlainSensor, surface: CoatSurface, folder: Path) -> Pres
     path = folder / surface.file
     step = surface.step_mm or 0.0
     largest = max(sensor.pad.length_mm, sensor.pad.width_mm)
-    x, z = pad_grid_mm(sensor, min(0.15, max(step, largest / _FINEST_GRID))) if step else pad_grid_mm(sensor)
+    finest = max(step, largest / _FINEST_GRID)
+    x, z = pad_grid_mm(sensor.pad, min(0.15, finest)) if step else pad_grid_mm(sensor.pad)
     undeformed = rest_height_mm(sensor.pressed_pad(), x[:, None], z[None, :])
     if path.suffix.lower() == ".stl":
         vertices, triangles = read_triangles(path, "the coat as a mesh (surface.file, STL)")
@@ -532,11 +531,7 @@ def mm_per_px(sensor: PlainSensor) -> float:
 
 def surface_of(design: FingerDesign) -> RectBivariateSpline:
     """Return the height of the pressed coat as a smooth function of x and z, mm."""
-    pad = design.pad
-    x, z = (
-        np.linspace(low, low + size, int(np.ceil(size / _STEP_MM)) + 1)
-        for low, size in ((-pad.width_mm / 2.0, pad.width_mm), (0.0, pad.length_mm))
-    )
+    x, z = pad_grid_mm(design.pad, _STEP_MM)
     return RectBivariateSpline(x, z, pressed_height_mm(design, x, z))
 
 

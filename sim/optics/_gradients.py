@@ -165,7 +165,7 @@ def _carrier(bands: PaintBands, renderer: ModuleType, change: Any, parameter: Pa
     """Return the carrier of three bands, one paint's conversion of LED light grown by `change`."""
     import drjit as dr
 
-    from sim.optics._fluorescent_paint import BandCarrier  # needs the variant set
+    from sim.optics._fluorescent_paths import BandCarrier  # needs the variant set
 
     class Carrier(BandCarrier):
         """Roulette decides by numbers only: a path's chance of surviving is no function of the parameter."""

@@ -240,7 +240,6 @@ def reflected_light(
     light: WallLight,
     received: Mapping[str, NDArray[np.float64]],
     seed: int,
-    samples: int = REFLECTED_SAMPLES,
 ) -> NDArray[np.float64]:
     r"""Return what the Lambertian walls reflect of all chains, :math:`\rho E / \pi`, batch by batch.
 
@@ -256,8 +255,6 @@ def reflected_light(
         The LED irradiance that it was made of, from :func:`led_irradiance`.
     seed
         Random seed, 32 bit.
-    samples
-        Paths per wall, of all batches together.
 
     Returns
     -------
@@ -266,7 +263,7 @@ def reflected_light(
         of :attr:`sim.optics._band_paths.BandPaths.chains`: the first three, then the others of `light` in its order.
     """
     tracer = _tracer(finger.scene, finger.design, finger.shape, emission=light, led=LedSearch(False, from_wall=True))
-    traced = np.pi * radiance_at_walls(finger.scene, finger.shape, tracer, finger.renderer, seed, samples)
+    traced = np.pi * radiance_at_walls(finger.scene, finger.shape, tracer, finger.renderer, seed, REFLECTED_SAMPLES)
     for k, wall in enumerate(WALLS):
         for channel, chain in enumerate(tracer.chains):
             own = received[wall] if chain == "led" else smooth_batches(traced[:, k, ..., channel]).batches

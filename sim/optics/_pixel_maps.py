@@ -152,16 +152,28 @@ def pose_rays(pose: CameraPose, calibration: CameraCalibration | None = None) ->
     return ray_table(calibration).directions(film) @ np.stack([pose.right, pose.down, pose.forward])
 
 
+def require_same_coat(pressed: FingerShape, rest: FingerShape) -> None:
+    """Refuse shapes whose coats have different meshes.
+
+    Raises
+    ------
+    SimulateError
+        Their triangles differ.
+    """
+    after, before = pressed.surfaces["coat"].triangles, rest.surfaces["coat"].triangles
+    if not np.array_equal(after, before):
+        raise SimulateError(
+            f"the coat '{pressed.label}' has {len(after)} triangles and the coat '{rest.label}' {len(before)}, or "
+            "their order differs: give the same mesh, deformed and at rest"
+        )
+
+
 def _coat_values(
     shape: FingerShape, rest: FingerShape, triangle: NDArray[np.int64], barycentric: Floats, leg: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Return displacement inward and against the ray, and the contact distance, at places on the coat."""
     now, before = shape.surfaces["coat"], rest.surfaces["coat"]
-    if now.triangles.shape != before.triangles.shape or (now.triangles != before.triangles).any():
-        raise SimulateError(
-            f"the coat '{shape.label}' has {len(now.triangles)} triangles and the coat '{rest.label}' "
-            f"{len(before.triangles)}, or their order differs: depths need the same mesh, deformed and at rest"
-        )
+    require_same_coat(shape, rest)
     corners = now.triangles[triangle]
 
     def at(values: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CHANNELS, CameraCalibration, ColouredLight, PlainSensor, SimulateError
+from data_schemas import CHANNELS, CameraCalibration, ColouredLight, GelPad, PlainSensor, SimulateError
 from data_schemas.storage import camera_response
 from sim.optics._calibrated_camera import read_calibration
 from sim.optics._optical_layout import CameraPose, PanelFrame
@@ -332,9 +332,8 @@ def _spectrum(light: ColouredLight) -> Floats:
     return power
 
 
-def pad_grid_mm(sensor: PlainSensor, step_mm: float = STEP_MM) -> tuple[Floats, Floats]:
-    """Return places across (nx,) and along (nz,) the pad, at most a step apart, both edges included."""
-    pad = sensor.pad
+def pad_grid_mm(pad: GelPad, step_mm: float = STEP_MM) -> tuple[Floats, Floats]:
+    """Return places across (nx,) and along (nz,) a pad, at most a step apart, both edges included."""
     across, along = (
         np.linspace(low, low + size, int(np.ceil(size / step_mm)) + 1)
         for low, size in ((-pad.width_mm / 2.0, pad.width_mm), (0.0, pad.length_mm))
@@ -345,7 +344,7 @@ def pad_grid_mm(sensor: PlainSensor, step_mm: float = STEP_MM) -> tuple[Floats, 
 def analytic_gel(sensor: PlainSensor, pressed: bool) -> GelHeight:
     """Return the gel at rest, or with the indenter pressed in by :func:`sim.surface_meshes.pressed_height_mm`."""
     design = sensor.pressed_pad()
-    x, z = pad_grid_mm(sensor)
+    x, z = pad_grid_mm(sensor.pad)
     return GelHeight(x, z, pressed_height_mm(design if pressed else without_press(design), x, z))
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from data_schemas import CameraCalibration, FingerDesign, ImpossibleFingerError, SimulateError
-from sim.optics._pixel_maps import pixel_maps
+from sim.optics._pixel_maps import pixel_maps, require_same_coat
 from sim.optics._scene import band_film
 from sim.surface_meshes import FingerShape
 
@@ -250,11 +250,7 @@ def tilt_shares(rest: FingerShape, pressed: FingerShape, tilts_deg: Floats) -> F
         When the two shapes have different meshes.
     """
     before, after = rest.surfaces["coat"], pressed.surfaces["coat"]
-    if before.triangles.shape != after.triangles.shape or (before.triangles != after.triangles).any():
-        raise SimulateError(
-            f"the coat '{pressed.label}' has {len(after.triangles)} triangles and the coat '{rest.label}' "
-            f"{len(before.triangles)}, or their order differs: tilts need the same mesh, deformed and at rest"
-        )
+    require_same_coat(pressed, rest)
     sides = [s.vertices_mm[s.triangles[:, 1:]] - s.vertices_mm[s.triangles[:, :1]] for s in (before, after)]
     across, tilted_across = (np.cross(side[:, 0], side[:, 1]) for side in sides)
     turn = np.linalg.norm(np.cross(across, tilted_across), axis=1), (across * tilted_across).sum(axis=1)

@@ -494,7 +494,7 @@ def pathwise_integrator(
     if renderer.variant() == SCALAR_VARIANT:
         raise SimulateError("level c runs in compiled variants only; install LLVM 17 or newer, or take level b")
     from sim.optics._band_paths import band_paths  # these need the variant set
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
 
     panels = band_paths(scene, design, shape)
     return fluorescent_bands(scene, {wall: bands.matrix(wall) for wall in WALLS}, panels=panels)

@@ -307,11 +307,28 @@ def metal(design: FingerDesign, bands: PaintBands, renderer: ModuleType) -> dict
     index = design.pad.index_at(design.light.peak_wavelength_nm)
     if not renderer.variant().endswith("_spectral"):
         return coating(design.coating, np.array([band.centroid_nm for band in bands.bands]), index)
-    from sim.optics._fluorescent_paint import extended_spectrum  # needs the variant set
-
     # the renderer's own spectra end in zero, and a metal of n = k = 0 is not a number
     eta, k = (extended_spectrum(_ALUMINIUM[:, 0], _ALUMINIUM[:, column] / index) for column in (1, 2))
     return _blend(design.coating, eta, k)
+
+
+RENDERED_NM = (360.0, 830.0)
+"""Wavelengths the renderer can draw."""
+
+
+def extended_spectrum(wavelength_nm: NDArray[np.float64], values: NDArray[np.float64]) -> dict[str, Any]:
+    """Return a curve as the renderer's spectrum, with its end values held over all rendered wavelengths.
+
+    The renderer's own spectra are zero outside their range; a metal with n = k = 0 is then not a number.
+    """
+    inner = (wavelength_nm > RENDERED_NM[0]) & (wavelength_nm < RENDERED_NM[1])
+    grid = np.concatenate([RENDERED_NM[:1], wavelength_nm[inner], RENDERED_NM[1:]])
+    held = np.interp(grid, wavelength_nm, values)
+    return {
+        "type": "irregular",
+        "wavelengths": ", ".join(f"{w:.9g}" for w in grid),
+        "values": ", ".join(f"{v:.9g}" for v in held),
+    }
 
 
 def coating(

@@ -81,7 +81,7 @@ EXCEPTIONS = {
     **dict.fromkeys(("limit", "tried", "nominal", "given", "half_range"), "of a field of a design, in its unit"),
     **dict.fromkeys(("residual", "allowed", "noise"), "of a result of any unit, in its unit"),
     **dict.fromkeys(("together_low95", "together_high95"), "limits of a factor"),
-    **dict.fromkeys(("q2", "unexplained_high", "confidence"), "share of a variance, or of results"),
+    **dict.fromkeys(("q2", "unexplained_high"), "share of a variance"),
     "electrons_per_radiance": "electrons of the camera per relative radiance",
     "sign": "-1 or 1",
     "left_out_bands": "a sum of log densities, nats",

@@ -118,7 +118,10 @@ ALLOWED = {
         ),
         "a module of another package, which its entry point names",
     ),
-    ("finray_calib/reports/_design_study_page.py", "cv2.imdecode"): "the picture that this function has just drawn",
+    (
+        "finray_calib/reports/studies/_design_study_page.py",
+        "cv2.imdecode",
+    ): "the picture that it has just drawn",
 }
 # Devices, too, are opened.
 DEVICES = re.compile(r"(camera|light|self|self\._guard|self\._light|CameraWatch\(.*\))\.open")

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.ndimage import gaussian_filter
 
-from data_schemas import BandPassFilter, LaserSettings, RigFile
+from data_schemas import BandPassFilter, LaserSettings, RigFile, bayer_planes
 from data_schemas.storage import camera_response, halogen_lamp, planck_relative
 from rigs.simulated import Bench, lay_out
 from rigs.simulated._bench import (
@@ -19,7 +19,6 @@ from rigs.simulated._bench import (
     filter_transmission,
     laser_line,
 )
-from rigs.simulated.sensor import bayer_planes
 
 FILTER = BandPassFilter(slot=1, name="600", center_nm=600.0)
 

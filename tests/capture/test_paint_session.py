@@ -22,13 +22,13 @@ from data_schemas import (
     SaturatedError,
     Target,
     WrongPositionError,
+    bayer_planes,
 )
 from data_schemas.storage import sha256_of
 from rigs import Camera, FilterWheel, OpenRig, Operator, RawFrame, open_rig
 from rigs.capture import SessionRequest, capture_paint_session, paint_steps, read_frame_of, read_session
 from rigs.capture._journal import read_journal
 from rigs.capture._paint_session import capture_with
-from rigs.simulated.sensor import bayer_planes
 
 Captured = tuple[Path, CaptureSession, list[tuple[int, int, str]]]
 

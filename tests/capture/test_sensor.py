@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rigs.simulated.sensor import Sensor, bayer_planes, mosaic, poisson_charge
+from data_schemas import bayer_planes
+from rigs.simulated.sensor import Sensor, mosaic, poisson_charge
 
 SENSOR = Sensor(
     bit_depth=12,

@@ -997,7 +997,7 @@ USAGE = (
     Case("places too near", SWEEP + " --angles 0:90:30 --positions 8,8.01", r"or places at least 0\.1 mm apart"),
     Case("places backwards", SWEEP + " --angles 0:90:30 --positions 64:8:4", r"'64:8:4' must be FIRST:LAST:STEP in mm"),
     Case("weights in words", "decide {lab}/sweep.json --weights often", r"'often' must be numbers above 0 with commas"),
-    Case("no samples", BOTH + " --samples 0", r"'0' must be an even whole number from 2, for example 128"),
+    Case("no samples", BOTH + " --samples 0", "'0' must be an even whole number from 2 to 1000000"),
     Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
     Case("unknown format", "import taxidermy {lab}", r"invalid choice: 'taxidermy' \(choose from '?captures"),

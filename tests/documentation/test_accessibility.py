@@ -25,11 +25,10 @@ from finray_calib.reports import (
     check_report,
     comparison_page,
     decision_page,
-    design_study_page,
     finger_page,
     paint_report,
 )
-from finray_calib.reports.design_search import optimum_page
+from finray_calib.reports.studies import design_study_page, optimum_page
 from rigs import simulated_rig
 from tests.acceptance.facts import PLAN, handshake, spoilt
 from tests.acceptance.paints import example

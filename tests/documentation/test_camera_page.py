@@ -14,7 +14,7 @@ from html_page import Page, assert_stands_alone
 from data_schemas import CameraCharacterisation, Resolvable, provenance
 from finray_calib.radiometry import characterise_camera, sensitivity_threshold_e
 from finray_calib.radiometry._photon_transfer import MONOCHROME, FrameStack, line_nonuniformity, root_of
-from finray_calib.reports.camera import camera_page
+from finray_calib.reports import camera_page
 from tests.radiometry.camera_sessions import (
     BLACK_LEVEL_DN,
     GAIN_E_PER_DN,

@@ -4,7 +4,7 @@ import pytest
 
 from data_schemas import DesignOptimum
 from data_schemas.storage import read_record
-from finray_calib.reports.design_search import front_rows, optimum_page
+from finray_calib.reports.studies import front_rows, optimum_page
 from tests.schemas.freeze import example_of
 
 

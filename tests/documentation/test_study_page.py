@@ -6,15 +6,15 @@ import pytest
 from html_page import Page, assert_stands_alone
 
 from data_schemas import FingerDesign, StudyMetric, StudyPoint, StudyResult, StudyRow
-from finray_calib.reports import (
+from finray_calib.reports._methods import study_methods
+from finray_calib.reports.studies import (
     design_study_page,
     points_by_code,
     study_differences,
     study_differences_text,
     study_pictures_webp,
 )
-from finray_calib.reports._design_study_page import _all_views, _changed, _names, _pictures_in_a_row
-from finray_calib.reports._methods import study_methods
+from finray_calib.reports.studies._design_study_page import _all_views, _changed, _names, _pictures_in_a_row
 
 
 def metric(value: float, half: float | None, name: str = "evenness") -> StudyMetric:

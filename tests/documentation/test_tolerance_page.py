@@ -6,7 +6,7 @@ import numpy as np
 
 from data_schemas import FingerTolerances
 from data_schemas.storage import read_record
-from finray_calib.reports.tolerances import limit_text, tolerance_page
+from finray_calib.reports.studies import limit_text, tolerance_page
 
 EXAMPLE = Path(__file__).parents[1] / "schemas" / "frozen" / "FingerTolerances" / "v1" / "example.json"
 

@@ -1,6 +1,7 @@
 """Array fields, spectral curves and the files they come from."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, ClassVar
 
 import numpy as np
 import pytest
@@ -38,8 +39,26 @@ def test_integers_are_not_rounded_silently():
         Table(values=np.ones((1, 3)), counts=np.array([70000]))
 
 
+def test_lengths_along_one_dimension_agree():
+    """In every model, and of lists too, one within another model included."""
+
+    class Listed(Model):
+        dimension_of: ClassVar[Mapping[str, str]] = {"names": "row", "inner.counts": "row"}
+        names: tuple[str, ...]
+        values: Annotated[NDArray[np.float64], ArraySpec("<f8", ("row", "3"), "DN")]
+        inner: Table | None = None
+
+    with pytest.raises(FieldError, match="'counts' has 1 along 'row' but 'values' has 2"):
+        Table(values=np.ones((2, 3)))
+    assert Listed(names=("a", "b"), values=np.ones((2, 3))).inner is None
+    with pytest.raises(FieldError, match="'values' has 2 along 'row' but 'names' has 1"):
+        Listed(names=("a",), values=np.ones((2, 3)))
+    with pytest.raises(FieldError, match=r"'inner\.counts' has 1 along 'row' but 'names' has 2"):
+        Listed(names=("a", "b"), values=np.ones((2, 3)), inner=Table(values=np.ones((1, 3))))
+
+
 def test_caller_cannot_change_a_record_through_its_array():
-    mine = np.ones((2, 3))
+    mine = np.ones((1, 3))
     table = Table(values=mine)
     mine[0, 0] = 5.0
     assert table.values[0, 0] == 1.0

@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from sim.optics._fluorescent_paint import FluorescentPaint
+from tests.simulate.spectral_paths import FluorescentPaint
 
 WAVELENGTH_NM = np.arange(380.0, 781.0, 1.0)
 QUANTUM_YIELD = 0.55

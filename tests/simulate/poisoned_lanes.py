@@ -24,13 +24,13 @@ from sim.optics import (
     paint_bands,
 )
 from sim.optics._calibrated_camera import opencv_sensor
-from sim.optics._fluorescent_paint import FluorescentPaint
 from sim.optics._mirror_guide import CELLS_ACROSS, CELLS_ALONG, NUMBERS, ROUTES
 from sim.optics._painted_walls import TEXELS_UP
 from sim.optics._path_rules import EventLog, LookupTable, Tally, cell_at
 from sim.optics._position_map import PositionMap
 from sim.optics._render import pathwise_integrator
 from sim.surface_meshes import bent, rest_shape
+from tests.simulate.spectral_paths import FluorescentPaint
 
 LANES = 20_000
 POISON = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 4.3e9, -1.0, 0.5], dtype=np.float32)
@@ -160,7 +160,7 @@ def connections(lanes, scene):
 
 def painted_bands(lanes, _scene):
     """Matrices of paints."""
-    from sim.optics._fluorescent_paint import BandCarrier
+    from sim.optics._fluorescent_paths import BandCarrier
 
     carrier = BandCarrier([np.eye(3)] * 2)
     return carrier.reradiated(carrier.start(), None, lanes, lanes.number(), lanes.renderer.Bool(True))
@@ -206,7 +206,8 @@ def whole_paths(lanes, scene):
 
 def painted_spectra(lanes, _scene):
     """Tables of paints and lights at poisoned wavelengths and places."""
-    from sim.optics._fluorescent_paint import RENDERED_NM, SpectralCarrier
+    from sim.optics._scene import RENDERED_NM
+    from tests.simulate.spectral_paths import SpectralCarrier
 
     mi = lanes.renderer
     grid = np.linspace(*RENDERED_NM, 471)

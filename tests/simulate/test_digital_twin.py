@@ -5,10 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_schemas import Coating, CurveError, FingerDesign, LightPanel, SpectralCurve
+from data_schemas import Coating, CurveError, FingerDesign, LightPanel, SpectralCurve, bayer_planes
 from data_schemas._design_parts import TactileCamera
 from data_schemas.storage import assumed_camera_response
-from rigs.simulated.sensor import bayer_planes
 from sim.experiments import FingerScene, PaintedFinger
 from sim.experiments import _light_angle as light_angle
 from sim.experiments import _optics_products as digital_twin

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from data_schemas import SimulateError
-from sim.optics._fluorescent_paint import FluorescentPaint
+from tests.simulate.spectral_paths import FluorescentPaint
 
 pytestmark = pytest.mark.renderer
 
@@ -115,8 +115,8 @@ def plate_photons(scene, paints, name, density, value, arriving, seed):
     """
     import mitsuba as mi
 
-    from sim.optics._fluorescent_paint import fluorescent_spectrum
     from tests.simulate import painted_scenes as ps
+    from tests.simulate.spectral_paths import fluorescent_spectrum
 
     integrator = fluorescent_spectrum(scene, paints, ps.WAVELENGTH_NM, ps.LED_PER_NM, max_depth=60)
     numbers, rng = ps.sampler(seed, RAYS), np.random.default_rng(seed)

@@ -57,7 +57,7 @@ def test_walls_emit_what_path_wise_fluorescence_emits_and_a_wrong_bake_is_found(
     """Where only direct light reaches the walls, 3 % less of it in the bake is many standard errors."""
     from sim.optics import LoadedScene, bake_walls, chain_matrix, open_scene
     from sim.optics._band_paths import band_paths
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
     from sim.optics._render import lit_integrator
 
     shape = bent(pressed_shape(BLACK), BENDING_RADIUS_MM)

@@ -6,8 +6,8 @@ import pytest
 from data_schemas import LightPanel, MissingExtraError, SimulateError
 from sim.optics import PaintOptics, paint_bands
 from sim.optics import _renderer as variants
-from sim.optics._fluorescent_paint import FluorescentPaint, fluorescent_paint
 from sim.optics._paint_bands import led_band
+from tests.simulate.spectral_paths import FluorescentPaint, fluorescent_paint
 
 W = np.array([400.0, 450.0, 600.0, 700.0])
 NONE = np.zeros(4)
@@ -46,7 +46,7 @@ def test_full_spectra_need_the_absorption(paints):
 
 @pytest.mark.renderer
 def test_band_matrices_are_checked(llvm):
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
 
     scene = llvm.load_dict(llvm.cornell_box())
     with pytest.raises(SimulateError, match="paint red: the band matrix must be 3 x 3 numbers >= 0"):
@@ -59,7 +59,8 @@ def test_band_matrices_are_checked(llvm):
 
 @pytest.mark.renderer
 def test_each_integrator_needs_its_variant(llvm, llvm_choice, spectral_choice):
-    from sim.optics._fluorescent_paint import fluorescent_bands, fluorescent_spectrum
+    from sim.optics._fluorescent_paths import fluorescent_bands
+    from tests.simulate.spectral_paths import fluorescent_spectrum
 
     with pytest.raises(SimulateError, match=f"full spectra need a spectral variant .*, but {llvm_choice.variant}"):
         fluorescent_spectrum(llvm.load_dict(llvm.cornell_box()), {}, W, NONE)

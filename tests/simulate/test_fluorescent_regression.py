@@ -25,7 +25,7 @@ MATRICES = {
 
 
 def box_renders(matrices, seeds):
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
 
     scene = cornell_box(light=(0.0, 0.0, 20.0))
     integrator = fluorescent_bands(scene, matrices, max_depth=20)

@@ -12,7 +12,7 @@ SEEDS, RAYS = 8, 60_000
 
 
 def furnace(matrix, max_depth=60):
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
     from tests.simulate import painted_scenes as ps
 
     scene = ps.painted_cavity(ps.rgb(*EMITTED))

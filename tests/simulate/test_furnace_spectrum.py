@@ -11,8 +11,8 @@ WINDOWS_NM = ((440.0, 460.0), (500.0, 530.0), (590.0, 620.0), (650.0, 700.0))
 
 
 def furnace(name, wavelengths, seeds=SEEDS, rays=RAYS):
-    from sim.optics._fluorescent_paint import fluorescent_spectrum
     from tests.simulate import painted_scenes as ps
+    from tests.simulate.spectral_paths import fluorescent_spectrum
 
     scene = ps.painted_cavity(ps.spectrum(ps.LED_PER_NM))
     paints = {"paint": ps.fluorescent_paint(name)}
@@ -61,7 +61,7 @@ def test_a_conductor_without_its_ends_is_not_a_number(spectral):
     """The cause of the rare non-finite pixel: a curve that falls to zero where it ends; held ends cure it."""
     import mitsuba as mi
 
-    from sim.optics._fluorescent_paint import extended_spectrum
+    from sim.optics._scene import extended_spectrum
     from tests.simulate.painted_scenes import spectrum
 
     wavelength, n, k = np.array([400.0, 550.0, 700.0]), np.array([0.49, 0.96, 1.83]), np.array([4.9, 6.7, 8.3])

@@ -40,7 +40,7 @@ def assert_equal_images(ours, stock):
 
 
 def test_the_box_without_paint_is_that_of_the_stock_tracer(llvm):
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
 
     scene = cornell_box()
     stock = llvm.load_dict({"type": "path", "max_depth": 12, "rr_depth": 6})
@@ -49,7 +49,7 @@ def test_the_box_without_paint_is_that_of_the_stock_tracer(llvm):
 
 
 def test_paint_that_only_reflects_is_the_surface_it_replaces(llvm):
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
 
     scene = cornell_box()
     stock = llvm.load_dict({"type": "path", "max_depth": 12, "rr_depth": 6})
@@ -59,7 +59,7 @@ def test_paint_that_only_reflects_is_the_surface_it_replaces(llvm):
 
 
 def test_the_box_without_paint_in_full_spectra(spectral):
-    from sim.optics._fluorescent_paint import fluorescent_spectrum
+    from tests.simulate.spectral_paths import fluorescent_spectrum
 
     scene = cornell_box()
     stock = spectral.load_dict({"type": "path", "max_depth": 12, "rr_depth": 6})
@@ -72,7 +72,7 @@ def test_a_disk_lights_a_plane_as_in_the_closed_form(llvm, painted):
     """E = pi L R^2 / (R^2 + h^2) below the centre of a coaxial disk; radiance = M E / pi. Three standard errors."""
     import mitsuba as mi
 
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
     from tests.simulate import painted_scenes as ps
 
     matrix = np.array([[0.5, 0.1, 0.2], [0.0, 0.4, 0.1], [0.0, 0.0, 0.3]]) if painted else np.diag([0.5, 0.4, 0.3])
@@ -111,7 +111,7 @@ def test_glass_and_paint_vanish_in_a_white_furnace(llvm):
     import drjit as dr
     import mitsuba as mi
 
-    from sim.optics._fluorescent_paint import fluorescent_bands
+    from sim.optics._fluorescent_paths import fluorescent_bands
     from tests.simulate import painted_scenes as ps
 
     scene = mi.load_dict(

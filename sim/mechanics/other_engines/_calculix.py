@@ -56,8 +56,11 @@ class Convergence:
     times: FloatArray
 
 
-def read_frd(path: Path, names: tuple[str, ...] = ("DISP", "CONTACT")) -> list[NodalField]:
-    """Read fields at the nodes from an ASCII .frd file, in the order of the file.
+_FIELDS: Final = ("DISP", "CONTACT")
+
+
+def read_frd(path: Path) -> list[NodalField]:
+    """Read displacements and contact at the nodes from an ASCII .frd file, in the order of the file.
 
     The time of a frame stands in its line 100CL. A field that breaks off, of a run that was stopped, is left out.
 
@@ -65,8 +68,6 @@ def read_frd(path: Path, names: tuple[str, ...] = ("DISP", "CONTACT")) -> list[N
     ----------
     path
         File.
-    names
-        Fields that are wanted.
 
     Raises
     ------
@@ -82,11 +83,11 @@ def read_frd(path: Path, names: tuple[str, ...] = ("DISP", "CONTACT")) -> list[N
         name = field[1].decode("ascii", "replace")
         end = text.find(b"\n -3\n", field.end())
         before = [time for start, time in frames if start < field.start()]
-        if name in names and end >= 0 and before:
+        if name in _FIELDS and end >= 0 and before:
             found.append(_field(path, name, before[-1], text[field.end() : end + 1]))
     if not found:
         raise ImportFormatError(
-            f"{path}: holds no field {' or '.join(names)}; it must be an ASCII .frd file of CalculiX, written by "
+            f"{path}: holds no field {' or '.join(_FIELDS)}; it must be an ASCII .frd file of CalculiX, written by "
             "*NODE FILE (binary ones, of OUTPUT=2D or *CONTROLS, are not read)"
         )
     return found
@@ -177,7 +178,6 @@ def press_finger_calculix(
     increments: int = 4,
     threads: int = 1,
     progress: Progress | None = None,
-    time_limit_s: float = 3600.0,
 ) -> PressedFinger:
     """Press the design's indenter in with CalculiX: see :func:`sim.mechanics.press_finger`.
 
@@ -201,7 +201,7 @@ def press_finger_calculix(
         if progress is not None:
             progress(int(share * increments + _SAME_TIME), increments, f"pressed to {share * depth_mm:.2f} mm")
 
-    return press_mesh_calculix(mesh, lines, depth_mm, threads, tell, time_limit_s)
+    return press_mesh_calculix(mesh, lines, depth_mm, threads, tell)
 
 
 def press_mesh_calculix(

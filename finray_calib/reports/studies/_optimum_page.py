@@ -20,6 +20,7 @@ from data_schemas import (
 )
 from finray_calib.reports import (
     CHANNELS,
+    MUTED,
     Content,
     KeyNumber,
     Light,
@@ -55,9 +56,8 @@ _AT_LIMIT: Final = 0.02
 _PANELS_IN_A_ROW: Final = 4
 #: A search that may have missed this much is to be read with care.
 _SMALL_REGRET_REL: Final = 0.05
-_MUTED: Final = "#57606a"
 _LOOKS: Final = {
-    "screen": ("o", _MUTED, "screen"),
+    "screen": ("o", MUTED, "screen"),
     "search": ("^", CHANNELS[2][2], "proposed by the emulator"),
     "start": ("D", "#1c2128", "start"),
     "chosen": ("*", CHANNELS[0][2], "chosen"),

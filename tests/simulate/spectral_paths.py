@@ -1,12 +1,8 @@
-"""Level c: what a path carries through fluorescent paint, in bands and in full spectra.
+"""The same paths with four wavelengths each in place of three bands: what bands are measured against.
 
-In bands (an ``*_ad_rgb`` variant) a path seen from the eye carries T (bands out, bands in). At ordinary surfaces
-T <- T diag(w), at paint T <- T M with M = diag(reflectance) + K, and light L adds T L. Nothing is chosen by chance at
-paint, so one path serves every conversion of bands, of every order.
-
-In full spectra (an ``*_ad_spectral`` variant) a path carries four wavelengths that share its geometry. At paint each
-wavelength, on its own, is either reflected or replaced by an excitation wavelength; light met later is read at the new
-wavelength, while the film still develops with the old one, so ``specfilm`` works unchanged.
+The loop is that of :mod:`sim.optics._fluorescent_paths`, in an ``*_ad_spectral`` variant. At paint each wavelength, on
+its own, is either reflected or replaced by an excitation wavelength; light met later is read at the new wavelength,
+while the film still develops with the old one, so ``specfilm`` works unchanged.
 
 Why it is done so (what went wrong with a fixed probability of 0.6 to fluoresce, one decision for all four wavelengths):
 
@@ -21,11 +17,10 @@ Why it is done so (what went wrong with a fixed probability of 0.6 to fluoresce,
   never drawn where their probability is zero: weights are bounded, no end of an inverse distribution divides them.
 - The rare non-finite pixel did not come from the paint. The aluminium's n and k ended at 700 nm, where the renderer's
   ``irregular`` spectrum falls to zero, and Fresnel's formula with n = k = 0 is 0 / 0 at exactly normal incidence (and a
-  wrong reflectance of one elsewhere). Spectra of a scene therefore hold their ends: :func:`extended_spectrum`.
+  wrong reflectance of one elsewhere). Spectra of a scene therefore hold their ends, see
+  :func:`sim.optics._scene.extended_spectrum`.
   (With multiple importance sampling there is a second source, once in 2^23 draws: a direction exactly in the painted
   surface, whose density is 0; such paths end, see :mod:`sim.optics._fluorescent_paths`.)
-
-Import this module after such a variant has been set (see :func:`sim.optics.open_renderer`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,89 +33,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import ImpossibleFingerError, LightPanel, SimulateError
+from sim.optics import PaintOptics
 from sim.optics._fluorescent_paths import PanelLight, fluorescent_integrator, painted_bsdfs
-from sim.optics._paint_bands import PaintOptics, led_band, led_upper_edge_nm
+from sim.optics._paint_bands import led_band, led_upper_edge_nm
 from sim.optics._path_rules import MAX_DEPTH, ROULETTE_DEPTH, LookupTable, cell_at
 from sim.optics._renderer import check_variant
-
-# a matrix from measured tables may exceed energy balance by rounding only
-_ENERGY_TOLERANCE = 1e-9
-
-
-class BandCarrier:
-    """Three rows of throughput: how much of each band's light reaches the red, green and LED band of the image."""
-
-    def __init__(self, matrices: Sequence[NDArray[np.float64]]) -> None:
-        rows = np.array(matrices, dtype=np.float64).reshape(-1, 3)
-        self.columns = [LookupTable(rows[:, k : k + 1], mi) for k in range(3)]
-
-    def start(self) -> list[Any]:
-        """Return the unit matrix."""
-        return [mi.Color3f(1, 0, 0), mi.Color3f(0, 1, 0), mi.Color3f(0, 0, 1)]
-
-    def received(self, carried: list[Any], light: Any) -> Any:
-        """Return T L."""
-        return mi.Color3f(*[dr.dot(row, light) for row in carried])
-
-    def scattered(self, carried: list[Any], weight: Any) -> list[Any]:
-        """Return T diag(weight)."""
-        return [row * weight for row in carried]
-
-    def reradiated(self, carried: list[Any], si: Any, sampler: Any, paint: Any, painted: Any) -> list[Any]:
-        """Return T M of the paint."""
-        matrix = [mi.Color3f(*[column.row(3 * paint + k, painted) for column in self.columns]) for k in range(3)]
-        changed = [row.x * matrix[0] + row.y * matrix[1] + row.z * matrix[2] for row in carried]
-        return [dr.select(painted, new, old) for new, old in zip(changed, carried, strict=True)]
-
-    def largest(self, carried: list[Any]) -> Any:
-        """Return the largest entry of T."""
-        return dr.maximum(dr.maximum(dr.max(carried[0]), dr.max(carried[1])), dr.max(carried[2]))
-
-    def panel_light(self, si: Any, radiance: Any) -> Any:
-        """Return light of the third band."""
-        return mi.Color3f(0, 0, radiance)
-
-
-def fluorescent_bands(
-    scene: Any,
-    matrices: Mapping[str, NDArray[np.float64]],
-    max_depth: int = MAX_DEPTH,
-    roulette_depth: int = ROULETTE_DEPTH,
-    panels: PanelLight | None = None,
-) -> Any:
-    """Return the integrator of path-wise fluorescence in three bands.
-
-    Parameters
-    ----------
-    scene
-        Scene of an rgb variant whose three channels are the bands.
-    matrices
-        By id of the painted surfaces or of their BSDF: M[band out, band in], shape (3, 3), reflectance and
-        reradiation together; it replaces the reflectance of that BSDF. Empty for a scene without paint.
-    max_depth, roulette_depth
-        Longest path, and from where on paths end by chance.
-    panels
-        LED panels of a finger, connected through its inner face, see :func:`fluorescent_integrator`.
-
-    Raises
-    ------
-    SimulateError
-        When a matrix is no 3 x 3 matrix, is negative or gains energy (a column that sums to more than 1), when the
-        variant is not an rgb variant, or when no surface has one of the ids.
-    """
-    check_variant("rgb", "three bands")
-    for name, matrix in matrices.items():
-        if np.shape(matrix) != (3, 3) or not np.isfinite(matrix).all() or (matrix < 0.0).any():
-            raise SimulateError(f"paint {name}: the band matrix must be 3 x 3 numbers >= 0, got {matrix}")
-        gain = float(matrix.sum(axis=0).max())
-        if gain > 1.0 + _ENERGY_TOLERANCE:
-            raise SimulateError(
-                f"paint {name} returns {gain:.3f} times the energy of one band; a column may sum to at most 1"
-            )
-    paints = painted_bsdfs(scene, list(matrices))
-    carrier = BandCarrier(list(matrices.values()) or [np.eye(3)])
-    return fluorescent_integrator(carrier, paints, max_depth, roulette_depth, panels)
-
+from sim.optics._scene import RENDERED_NM
 
 # a paint fitted to data may exceed photon balance by rounding only
 _BALANCE_TOLERANCE = 1e-9
@@ -207,9 +125,6 @@ def fluorescent_paint(paint: PaintOptics, light: LightPanel) -> FluorescentPaint
     )
     return FluorescentPaint(paint.name, wavelength, emission, excitation, np.interp(wavelength, own, paint.reflectance))
 
-
-RENDERED_NM = (360.0, 830.0)
-"""Wavelengths the renderer can draw; tables are linear in steps of 1 nm between them."""
 
 # shares of the excitation wavelengths drawn where the lights shine and where paints emit; the rest after the
 # excitation alone, which bounds every weight
@@ -333,21 +248,6 @@ def fluorescent_spectrum(
     bsdfs = painted_bsdfs(scene, list(paints))
     tables = list(paints.values()) or [FluorescentPaint("none", grid, *np.zeros((3, grid.size)))]
     return fluorescent_integrator(SpectralCarrier(tables, lights), bsdfs, max_depth, roulette_depth, panels)
-
-
-def extended_spectrum(wavelength_nm: NDArray[np.float64], values: NDArray[np.float64]) -> dict[str, Any]:
-    """Return a curve as the renderer's spectrum, with its end values held over all rendered wavelengths.
-
-    The renderer's own spectra are zero outside their range; a metal with n = k = 0 is then not a number.
-    """
-    inner = (wavelength_nm > RENDERED_NM[0]) & (wavelength_nm < RENDERED_NM[1])
-    grid = np.concatenate([RENDERED_NM[:1], wavelength_nm[inner], RENDERED_NM[1:]])
-    held = np.interp(grid, wavelength_nm, values)
-    return {
-        "type": "irregular",
-        "wavelengths": ", ".join(f"{w:.9g}" for w in grid),
-        "values": ", ".join(f"{v:.9g}" for v in held),
-    }
 
 
 def _on_grid(paint: FluorescentPaint) -> tuple[NDArray[np.float64], ...]:

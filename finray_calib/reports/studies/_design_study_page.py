@@ -10,9 +10,14 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from data_schemas import DesignValue, StudyMetric, StudyPoint, StudyResult, StudyRow
-from finray_calib.reports._images import ByteImage, to_display
-from finray_calib.reports._methods import methods_part, study_methods
-from finray_calib.reports._page import (
+from finray_calib.reports import (
+    BLUE,
+    CHANNELS,
+    HAIRLINE,
+    INK,
+    MUTED,
+    NO_VALUE,
+    ByteImage,
     Content,
     KeyNumber,
     Light,
@@ -20,28 +25,32 @@ from finray_calib.reports._page import (
     Picture,
     ReportPage,
     ReportTable,
+    aligned_lines,
     drawing,
     files_table,
     findings_section,
+    interval_text,
     light_of,
     limits_section,
+    lit_window,
+    methods_part,
+    new_figure,
     one_group,
+    png_bytes,
     raster,
     report_html,
+    study_methods,
+    styled,
+    svg_text,
+    to_display,
 )
-from finray_calib.reports._plain_text import NO_VALUE, interval_text
-from finray_calib.reports._style import BLUE, CHANNELS, HAIRLINE, INK, MUTED, new_figure, png_bytes, styled, svg_text
 
 MOST_PICTURES = 60
 """Points whose pictures the page shows; the records hold all."""
 
 _LARGEST_SIDE_PX, _WEBP_QUALITY = 200, 85
 _PANELS_IN_A_ROW, _PICTURES_IN_A_ROW, _MOST_IN_A_ROW = 2, 4, 6
-_LIT_PERCENTILE, _LIT_SHARE = 95.0, 0.1
-"""Pictures of a study are cut alike: to where any of them has this share of the light of its brightest 5 %."""
 _WHITE_PERCENTILE = 97.0  # of what is lit: brighter are the base and, at some angles, the panel itself
-_MEDIAN_PX, _FEWEST_LIT = 5, 0.05
-"""A single bright pixel is the render's noise, and a row or column with fewer lit pixels than this is left out."""
 _CHANGE_SHOWN_REL, _DARK_REL, _CHANGE_BLUR_PX = 0.5, 0.02, 1.0
 """Change of light that is shown as black or white, what is added to dark pixels as a share of white, and the standard
 deviation over which both pictures are smoothed before their change is taken, because their noise hides it."""
@@ -180,11 +189,7 @@ def _mixed_code(result: StudyResult) -> Iterator[str]:
 def study_text(result: StudyResult) -> str:
     """Return the table of a study as aligned text: one line a point."""
     names = _metric_names(result)
-    head = ["point", *result.varied, *names]
-    rows = [[str(row.number), *_change_cells(result, row), *_metric_cells(row, names)] for row in result.points]
-    widths = [max(len(line[k]) for line in [head, *rows]) for k in range(len(head))]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip()
-                     for line in [head, *rows])  # fmt: skip
+    return "\n".join(aligned_lines(("point", *result.varied, *names), _all_cells(result, names)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -433,27 +438,10 @@ def _in_words(field: str) -> tuple[str, str]:
 def _common_white(points: Sequence[StudyPoint]) -> NDArray[np.float64]:
     """Return the white of all pictures, by what is lit in those without contact."""
     pixels = np.concatenate(
-        [image[_lit([image])].reshape(-1, 3) for p in points if (image := p.no_contact) is not None]
+        [image[lit_window([image])].reshape(-1, 3) for p in points if (image := p.no_contact) is not None]
     )
     white = np.percentile(pixels, _WHITE_PERCENTILE, axis=0).astype(np.float64)
     return np.where(white > 0.0, white, max(float(pixels.max()), 1.0))
-
-
-def _lit(images: Sequence[NDArray[np.float32]]) -> tuple[slice, slice]:
-    """Return the rows and columns that are lit in any of some pictures of one size: the dark around is left out."""
-    rows, columns = (np.zeros(size) for size in images[0].shape[:2])
-    for image in images:
-        level = np.percentile(image, _LIT_PERCENTILE, axis=(0, 1))
-        light = (image / np.where(level > 0.0, level, 1.0)).mean(axis=-1, dtype=np.float32)
-        is_lit = cv2.medianBlur(light, _MEDIAN_PX) > _LIT_SHARE
-        rows, columns = np.maximum(rows, is_lit.mean(axis=1)), np.maximum(columns, is_lit.mean(axis=0))
-    return _reach(rows), _reach(columns)
-
-
-def _reach(share: NDArray[np.floating]) -> slice:
-    """Return from the first to the last place with enough lit pixels; all where there is none."""
-    found = np.flatnonzero(share > _FEWEST_LIT)
-    return slice(int(found[0]), int(found[-1]) + 1) if found.size else slice(None)
 
 
 def _all_views(points: Sequence[StudyPoint]) -> list[list[ByteImage]]:
@@ -462,7 +450,7 @@ def _all_views(points: Sequence[StudyPoint]) -> list[list[ByteImage]]:
     for point in points:
         if point.no_contact is not None:
             of_size.setdefault(point.no_contact.shape, []).append(point.no_contact)
-    lit = {size: _lit(images) for size, images in of_size.items()}
+    lit = {size: lit_window(images) for size, images in of_size.items()}
     return [_views(p, white, lit[p.no_contact.shape]) for p in points if p.no_contact is not None]
 
 
@@ -625,8 +613,12 @@ def _effects(result: StudyResult, names: Sequence[str]) -> ReportTable:
 
 def _table(result: StudyResult, names: Sequence[str]) -> ReportTable:
     """Return all numbers."""
-    rows = [(str(row.number), *_change_cells(result, row), *_metric_cells(row, names)) for row in result.points]
-    return one_group("All points", ("point", *result.varied, *names), rows)
+    return one_group("All points", ("point", *result.varied, *names), _all_cells(result, names))
+
+
+def _all_cells(result: StudyResult, names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the cells of each point: its number, what it changes, its metrics."""
+    return [(str(row.number), *_change_cells(result, row), *_metric_cells(row, names)) for row in result.points]
 
 
 def _meanings(result: StudyResult) -> ReportTable:

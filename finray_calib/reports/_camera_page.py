@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from data_schemas import CameraCharacterisation, ChannelCharacterisation, Estimate, Resolvable, significant
 from finray_calib.radiometry import sensitivity_threshold_e
-from finray_calib.reports import (
-    CHANNELS,
+from finray_calib.reports._methods import methods_part
+from finray_calib.reports._page import (
     Content,
-    Json,
     KeyNumber,
     Light,
     Part,
@@ -20,25 +19,19 @@ from finray_calib.reports import (
     ReportTable,
     drawing,
     findings_section,
-    legend_above,
     light_of,
     limits_section,
-    methods_part,
-    new_figure,
     one_group,
-    percent,
-    plain,
     provenance_table,
     report_html,
-    styled,
-    svg_text,
 )
+from finray_calib.reports._plain_text import Json, percent, plain
+from finray_calib.reports._style import CHANNELS, MUTED, legend_above, new_figure, styled, svg_text
 
 Floats = NDArray[np.float64]
 COVERAGE_FACTOR: Final = 2.0
 LARGEST_LINEARITY_ERROR_REL: Final = 0.01
 SMALLEST_CHI_SQUARE_P: Final = 1e-3
-MUTED: Final = "#57606a"
 DECIBELS: Final = 20.0 / math.log(10.0)
 """Of a factor: decibels for each unit of its natural logarithm."""
 

@@ -21,6 +21,7 @@ from finray_calib.reports import (
     ReportPage,
     ReportTable,
     draw_body,
+    draw_panel,
     drawing,
     files_table,
     finger_outline,
@@ -35,7 +36,7 @@ from finray_calib.reports import (
     styled,
     svg_text,
 )
-from sim.optics import camera_pose, panel_frame
+from sim.optics import camera_pose
 from sim.surface_meshes import mirror_shape
 
 Floats = NDArray[np.float64]
@@ -280,12 +281,7 @@ def tolerance_drawing(found: FingerTolerances) -> str:
 def _draw_optics(axes: Axes, design: FingerDesign) -> None:
     """Draw panels with their normals, and the camera's pinhole with its line of sight."""
     for light in design.lights:
-        frame = panel_frame(light)
-        ends = np.stack([frame.centre_mm - frame.half_along_mm, frame.centre_mm + frame.half_along_mm])
-        axes.plot(ends[:, 2], ends[:, 1], color=BLUE, linewidth=4.0, solid_capstyle="butt", zorder=5)
-        tip = frame.centre_mm + 9.0 * frame.normal
-        axes.annotate("", (tip[2], tip[1]), (frame.centre_mm[2], frame.centre_mm[1]),
-                      arrowprops={"arrowstyle": "->", "color": BLUE, "lw": 1.2}, zorder=5)  # fmt: skip
+        draw_panel(axes, light)
     pose = camera_pose(design)
     sight = pose.centre_mm + 9.0 * pose.forward
     axes.annotate("", (sight[2], sight[1]), (pose.centre_mm[2], pose.centre_mm[1]),
