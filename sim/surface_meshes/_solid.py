@@ -427,7 +427,7 @@ def _fill_span(
 @compiled_inside
 def _overlap(one: FloatArray, other: FloatArray) -> bool:
     """Tell whether two boxes meet."""
-    return (
+    return bool(
         one[0] <= other[1]
         and one[1] >= other[0]
         and one[2] <= other[3]
