@@ -430,6 +430,8 @@ MIGRATIONS: Final[dict[tuple[str, int], Migration]] = {
     ("AcceptanceReport", 9): _with_limits_that_can_be_kept,
     # stops within a move, creep that stays unseen, levels of a photodiode with the beam closed; none: not tried
     ("AcceptanceReport", 10): _as_it_is,
+    # what the camera saw of the laser, proof that it was lit behind a cap, where a move stopped; none: not recorded
+    ("AcceptanceReport", 11): _as_it_is,
     # whole rows and columns in the fixed pattern; none: not separated
     ("CameraCharacterisation", 3): _as_it_is,
     # a fitted tone curve and the gains far from the contact; none: not known
