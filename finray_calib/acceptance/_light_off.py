@@ -25,6 +25,12 @@ NO_BLOCKED_REFERENCE: Final = (
     "the camera learned what dark is from the controller's word, so a laser that is only dimmed would look off; give "
     "the wheel a filter that blocks the laser"
 )
+NOT_LIT_CLOSED: Final = (
+    "nobody proved that the laser was lit while its beam was closed by hand, so the cap may let light through: its "
+    "controller must report it on before and after, and its light must be back when the beam is open; check again"
+)
+LEAST_BACK_SHARE: Final = 0.5
+"""Of the laser's light before the beam was closed: so much must be back when it is open."""
 NO_PULSES: Final = (
     "the photodiode's firmware looks for 0.1 ms in each 10 ms only, so a pulsed laser may look off; flash version 1.1"
 )
@@ -85,6 +91,9 @@ def _by_photodiode(found: CheckResult, diode: DiodeLevels | None, laser: LaserSe
     unseen_rel = (diode.threshold_rel - diode.closed_rel) / (diode.on_rel - diode.closed_rel)
     dark = f"dark is what it read with the beam closed by hand, {diode.readings} times in a row"
     found = _with_unseen(found, unseen_rel, dark, laser)
+    back_rel = (diode.on_again_rel or 0.0) - diode.closed_rel
+    if not diode.reported_lit_closed or back_rel < LEAST_BACK_SHARE * (diode.on_rel - diode.closed_rel):
+        found = not_proven(found, NOT_LIT_CLOSED)
     return found if diode.sees_pulses else not_proven(found, NO_PULSES)
 
 

@@ -212,6 +212,8 @@ class Contrast:
     off_sd_rel: float = 0.0
     closed_rel: float | None = None
     closed_sd_rel: float = 0.0
+    on_again_rel: float | None = None
+    reported_lit_closed: bool = False
     sees_pulses: bool = False
 
     @property
@@ -233,6 +235,8 @@ class Contrast:
             on_rel=self.on_rel,
             threshold_rel=self.threshold_rel,
             readings=DARK_IN_A_ROW,
+            on_again_rel=self.on_again_rel,
+            reported_lit_closed=self.reported_lit_closed,
             sees_pulses=self.sees_pulses,
         )
 
@@ -275,11 +279,18 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
 
 
 def _with_closed_beam(opened: OpenRig, diode: LightMeter, contrast: Contrast) -> Contrast:
-    """Add what dark is, where a person closes the beam: with the laser off and on, so that it is seen to be closed."""
+    """Add what dark is, where a person closes the beam: with the laser off and on, so that it is seen to be closed.
+
+    A laser that went out meanwhile would prove no closed beam: its controller is asked before and after the readings,
+    and its light is looked at once more when the beam is open again.
+    """
     if not opened.close_beam(True):
         return contrast
     closed_off = _read_with(opened, diode, "off")
-    closed_on = _read_with(opened, diode, "laser")
+    with shine(opened, "laser"):
+        was_lit = opened.laser.state()
+        closed_on = _levels(diode, opened.clock)
+        is_lit = opened.laser.state()
     closed = np.concatenate([closed_off, closed_on])
     found = replace(
         contrast,
@@ -294,7 +305,8 @@ def _with_closed_beam(opened: OpenRig, diode: LightMeter, contrast: Contrast) ->
         )
     if not opened.close_beam(False):
         raise CaptureError("laser: nobody has confirmed that its beam is open again; open it, and check again")
-    return found
+    again = _read_with(opened, diode, "laser")
+    return replace(found, on_again_rel=float(again.mean()), reported_lit_closed=was_lit and is_lit)
 
 
 def _read_with(opened: OpenRig, diode: LightMeter, light: Literal["off", "laser"]) -> NDArray[np.float64]:

@@ -335,6 +335,10 @@ BY_WORD = (LightOff(layer="guard", witness="a new connection", earliest_s=(0.1,)
         ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"threshold_rel": 0.073})}, 4.5, "UNDECIDED",
          r"below 10 % of the laser's, 0.45 mW of its power_mw, would not be seen; that is more than the 0.039 mW"),
         ({"light_off": BY_DIODE, "diode": DIODE}, 100.0, "UNDECIDED", "more than the 0.039 mW of a class 1 laser"),
+        ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"reported_lit_closed": False})}, 4.5, "UNDECIDED",
+         "nobody proved that the laser was lit while its beam was closed"),
+        ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"on_again_rel": 0.3})}, 4.5, "UNDECIDED",
+         "nobody proved that the laser was lit while its beam was closed"),
         ({"light_off": BY_CAMERA}, 4.5, "PASS", "which blocks the laser; light below 0.05 % of the laser's, 0.0023 mW"),
         ({"light_off": BY_CAMERA, "sight": None}, 4.5, "UNDECIDED", "from the controller's word"),
         # off by its controller, and still a tenth of the light

@@ -162,6 +162,40 @@ def test_one_that_is_no_witness_is_told(level: Callable[[bool, bool], int], word
         find_contrast(opened, Level(lambda: level(bool(opened.laser.state()), closed[0])))
 
 
+@pytest.mark.parametrize("fails", ["never", "while it is read", "for good"])
+def test_a_laser_that_went_out_behind_the_cap_proves_no_closed_beam(fails: str) -> None:
+    """The box was opened for the cap: the interlock is open, and the cap may let light through unseen."""
+    with opened_bench() as (opened, closed):
+        was_closed = [False]
+
+        def state() -> bool:
+            was_closed[0] |= closed[0]
+            out = fails == "while it is read" and closed[0] and len(read) > 10
+            return opened.laser.state() and not out
+
+        def level() -> int:
+            if closed[0] and opened.laser.state():
+                read.append(1)
+            dies = fails == "for good" and was_closed[0]
+            return 700 if opened.laser.state() and not closed[0] and not dies else 3
+
+        read: list[int] = []
+        laser = Laser(opened.laser, state)
+        seen = find_contrast(replace(opened, laser=laser), Level(level)).recorded()
+    proven = seen.reported_lit_closed and seen.on_again_rel > 0.5 * seen.on_rel
+    assert proven == (fails == "never"), seen
+
+
+class Laser:
+    """A laser with another answer about its state."""
+
+    def __init__(self, laser, state: Callable[[], bool]) -> None:
+        self._laser, self.state = laser, state
+
+    def __getattr__(self, name: str):
+        return getattr(self._laser, name)
+
+
 def test_a_beam_that_nobody_opens_again_is_told() -> None:
     with opened_bench() as (opened, closed):
         half = replace(opened, close_beam=lambda shut: opened.close_beam(shut) and shut)
