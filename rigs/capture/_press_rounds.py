@@ -385,13 +385,23 @@ class PressRounds:
         if way_mm < MOVING_STEPS * stage.step_mm or end_n - start_n < CLEAR_SD * gauge.noise_n:
             return None
         limit_n, speed_mm_per_s = 0.5 * (start_n + end_n), min(STEPS_PER_S * stage.step_mm, stage.press_speed_mm_per_s)
-        self._cell.heard = []
-        with suppress(ForceLimitError):
+        self._cell.heard, stopped_at_n = [], None
+        try:
             self._presser.drive(stage.press_axis, end_mm, speed_mm_per_s, self._presser.guard(limit_n))
+        except ForceLimitError as error:
+            stopped_at_n = error.force_n
+        places = self._stage.places_mm()
         gauge.mean(SETTLING_READINGS + STEP_READINGS)
         heard, self._cell.heard = self._cell.heard, None
-        peak_n = max(gauge.force_n(counts) for counts in heard)
-        return MovingStop(limit_n=limit_n, way_mm=way_mm, unstopped_n=end_n, peak_n=peak_n)
+        return MovingStop(
+            limit_n=limit_n,
+            way_mm=way_mm,
+            unstopped_n=end_n,
+            peak_n=max(gauge.force_n(counts) for counts in heard),
+            stopped_at_n=stopped_at_n,
+            end_mm=end_mm,
+            stood_mm=None if places is None else places[stage.press_axis],
+        )
 
     def _is_too_deep(self, at_mm: float) -> bool:
         """Whether a place of the press axis lies deeper than the plan allows."""

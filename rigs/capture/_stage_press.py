@@ -222,7 +222,8 @@ def _guard(gauge: ForceGauge, limit_n: float, advice: str) -> Callable[[], None]
     def watch() -> None:
         force_n = gauge.strongest_n()
         if abs(force_n) > limit_n:
-            raise ForceLimitError(f"stage: stopped at {force_n:.3g} N, beyond the limit of {limit_n:g} N; {advice}")
+            text = f"stage: stopped at {force_n:.3g} N, beyond the limit of {limit_n:g} N; {advice}"
+            raise ForceLimitError(text, force_n, limit_n)
 
     return watch
 
