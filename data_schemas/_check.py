@@ -470,6 +470,9 @@ class CellAtRest(Model):
         min_length=5,
         description="mean reading in each twelfth of the time, minus that of the empty cell at its calibration",
     )
+    jumps: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="readings far beyond the noise of their neighbours, which are left out: a bit was lost"
+    )
 
 
 class LaidMass(Model):

@@ -99,6 +99,10 @@ NO_FACTOR: Final = (
     "the cell that saw it is not proven to be right in this check ('calibration holds'), so the true force is not known"
 )
 DENT_MOVED_PX: Final = 5.0
+LOST_BITS: Final = (
+    "{jumps} of {readings} readings were far beyond the noise, as where a bit is lost between amplifier and board, and "
+    "are left out; shorten these wires, and keep them away from the motors'"
+)
 MINUTE_S: Final = 60.0
 FEWEST_STOPS: Final = 3
 """Below it a stage that stops now and then passes by chance."""
@@ -267,14 +271,17 @@ def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     )  # fmt: skip
     if plan.rest_s < MINUTE_S:
         zero = not_proven(zero, f"{plan.rest_s:g} s show too little of a minute; set rest_s = {MINUTE_S:g} or more")
+    quiet = measured(
+        "load cell", "load cell is quiet", "noise of one reading, of force_limit_n of the rig file",
+        100 * rest.noise_n / full_n, 100 * rest.noise_n / full_n / math.sqrt(2.0 * free), "%",
+        f"{1e3 * rest.noise_n:.3g} mN in {spent}", limits=ToleranceInterval(None, 100 * limits.cell_noise_rel),
+    )  # fmt: skip
+    if rest.jumps:
+        quiet = not_proven(quiet, LOST_BITS.format(jumps=rest.jumps, readings=rest.readings))
     rate_hz = (rest.readings - 1) / max(rest.span_s, 1e-9)
     low_hz, high_hz = (cell.rate_hz * (1.0 + sign * limits.cell_rate_rel) for sign in (-1.0, 1.0))
     return (
-        measured(
-            "load cell", "load cell is quiet", "noise of one reading, of force_limit_n of the rig file",
-            100 * rest.noise_n / full_n, 100 * rest.noise_n / full_n / math.sqrt(2.0 * free), "%",
-            f"{1e3 * rest.noise_n:.3g} mN in {spent}", limits=ToleranceInterval(None, 100 * limits.cell_noise_rel),
-        ),
+        quiet,
         zero,
         measured(
             "load cell", "readings a second", "mean number of readings a second", rate_hz,

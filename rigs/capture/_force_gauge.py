@@ -6,12 +6,13 @@ that no drift, and no pad that is taken for one, can lift the force limit unseen
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_schemas import (
     CaptureError,
@@ -24,8 +25,9 @@ from data_schemas import (
     TactileRig,
 )
 from data_schemas.storage import read_record
-from rigs import Clock, LoadCell
+from rigs import Clock, ForceLimitError, LoadCell
 
+Floats = NDArray[np.float64]
 TARE_READINGS: Final = 32
 STEP_READINGS: Final = 8
 SETTLING_READINGS: Final = 4
@@ -43,6 +45,56 @@ def mean_noise_n(noise_n: float, readings: int) -> float:
     is a little more than it is for such a filter, and twice that of readings which share nothing.
     """
     return noise_n * math.sqrt(SETTLING_READINGS / max(readings, SETTLING_READINGS))
+
+
+JUMP_SD: Final = 10.0
+"""Of one reading: a reading farther away is no noise."""
+BACK_SHARE: Final = 0.8
+"""Of a jump, within the next reading: a force leaves the amplifier's filter within four, a lost bit at once."""
+MOST_JUMPS: Final = 0.25
+"""Of the readings of a mean: more of them are no lost bits."""
+
+
+def without_jumps(counts: Sequence[float] | Floats, least: float = 1.0) -> Floats:
+    """Return readings of a cell at rest without those that lost a bit on their way.
+
+    A jump is farther from the median than ten standard deviations, by the median distance from it. More than a quarter
+    of the readings are no jumps, and all are kept.
+
+    Parameters
+    ----------
+    counts
+        Readings.
+    least
+        Least standard deviation of one: equal readings have none.
+    """
+    values = np.asarray(counts, dtype=np.float64)
+    away = np.abs(values - np.median(values))
+    kept = away <= JUMP_SD * max(1.4826 * float(np.median(away)), least)
+    return values if (~kept).sum() > MOST_JUMPS * values.size else values[kept]
+
+
+def without_spikes(values: Floats, sd: float) -> Floats:
+    """Return readings of a force that changes, each lone one beyond both of its neighbours replaced by the nearer one.
+
+    The amplifier's filter lets no force come and go within one reading; a lost bit does.
+
+    Parameters
+    ----------
+    values
+        Readings, shape (n,).
+    sd
+        Standard deviation of one by noise, in their unit.
+    """
+    if values.size < 3:
+        return values
+    before, middle, after = values[:-2], values[1:-1], values[2:]
+    low, high = np.minimum(before, after), np.maximum(before, after)
+    beyond = np.maximum(middle - high, low - middle)
+    lone = beyond > np.maximum(JUMP_SD * sd, BACK_SHARE / (1.0 - BACK_SHARE) * (high - low))
+    found = values.copy()
+    found[1:-1] = np.where(lone, np.clip(middle, low, high), middle)
+    return found
 
 
 LEAST_EQUAL: Final = 4
@@ -123,6 +175,7 @@ class ForceGauge:
         self._zero, self._zero_readings, self.noise_n = math.nan, TARE_READINGS, math.nan
         self._moved_s = self._made_s = -math.inf
         self._tared = self._first_zero = math.nan
+        self.lost_bits = 0
         slope, masses = calibration.slope_n_per_count, np.array(calibration.masses_kg)
         unloaded = np.array(calibration.counts) - masses * calibration.gravity_m_per_s2 / slope
         self._unloaded = float(unloaded.mean())
@@ -131,7 +184,7 @@ class ForceGauge:
         """Return the next reading above the tare (N); nan before there is one. Raises what :meth:`strongest_n` does."""
         return self.force_n(self._counts())
 
-    def force_n(self, counts: int) -> float:
+    def force_n(self, counts: float) -> float:
         """Return the force of a count above the tare (N)."""
         return (counts - self._zero) * self._slope
 
@@ -152,6 +205,23 @@ class ForceGauge:
         counts = self._counts()
         return max(((counts - zero) * self._slope for zero in (self._zero, self._first_zero)), key=abs)
 
+    def has_jumped(self, limit_n: float) -> bool:
+        """Whether the last reading had lost a bit, by those that come next: the cell must be at rest.
+
+        They are back at once, and none is beyond the limit.
+        """
+        if len(self._newest) < 1 or math.isnan(self.noise_n):
+            return False
+        jumped, sd = self._newest[-1], self.noise_n / abs(self._slope)
+        next_ones = [self._counts() for _ in range(SETTLING_READINGS)]
+        way = jumped - float(np.median(next_ones))
+        is_back = abs(jumped - next_ones[0]) > max(JUMP_SD * sd, BACK_SHARE * abs(way))
+        strongest_n = max(abs(count - zero) for count in next_ones for zero in (self._zero, self._first_zero))
+        if not is_back or strongest_n * abs(self._slope) > limit_n:
+            return False
+        self.lost_bits += 1
+        return True
+
     def _counts(self) -> int:
         """Return the next count, unless the cell is stuck."""
         counts, self._made_s = self._cell.read(self._settings.silent_s)
@@ -170,14 +240,22 @@ class ForceGauge:
     def settle(self, take: Callable[[], object]) -> None:
         """Have readings taken until so many were made after the last move that the amplifier's filter shows all of it.
 
+        A reading beyond a limit that `take` keeps is looked at again: it may have lost a bit.
+
         Raises
         ------
         LostError
             All came too late, for as long as the cell may be silent.
+        ForceLimitError
+            `take` raised it, and the next readings agree.
         """
         made, late, most_late = 0, 0, math.ceil(self._settings.silent_s * self._settings.rate_hz)
         while made < SETTLING_READINGS:
-            take()
+            try:
+                take()
+            except ForceLimitError as error:
+                if error.limit_n is None or late > most_late or not self.has_jumped(error.limit_n):
+                    raise
             made, late = (made + 1, late) if self._made_s > self._moved_s else (made, late + 1)
             if late > most_late:
                 raise LostError(
@@ -223,7 +301,7 @@ class ForceGauge:
             It is far from the first one, or noise could hide a tenth of the force limit.
         """
         self.settle(self._counts)
-        counts = np.array([self._counts() for _ in range(TARE_READINGS)], dtype=float)
+        counts = without_jumps([self._counts() for _ in range(TARE_READINGS)])
         self._zero = self._tared = float(counts.mean())
         self._zero_readings, self.noise_n = TARE_READINGS, float(counts.std(ddof=1)) * abs(self._slope)
         allowed_n = ZERO_MOVED_SHARE * self._settings.force_limit_n
@@ -247,7 +325,8 @@ class ForceGauge:
         What watches moves, as :func:`rigs.capture._stage_press.StagePress.guard`, takes the readings before them.
         """
         self.settle(watch or self.reading_n)
-        mean_n = float(np.mean([self.reading_n() for _ in range(readings)]))
+        counts = without_jumps([self._counts() for _ in range(readings)], self.noise_n / abs(self._slope))
+        mean_n = self.force_n(float(counts.mean()))
         noise_n = math.hypot(mean_noise_n(self.noise_n, readings), mean_noise_n(self.noise_n, self._zero_readings))
         return Force(mean_n, noise_n)
 
@@ -298,7 +377,7 @@ def at_rest(
     while clock.monotonic_s() < end_s:
         forces_n.append(gauge.reading_above_empty_n())
         times_s.append(clock.monotonic_s())
-    blocks = np.array_split(np.array(forces_n), BLOCKS)
+    blocks = [without_jumps(block, abs(calibration.slope_n_per_count)) for block in np.array_split(forces_n, BLOCKS)]
     within = math.sqrt(float(np.mean([block.var(ddof=1) for block in blocks])))
     return CellAtRest(
         readings=len(forces_n),
@@ -306,6 +385,7 @@ def at_rest(
         longest_gap_s=float(np.diff(times_s).max()),
         noise_n=within,
         means_n=tuple(float(block.mean()) for block in blocks),
+        jumps=len(forces_n) - sum(block.size for block in blocks),
     )
 
 
@@ -335,8 +415,11 @@ def weigh(
     def mean_n() -> tuple[float, float]:
         for _ in range(math.ceil(LAID_SETTLES_S * settings.rate_hz)):
             gauge.reading_above_empty_n()
-        forces = [gauge.reading_above_empty_n() for _ in range(math.ceil(LAID_S * settings.rate_hz))]
-        return float(np.mean(forces)), float(np.std(forces, ddof=1)) / math.sqrt(len(forces) / SETTLING_READINGS)
+        forces = without_jumps(
+            [gauge.reading_above_empty_n() for _ in range(math.ceil(LAID_S * settings.rate_hz))],
+            abs(calibration.slope_n_per_count),
+        )
+        return float(forces.mean()), float(forces.std(ddof=1)) / math.sqrt(forces.size / SETTLING_READINGS)
 
     lay(0.0)
     zeros, loaded = [mean_n()], []

@@ -50,18 +50,11 @@ from rigs.capture._journal import (
     healing_s,
     read_journal,
 )
+from rigs.capture._open_tactile_rig import OpenTactileRig, open_tactile_rig
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
 from rigs.capture._resume import ORPHANS, begun_with
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
-from rigs.capture._stage_press import (
-    EXCHANGE_S,
-    HOMING_WITHIN_S,
-    OpenTactileRig,
-    StagePress,
-    contact_times,
-    open_tactile_rig,
-    replayed_presses,
-)
+from rigs.capture._stage_press import EXCHANGE_S, HOMING_WITHIN_S, StagePress, contact_times, replayed_presses
 
 Triple = tuple[TactileFrame, TactileFrame, TactileFrame]
 MOST_SATURATED_FRACTION = 1e-3

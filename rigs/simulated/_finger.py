@@ -26,6 +26,7 @@ from data_schemas import (
 )
 from rigs import CellReading, OverloadError, RawFrame
 from rigs.simulated import SimulatedClock
+from rigs.simulated._cell_noise import CellNoise
 from rigs.simulated.sensor import Sensor, mosaic
 
 Floats = NDArray[np.float64]
@@ -39,6 +40,7 @@ END_OF_SCALE: Final = 0x7FFFFF
 PAD_E_PER_S: Final = 3.0e5
 IMAGE_OF_PAD_MM: Final = 20.0
 STANDARD_GRAVITY_M_PER_S2: Final = 9.80665
+_NOISES: Final = {"wandering cell": "wander_counts", "humming cell": "hum_counts", "lost bits": "lost_every"}
 
 
 @dataclass(slots=True)
@@ -59,6 +61,8 @@ class FingerState:
         Thickness of what lies on the pad.
     moving
         Brings the stage to where it is now, while it moves.
+    noise
+        Of the cell, beside the white one.
     """
 
     rig: TactileRig
@@ -67,6 +71,7 @@ class FingerState:
     load_kg: float = 0.0
     block_mm: float = 0.0
     moving: Callable[[], None] | None = None
+    noise: CellNoise = field(default_factory=CellNoise)
     _lost_mm: float = 0.0
     _relaxing_n: float = 0.0
     _last: tuple[float, float] = (0.0, 0.0)
@@ -74,6 +79,8 @@ class FingerState:
     def __post_init__(self) -> None:
         stage = self.stage
         self.counted_mm = {stage.press_axis: stage.clear_mm, stage.pad_axis: stage.base_mm}
+        if (fault := self.fault) is not None and fault.name in _NOISES:
+            setattr(self.noise, _NOISES[fault.name], fault.value)
 
     @property
     def stage(self) -> StageSettings:
@@ -230,9 +237,9 @@ class SimulatedLoadCell:
         fault = state.fault
         if fault is not None and fault.name == "drifting cell":
             force_n += 1e-3 * fault.value * state.clock.elapsed_s
-        counts = round(
-            OFFSET_COUNTS + force_n / finger.cell_n_per_count + finger.noise_counts * self.rng.standard_normal()
-        )
+        added = state.noise.added(state.clock.elapsed_s, self.settings.rate_hz, self.rng)
+        added += finger.noise_counts * self.rng.standard_normal()
+        counts = state.noise.damaged(round(OFFSET_COUNTS + force_n / finger.cell_n_per_count + added), self.rng)
         if abs(counts) >= END_OF_SCALE:
             raise OverloadError("load cell: reads the end of its scale; take the load away")
         if not state.has("stuck cell"):
