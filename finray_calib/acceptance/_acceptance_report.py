@@ -40,11 +40,11 @@ from finray_calib.acceptance._device_checks import (
     CLOCK_SD_S,
     judge_frames,
     judge_handshakes,
+    judge_light_off,
     judge_reconnect,
     report_of,
     results_of,
 )
-from finray_calib.acceptance._light_off import judge_light_off
 
 Floats = NDArray[np.float64]
 

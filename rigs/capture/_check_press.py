@@ -29,8 +29,7 @@ from data_schemas import (
 from rigs import Operator, TerminalOperator
 from rigs.capture._check_recorder import HANDSHAKES, CheckRecorder, Progress, ask, come_back
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
-from rigs.capture._force_gauge import at_rest, read_cell_calibration, weigh
-from rigs.capture._open_tactile_rig import OpenTactileRig, open_tactile_rig
+from rigs.capture._force_gauge import OpenTactileRig, at_rest, open_tactile_rig, read_cell_calibration, weigh
 from rigs.capture._plan import require_named
 from rigs.capture._press_rounds import PressRounds, TappedCell, TimedStage, force_limit_n
 from rigs.capture._stage_press import NotAllowedError, StagePress

@@ -33,18 +33,22 @@ from data_schemas import (
     WrongPositionError,
 )
 from rigs import OpenRig, Operator, TerminalOperator, open_rig, rig_locked
-from rigs.capture._check_light import CameraInUseError, require_white, stray_light, trigger_latency, watch_warm_up
-from rigs.capture._check_recorder import HANDSHAKES, CheckRecorder, Progress, ask, come_back
-from rigs.capture._exposure import WHEEL_DEADLINE_S, CheckedCamera, exposure_ladder, meter_exposure, shine
-from rigs.capture._filter_proof import judge_filters, predicted_rates, signal_floor
-from rigs.capture._light_witness import (
+from rigs.capture._check_light import (
+    CameraInUseError,
     CameraWatch,
     Contrast,
     LaserWatch,
     PhotodiodeWatch,
     find_contrast,
     find_sight,
+    require_white,
+    stray_light,
+    trigger_latency,
+    watch_warm_up,
 )
+from rigs.capture._check_recorder import HANDSHAKES, CheckRecorder, Progress, ask, come_back
+from rigs.capture._exposure import WHEEL_DEADLINE_S, CheckedCamera, exposure_ladder, meter_exposure, shine
+from rigs.capture._filter_proof import judge_filters, predicted_rates, signal_floor
 from rigs.capture._picture_shift import cells_of, picture_shift
 from rigs.capture._plan import Step, planned_filters, require_named, require_region_inside
 from rigs.capture.light_off_time import ConnectionWatch, after_exception, after_kill, can_be_asked_anew

@@ -30,8 +30,7 @@ from data_schemas import (
 )
 from rigs import CellReading, Clock, ForceLimitError, LoadCell, Stage
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
-from rigs.capture._force_gauge import SETTLING_READINGS, STEP_READINGS, Force, without_spikes
-from rigs.capture._open_tactile_rig import OpenTactileRig
+from rigs.capture._force_gauge import SETTLING_READINGS, STEP_READINGS, Force, OpenTactileRig, without_spikes
 from rigs.capture._stage_press import PRESS_LESS, STEP_MARGIN, NotAllowedError, StagePress
 from rigs.transports import LATENCY_S
 

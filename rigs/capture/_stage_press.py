@@ -43,10 +43,10 @@ from rigs.capture._force_gauge import (
     ZERO_MOVED_SHARE,
     Force,
     ForceGauge,
+    OpenTactileRig,
     mean_noise_n,
     read_cell_calibration,
 )
-from rigs.capture._open_tactile_rig import OpenTactileRig
 
 TOUCH_SD: Final = 5.0
 """A force above so many standard deviations is a touch: by chance in fewer than one step of 10,000."""

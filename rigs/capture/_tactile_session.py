@@ -39,7 +39,14 @@ from rigs.capture._exposure import (
     TactileCamera,
     saturated_fraction,
 )
-from rigs.capture._force_gauge import SETTLING_READINGS, ZERO_MOVED_SHARE, calibration_notes, read_cell_calibration
+from rigs.capture._force_gauge import (
+    SETTLING_READINGS,
+    ZERO_MOVED_SHARE,
+    OpenTactileRig,
+    calibration_notes,
+    open_tactile_rig,
+    read_cell_calibration,
+)
 from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
 from rigs.capture._journal import (
     JOURNAL_NAME,
@@ -50,7 +57,6 @@ from rigs.capture._journal import (
     healing_s,
     read_journal,
 )
-from rigs.capture._open_tactile_rig import OpenTactileRig, open_tactile_rig
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
 from rigs.capture._resume import ORPHANS, begun_with
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session

@@ -1,6 +1,6 @@
 """How long the laser stays on after a mishap, for each of its safety layers.
 
-Who sees whether it is on while its guard holds its connection is a witness of :mod:`rigs.capture._light_witness`, or a
+Who sees whether it is on while its guard holds its connection is a witness of :mod:`rigs.capture._check_light`, or a
 new connection. The victim of the mishap is this module started as ``python -m rigs.capture.light_off_time DRIVER
 ADDRESS``: it keeps the laser on behind its guard and says ``ON`` and the process numbers of guard and watch. It ends,
 and the laser goes off, when its standard input closes (whoever started it is gone), at the latest after 10 s.
@@ -27,7 +27,7 @@ from data_schemas import (
     Witness,
 )
 from rigs import LightSwitch, OpenRig, driver_module, find_driver
-from rigs.capture._light_witness import SEEING, LaserWatch, Reading, require_seen
+from rigs.capture._check_light import SEEING, LaserWatch, Reading, require_seen
 from rigs.light_guard import GuardedLight, LightLostError, require_outside_layer
 
 ASK_WITHIN_S: Final = 1.0

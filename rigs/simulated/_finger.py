@@ -26,7 +26,6 @@ from data_schemas import (
 )
 from rigs import CellReading, OverloadError, RawFrame
 from rigs.simulated import SimulatedClock
-from rigs.simulated._cell_noise import CellNoise
 from rigs.simulated.sensor import Sensor, mosaic
 
 Floats = NDArray[np.float64]
@@ -41,6 +40,55 @@ PAD_E_PER_S: Final = 3.0e5
 IMAGE_OF_PAD_MM: Final = 20.0
 STANDARD_GRAVITY_M_PER_S2: Final = 9.80665
 _NOISES: Final = {"wandering cell": "wander_counts", "humming cell": "hum_counts", "lost bits": "lost_every"}
+
+
+FORGETS_WITHIN_S: Final = (0.1, 1.0, 10.0, 100.0)
+MAINS_HZ: Final = 50.0
+CLOCK_FAST: Final = 1.013
+"""The amplifier's own oscillator: its conversions are no whole fraction of the mains' period."""
+REJECTS_HZ: Final = 10
+BITS: Final = 22
+
+
+@dataclass(slots=True)
+class CellNoise:
+    """Add to each reading what is not white.
+
+    Attributes
+    ----------
+    wander_counts
+        Standard deviation of the slow noise.
+    hum_counts
+        Amplitude of the pick-up.
+    lost_every
+        Mean number of readings from one lost bit to the next; 0: none is lost.
+    """
+
+    wander_counts: int = 0
+    hum_counts: int = 0
+    lost_every: int = 0
+    _slow: list[float] = field(default_factory=lambda: [0.0] * len(FORGETS_WITHIN_S))
+    _last_s: float | None = None
+
+    def added(self, now_s: float, rate_hz: int, rng: np.random.Generator) -> float:
+        """Return what is added to the reading of this moment (counts)."""
+        hum = 0.0 if rate_hz <= REJECTS_HZ else math.sin(2.0 * math.pi * MAINS_HZ * CLOCK_FAST * now_s)
+        if self.wander_counts <= 0.0:
+            return self.hum_counts * hum
+        since_s = math.inf if self._last_s is None else now_s - self._last_s
+        self._last_s = now_s
+        each = self.wander_counts / math.sqrt(len(FORGETS_WITHIN_S))
+        for k, within_s in enumerate(FORGETS_WITHIN_S):
+            kept = math.exp(-since_s / within_s)
+            self._slow[k] = kept * self._slow[k] + math.sqrt(1.0 - kept**2) * each * rng.standard_normal()
+        return sum(self._slow) + self.hum_counts * hum
+
+    def damaged(self, counts: int, rng: np.random.Generator) -> int:
+        """Return the count as it arrives: now and then with a bit too many, too few or wrong."""
+        if self.lost_every <= 0.0 or rng.random() * self.lost_every >= 1.0:
+            return counts
+        kind = rng.integers(3)
+        return counts * 2 if kind == 0 else counts // 2 if kind == 1 else counts ^ (1 << int(rng.integers(BITS)))
 
 
 @dataclass(slots=True)
@@ -80,7 +128,7 @@ class FingerState:
         stage = self.stage
         self.counted_mm = {stage.press_axis: stage.clear_mm, stage.pad_axis: stage.base_mm}
         if (fault := self.fault) is not None and fault.name in _NOISES:
-            setattr(self.noise, _NOISES[fault.name], fault.value)
+            setattr(self.noise, _NOISES[fault.name], round(fault.value))
 
     @property
     def stage(self) -> StageSettings:

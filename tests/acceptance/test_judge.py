@@ -31,7 +31,7 @@ from finray_calib.acceptance._acceptance_report import (
     largest_failure_share,
     rate_dn_per_s,
 )
-from finray_calib.acceptance._light_off import CLASS_1_MW, slowest_off
+from finray_calib.acceptance._device_checks import CLASS_1_MW, slowest_off
 from rigs import simulated_rig
 from rigs.capture._check_light import LEAST_SIGNAL_FRACTION
 from tests.acceptance.facts import GOOD, HANDSHAKES, PLAN, SIGHT, dark, handshake, level, spoilt

@@ -475,7 +475,7 @@ BENCH_PLAN = TactileCheckPlan(
 def on_boards(folder: Path, bench, monkeypatch, **given: object) -> tuple[PressFacts, TactileRig]:
     from contextlib import nullcontext
 
-    monkeypatch.setattr("rigs.capture._open_tactile_rig.open_camera", lambda *_: nullcontext(FlatCamera()))
+    monkeypatch.setattr("rigs.capture._force_gauge.open_camera", lambda *_: nullcontext(FlatCamera()))
     rig = real_rig(folder, bench)
     # so short that a move may be three steps long between the turning force and the stop
     rig = rig.model_copy(update={"stage": rig.stage.model_copy(update={"step_mm": 0.05})})
@@ -537,7 +537,7 @@ def test_poisoned_in_the_middle_of_a_part(tmp_path: Path, monkeypatch, part: str
         thread.start()
         from contextlib import nullcontext
 
-        monkeypatch.setattr("rigs.capture._open_tactile_rig.open_camera", lambda *_: nullcontext(FlatCamera()))
+        monkeypatch.setattr("rigs.capture._force_gauge.open_camera", lambda *_: nullcontext(FlatCamera()))
         rig = real_rig(tmp_path, bench)
 
         def progress(done: int, total: int, text: str) -> None:

@@ -24,13 +24,13 @@ from data_schemas import (
     WrongPositionError,
 )
 from rigs import OpenRig, RawFrame, open_rig, paint_plan
+from rigs.capture import _check_light as light_witness
 from rigs.capture import _check_session as check_session
-from rigs.capture import _light_witness as light_witness
 from rigs.capture import check_filters, record_facts
 from rigs.capture import light_off_time as laser_watch
+from rigs.capture._check_light import CameraWatch, Reading, find_sight
 from rigs.capture._check_session import CheckFrames, _Recorder
 from rigs.capture._exposure import shine
-from rigs.capture._light_witness import CameraWatch, Reading, find_sight
 from rigs.capture.light_off_time import (
     ConnectionWatch,
     after_exception,

@@ -440,7 +440,7 @@ class Hands:
 def run(folder: Path, rig: TactileRig, monkeypatch, **press: object) -> TactileSession:
     from contextlib import nullcontext
 
-    monkeypatch.setattr("rigs.capture._open_tactile_rig.open_camera", lambda *_: nullcontext(FlatCamera()))
+    monkeypatch.setattr("rigs.capture._force_gauge.open_camera", lambda *_: nullcontext(FlatCamera()))
     plan = TactilePlan.model_validate_json(PRESS_JSON)
     presses = (plan.presses[0].model_copy(update=press),)
     plan = plan.model_copy(update={"presses": presses})

@@ -20,7 +20,7 @@ from finray_calib.acceptance import judge
 from rigs import OpenRig, SystemClock, lights, open_rig, paint_plan, simulated_rig
 from rigs.capture import _check_session as check_session
 from rigs.capture import record_facts
-from rigs.capture._light_witness import Contrast, PhotodiodeWatch, find_contrast, require_seen
+from rigs.capture._check_light import Contrast, PhotodiodeWatch, find_contrast, require_seen
 from rigs.capture.light_off_time import after_exception, after_kill
 from rigs.light_guard import LightLevel, open_photodiode
 from tests.capture.drivers import firmware_in_qemu
