@@ -1,6 +1,6 @@
-"""Acceptance of a rig: plan, facts and verdicts; and what a laboratory adds to the certificate of a paint."""
+"""Acceptance of a rig: plan, facts and verdicts."""
 
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -14,7 +14,7 @@ from data_schemas._capture import (
     UncertaintyN,
 )
 from data_schemas._model import Model, Record
-from data_schemas._rig import DeviceIdentity, ForceN, IsoDay, RigFile
+from data_schemas._rig import DeviceIdentity, ForceN, RigFile
 from data_schemas._units import DurationS, ExposureS, Fraction, PositionMm, Seed, SignalDn
 
 CheckVerdict = Literal["PASS", "FAIL", "UNDECIDED", "ERROR"]
@@ -404,6 +404,28 @@ class DiodeLevels(Model):
     threshold_rel: Annotated[float, Field(ge=0.0)] = Field(description="readings below it count as dark")
     readings: Annotated[int, Field(ge=1)] = Field(description="this many readings in a row below it count as off")
     sees_pulses: bool = Field(description="a reading holds all since the one before, so that no pulse is missed")
+    off_sd_rel: Annotated[float, Field(ge=0.0)] | None = Field(
+        default=None, description="standard deviation of one reading with the laser off; None: not recorded"
+    )
+    on_again_rel: Annotated[float, Field(ge=0.0)] | None = Field(
+        default=None, description="mean with the laser on when the beam was open again; None: nobody closed it"
+    )
+    reported_lit_closed: bool = Field(
+        default=False, description="the laser's controller reported it on before and after it was read behind the cap"
+    )
+
+
+class SightLevels(Model):
+    """What the camera saw of the laser before the mishaps: mean counts of the region at one exposure."""
+
+    exposure_s: ExposureS
+    on_dn: SignalDn = Field(description="behind the filter that passes the laser, with the laser on")
+    off_dn: SignalDn = Field(description="behind that filter, with the laser off by its controller")
+    off_sd_dn: Annotated[float, Field(ge=0.0)] = Field(description="standard deviation of such means")
+    blocked_filter: str | None = Field(description="a filter that blocks the laser; None: there is none")
+    blocked_on_dn: SignalDn | None = Field(description="behind it, with the laser on")
+    blocked_off_dn: SignalDn | None = Field(description="behind it, with the laser off")
+    threshold_dn: SignalDn = Field(description="frames below it count as dark")
 
 
 class CheckFacts(Model):
@@ -434,6 +456,7 @@ class CheckFacts(Model):
     )
     light_off: tuple[LightOff, ...] = ()
     diode: DiodeLevels | None = Field(default=None, description="the photodiode as a witness; None: there was none")
+    sight: SightLevels | None = Field(default=None, description="the camera as a witness; None: it was not asked")
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 
 
@@ -447,6 +470,9 @@ class CellAtRest(Model):
     means_n: tuple[float, ...] = Field(
         min_length=5,
         description="mean reading in each twelfth of the time, minus that of the empty cell at its calibration",
+    )
+    jumps: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="readings far beyond the noise of their neighbours, which are left out: a bit was lost"
     )
 
 
@@ -525,6 +551,13 @@ class MovingStop(Model):
     way_mm: Annotated[float, Field(gt=0.0)] = Field(description="length of the move, had it not been stopped")
     unstopped_n: float = Field(description="settled force at its end, as steps had reached it before")
     peak_n: float = Field(description="largest force that the cell reported until the stage was at rest, and after")
+    stopped_at_n: float | None = Field(
+        default=None, description="force at which the reading that passed the limit stopped the move; None: none did"
+    )
+    end_mm: float | None = Field(default=None, description="where the move would have ended; None: not recorded")
+    stood_mm: float | None = Field(
+        default=None, description="position of the press axis once it was at rest; None: it was unknown"
+    )
 
 
 class ForceStop(Model):
@@ -593,7 +626,7 @@ class CheckResult(Model):
 class AcceptanceReport(Record):
     """The outcome of an acceptance check of a rig: one result for each check, and the facts they follow from."""
 
-    schema_version: ClassVar[int] = 11
+    schema_version: ClassVar[int] = 12
     written_by: ClassVar[str] = "'finray check run'"
     plan: CheckPlan | TactileCheckPlan = Field(discriminator="kind")
     rig: RigFile | TactileRig
@@ -603,68 +636,3 @@ class AcceptanceReport(Record):
         description="the worst verdict of the checks: FAIL, else ERROR, else UNDECIDED, else PASS"
     )
     notes: tuple[str, ...] = ()
-
-
-CertifiedName = Literal["mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser"]
-CERTIFIED: Final[dict[CertifiedName, tuple[str, str]]] = {
-    "mode_nm": ("Wavelength of the maximum of the emission", "nm"),
-    "fwhm_nm": ("Full width at half maximum", "nm"),
-    "peak_per_nm": ("Emission at the maximum, as radiance factor per nm", "1/nm"),
-    "energy_yield": ("Energy yield: emitted / incident energy", ""),
-    "reflectance_at_laser": ("Reflectance at the laser line", ""),
-}
-"""Quantity -> what it is, and its unit."""
-Reference = Literal["white reference", "filters", "lamp", "camera response", "laser", "other"]
-Line = Annotated[str, Field(max_length=300)]
-
-
-class ReferenceCertificate(Model):
-    """A certificate of calibration that the laboratory holds for a part of its rig."""
-
-    of: Reference
-    number: Annotated[str, Field(min_length=1, max_length=300)] = Field(description="number of the certificate")
-    issued_by: Annotated[str, Field(min_length=1, max_length=300)]
-    calibrated_on: IsoDay
-    valid_until: IsoDay | None = Field(
-        default=None, description="last day on which it is valid; none: the certificate states none"
-    )
-
-
-class CertifiedLimits(Model):
-    """What a quantity must keep, for a statement of conformity; in the unit of the quantity."""
-
-    quantity: CertifiedName
-    low: float | None = Field(default=None, allow_inf_nan=False)
-    high: float | None = Field(default=None, allow_inf_nan=False)
-
-    @model_validator(mode="after")
-    def _limits_are_in_order(self) -> "CertifiedLimits":
-        if self.low is None and self.high is None:
-            raise ValueError("give low, high or both: without a limit there is nothing to conform to")
-        if self.low is not None and self.high is not None and self.low > self.high:
-            raise ValueError(f"low = {self.low:g} must not be above high = {self.high:g}")
-        return self
-
-
-class CertificateDetails(Record):
-    """What stands on a certificate beside what finray measured; all of it may be left out."""
-
-    kind: Literal["certificate"] = "certificate"
-    laboratory: Line = ""
-    address: Line = ""
-    number: Line = Field(
-        default="", description="number of the certificate; if left out, it is made from the record's SHA-256"
-    )
-    customer: Line = ""
-    item: Line = Field(default="", description="what was measured: tin, batch, coat, substrate")
-    conditions: Line = Field(default="", description="temperature and humidity with their uncertainty, and what else")
-    authorised_by: Line = ""
-    references: tuple[ReferenceCertificate, ...] = ()
-    limits: tuple[CertifiedLimits, ...] = ()
-
-    @model_validator(mode="after")
-    def _limits_once(self) -> "CertificateDetails":
-        names = [limit.quantity for limit in self.limits]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"limits: {twice[0]!r} is given twice; give each quantity once")
-        return self

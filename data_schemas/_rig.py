@@ -398,6 +398,9 @@ TACTILE_FAULTS: Final[Mapping[str, FaultSizes]] = {
     "silent cell": FaultSizes("s", 20.0, 0.0, 10000.0),
     "drifting cell": FaultSizes("mN/s", 20.0, 0.1, 1000.0),
     "lost steps": FaultSizes("%", 5.0, 0.1, 90.0),
+    "wandering cell": FaultSizes("counts", 60.0, 1.0, 100000.0),
+    "humming cell": FaultSizes("counts", 200.0, 1.0, 100000.0),
+    "lost bits": FaultSizes("readings", 1000.0, 10.0, 1e7),
 }
 """The same of a simulated finger with stage and load cell."""
 

@@ -204,7 +204,17 @@ class OverloadError(CaptureError):
 
 
 class ForceLimitError(CaptureError):
-    """A force was larger than allowed, and the stage was stopped."""
+    """A force was larger than allowed, and the stage was stopped.
+
+    Attributes
+    ----------
+    force_n, limit_n
+        The reading that passed the limit, and the limit (N); None where the error comes from elsewhere.
+    """
+
+    def __init__(self, text: str, force_n: float | None = None, limit_n: float | None = None) -> None:
+        super().__init__(text)
+        self.force_n, self.limit_n = force_n, limit_n
 
 
 class CellReading(NamedTuple):

@@ -20,11 +20,8 @@ from data_schemas import (
     CheckResult,
     CheckVerdict,
     DarkFrames,
-    DiodeLevels,
     ExposureLevel,
     LatencyTry,
-    LightLayer,
-    LightOff,
     RigFile,
     Section,
     TriggerLatency,
@@ -43,6 +40,7 @@ from finray_calib.acceptance._device_checks import (
     CLOCK_SD_S,
     judge_frames,
     judge_handshakes,
+    judge_light_off,
     judge_reconnect,
     report_of,
     results_of,
@@ -94,17 +92,10 @@ def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ..
         "warm-up": judge_warm_up(facts, plan, rig.camera),
         "stray light": judge_stray_light(facts, plan),
         "trigger latency": judge_latency(facts, plan),
-        "light off": judge_light_off(facts, plan),
+        "light off": judge_light_off(facts, plan, rig.laser),
         "reconnect": judge_reconnect(facts, limits.reconnect_s),
     }
     return report_of(facts, plan, rig, results_of(SECTIONS, judged, facts.errors), notes)
-
-
-_LAYERS: Final[dict[LightLayer, tuple[str, str]]] = {
-    "block": ("laser off after an exception", "an exception leaves the block that lights the laser"),
-    "guard": ("laser off by the guard", "the program that lights the laser is killed (SIGKILL)"),
-    "dead-man": ("laser off by the dead-man", "the program, the guard and the watch of the laser are killed (SIGKILL)"),
-}
 
 
 def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
@@ -145,67 +136,6 @@ def largest_failure_share(tries: int) -> float:
     .. math:: p = 1 - 0.05^{1/n}
     """
     return -math.expm1(math.log(0.05) / tries)
-
-
-NO_DARK_REFERENCE: Final = (
-    "the photodiode learned what dark is from the controller's word, so a laser that is only dimmed would look off; "
-    "run the check in a terminal, and close the beam by hand when it asks"
-)
-NO_PULSES: Final = (
-    "the photodiode's firmware looks for 0.1 ms in each 10 ms only, so a pulsed laser may look off; flash version 1.1"
-)
-
-
-def judge_light_off(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
-    """Return one result for each safety layer of the laser."""
-    return tuple(_light_off(layer, plan, facts.diode) for layer in facts.light_off)
-
-
-def _light_off(layer: LightOff, plan: CheckPlan, diode: DiodeLevels | None) -> CheckResult:
-    """Judge one layer by its slowest mishap."""
-    name, mishap = _LAYERS[layer.layer]
-    what = f"time until the laser is off when {mishap}"
-    if layer.error is not None:
-        return unmeasured("light off", name, what, "ERROR", layer.error)
-    if layer.missing is not None:
-        return unmeasured("light off", name, what, "UNDECIDED", layer.missing)
-    limit_s = plan.limits.light_off_s
-    if layer.still_on or not layer.latest_s:
-        return unmeasured(
-            "light off", name, what, "FAIL",
-            f"the laser was still on after {layer.still_on} of {layer.still_on + len(layer.latest_s)} "
-            f"mishaps; each was watched for {layer.watched_s:g} s",
-            f"at most {limit_s:g} s",
-        )  # fmt: skip
-    value_s, sd_s = slowest_off(layer)
-    evidence = f"slowest of {len(layer.latest_s)} mishaps; measured by {layer.witness}"
-    found = measured("light off", name, what, value_s, sd_s, "s", evidence, limits=ToleranceInterval(None, limit_s))
-    return _by_photodiode(found, diode) if layer.witness == "a photodiode" else found
-
-
-def _by_photodiode(found: CheckResult, diode: DiodeLevels | None) -> CheckResult:
-    """Let a result pass where a person closed the beam, and where no pulse is missed."""
-    if diode is None or diode.closed_rel is None:
-        return not_proven(found, NO_DARK_REFERENCE)
-    unseen = (diode.threshold_rel - diode.closed_rel) / (diode.on_rel - diode.closed_rel)
-    told = (
-        f"{found.evidence}; dark is what it read with the beam closed by hand, {diode.readings} times in a row; less "
-        f"than {100 * unseen:.2g} % of the laser's light would not be seen"
-    )
-    found = found.model_copy(update={"evidence": told})
-    return found if diode.sees_pulses else not_proven(found, NO_PULSES)
-
-
-def slowest_off(layer: LightOff) -> tuple[float, float]:
-    r"""Return the time of the slowest mishap (s) with its standard uncertainty (s).
-
-    Between the last look that saw the laser on, at a, and the first that saw it off, at b, all times are alike:
-
-    .. math:: t = (a + b) / 2, \quad u^2 = (b - a)^2 / 12 + u_\text{clock}^2
-    """
-    slowest = max(range(len(layer.latest_s)), key=lambda i: layer.latest_s[i])
-    earliest_s, latest_s = layer.earliest_s[slowest], layer.latest_s[slowest]
-    return 0.5 * (earliest_s + latest_s), math.hypot((latest_s - earliest_s) / math.sqrt(12), CLOCK_SD_S)
 
 
 ROUNDING_DN2: Final = 1.0 / 12.0

@@ -19,6 +19,7 @@ from data_schemas import (
     CheckResult,
     LoadCellCalibration,
     LoadCellSettings,
+    MovingStop,
     PressFacts,
     Section,
     StageMoves,
@@ -89,10 +90,19 @@ ONE_STEP: Final = (
     "a force stops a move; raise force_limit_n of the plan, or shorten step_mm of the rig file"
 )
 TO_ITS_END: Final = "a move was not seen to be stopped before its end"
+NO_FORCE_PASSED: Final = "a move ended without a reading beyond its limit, so no force stopped it"
+COUNTED_TO_ITS_END: Final = "by the controller's count a move that a force stopped went to its end"
+UNKNOWN_AFTER_A_STOP: Final = "after a stop within a move the position of the stage was unknown"
+LEAST_LEFT_SHARE: Final = 0.05
+"""Of a move with its limit halfway: one that a force stops ends well before."""
 NO_FACTOR: Final = (
     "the cell that saw it is not proven to be right in this check ('calibration holds'), so the true force is not known"
 )
 DENT_MOVED_PX: Final = 5.0
+LOST_BITS: Final = (
+    "{jumps} of {readings} readings were far beyond the noise, as where a bit is lost between amplifier and board, and "
+    "are left out; shorten these wires, and keep them away from the motors'"
+)
 MINUTE_S: Final = 60.0
 FEWEST_STOPS: Final = 3
 """Below it a stage that stops now and then passes by chance."""
@@ -262,14 +272,17 @@ def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     )  # fmt: skip
     if plan.rest_s < MINUTE_S:
         zero = not_proven(zero, f"{plan.rest_s:g} s show too little of a minute; set rest_s = {MINUTE_S:g} or more")
+    quiet = measured(
+        "load cell", "load cell is quiet", "noise of one reading, of force_limit_n of the rig file",
+        100 * rest.noise_n / full_n, 100 * rest.noise_n / full_n / math.sqrt(2.0 * free), "%",
+        f"{1e3 * rest.noise_n:.3g} mN in {spent}", limits=ToleranceInterval(None, 100 * limits.cell_noise_rel),
+    )  # fmt: skip
+    if rest.jumps:
+        quiet = not_proven(quiet, LOST_BITS.format(jumps=rest.jumps, readings=rest.readings))
     rate_hz = (rest.readings - 1) / max(rest.span_s, 1e-9)
     low_hz, high_hz = (cell.rate_hz * (1.0 + sign * limits.cell_rate_rel) for sign in (-1.0, 1.0))
     return (
-        measured(
-            "load cell", "load cell is quiet", "noise of one reading, of force_limit_n of the rig file",
-            100 * rest.noise_n / full_n, 100 * rest.noise_n / full_n / math.sqrt(2.0 * free), "%",
-            f"{1e3 * rest.noise_n:.3g} mN in {spent}", limits=ToleranceInterval(None, 100 * limits.cell_noise_rel),
-        ),
+        quiet,
         zero,
         measured(
             "load cell", "readings a second", "mean number of readings a second", rate_hz,
@@ -500,11 +513,7 @@ def _force_limit(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettin
         f"{worst.stiffness_n_per_mm:.3g} N/mm"
     )
     if moving:
-        longest = max(moving, key=lambda one: one.way_mm)
-        evidence += (
-            f"; {len(moving)} moves of up to {longest.way_mm:.2g} mm were stopped within by the cell's force, at "
-            f"{longest.peak_n:.3g} N where steps had led to {longest.unstopped_n:.3g} N"
-        )
+        evidence += f"; {_in_words(moving)}"
     found = measured(
         "force limit", "force stops the stage", "largest force beyond a limit at which the stage was stopped",
         peak_n - limit_n, 2.0 * worst.noise_n, "N", evidence,
@@ -513,11 +522,38 @@ def _force_limit(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettin
     why = [] if len(moving) == len(stops) else [ONE_STEP]
     if any(one.moving and one.moving.peak_n + FELT_SD * one.noise_n > one.moving.unstopped_n for one in stops):
         why.append(TO_ITS_END)
+    why += _unstopped(moving)
     if facts.calibration is None or _factor(facts, plan, cell, facts.calibration).verdict != "PASS":
         why.append(NO_FACTOR)
     if len(stops) < FEWEST_STOPS:
         why.append(_few(len(stops)))
     return (not_proven(found, "; ".join(why)) if why else found,)
+
+
+def _in_words(moving: list[MovingStop]) -> str:
+    """Say where the longest of some moves was stopped: by which force, and how long before its end."""
+    longest = max(moving, key=lambda one: one.way_mm)
+    said = f"{len(moving)} moves of up to {longest.way_mm:.2g} mm had a limit halfway; in the longest "
+    if longest.stopped_at_n is None:
+        said += f"no reading passed {longest.limit_n:.3g} N"
+    else:
+        said += f"a reading of {longest.stopped_at_n:.3g} N passed {longest.limit_n:.3g} N"
+    if longest.stood_mm is None or longest.end_mm is None:
+        return f"{said}, and the stage's position was unknown afterwards"
+    return (
+        f"{said}, the stage stood {abs(longest.end_mm - longest.stood_mm):.2g} mm before its end, and the cell felt up "
+        f"to {longest.peak_n:.3g} N where steps had led to {longest.unstopped_n:.3g} N"
+    )
+
+
+def _unstopped(moving: list[MovingStop]) -> list[str]:
+    """Say which moves ended without a force beyond the limit, or at their end by the controller's count."""
+    if any(one.stopped_at_n is None for one in moving):
+        return [NO_FORCE_PASSED]
+    at_end = any(one.stood_mm is not None and one.end_mm is not None
+                 and abs(one.end_mm - one.stood_mm) < LEAST_LEFT_SHARE * one.way_mm for one in moving)  # fmt: skip
+    unknown = any(one.stood_mm is None for one in moving)
+    return [COUNTED_TO_ITS_END] * at_end + [UNKNOWN_AFTER_A_STOP] * unknown
 
 
 def _few(stops: int) -> str:

@@ -13,10 +13,16 @@ if TYPE_CHECKING:
     from rigs.capture._camera_session import camera_step, camera_times, capture_camera_session
     from rigs.capture._check_press import check_press_plan, record_press_facts
     from rigs.capture._check_session import check_filters, record_facts
-    from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S
-    from rigs.capture._force_gauge import ForceGauge, calibration_notes, read_cell_calibration
+    from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S, require_ready
+    from rigs.capture._force_gauge import (
+        ForceGauge,
+        OpenTactileRig,
+        calibration_notes,
+        open_tactile_rig,
+        read_cell_calibration,
+    )
     from rigs.capture._journal import JOURNAL_NAME, StatedTimes, read_journal
-    from rigs.capture._paint_session import capture_paint_session, forecast, require_ready
+    from rigs.capture._paint_session import capture_paint_session, forecast
     from rigs.capture._plan import Step, paint_steps, planned_presses, tactile_shots
     from rigs.capture._resume import Interrupted, read_interrupted
     from rigs.capture._session_folder import (
@@ -33,12 +39,7 @@ if TYPE_CHECKING:
         session_kind,
         verify_session,
     )
-    from rigs.capture._stage_press import (
-        OpenTactileRig,
-        StagePress,
-        free_travel_guard,
-        open_tactile_rig,
-    )
+    from rigs.capture._stage_press import StagePress, free_travel_guard
     from rigs.capture._tactile_session import (
         MOST_SATURATED_FRACTION,
         capture_tactile_session,

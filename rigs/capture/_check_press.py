@@ -29,10 +29,10 @@ from data_schemas import (
 from rigs import Operator, TerminalOperator
 from rigs.capture._check_recorder import HANDSHAKES, CheckRecorder, Progress, ask, come_back
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
-from rigs.capture._force_gauge import at_rest, read_cell_calibration, weigh
+from rigs.capture._force_gauge import OpenTactileRig, at_rest, open_tactile_rig, read_cell_calibration, weigh
 from rigs.capture._plan import require_named
 from rigs.capture._press_rounds import PressRounds, TappedCell, TimedStage, force_limit_n
-from rigs.capture._stage_press import NotAllowedError, OpenTactileRig, StagePress, open_tactile_rig
+from rigs.capture._stage_press import NotAllowedError, StagePress
 
 T = TypeVar("T")
 SECTIONS: Final[tuple[Section, ...]] = ("handshake", "load cell", "stage", "touch", "force limit", "stops")

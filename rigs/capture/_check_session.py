@@ -27,30 +27,31 @@ from data_schemas import (
     RigFile,
     SaturatedError,
     Section,
+    SightLevels,
     UnsafeError,
     WheelMove,
     WrongPositionError,
 )
 from rigs import OpenRig, Operator, TerminalOperator, open_rig, rig_locked
-from rigs.capture._check_light import CameraInUseError, require_white, stray_light, trigger_latency, watch_warm_up
+from rigs.capture._check_light import (
+    CameraInUseError,
+    CameraWatch,
+    Contrast,
+    LaserWatch,
+    PhotodiodeWatch,
+    find_contrast,
+    find_sight,
+    require_white,
+    stray_light,
+    trigger_latency,
+    watch_warm_up,
+)
 from rigs.capture._check_recorder import HANDSHAKES, CheckRecorder, Progress, ask, come_back
 from rigs.capture._exposure import WHEEL_DEADLINE_S, CheckedCamera, exposure_ladder, meter_exposure, shine
 from rigs.capture._filter_proof import judge_filters, predicted_rates, signal_floor
 from rigs.capture._picture_shift import cells_of, picture_shift
 from rigs.capture._plan import Step, planned_filters, require_named, require_region_inside
-from rigs.capture.light_off_time import (
-    CameraWatch,
-    ConnectionWatch,
-    Contrast,
-    LaserWatch,
-    PhotodiodeWatch,
-    Sight,
-    after_exception,
-    after_kill,
-    can_be_asked_anew,
-    find_contrast,
-    find_sight,
-)
+from rigs.capture.light_off_time import ConnectionWatch, after_exception, after_kill, can_be_asked_anew
 from rigs.light_guard import GuardedLight, LightLostError, is_hazardous, open_photodiode
 
 Counts = NDArray[np.uint16]
@@ -350,7 +351,7 @@ class _Recorder(CheckRecorder[CheckFacts]):
         super().__init__(CheckFacts(), STEPS, progress)
         self._rig, self._plan, self._folder, self._filters = rig, plan, rig_folder, filters
         self._has_dead_man: bool | None = None  # of a laser that has a guard
-        self._sight: Sight | None = None
+        self._sight: SightLevels | None = None
         self._contrast: Contrast | None = None
         self._frames: CheckFrames | None = None
 
@@ -458,6 +459,7 @@ class _Recorder(CheckRecorder[CheckFacts]):
             return
         if self._has_dead_man is not None and self._frames is not None:
             self._sight = find_sight(opened, self._rig, self._frames)
+            self._keep(sight=self._sight)
 
     def _without_rig(self) -> tuple[LightOff, ...]:
         """Try guard and dead-man, the rig being closed."""

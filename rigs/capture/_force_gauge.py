@@ -1,17 +1,21 @@
-"""The force of a load cell: counts above a tare by the slope of its calibration, and what makes it doubtful.
+"""The devices of a tactile rig, opened and locked, and the force of its load cell.
 
-The first tare of a session must agree with the empty cell of the calibration, and every later one with the first, so
-that no drift, and no pad that is taken for one, can lift the force limit unseen.
+The force is counts above a tare by the slope of the calibration, and what makes it doubtful. The first tare of a
+session must agree with the empty cell of the calibration, and every later one with the first, so that no drift, and no
+pad that is taken for one, can lift the force limit unseen.
 """
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_schemas import (
     CaptureError,
@@ -20,12 +24,28 @@ from data_schemas import (
     LoadCellCalibration,
     LoadCellSettings,
     LostError,
+    PressDevice,
     RecordError,
+    RefusedError,
     TactileRig,
 )
 from data_schemas.storage import read_record
-from rigs import Clock, LoadCell
+from rigs import (
+    Camera,
+    Clock,
+    ForceLimitError,
+    LoadCell,
+    Operator,
+    Stage,
+    SystemClock,
+    TerminalOperator,
+    device_locked,
+    open_camera,
+    open_load_cell,
+    open_stage,
+)
 
+Floats = NDArray[np.float64]
 TARE_READINGS: Final = 32
 STEP_READINGS: Final = 8
 SETTLING_READINGS: Final = 4
@@ -43,6 +63,56 @@ def mean_noise_n(noise_n: float, readings: int) -> float:
     is a little more than it is for such a filter, and twice that of readings which share nothing.
     """
     return noise_n * math.sqrt(SETTLING_READINGS / max(readings, SETTLING_READINGS))
+
+
+JUMP_SD: Final = 10.0
+"""Of one reading: a reading farther away is no noise."""
+BACK_SHARE: Final = 0.8
+"""Of a jump, within the next reading: a force leaves the amplifier's filter within four, a lost bit at once."""
+MOST_JUMPS: Final = 0.25
+"""Of the readings of a mean: more of them are no lost bits."""
+
+
+def without_jumps(readings: Sequence[float] | Floats, sd: float = 1.0) -> Floats:
+    """Return readings of a cell at rest without those that lost a bit on their way.
+
+    A jump is farther from the median than ten standard deviations, by the median distance from it. More than a quarter
+    of the readings are no jumps, and all are kept.
+
+    Parameters
+    ----------
+    readings
+        Counts, or forces (N).
+    sd
+        Least standard deviation of one, in their unit: equal readings have none.
+    """
+    values = np.asarray(readings, dtype=np.float64)
+    away = np.abs(values - np.median(values))
+    kept = away <= JUMP_SD * max(1.4826 * float(np.median(away)), sd)
+    return values if (~kept).sum() > MOST_JUMPS * values.size else values[kept]
+
+
+def without_spikes(values: Floats, sd: float) -> Floats:
+    """Return readings of a force that changes, each lone one beyond both of its neighbours replaced by the nearer one.
+
+    The amplifier's filter lets no force come and go within one reading; a lost bit does.
+
+    Parameters
+    ----------
+    values
+        Readings, shape (n,).
+    sd
+        Standard deviation of one by noise, in their unit.
+    """
+    if values.size < 3:
+        return values
+    before, middle, after = values[:-2], values[1:-1], values[2:]
+    low, high = np.minimum(before, after), np.maximum(before, after)
+    beyond = np.maximum(middle - high, low - middle)
+    lone = beyond > np.maximum(JUMP_SD * sd, BACK_SHARE / (1.0 - BACK_SHARE) * (high - low))
+    found = values.copy()
+    found[1:-1] = np.where(lone, np.clip(middle, low, high), middle)
+    return found
 
 
 LEAST_EQUAL: Final = 4
@@ -123,6 +193,7 @@ class ForceGauge:
         self._zero, self._zero_readings, self.noise_n = math.nan, TARE_READINGS, math.nan
         self._moved_s = self._made_s = -math.inf
         self._tared = self._first_zero = math.nan
+        self.lost_bits = 0
         slope, masses = calibration.slope_n_per_count, np.array(calibration.masses_kg)
         unloaded = np.array(calibration.counts) - masses * calibration.gravity_m_per_s2 / slope
         self._unloaded = float(unloaded.mean())
@@ -152,6 +223,23 @@ class ForceGauge:
         counts = self._counts()
         return max(((counts - zero) * self._slope for zero in (self._zero, self._first_zero)), key=abs)
 
+    def has_jumped(self, limit_n: float) -> bool:
+        """Whether the last reading had lost a bit, by those that come next: the cell must be at rest.
+
+        They are back at once, and none is beyond the limit.
+        """
+        if len(self._newest) < 1 or math.isnan(self.noise_n):
+            return False
+        jumped, sd = self._newest[-1], self.noise_n / abs(self._slope)
+        next_ones = [self._counts() for _ in range(SETTLING_READINGS)]
+        way = jumped - float(np.median(next_ones))
+        is_back = abs(jumped - next_ones[0]) > max(JUMP_SD * sd, BACK_SHARE * abs(way))
+        strongest_n = max(abs(count - zero) for count in next_ones for zero in (self._zero, self._first_zero))
+        if not is_back or strongest_n * abs(self._slope) > limit_n:
+            return False
+        self.lost_bits += 1
+        return True
+
     def _counts(self) -> int:
         """Return the next count, unless the cell is stuck."""
         counts, self._made_s = self._cell.read(self._settings.silent_s)
@@ -170,14 +258,22 @@ class ForceGauge:
     def settle(self, take: Callable[[], object]) -> None:
         """Have readings taken until so many were made after the last move that the amplifier's filter shows all of it.
 
+        A reading beyond a limit that `take` keeps is looked at again: it may have lost a bit.
+
         Raises
         ------
         LostError
             All came too late, for as long as the cell may be silent.
+        ForceLimitError
+            `take` raised it, and the next readings agree.
         """
         made, late, most_late = 0, 0, math.ceil(self._settings.silent_s * self._settings.rate_hz)
         while made < SETTLING_READINGS:
-            take()
+            try:
+                take()
+            except ForceLimitError as error:
+                if error.limit_n is None or late > most_late or not self.has_jumped(error.limit_n):
+                    raise
             made, late = (made + 1, late) if self._made_s > self._moved_s else (made, late + 1)
             if late > most_late:
                 raise LostError(
@@ -223,7 +319,7 @@ class ForceGauge:
             It is far from the first one, or noise could hide a tenth of the force limit.
         """
         self.settle(self._counts)
-        counts = np.array([self._counts() for _ in range(TARE_READINGS)], dtype=float)
+        counts = without_jumps([self._counts() for _ in range(TARE_READINGS)])
         self._zero = self._tared = float(counts.mean())
         self._zero_readings, self.noise_n = TARE_READINGS, float(counts.std(ddof=1)) * abs(self._slope)
         allowed_n = ZERO_MOVED_SHARE * self._settings.force_limit_n
@@ -247,7 +343,8 @@ class ForceGauge:
         What watches moves, as :func:`rigs.capture._stage_press.StagePress.guard`, takes the readings before them.
         """
         self.settle(watch or self.reading_n)
-        mean_n = float(np.mean([self.reading_n() for _ in range(readings)]))
+        counts = without_jumps([self._counts() for _ in range(readings)], self.noise_n / abs(self._slope))
+        mean_n = (float(counts.mean()) - self._zero) * self._slope
         noise_n = math.hypot(mean_noise_n(self.noise_n, readings), mean_noise_n(self.noise_n, self._zero_readings))
         return Force(mean_n, noise_n)
 
@@ -298,7 +395,7 @@ def at_rest(
     while clock.monotonic_s() < end_s:
         forces_n.append(gauge.reading_above_empty_n())
         times_s.append(clock.monotonic_s())
-    blocks = np.array_split(np.array(forces_n), BLOCKS)
+    blocks = [without_jumps(block, abs(calibration.slope_n_per_count)) for block in np.array_split(forces_n, BLOCKS)]
     within = math.sqrt(float(np.mean([block.var(ddof=1) for block in blocks])))
     return CellAtRest(
         readings=len(forces_n),
@@ -306,6 +403,7 @@ def at_rest(
         longest_gap_s=float(np.diff(times_s).max()),
         noise_n=within,
         means_n=tuple(float(block.mean()) for block in blocks),
+        jumps=len(forces_n) - sum(block.size for block in blocks),
     )
 
 
@@ -335,8 +433,11 @@ def weigh(
     def mean_n() -> tuple[float, float]:
         for _ in range(math.ceil(LAID_SETTLES_S * settings.rate_hz)):
             gauge.reading_above_empty_n()
-        forces = [gauge.reading_above_empty_n() for _ in range(math.ceil(LAID_S * settings.rate_hz))]
-        return float(np.mean(forces)), float(np.std(forces, ddof=1)) / math.sqrt(len(forces) / SETTLING_READINGS)
+        forces = without_jumps(
+            [gauge.reading_above_empty_n() for _ in range(math.ceil(LAID_S * settings.rate_hz))],
+            abs(calibration.slope_n_per_count),
+        )
+        return float(forces.mean()), float(forces.std(ddof=1)) / math.sqrt(forces.size / SETTLING_READINGS)
 
     lay(0.0)
     zeros, loaded = [mean_n()], []
@@ -356,4 +457,114 @@ def weigh(
         forces_n=tuple(on[0] - off for on, off in zip(loaded, empty, strict=True)),
         zeros_n=tuple(zero for zero, _ in zeros),
         noise_n=max(noise for _, noise in (*zeros, *loaded)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class OpenTactileRig:
+    """Opened devices of a tactile rig.
+
+    Attributes
+    ----------
+    stage, load_cell
+        None where a person presses.
+    lay
+        Lays a mass (kg) on the cell: the simulated one at once, on a real one a person is asked.
+    lay_block
+        Lays a block of a thickness (mm) on the pad, or takes it off (0), and returns whether that was done.
+    """
+
+    camera: Camera | None
+    stage: Stage | None
+    load_cell: LoadCell | None
+    operator: Operator
+    clock: Clock
+    lay: Callable[[float], None] = lambda mass_kg: None
+    lay_block: Callable[[float], bool] = lambda thickness_mm: False
+
+    def camera_there(self) -> Camera:
+        """Return the camera, which was opened."""
+        if self.camera is None:
+            raise RefusedError("camera: it could not be opened; check its address in the rig file and its cable")
+        return self.camera
+
+    def press_devices(self) -> tuple[PressDevice, ...]:
+        """Return what stage and load cell say they are."""
+        return tuple(device.identity() for device in (self.stage, self.load_cell) if device is not None)
+
+
+@contextmanager
+def open_tactile_rig(
+    rig: TactileRig,
+    folder: Path,
+    operator: Operator | None = None,
+    only: Literal["camera", "stage", "load cell", "stage and load cell"] | None = None,
+) -> Iterator[OpenTactileRig]:
+    """Open and lock camera, stage and load cell for a ``with`` block; opening a stage stops whatever it was doing.
+
+    Parameters
+    ----------
+    rig
+        The rig file's content.
+    folder
+        Where relative paths in it start.
+    operator
+        Who presses, or is asked; a person at the terminal when left out.
+    only
+        What to open; all when left out.
+
+    Raises
+    ------
+    CaptureError
+        A device cannot be reached, or another capture uses it.
+    """
+    if rig.is_simulated:
+        yield _open_finger(rig)
+        return
+    hands = operator or TerminalOperator()
+
+    def lay(mass_kg: float) -> None:
+        hands.do(f"Lay {1e3 * mass_kg:g} g on the load cell, gently." if mass_kg else "Take everything off the cell.")
+
+    def lay_block(thickness_mm: float) -> bool:
+        what = f"Lay the block of {thickness_mm:g} mm flat on the pad under the indenter"
+        what = what if thickness_mm else "Take the block off the pad"
+        return hands.allows(f"The stage is at rest. {what}, and take your hands away. Is that done?")
+
+    with ExitStack() as stack:
+        parts = {"camera": rig.camera, "stage": rig.stage, "load cell": rig.load_cell}
+        wanted = {role: part for role, part in parts.items() if part is not None and (only is None or role in only)}
+        for role, part in wanted.items():
+            stack.enter_context(device_locked(role, part.driver, part.address))
+        # the cell before the stage: what moves is never open without what stops it
+        cell = stack.enter_context(open_load_cell(rig.load_cell)) if rig.load_cell and "load cell" in wanted else None
+        camera = stack.enter_context(open_camera(rig.camera, folder)) if "camera" in wanted else None
+        stage = stack.enter_context(open_stage(rig.stage)) if rig.stage and "stage" in wanted else None
+        yield OpenTactileRig(camera, stage, cell, hands, SystemClock(), lay, lay_block)
+
+
+def _open_finger(rig: TactileRig) -> OpenTactileRig:
+    """Put the simulated devices of a tactile rig over one finger."""
+    # Imported here so that a rig of real devices never loads the simulation.
+    from rigs.simulated import FingerCamera, FingerOperator, FingerState, SimulatedLoadCell, SimulatedStage
+
+    if rig.simulated is None or rig.load_cell is None:
+        raise RefusedError(f"rig '{rig.name}': a simulated finger needs its [simulated] and [load_cell] tables")
+    state, seed = FingerState(rig), rig.simulated.seed
+
+    def lay(mass_kg: float) -> None:
+        state.load_kg = mass_kg
+
+    def lay_block(thickness_mm: float) -> bool:
+        state.block_mm = thickness_mm
+        return True
+
+    return OpenTactileRig(
+        FingerCamera(state, rig.camera, np.random.default_rng([seed, 2])),
+        SimulatedStage(state),
+        SimulatedLoadCell(state, rig.load_cell, np.random.default_rng([seed, 3])),
+        FingerOperator(state),
+        state.clock,
+        lay,
+        lay_block,
     )

@@ -251,3 +251,16 @@ class LaserDose:
         if self._on_since_s is None:
             return self._energy_j
         return self._energy_j + self._power_w * max(self._clock.monotonic_s() - ago_s - self._on_since_s, 0.0)
+
+
+def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
+    """Return what must be known of a camera that says of itself that it sees no colours."""
+    formats = sorted({str(frame.settings.get("pixel_format", "")) for frame in frames})
+    mono = [name for name in formats if name.lower().startswith("mono")]
+    if not mono:
+        return ()
+    return (
+        f"camera: its frames are {', '.join(mono)}, and radiometry reads them as Bayer RGGB: red, green and blue "
+        f"will have the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
+        "Bayer pixel format",
+    )

@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 
 from data_schemas import (
     BandPassFilter,
-    CaptureError,
     CaptureSession,
     DeviceIdentity,
     FilterProof,
-    Frame,
     LightState,
     PaintPlan,
     RigFile,
@@ -48,7 +46,7 @@ from rigs.capture._filter_proof import (
     predicted_rates,
     signal_floor,
 )
-from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, numbered
+from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, colour_notes, numbered
 from rigs.capture._journal import Journal, fault_notes, faults_noted, healing_s
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import (
@@ -81,6 +79,8 @@ Mend = Callable[[str], bool]
 """Tells somebody what is to be mended; returns, when it is, whether to go on."""
 MOST_REPAIRS = 5
 
+MOST_OLD_FRAMES = 1
+"""In a session, delivered as new ones: a second one tells of a camera that is late for good."""
 LARGEST_CHANGE = 1.25
 """Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
 SAME_SHARE = 0.05
@@ -115,6 +115,7 @@ class PaintRecorder:
         self._before = {} if interrupted is None else interrupted.metered
         self._in_doubt = interrupted is not None and interrupted.doubt != ""
         self.proof: FilterProof | None = None
+        self._healed = 0
 
     def record(self, steps: tuple[Step, ...], last_good: CaptureSession | None, mend: Mend) -> None:
         """Meter all steps, and store the frames; where somebody mends what changed meanwhile, do both again."""
@@ -172,7 +173,7 @@ class PaintRecorder:
     def _unlike_before(self, steps: tuple[Step, ...]) -> str | None:
         """Return what was metered or stored before and is not what the rig gives now; None where all is."""
         lit = [step for step in steps if step.light in ("lamp", "laser")]
-        for step in lit:
+        for step in (step for step in lit if step.label in self._before):  # none where all was set aside
             exposures_s, before = self._before[step.label]
             if not self._are_same(self._rates[step], before, exposures_s[0]):
                 return f"{step.label} gave another signal before the repair"
@@ -323,15 +324,53 @@ class PaintRecorder:
         )
 
     def _take(self, shot: Shot) -> None:
-        """Take a frame and store it when its signal is that of its step's metering."""
-        self._store.take(shot, lambda raw: self._require_as_metered(shot.step, raw))
+        """Take a frame and store it when its signal is that of its step's metering; one more where it is not.
+
+        A camera may deliver an earlier frame as a new one. One that does so again is late for good, also by frames in
+        the dark that nothing tells: none so far counts. In the dark, light that stays may leak in, and is stored.
+        """
+        try:
+            self._store.take(shot, lambda raw: self._require_as_metered(shot.step, raw))
+        except SignalChangedError as error:
+            self._journal.append("refused", text=f"{error}; one more was taken")
+            leaks = self._take_again(shot)
+            self._healed += not leaks
+            if self._healed <= MOST_OLD_FRAMES:
+                return
+            self._set_aside("frames were twice unlike their metering, and the ones after them were not")
+            raise SignalChangedError(
+                f"{error}; the frame after it was as metered, for the second time: the camera delivers earlier frames "
+                "as new ones, or the light flickers; restart the camera, check the light, then resume"
+            ) from error
+
+    def _take_again(self, shot: Shot) -> bool:
+        """Take a frame once more, and return whether it shows light in the dark again."""
+        if shot.step.light != "off":
+            self._store.take(shot, lambda raw: self._require_as_metered(shot.step, raw))
+            return False
+        leaks: list[bool] = []
+
+        def look(raw: RawFrame) -> None:
+            leaks.append(max(self._rate(raw.counts, raw.exposure_s)) > self._visible_dn_per_s(raw))
+
+        self._store.take(shot, look)
+        return leaks[-1]
+
+    def _visible_dn_per_s(self, raw: RawFrame) -> float:
+        """Return the rate that is clearly seen in a frame (DN/s)."""
+        return float(LEAST_SIGNAL_FRACTION * self._store.full_scale_dn / raw.exposure_s)
 
     def _require_as_metered(self, step: Step, raw: RawFrame) -> None:
         """Refuse a frame whose signal is not that of its step's metering."""
-        if step.light in ("off", "room"):
+        if step.light == "room":
             return
-        now, metered = self._rate(raw.counts, raw.exposure_s), self._rates[step]
-        visible_dn_per_s = LEAST_SIGNAL_FRACTION * self._store.full_scale_dn / raw.exposure_s
+        now = self._rate(raw.counts, raw.exposure_s)
+        visible_dn_per_s = self._visible_dn_per_s(raw)
+        if step.light == "off":
+            if max(now) > visible_dn_per_s:
+                raise SignalChangedError(f"camera: {step.label} gives {max(now):.3g} DN/s with all lights off")
+            return
+        metered = self._rates[step]
         for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
             if before > visible_dn_per_s and not 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE:
                 raise SignalChangedError(
@@ -564,19 +603,6 @@ def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig)
         )
 
 
-def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
-    """Return what must be known of a camera that says of itself that it sees no colours."""
-    formats = sorted({str(frame.settings.get("pixel_format", "")) for frame in frames})
-    mono = [name for name in formats if name.lower().startswith("mono")]
-    if not mono:
-        return ()
-    return (
-        f"camera: its frames are {', '.join(mono)}, and radiometry reads them as Bayer RGGB: red, green and blue "
-        f"will have the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
-        "Bayer pixel format",
-    )
-
-
 WHEEL_MOVE_S = 1.0  # to a neighbouring slot: the slowest of the usual wheels
 METERING_FRAMES = 4  # a step, typically
 LIT_SESSION_EXPOSURE_S = 0.5  # typical mean exposure; what it really is only metering tells
@@ -638,24 +664,3 @@ def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
         longest_s=moves * WHEEL_MOVE_S + (frames + metering) * rig.camera.longest_exposure_s,
         healing_s=healing_s(typical_s),
     )
-
-
-def require_ready(opened: OpenRig, steps: Sequence[Step]) -> None:
-    """Check the open devices against the steps: slots exist, lights are off.
-
-    Raises
-    ------
-    CaptureError
-        The wheel lacks a slot, or a light is on.
-    """
-    lost = sorted({step.slot for step in steps if step.slot is not None} - set(opened.wheel.slots))
-    if lost:
-        raise CaptureError(
-            f"filter wheel: has no slot {lost[0]}; its slots are {', '.join(map(str, opened.wheel.slots))}: correct "
-            "the slots of the rig file, or split the plan into sessions with fewer filters"
-        )
-    for name, light in (("lamp", opened.lamp), ("laser", opened.laser)):
-        if light.state():
-            raise CaptureError(
-                f"{name}: is on although nothing has switched it on; switch it off and check its controller"
-            )

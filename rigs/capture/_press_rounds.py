@@ -30,8 +30,8 @@ from data_schemas import (
 )
 from rigs import CellReading, Clock, ForceLimitError, LoadCell, Stage
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
-from rigs.capture._force_gauge import SETTLING_READINGS, STEP_READINGS, Force
-from rigs.capture._stage_press import PRESS_LESS, NotAllowedError, OpenTactileRig, StagePress
+from rigs.capture._force_gauge import SETTLING_READINGS, STEP_READINGS, Force, OpenTactileRig, without_spikes
+from rigs.capture._stage_press import PRESS_LESS, STEP_MARGIN, NotAllowedError, StagePress
 from rigs.transports import LATENCY_S
 
 LIMIT_SHARE: Final = 0.5
@@ -44,8 +44,6 @@ MOVING_STEPS: Final = 3
 """So much longer than a step must a move be for a stop within it to be told from its end."""
 STEPS_PER_S: Final = 1.0
 """Of that move: a reading that comes 0.2 s late then adds a fifth of a step."""
-STEP_MARGIN: Final = 1.5
-"""Forces that are left free for one more step, for a pad that becomes stiffer."""
 STOP_WAY_S: Final = 2.0
 """How long a move takes that is stopped on its way, beside the time that the cell may be silent."""
 STOP_AT_SHARE: Final = 0.3
@@ -230,7 +228,7 @@ class PressRounds:
         self._presser.away(self._presser.guard(self._limit_n))
         stage = self._settings
         at_mm = stage.base_mm + stage.from_base * (self._plan.position_mm + away_mm)
-        self._presser.drive(stage.pad_axis, at_mm, stage.travel_speed_mm_per_s, self._presser.guard(self._limit_n))
+        self._presser.along(at_mm)
 
     def touch(self, keep: Callable[..., None]) -> None:
         """Return to the position from both sides, touch, press, turn and leave."""
@@ -365,7 +363,7 @@ class PressRounds:
             )
         return ForceStop(
             limit_n=stop_n,
-            peak_n=max(gauge.force_n(counts) for counts in heard),
+            peak_n=self._peak_n(heard),
             noise_n=gauge.noise_n,
             stiffness_n_per_mm=float(slopes[-1]) + max(grows, 0.0),
             step_mm=stage.step_mm,
@@ -385,13 +383,28 @@ class PressRounds:
         if way_mm < MOVING_STEPS * stage.step_mm or end_n - start_n < CLEAR_SD * gauge.noise_n:
             return None
         limit_n, speed_mm_per_s = 0.5 * (start_n + end_n), min(STEPS_PER_S * stage.step_mm, stage.press_speed_mm_per_s)
-        self._cell.heard = []
-        with suppress(ForceLimitError):
+        self._cell.heard, stopped_at_n = [], None
+        try:
             self._presser.drive(stage.press_axis, end_mm, speed_mm_per_s, self._presser.guard(limit_n))
+        except ForceLimitError as error:
+            stopped_at_n = error.force_n
+        places = self._stage.places_mm()
         gauge.mean(SETTLING_READINGS + STEP_READINGS)
         heard, self._cell.heard = self._cell.heard, None
-        peak_n = max(gauge.force_n(counts) for counts in heard)
-        return MovingStop(limit_n=limit_n, way_mm=way_mm, unstopped_n=end_n, peak_n=peak_n)
+        return MovingStop(
+            limit_n=limit_n,
+            way_mm=way_mm,
+            unstopped_n=end_n,
+            peak_n=self._peak_n(heard),
+            stopped_at_n=stopped_at_n,
+            end_mm=end_mm,
+            stood_mm=None if places is None else places[stage.press_axis],
+        )
+
+    def _peak_n(self, heard: list[int]) -> float:
+        """Return the largest force of some readings (N); a lost bit is no force."""
+        gauge = self._presser.gauge
+        return float(without_spikes(np.array([gauge.force_n(counts) for counts in heard]), gauge.noise_n).max())
 
     def _is_too_deep(self, at_mm: float) -> bool:
         """Whether a place of the press axis lies deeper than the plan allows."""
@@ -504,8 +517,9 @@ class PressRounds:
         felt, self._cell.felt = self._cell.felt, None
         asked_s = asked[0] if asked else self._cell.last_s
         times_s = np.array([at_s for at_s, _ in felt])
-        forces_n = np.array([self._presser.gauge.force_n(counts) for _, counts in felt])
-        still = still_after(times_s, forces_n, asked_s, self._presser.gauge.noise_n, self._rate_hz)
+        noise_n = self._presser.gauge.noise_n
+        forces_n = without_spikes(np.array([self._presser.gauge.force_n(counts) for _, counts in felt]), noise_n)
+        still = still_after(times_s, forces_n, asked_s, noise_n, self._rate_hz)
         most_s = self._plan.limits.halt_s + (self._silent_s if reason == "silent cell" else 0.0)
         if still is None and (left_s := left_after_s(times_s, forces_n)) is not None and left_s - asked_s > most_s:
             still = left_s - asked_s, LATENCY_S, math.inf  # it moved until then at least

@@ -16,12 +16,10 @@ import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
-
-import numpy as np
+from typing import Any, Final, NamedTuple
 
 from data_schemas import (
     CaptureError,
@@ -29,25 +27,13 @@ from data_schemas import (
     LoadCellSettings,
     MeasuredPress,
     PlannedPress,
-    PressDevice,
     RefusedError,
     StageSettings,
     TactileRig,
     UnsafeError,
 )
 from rigs import (
-    Camera,
-    Clock,
     ForceLimitError,
-    LoadCell,
-    Operator,
-    Stage,
-    SystemClock,
-    TerminalOperator,
-    device_locked,
-    open_camera,
-    open_load_cell,
-    open_stage,
 )
 from rigs.capture._force_gauge import (
     COARSE_SD,
@@ -57,6 +43,7 @@ from rigs.capture._force_gauge import (
     ZERO_MOVED_SHARE,
     Force,
     ForceGauge,
+    OpenTactileRig,
     mean_noise_n,
     read_cell_calibration,
 )
@@ -68,122 +55,18 @@ FIRST_POINTS: Final = 3
 STEPS_OF_A_TARE: Final = 10
 """Long steps without a force after which the cell is tared again, because its zero drifts."""
 LEAST_STEP_MM: Final = 0.005
+STEP_MARGIN: Final = 1.5
+"""Forces that are left free for one more step, for a pad that becomes stiffer."""
+SIDEWAYS_SHARE: Final = 0.2
+"""Of the force limit, on ways along the pad: a zero may have moved by a tenth of it."""
+MOST_LOST_BITS: Final = 3
+"""In one move, each of which stops the stage: more tell of a broken wire."""
 FORCE_REACHED: Final = 0.98
 HOMING_WITHIN_S: Final = 60.0
 TOUCH_MOVED_MM: Final = 0.1
 """A pad that has crept is touched a few hundredths of a millimetre deeper; more means lost steps."""
 PRESS_LESS: Final = "press less deep, or raise force_limit_n if finger and load cell can bear it"
 NOT_CLEAR: Final = "it touches before clear_mm of the rig file, or an axis is reversed: correct them"
-
-
-@dataclass(frozen=True, slots=True)
-class OpenTactileRig:
-    """Opened devices of a tactile rig.
-
-    Attributes
-    ----------
-    stage, load_cell
-        None where a person presses.
-    lay
-        Lays a mass (kg) on the cell: the simulated one at once, on a real one a person is asked.
-    lay_block
-        Lays a block of a thickness (mm) on the pad, or takes it off (0), and returns whether that was done.
-    """
-
-    camera: Camera | None
-    stage: Stage | None
-    load_cell: LoadCell | None
-    operator: Operator
-    clock: Clock
-    lay: Callable[[float], None] = lambda mass_kg: None
-    lay_block: Callable[[float], bool] = lambda thickness_mm: False
-
-    def camera_there(self) -> Camera:
-        """Return the camera, which was opened."""
-        if self.camera is None:
-            raise RefusedError("camera: it could not be opened; check its address in the rig file and its cable")
-        return self.camera
-
-    def press_devices(self) -> tuple[PressDevice, ...]:
-        """Return what stage and load cell say they are."""
-        return tuple(device.identity() for device in (self.stage, self.load_cell) if device is not None)
-
-
-@contextmanager
-def open_tactile_rig(
-    rig: TactileRig,
-    folder: Path,
-    operator: Operator | None = None,
-    only: Literal["camera", "stage", "load cell", "stage and load cell"] | None = None,
-) -> Iterator[OpenTactileRig]:
-    """Open and lock camera, stage and load cell for a ``with`` block; opening a stage stops whatever it was doing.
-
-    Parameters
-    ----------
-    rig
-        The rig file's content.
-    folder
-        Where relative paths in it start.
-    operator
-        Who presses, or is asked; a person at the terminal when left out.
-    only
-        What to open; all when left out.
-
-    Raises
-    ------
-    CaptureError
-        A device cannot be reached, or another capture uses it.
-    """
-    if rig.is_simulated:
-        yield _open_finger(rig)
-        return
-    hands = operator or TerminalOperator()
-
-    def lay(mass_kg: float) -> None:
-        hands.do(f"Lay {1e3 * mass_kg:g} g on the load cell, gently." if mass_kg else "Take everything off the cell.")
-
-    def lay_block(thickness_mm: float) -> bool:
-        what = f"Lay the block of {thickness_mm:g} mm flat on the pad under the indenter"
-        what = what if thickness_mm else "Take the block off the pad"
-        return hands.allows(f"The stage is at rest. {what}, and take your hands away. Is that done?")
-
-    with ExitStack() as stack:
-        parts = {"camera": rig.camera, "stage": rig.stage, "load cell": rig.load_cell}
-        wanted = {role: part for role, part in parts.items() if part is not None and (only is None or role in only)}
-        for role, part in wanted.items():
-            stack.enter_context(device_locked(role, part.driver, part.address))
-        # the cell before the stage: what moves is never open without what stops it
-        cell = stack.enter_context(open_load_cell(rig.load_cell)) if rig.load_cell and "load cell" in wanted else None
-        camera = stack.enter_context(open_camera(rig.camera, folder)) if "camera" in wanted else None
-        stage = stack.enter_context(open_stage(rig.stage)) if rig.stage and "stage" in wanted else None
-        yield OpenTactileRig(camera, stage, cell, hands, SystemClock(), lay, lay_block)
-
-
-def _open_finger(rig: TactileRig) -> OpenTactileRig:
-    """Put the simulated devices of a tactile rig over one finger."""
-    # Imported here so that a rig of real devices never loads the simulation.
-    from rigs.simulated import FingerCamera, FingerOperator, FingerState, SimulatedLoadCell, SimulatedStage
-
-    if rig.simulated is None or rig.load_cell is None:
-        raise RefusedError(f"rig '{rig.name}': a simulated finger needs its [simulated] and [load_cell] tables")
-    state, seed = FingerState(rig), rig.simulated.seed
-
-    def lay(mass_kg: float) -> None:
-        state.load_kg = mass_kg
-
-    def lay_block(thickness_mm: float) -> bool:
-        state.block_mm = thickness_mm
-        return True
-
-    return OpenTactileRig(
-        FingerCamera(state, rig.camera, np.random.default_rng([seed, 2])),
-        SimulatedStage(state),
-        SimulatedLoadCell(state, rig.load_cell, np.random.default_rng([seed, 3])),
-        FingerOperator(state),
-        state.clock,
-        lay,
-        lay_block,
-    )
 
 
 @dataclass(slots=True)
@@ -222,7 +105,8 @@ def _guard(gauge: ForceGauge, limit_n: float, advice: str) -> Callable[[], None]
     def watch() -> None:
         force_n = gauge.strongest_n()
         if abs(force_n) > limit_n:
-            raise ForceLimitError(f"stage: stopped at {force_n:.3g} N, beyond the limit of {limit_n:g} N; {advice}")
+            text = f"stage: stopped at {force_n:.3g} N, beyond the limit of {limit_n:g} N; {advice}"
+            raise ForceLimitError(text, force_n, limit_n)
 
     return watch
 
@@ -357,11 +241,25 @@ class StagePress:
         self.drive(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, watch)
 
     def drive(self, axis: str, to_mm: float, speed_mm_per_s: float, watch: Callable[[], None]) -> None:
-        """Move one axis; the force is then that of readings which were made after the move ended."""
-        try:
-            self._stage.move(axis, to_mm, speed_mm_per_s, watch)
-        finally:
-            self.gauge.moved(self._clock.monotonic_s())
+        """Move one axis; the force is then that of readings which were made after the move ended.
+
+        A reading beyond the limit stops the stage. Where the next ones show that it had lost a bit, the move goes on.
+        """
+        for more in range(MOST_LOST_BITS, -1, -1):
+            try:
+                self._stage.move(axis, to_mm, speed_mm_per_s, watch)
+                return
+            except ForceLimitError as error:
+                if error.limit_n is None or not (more and self.gauge.has_jumped(error.limit_n)):
+                    raise
+            finally:
+                self.gauge.moved(self._clock.monotonic_s())
+
+    def along(self, to_mm: float) -> None:
+        """Move along the pad, clear of it: a fifth of the force limit ends that, as nothing should touch there."""
+        stage = self._settings
+        careful = self.guard(SIDEWAYS_SHARE * self.limit_n, NOT_CLEAR)
+        self.drive(stage.pad_axis, to_mm, stage.travel_speed_mm_per_s, careful)
 
     def press_to(self, to_mm: float, watch: Callable[[], None]) -> None:
         """Move the press axis at the speed of presses."""
@@ -389,11 +287,11 @@ class StagePress:
         limit_n = min(self.limit_n, press.force_limit_n or math.inf)
         self.away(self.guard(limit_n))
         place_mm = stage.base_mm + stage.from_base * press.position_mm
-        self.drive(stage.pad_axis, place_mm, stage.travel_speed_mm_per_s, self.guard(limit_n))
-        above_mm, force = self._find_touch(limit_n)
+        self.along(place_mm)
+        above_mm, force, been_mm = self._find_touch(limit_n)
         absorbed_n = self.gauge.absorbed_n()
         touched = _Touched(contact, above_mm, 0.0, [(above_mm, force)], press, force, absorbed_n)
-        self._push(touched, limit_n)
+        self._push(touched, limit_n, been_mm)
         touched.before = self.gauge.settled(self.guard(limit_n))
         self._note("force", contact=contact, force_n=touched.before.mean_n, before="images")
         self._now = touched
@@ -412,8 +310,11 @@ class StagePress:
             yield to_mm
             number += 1
 
-    def _find_touch(self, limit_n: float) -> tuple[float, Force]:
-        """Return the first place with a force, looked for with long and then with short steps from before it."""
+    def _find_touch(self, limit_n: float) -> tuple[float, Force, float]:
+        """Return the first place with a force, looked for with long and then with short steps from before it.
+
+        With it the place that the long steps had led to.
+        """
         stage, watch = self._settings, self.guard(limit_n)
         self.gauge.tare()
         for number, at_mm in enumerate(self.steps(stage.clear_mm, stage.step_mm), 1):
@@ -422,7 +323,7 @@ class StagePress:
                 break
             if number % STEPS_OF_A_TARE == 0:
                 self.gauge.tare()
-        back_mm = self._step_back(at_mm, watch)
+        been_mm, back_mm = at_mm, self._step_back(at_mm, watch)
         self.gauge.tare()
         for at_mm in self.steps(back_mm, stage.touch_step_mm):
             self.press_to(at_mm, watch)
@@ -433,7 +334,7 @@ class StagePress:
                         f"load cell: reports {force.mean_n:.3g} N where the pad is touched, so its sign is "
                         "reversed; calibrate it as it is mounted (or its zero drifts)"
                     )
-                return at_mm, force
+                return at_mm, force, been_mm
             self.gauge.follow(force)
         raise AssertionError("the steps end with an error")
 
@@ -460,8 +361,11 @@ class StagePress:
         force = self.gauge.mean()
         return abs(force.mean_n) > TOUCH_SD * force.noise_n
 
-    def _push(self, touched: _Touched, limit_n: float) -> None:
-        """Press step by step to the depth or force that is asked for."""
+    def _push(self, touched: _Touched, limit_n: float, been_mm: float) -> None:
+        """Press step by step to the depth or force that is asked for.
+
+        The first step leads no deeper than the search of the touch, or by one short step; the next one needs room.
+        """
         stage, press, watch = self._settings, touched.press, self.guard(limit_n)
         first_mm = at_mm = touched.points[0][0]
         self._place_touch(touched)
@@ -469,6 +373,8 @@ class StagePress:
             depth_mm = stage.into_pad * (at_mm - touched.touch_mm)
             force = touched.points[-1][1]
             step_mm = min(stage.step_mm, press.depth_mm - depth_mm)
+            if len(touched.points) == 1:
+                step_mm = min(step_mm, max(stage.into_pad * (been_mm - at_mm), stage.touch_step_mm))
             if press.until_force_n is not None:
                 if force.mean_n >= FORCE_REACHED * press.until_force_n:
                     break
@@ -476,6 +382,8 @@ class StagePress:
                 step_mm = min(step_mm, max((press.until_force_n - force.mean_n) / stiffness, LEAST_STEP_MM))
             if step_mm < 0.5 * LEAST_STEP_MM:
                 break
+            if len(touched.points) == 2:
+                self._require_room(touched, step_mm, limit_n)
             at_mm = next(self.steps(at_mm, step_mm))
             self.press_to(at_mm, watch)
             touched.points.append((at_mm, self.gauge.mean(watch=watch)))
@@ -488,6 +396,17 @@ class StagePress:
                 f"{press.until_force_n:g} N; raise depth_mm, or lower until_force_n"
             )
         self._require_same_touch(touched, first_mm)
+
+    def _require_room(self, touched: _Touched, step_mm: float, limit_n: float) -> None:
+        """Refuse a step that would lead beyond the limit by the stiffness of the one before, and half as much again."""
+        (before_mm, before), (at_mm, now) = touched.points[-2:]
+        rise_n = max(now.mean_n - before.mean_n, 0.0) / abs(at_mm - before_mm) * step_mm
+        if now.mean_n + STEP_MARGIN * rise_n > limit_n:
+            raise RefusedError(
+                f"stage: after its first step it feels {now.mean_n:.3g} N, and the next one of {step_mm:.2g} mm adds "
+                f"{rise_n:.3g} N, which leaves no room below the limit of {limit_n:g} N; shorten step_mm of the rig "
+                f"file, or {PRESS_LESS}"
+            )
 
     def _place_touch(self, touched: _Touched) -> None:
         r"""Place the touch within the last short step, evenly likely.
@@ -595,7 +514,7 @@ class StagePress:
             return
         contact, self._now = self._now.contact, None
         shift = self.gauge.mean(TARE_READINGS)
-        self._note("zero", contact=contact, shift_n=shift.mean_n)
+        self._note("zero", contact=contact, shift_n=shift.mean_n, lost_bits=self.gauge.lost_bits)
         self.measured[contact] = with_zero_shift(self.measured[contact], shift.mean_n)
         if abs(shift.mean_n) > ZERO_MOVED_SHARE * self.limit_n:
             raise CaptureError(
@@ -618,9 +537,13 @@ def _undisturbed() -> Iterator[None]:
 
 
 def with_zero_shift(measured: MeasuredPress, shift_n: float) -> MeasuredPress:
-    """Return a contact after which the cell's zero had moved: by any part of it at the force, evenly likely."""
-    wider_n = math.hypot(measured.force_uncertainty_n, shift_n / math.sqrt(3.0))
-    return measured.model_copy(update={"zero_shift_n": shift_n, "force_uncertainty_n": wider_n})
+    """Return a contact after which the cell's zero had moved: by any part of it at each force, evenly likely."""
+    part_n = shift_n / math.sqrt(3.0)
+    wider = {
+        "force_uncertainty_n": math.hypot(measured.force_uncertainty_n, part_n),
+        "point_uncertainties_n": tuple(math.hypot(u_n, part_n) for u_n in measured.point_uncertainties_n),
+    }
+    return measured.model_copy(update={"zero_shift_n": shift_n, **wider})
 
 
 def replayed_presses(lines: list[dict[str, Any]]) -> dict[int, MeasuredPress]:

@@ -39,7 +39,14 @@ from rigs.capture._exposure import (
     TactileCamera,
     saturated_fraction,
 )
-from rigs.capture._force_gauge import SETTLING_READINGS, ZERO_MOVED_SHARE, calibration_notes, read_cell_calibration
+from rigs.capture._force_gauge import (
+    SETTLING_READINGS,
+    ZERO_MOVED_SHARE,
+    OpenTactileRig,
+    calibration_notes,
+    open_tactile_rig,
+    read_cell_calibration,
+)
 from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
 from rigs.capture._journal import (
     JOURNAL_NAME,
@@ -53,15 +60,7 @@ from rigs.capture._journal import (
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
 from rigs.capture._resume import ORPHANS, begun_with
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
-from rigs.capture._stage_press import (
-    EXCHANGE_S,
-    HOMING_WITHIN_S,
-    OpenTactileRig,
-    StagePress,
-    contact_times,
-    open_tactile_rig,
-    replayed_presses,
-)
+from rigs.capture._stage_press import EXCHANGE_S, HOMING_WITHIN_S, StagePress, contact_times, replayed_presses
 
 Triple = tuple[TactileFrame, TactileFrame, TactileFrame]
 MOST_SATURATED_FRACTION = 1e-3

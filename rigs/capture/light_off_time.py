@@ -1,9 +1,9 @@
 """How long the laser stays on after a mishap, for each of its safety layers.
 
-Who sees whether it is on while its guard holds its connection is the camera, or a new connection. The victim of the
-mishap is this module started as ``python -m rigs.capture.light_off_time DRIVER ADDRESS``: it keeps the laser on behind
-its guard and says ``ON`` and the process numbers of guard and watch. It ends, and the laser goes off, when its standard
-input closes (whoever started it is gone), at the latest after 10 s.
+Who sees whether it is on while its guard holds its connection is a witness of :mod:`rigs.capture._check_light`, or a
+new connection. The victim of the mishap is this module started as ``python -m rigs.capture.light_off_time DRIVER
+ADDRESS``: it keeps the laser on behind its guard and says ``ON`` and the process numbers of guard and watch. It ends,
+and the laser goes off, when its standard input closes (whoever started it is gone), at the latest after 10 s.
 """
 
 import os
@@ -14,171 +14,25 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Final, Literal, NamedTuple, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Final, NamedTuple
 
 from data_schemas import (
-    BadFrameError,
     CaptureError,
-    DiodeLevels,
     FinrayError,
     LaserSettings,
     LightLayer,
     LightOff,
-    RigFile,
     TimedOutError,
     UnsafeError,
     Witness,
 )
-from rigs import Clock, LightSwitch, OpenRig, driver_module, find_driver, open_camera
-from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S, shine
-from rigs.capture._plan import Step
-from rigs.light_guard import (
-    MOST_LEVEL,
-    GuardedLight,
-    LightLevel,
-    LightLostError,
-    LightMeter,
-    require_outside_layer,
-)
-from rigs.transports import LATENCY_S
+from rigs import LightSwitch, OpenRig, driver_module, find_driver
+from rigs.capture._check_light import SEEING, LaserWatch, Reading, require_seen
+from rigs.light_guard import GuardedLight, LightLostError, require_outside_layer
 
-LONGEST_SIGHT_S: Final = 0.05
-"""Exposure of the frames that watch the laser: they resolve the time in which it goes off."""
-LEAST_CONTRAST: Final = 0.05  # of full scale, between laser on and off
-DARK_SHARE: Final = 0.1
-"""Of the signal with the laser on: a frame below it was lit for less than a tenth of its exposure."""
-CONTRAST_SD: Final = 10.0
-CONTRAST_READINGS: Final = 50
-"""Half a second of them: flicker of room light is in their scatter."""
-CLOSED_SD: Final = 6.0
-"""Standard deviations of a reading with the beam closed: by noise one is beyond once in 10^9."""
-LEAST_STEPS: Final = 1.5
-"""Of the converter: a level between two of them reads as either."""
-DARK_IN_A_ROW: Final = 5
-"""Readings that must be dark for the laser to be off: 50 ms, in which any pulsed light is lit."""
-DIODE_SILENT_S: Final = 0.3
-SEEING: Final[tuple[Witness, ...]] = ("the camera", "a photodiode")
-SEEN_WITHIN_S: Final = 2.0
 ASK_WITHIN_S: Final = 1.0
 ASK_EVERY_S: Final = 0.02
 OFF_WITHIN_S: Final = 5.0
-
-
-class Reading(NamedTuple):
-    """One look at the laser: when it began and ended by the monotonic clock, and whether the laser was on.
-
-    `on` is None where nothing could be seen.
-    """
-
-    start_s: float
-    end_s: float
-    on: bool | None
-
-
-class RegionFrames(Protocol):
-    """Frames of the region that shows the laser."""
-
-    def region_mean_dn(self, counts: NDArray[np.uint16]) -> float:
-        """Return the mean count of the region (DN) of a frame's counts (H, W)."""
-        ...
-
-    def expose(self, step: Step, exposure_s: float) -> float:
-        """Take a checked frame and return the region's mean count (DN)."""
-        ...
-
-    def meter(self, step: Step) -> float:
-        """Return the exposure (s) at which the region is well exposed."""
-        ...
-
-
-class LaserWatch(Protocol):
-    """Somebody who looks at the laser again and again."""
-
-    @property
-    def witness(self) -> Witness:
-        """Who looks."""
-        ...
-
-    def look(self) -> Reading:
-        """Look once."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Sight:
-    """What the camera sees of the laser: mean counts (DN) with the laser off and on at one exposure (s)."""
-
-    exposure_s: float
-    off_dn: float
-    on_dn: float
-
-
-def find_sight(opened: OpenRig, rig: RigFile, frames: RegionFrames) -> Sight | None:
-    """Look at the white tile with the laser on and off through the filter that passes it; None if both look alike.
-
-    The wheel stays where the laser is seen.
-    """
-    laser_nm = rig.laser.wavelength_nm
-    passing = [f for f in rig.filter_wheel.filters if abs(f.center_nm - laser_nm) <= 0.5 * f.fwhm_nm]
-    if not passing:
-        return None
-    lit = Step("laser white", "white", "laser", passing[0].name, passing[0].slot)
-    dark = Step("dark", "white", "off", passing[0].name, passing[0].slot)
-    try:
-        if opened.wheel.position() != lit.slot:  # in the dark: a wheel may be turned by hand
-            opened.wheel.go_to(passing[0].slot, WHEEL_DEADLINE_S)
-        with shine(opened, "laser"):
-            exposure_s = min(frames.meter(lit), max(LONGEST_SIGHT_S, rig.camera.shortest_exposure_s))
-            on_dn = frames.expose(lit, exposure_s)
-        off_dn = frames.expose(dark, exposure_s)
-    except (UnsafeError, LightLostError):
-        raise
-    except CaptureError:
-        return None
-    seen = on_dn - off_dn > LEAST_CONTRAST * (2**rig.camera.bit_depth - 1)
-    return Sight(exposure_s, off_dn, on_dn) if seen else None
-
-
-class CameraWatch:
-    """The camera as the witness.
-
-    Parameters
-    ----------
-    rig, folder
-        The rig file and where its relative paths start.
-    frames
-        Know the region.
-    sight
-        What the laser looks like.
-    """
-
-    witness: Witness = "the camera"
-
-    def __init__(self, rig: RigFile, folder: Path, frames: RegionFrames, sight: Sight) -> None:
-        self._rig, self._folder, self._frames, self._sight = rig, folder, frames, sight
-
-    @contextmanager
-    def open(self) -> Iterator["CameraWatch"]:
-        """Open the camera alone for a ``with`` block."""
-        with open_camera(self._rig.camera, self._folder) as self._camera:
-            self.look()  # a camera's first frame after opening may be an old one
-            yield self
-
-    def look(self) -> Reading:
-        """Take a frame; it shows the laser on unless it was lit for less than a tenth of its exposure."""
-        start_s = time.monotonic()
-        exposure_s, off_dn, on_dn = self._sight.exposure_s, self._sight.off_dn, self._sight.on_dn
-        try:
-            raw = self._camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S)
-        except BadFrameError:
-            return Reading(start_s, time.monotonic(), None)
-        signal_dn = self._frames.region_mean_dn(raw.counts) - off_dn
-        return Reading(start_s, time.monotonic(), signal_dn > DARK_SHARE * (on_dn - off_dn))
 
 
 class ConnectionWatch:
@@ -213,167 +67,6 @@ class ConnectionWatch:
         except CaptureError:
             return Reading(start_s, time.monotonic(), None)
         return Reading(start_s, start_s if asked_dead_man and not on else answered_s, on)
-
-
-@dataclass(frozen=True, slots=True)
-class Contrast:
-    """Levels that a photodiode read with the laser off and on, of its full scale, and with its beam closed by hand.
-
-    Without the closed beam, nobody but the laser's controller says what dark is.
-    """
-
-    off_rel: float
-    on_rel: float
-    closed_rel: float | None = None
-    closed_sd_rel: float = 0.0
-    sees_pulses: bool = False
-
-    @property
-    def threshold_rel(self) -> float:
-        """Below it the laser is off: so many standard deviations above the closed beam, or a tenth of the light."""
-        if self.closed_rel is None:
-            return self.off_rel + DARK_SHARE * (self.on_rel - self.off_rel)
-        return self.closed_rel + max(CLOSED_SD * self.closed_sd_rel, LEAST_STEPS / MOST_LEVEL)
-
-    def recorded(self) -> DiodeLevels:
-        """Return what the facts of a check hold."""
-        is_closed = self.closed_rel is not None
-        return DiodeLevels(
-            closed_rel=self.closed_rel,
-            closed_sd_rel=self.closed_sd_rel if is_closed else None,
-            off_rel=self.off_rel,
-            on_rel=self.on_rel,
-            threshold_rel=self.threshold_rel,
-            readings=DARK_IN_A_ROW,
-            sees_pulses=self.sees_pulses,
-        )
-
-
-def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
-    """Read the photodiode with the laser off, on and off again, and with its beam closed by a person, on and off.
-
-    A photodiode that is unplugged, covered or looks elsewhere is dark all the while: it has to see the light first. A
-    laser that is only dimmed reads more than with its beam closed.
-
-    Raises
-    ------
-    CaptureError
-        It does not see the difference, is saturated, or reads light where there should be none.
-    """
-    before, lit, after = (_read_with(opened, diode, light) for light in ("off", "laser", "off"))
-    off = np.concatenate([before, after])
-    if lit.max() * MOST_LEVEL >= MOST_LEVEL:
-        raise CaptureError(
-            "photodiode: reads its full scale with the laser on, so it is saturated and no witness; take a smaller "
-            "resistor, or move it away from the spot"
-        )
-    contrast = _with_closed_beam(
-        opened, diode, Contrast(float(off.mean()), float(lit.mean()), sees_pulses=diode.sees_pulses)
-    )
-    scatter_rel = max(float(off.std()), float(lit.std()), 0.5 / MOST_LEVEL)
-    rises_rel = contrast.on_rel - contrast.off_rel
-    is_seen = rises_rel > max(LEAST_CONTRAST, CONTRAST_SD * scatter_rel) and contrast.threshold_rel < float(lit.min())
-    if not is_seen or contrast.threshold_rel > contrast.off_rel + DARK_SHARE * rises_rel:
-        raise CaptureError(
-            "photodiode: does not see the difference between laser on and off, so it is no witness; point it at the "
-            "spot, check its wires and cover it from room light"
-        )
-    if float(off.max()) >= contrast.threshold_rel:
-        raise CaptureError(
-            f"photodiode: reads {100 * off.max():.2g} % of its scale with the laser off, and less than "
-            f"{100 * contrast.threshold_rel:.2g} % with its beam closed: the laser is not off but dimmed, or something "
-            "else than its beam was covered; find out which before anybody opens the box"
-        )
-    return contrast
-
-
-def _with_closed_beam(opened: OpenRig, diode: LightMeter, contrast: Contrast) -> Contrast:
-    """Add what dark is, where a person closes the beam: with the laser off and on, so that it is seen to be closed."""
-    if not opened.close_beam(True):
-        return contrast
-    closed_off = _read_with(opened, diode, "off")
-    closed_on = _read_with(opened, diode, "laser")
-    closed = np.concatenate([closed_off, closed_on])
-    found = replace(
-        contrast,
-        closed_rel=float(closed_off.mean()),
-        closed_sd_rel=max(float(part.std(ddof=1)) for part in (closed_off, closed_on)),
-    )
-    if float(closed.max()) >= found.threshold_rel:
-        raise CaptureError(
-            f"photodiode: reads up to {100 * closed.max():.2g} % of its scale with the beam closed, so the cap or "
-            "shutter lets light of the laser through, or room light flickers; close the beam tightly, shade the "
-            "photodiode, and check again"
-        )
-    if not opened.close_beam(False):
-        raise CaptureError("laser: nobody has confirmed that its beam is open again; open it, and check again")
-    return found
-
-
-def _read_with(opened: OpenRig, diode: LightMeter, light: Literal["off", "laser"]) -> NDArray[np.float64]:
-    """Return readings with the laser on, or with all lights off."""
-    with shine(opened, light):
-        return _levels(diode, opened.clock)
-
-
-def _levels(diode: LightMeter, clock: Clock) -> NDArray[np.float64]:
-    """Return some readings, of full scale, that were all made after this call began."""
-    begun_s, found = clock.monotonic_s() + LATENCY_S, list[float]()
-    while len(found) < CONTRAST_READINGS:
-        reading = diode.read(DIODE_SILENT_S)
-        if reading.at_s > begun_s:
-            found.append(reading.level / MOST_LEVEL)
-    return np.array(found)
-
-
-class PhotodiodeWatch:
-    """A photodiode as the witness: its readings come by themselves, and their times are those of its own clock.
-
-    Parameters
-    ----------
-    diode
-        The open photodiode.
-    contrast
-        What the laser looks like.
-    """
-
-    witness: Witness = "a photodiode"
-
-    def __init__(self, diode: LightMeter, contrast: Contrast) -> None:
-        self._diode, self._contrast = diode, contrast
-
-    def look(self) -> Reading:
-        """Return the next reading that is lit, or the first of some dark ones in a row.
-
-        Where the photodiode fell silent, its error is raised.
-        """
-        readings = list[LightLevel]()
-        while len(readings) < DARK_IN_A_ROW:
-            readings.append(self._diode.read(DIODE_SILENT_S))
-            if readings[-1].level > MOST_LEVEL * self._contrast.threshold_rel:
-                return Reading(readings[-1].at_s - LATENCY_S, readings[-1].at_s, on=True)
-        return Reading(readings[0].at_s - LATENCY_S, readings[0].at_s, on=False)
-
-
-def require_seen(watch: LaserWatch, now_s: Callable[[], float] = time.monotonic) -> None:
-    """Refuse a witness of the light that does not see it while it is on; a controller that is asked sees nothing.
-
-    Raises
-    ------
-    CaptureError
-        It says "off", or nothing.
-    """
-    if watch.witness not in SEEING:
-        return
-    begun_s = now_s()
-    while now_s() - begun_s < SEEN_WITHIN_S:
-        reading = watch.look()
-        if reading.start_s > begun_s and reading.on:
-            return
-    raise CaptureError(
-        f'laser: is on, and {watch.witness} does not see it (any more), so it is no witness of "off"; check what it '
-        "looks at, and its cable"
-    )
 
 
 def can_be_asked_anew(laser: LaserSettings) -> bool:

@@ -39,6 +39,56 @@ END_OF_SCALE: Final = 0x7FFFFF
 PAD_E_PER_S: Final = 3.0e5
 IMAGE_OF_PAD_MM: Final = 20.0
 STANDARD_GRAVITY_M_PER_S2: Final = 9.80665
+_NOISES: Final = {"wandering cell": "wander_counts", "humming cell": "hum_counts", "lost bits": "lost_every"}
+
+
+FORGETS_WITHIN_S: Final = (0.1, 1.0, 10.0, 100.0)
+MAINS_HZ: Final = 50.0
+CLOCK_FAST: Final = 1.013
+"""The amplifier's own oscillator: its conversions are no whole fraction of the mains' period."""
+REJECTS_HZ: Final = 10
+BITS: Final = 22
+
+
+@dataclass(slots=True)
+class CellNoise:
+    """Add to each reading what is not white.
+
+    Attributes
+    ----------
+    wander_counts
+        Standard deviation of the slow noise.
+    hum_counts
+        Amplitude of the pick-up.
+    lost_every
+        Mean number of readings from one lost bit to the next; 0: none is lost.
+    """
+
+    wander_counts: int = 0
+    hum_counts: int = 0
+    lost_every: int = 0
+    _slow: list[float] = field(default_factory=lambda: [0.0] * len(FORGETS_WITHIN_S))
+    _last_s: float | None = None
+
+    def added(self, now_s: float, rate_hz: int, rng: np.random.Generator) -> float:
+        """Return what is added to the reading of this moment (counts)."""
+        hum = 0.0 if rate_hz <= REJECTS_HZ else math.sin(2.0 * math.pi * MAINS_HZ * CLOCK_FAST * now_s)
+        if self.wander_counts <= 0.0:
+            return self.hum_counts * hum
+        since_s = math.inf if self._last_s is None else now_s - self._last_s
+        self._last_s = now_s
+        each = self.wander_counts / math.sqrt(len(FORGETS_WITHIN_S))
+        for k, within_s in enumerate(FORGETS_WITHIN_S):
+            kept = math.exp(-since_s / within_s)
+            self._slow[k] = kept * self._slow[k] + math.sqrt(1.0 - kept**2) * each * rng.standard_normal()
+        return sum(self._slow) + self.hum_counts * hum
+
+    def damaged(self, counts: int, rng: np.random.Generator) -> int:
+        """Return the count as it arrives: now and then with a bit too many, too few or wrong."""
+        if self.lost_every <= 0.0 or rng.random() * self.lost_every >= 1.0:
+            return counts
+        kind = rng.integers(3)
+        return counts * 2 if kind == 0 else counts // 2 if kind == 1 else counts ^ (1 << int(rng.integers(BITS)))
 
 
 @dataclass(slots=True)
@@ -59,6 +109,8 @@ class FingerState:
         Thickness of what lies on the pad.
     moving
         Brings the stage to where it is now, while it moves.
+    noise
+        Of the cell, beside the white one.
     """
 
     rig: TactileRig
@@ -67,6 +119,7 @@ class FingerState:
     load_kg: float = 0.0
     block_mm: float = 0.0
     moving: Callable[[], None] | None = None
+    noise: CellNoise = field(default_factory=CellNoise)
     _lost_mm: float = 0.0
     _relaxing_n: float = 0.0
     _last: tuple[float, float] = (0.0, 0.0)
@@ -74,6 +127,8 @@ class FingerState:
     def __post_init__(self) -> None:
         stage = self.stage
         self.counted_mm = {stage.press_axis: stage.clear_mm, stage.pad_axis: stage.base_mm}
+        if (fault := self.fault) is not None and fault.name in _NOISES:
+            setattr(self.noise, _NOISES[fault.name], round(fault.value))
 
     @property
     def stage(self) -> StageSettings:
@@ -230,9 +285,9 @@ class SimulatedLoadCell:
         fault = state.fault
         if fault is not None and fault.name == "drifting cell":
             force_n += 1e-3 * fault.value * state.clock.elapsed_s
-        counts = round(
-            OFFSET_COUNTS + force_n / finger.cell_n_per_count + finger.noise_counts * self.rng.standard_normal()
-        )
+        added = state.noise.added(state.clock.elapsed_s, self.settings.rate_hz, self.rng)
+        added += finger.noise_counts * self.rng.standard_normal()
+        counts = state.noise.damaged(round(OFFSET_COUNTS + force_n / finger.cell_n_per_count + added), self.rng)
         if abs(counts) >= END_OF_SCALE:
             raise OverloadError("load cell: reads the end of its scale; take the load away")
         if not state.has("stuck cell"):

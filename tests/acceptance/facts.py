@@ -14,6 +14,7 @@ from data_schemas import (
     PictureShift,
     RegionOfInterest,
     Revisit,
+    SightLevels,
     StrayLight,
     TriggerLatency,
     WarmUp,
@@ -52,6 +53,10 @@ def level(exposure_s: float, signal_dn: float, scatter_dn: float = 0.1) -> Expos
 HANDSHAKES = (handshake(), handshake("filter wheel"), handshake("laser"), handshake("lamp"))
 
 
+SIGHT = SightLevels(
+    exposure_s=0.02, on_dn=2018.0, off_dn=18.0, off_sd_dn=0.05, blocked_filter="550", blocked_on_dn=18.1,
+    blocked_off_dn=18.0, threshold_dn=19.0,
+)  # fmt: skip
 GOOD = CheckFacts(
     handshakes=HANDSHAKES,
     moves=tuple(WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=s) for s in (0.5, 1.5)),
@@ -98,6 +103,7 @@ GOOD = CheckFacts(
         LightOff(layer="guard", witness="a new connection", earliest_s=(0.0, 0.1), latest_s=(0.1, 0.3)),
         LightOff(layer="dead-man", witness="the camera", earliest_s=(0.8,), latest_s=(0.9,)),
     ),
+    sight=SIGHT,
 )
 
 

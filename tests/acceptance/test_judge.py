@@ -1,6 +1,7 @@
 """From facts to verdicts: every check passes on a flawless rig, and fails for its own reason only."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from data_schemas import (
     AcceptanceReport,
     BlockedLight,
     CheckResult,
+    DiodeLevels,
     ExposureLevel,
     FilterProof,
     LatencyTry,
@@ -28,11 +30,11 @@ from finray_calib.acceptance._acceptance_report import (
     dark_line,
     largest_failure_share,
     rate_dn_per_s,
-    slowest_off,
 )
+from finray_calib.acceptance._device_checks import CLASS_1_MW, slowest_off
 from rigs import simulated_rig
 from rigs.capture._check_light import LEAST_SIGNAL_FRACTION
-from tests.acceptance.facts import GOOD, HANDSHAKES, PLAN, dark, handshake, level, spoilt
+from tests.acceptance.facts import GOOD, HANDSHAKES, PLAN, SIGHT, dark, handshake, level, spoilt
 
 
 @pytest.fixture(scope="module")
@@ -197,7 +199,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
         ({"light_off": (LightOff(layer="guard", latest_s=(0.1,), earliest_s=(0.0,), still_on=1, watched_s=5.0),)},
          "laser off by the guard", "FAIL", "the laser was still on after 1 of 2 mishaps; each was watched for 5 s"),
         ({"light_off": (LightOff(layer="dead-man", latest_s=(1.3,), earliest_s=(1.2,), witness="the camera"),)},
-         "laser off by the dead-man", "FAIL", "slowest of 1 mishaps; measured by the camera"),
+         "laser off by the dead-man", "FAIL", "slowest of 1 mishaps, measured by the camera"),
         ({"light_off": (LightOff(layer="dead-man", latest_s=(1.1,), earliest_s=(0.8,), witness="the camera"),)},
          "laser off by the dead-man", "UNDECIDED", "slowest of 1"),
     ],
@@ -309,8 +311,63 @@ def test_results_in_words(rig):
     assert value_text(found["wheel arrives"]) == "0 moves"
     assert value_text(found["filters in their slots"]) == ""
     assert result_line(found["laser off by the guard"]) == (
-        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps; measured by "
-        "a new connection"
+        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps, by the "
+        "word of the laser's controller over a new connection; nobody saw its light"
     )
     line = result_line(found["filters in their slots"])
     assert line == "PASS      filters in their slots: the frames show every filter in its slot"
+
+
+DIODE = DiodeLevels(
+    closed_rel=0.003, closed_sd_rel=0.0002, off_rel=0.003, on_rel=0.703, threshold_rel=0.0045, readings=5,
+    sees_pulses=True, off_sd_rel=0.0002, on_again_rel=0.703, reported_lit_closed=True,
+)  # fmt: skip
+BY_DIODE = (LightOff(layer="guard", witness="a photodiode", earliest_s=(0.1,), latest_s=(0.14,)),)
+BY_CAMERA = (LightOff(layer="guard", witness="the camera", earliest_s=(0.1,), latest_s=(0.14,)),)
+BY_WORD = (LightOff(layer="guard", witness="a new connection", earliest_s=(0.1,), latest_s=(0.14,)),)
+
+
+@pytest.mark.parametrize(
+    ("changed", "power_mw", "verdict", "words"),
+    [
+        ({"light_off": BY_DIODE, "diode": DIODE}, 4.5, "PASS", "below 0.21 % of the laser's, 0.0096 mW"),
+        # a threshold that noise puts at a tenth: 0.45 mW of a class 3R laser are no "off"
+        ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"threshold_rel": 0.073})}, 4.5, "UNDECIDED",
+         r"below 10 % of the laser's, 0.45 mW of its power_mw, would not be seen; that is more than the 0.039 mW"),
+        ({"light_off": BY_DIODE, "diode": DIODE}, 100.0, "UNDECIDED", "more than the 0.039 mW of a class 1 laser"),
+        ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"reported_lit_closed": False})}, 4.5, "UNDECIDED",
+         "nobody proved that the laser was lit while its beam was closed"),
+        ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"on_again_rel": 0.3})}, 4.5, "UNDECIDED",
+         "nobody proved that the laser was lit while its beam was closed"),
+        ({"light_off": BY_CAMERA}, 4.5, "PASS", "which blocks the laser; light below 0.05 % of the laser's, 0.0023 mW"),
+        ({"light_off": BY_CAMERA, "sight": None}, 4.5, "UNDECIDED", "from the controller's word"),
+        # off by its controller, and still a tenth of the light
+        ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"off_dn": 218.0, "threshold_dn": 219.0})}, 4.5,
+         "UNDECIDED", "more than the 0.039 mW of a class 1 laser"),
+        ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"blocked_on_dn": 1000.0})}, 4.5, "UNDECIDED",
+         "is seen behind filter 550 too"),
+        ({"light_off": BY_WORD}, 100.0, "PASS", "by the word of the laser's controller .*; nobody saw its light"),
+    ],
+)  # fmt: skip
+def test_off_is_what_leaves_no_more_than_class_1_unseen(
+    rig: RigFile, changed: dict[str, object], power_mw: float, verdict: str, words: str
+) -> None:
+    laser = rig.laser.model_copy(update={"power_mw": power_mw})
+    facts = GOOD.model_copy(update=changed)
+    (row,) = (
+        r for r in judge(facts, PLAN, rig.model_copy(update={"laser": laser})).results if r.section == "light off"
+    )
+    assert row.verdict == verdict, row
+    assert re.search(words, row.evidence), row.evidence
+    # 0.39 mW at 450 nm for a few seconds, a tenth of that for hours (EN 60825-1); class 3R allows 5 mW
+    assert CLASS_1_MW < 5.0 / 100.0
+
+
+@pytest.mark.parametrize(("laser_nm", "verdict"), [(450.0, "PASS"), (375.0, "UNDECIDED")])
+def test_light_that_is_not_seen_by_eyes_has_no_limit_here(rig: RigFile, laser_nm: float, verdict: str) -> None:
+    laser = rig.laser.model_copy(update={"wavelength_nm": laser_nm})
+    facts = GOOD.model_copy(update={"light_off": BY_CAMERA})
+    (row,) = (
+        r for r in judge(facts, PLAN, rig.model_copy(update={"laser": laser})).results if r.section == "light off"
+    )
+    assert row.verdict == verdict, row

@@ -103,6 +103,20 @@ def test_faults_of_the_practice_rig_are_found(practice: Path, fault: str, name: 
     assert status == 1
 
 
+@pytest.mark.parametrize("fault", ["lost bits, 200 readings", "wandering cell, 120 counts", "humming cell, 400 counts"])
+def test_noise_that_is_not_white_changes_no_verdict_of_the_stage(practice: Path, fault: str) -> None:
+    """Lost bits are said where the cell rests; the stage is judged as by a cell that loses none."""
+    changed(practice, "check.toml", ("stops = 1", "stops = 3"), ("rest_s = 10.0", "rest_s = 60.0"))
+    faulty(practice, fault)
+    report, status = checked(practice)
+    assert status == 0
+    lost = {"load cell is quiet"} if fault.startswith("lost") else set()
+    assert {r.name for r in report.results if r.verdict != "PASS"} == NOBODY_SAW | lost
+    if lost:
+        assert "readings were far beyond the noise" in named(report, "load cell is quiet").evidence
+        assert 5 <= report.facts.at_rest.jumps <= 60
+
+
 def lying(monkeypatch: pytest.MonkeyPatch, spoil: Callable[[OpenTactileRig], OpenTactileRig]) -> None:
     """Open the rig with one of its devices replaced."""
     from contextlib import contextmanager
@@ -461,7 +475,7 @@ BENCH_PLAN = TactileCheckPlan(
 def on_boards(folder: Path, bench, monkeypatch, **given: object) -> tuple[PressFacts, TactileRig]:
     from contextlib import nullcontext
 
-    monkeypatch.setattr("rigs.capture._stage_press.open_camera", lambda *_: nullcontext(FlatCamera()))
+    monkeypatch.setattr("rigs.capture._force_gauge.open_camera", lambda *_: nullcontext(FlatCamera()))
     rig = real_rig(folder, bench)
     # so short that a move may be three steps long between the turning force and the stop
     rig = rig.model_copy(update={"stage": rig.stage.model_copy(update={"step_mm": 0.05})})
@@ -523,7 +537,7 @@ def test_poisoned_in_the_middle_of_a_part(tmp_path: Path, monkeypatch, part: str
         thread.start()
         from contextlib import nullcontext
 
-        monkeypatch.setattr("rigs.capture._stage_press.open_camera", lambda *_: nullcontext(FlatCamera()))
+        monkeypatch.setattr("rigs.capture._force_gauge.open_camera", lambda *_: nullcontext(FlatCamera()))
         rig = real_rig(tmp_path, bench)
 
         def progress(done: int, total: int, text: str) -> None:

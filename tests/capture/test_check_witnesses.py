@@ -108,6 +108,35 @@ def test_with_all_witnesses_only_play_stays_open(practice: Path) -> None:
     for name in ("X goes as far as sent", "Z goes as far as sent", "calibration holds"):
         found = named(report, name)
         assert abs(found.value) < 2.0 * found.sd, found
+    for one in report.facts.force_stops:
+        moving = one.moving
+        assert moving.limit_n < moving.stopped_at_n <= moving.peak_n + 3.0 * one.noise_n < moving.unstopped_n
+        # the limit is halfway between the forces, and the pad stiffens a little
+        assert 0.2 < abs(moving.end_mm - moving.stood_mm) / moving.way_mm < 0.6, moving
+    evidence = named(report, "force stops the stage").evidence
+    assert re.search(r"a reading of [\d.]+ N passed [\d.]+ N, the stage stood [\d.]+ mm before its end", evidence)
+
+
+@pytest.mark.parametrize(
+    ("changed_field", "words"),
+    [
+        ({"stopped_at_n": None}, "a move ended without a reading beyond its limit"),
+        ({"stood_mm": None}, "the position of the stage was unknown"),
+        ({"stood_mm": "end"}, "went to its end"),
+    ],
+)
+def test_a_stop_within_a_move_says_its_force_and_its_place(
+    practice: Path, changed_field: dict[str, object], words: str
+) -> None:
+    changed(practice, "check.toml", ("rest_s = 10.0\n", ALL.replace("60.0", "10.0", 1)), ("stops = 1", "stops = 3"))
+    report, _ = checked(practice)
+    assert named(report, "force stops the stage").verdict == "PASS"
+    first, *others = report.facts.force_stops
+    given = {name: first.moving.end_mm if value == "end" else value for name, value in changed_field.items()}
+    spoilt = first.model_copy(update={"moving": first.moving.model_copy(update=given)})
+    facts = report.facts.model_copy(update={"force_stops": (spoilt, *others)})
+    found = named(judge_pressing(facts, report.plan, report.rig), "force stops the stage")
+    assert (found.verdict, words in found.evidence) == ("UNDECIDED", True), found
 
 
 def test_a_move_that_no_force_stops_fails(practice: Path, monkeypatch) -> None:

@@ -4,10 +4,13 @@ from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from data_schemas import CaptureError, LoadCellCalibration, TactilePlan, TactileRig
+from rigs import CellReading, ForceLimitError
 from rigs.capture import ForceGauge, StagePress, open_tactile_rig
+from rigs.capture._force_gauge import without_jumps, without_spikes
 from tests.capture.test_stage_press import PRESS_JSON, exact_calibration, simulated, true_force_n
 
 
@@ -132,3 +135,130 @@ def test_rate_of_the_cell_is_that_of_the_rig_file():
         gauge = ForceGauge(opened.load_cell, slow, exact_calibration(rig))
         with pytest.raises(CaptureError, match="sends 80 readings a second, but rate_hz of the rig file is 10"):
             gauge.begin(opened.clock.monotonic_s)
+
+
+NOISES = ["lost bits, 300 readings", "wandering cell, 120 counts", "humming cell, 400 counts"]
+
+
+@pytest.mark.parametrize("fault", NOISES)
+def test_noise_that_is_not_white_moves_no_touch_and_no_force(fault: str) -> None:
+    """Each point of each press lies within the uncertainty that it states; nothing ends for a lost bit."""
+    rng, touches, points, lost = np.random.default_rng(4), [], [], 0
+    for seed in range(12):
+        soft = {"relaxing_share": 0.0, "stiffness_n_per_mm": float(np.exp(rng.uniform(0.0, 1.5)))}
+        rig = finger(seed=seed, surface_mm=float(rng.uniform(-2.0, -1.0)), practice_fault=fault, **soft)
+        with open_tactile_rig(rig, Path()) as opened:
+            presser = StagePress(opened, rig, exact_calibration(rig), lambda event, **what: None)
+            presser.press(TactilePlan.model_validate_json(PRESS_JSON).presses[0], 1)
+            presser.seen()
+            presser.leave()
+            found, lost = presser.measured[1], lost + presser.gauge.lost_bits
+        model = rig.simulated
+        late_mm = model.surface_mm - found.touch_mm
+        touches.append(abs(late_mm) / found.touch_uncertainty_mm)
+        for depth_mm, force_n, u_n in zip(
+            found.point_depths_mm, found.point_forces_n, found.point_uncertainties_n, strict=True
+        ):
+            depth_mm += late_mm
+            true_n = model.stiffness_n_per_mm * depth_mm + model.stiffening_n_per_mm2 * depth_mm**2
+            points.append(abs(force_n - true_n) / u_n)
+    assert max(touches) < 2.0  # evenly likely within 1.73
+    # some hundreds of points, each with noise that its neighbours share; one lost bit is thousands of uncertainties
+    assert max(points) < 6.0, max(points)
+    assert np.mean(np.array(points) < 2.0) > 0.9
+
+
+def averaged(forces_n: list[float]) -> list[float]:
+    """Return what an amplifier shows: the running mean of four conversions."""
+    past = deque(maxlen=4)
+    return [float(np.mean(past)) for force_n in forces_n if past.append(force_n) is None]
+
+
+@pytest.mark.parametrize("falls", ["it stays", "it relaxes", "it snaps away", "it snaps half away"])
+def test_a_force_beyond_the_limit_is_never_taken_for_a_lost_bit(falls: str) -> None:
+    """Whatever the pad does once the stage stands: the amplifier's filter lets no force go within one reading."""
+    rng = np.random.default_rng(7)
+    for _ in range(60):
+        limit_n, rise_n = rng.uniform(0.5, 4.0), float(np.exp(rng.uniform(np.log(0.01), np.log(3.0))))
+        rises = [float(f) for f in np.arange(0.0, limit_n + 4.0 * rise_n, rise_n)]
+        shown = averaged(rises)
+        first = next(k for k, f in enumerate(shown) if f > limit_n)
+        end_n = rises[first]
+        then = {
+            "it stays": [end_n] * 8,
+            "it relaxes": [end_n * (0.7 + 0.3 * float(np.exp(-k / 3.0))) for k in range(8)],
+            "it snaps away": [0.0] * 8,
+            "it snaps half away": [0.5 * end_n] * 8,
+        }[falls]
+        readings = averaged(rises[: first + 1] + then)[first:]
+        assert not judged_lost(readings, limit_n), (limit_n, rise_n, readings)
+
+
+def judged_lost(forces_n: list[float], limit_n: float) -> bool:
+    """Whether the first of some readings is taken for a lost bit, by the rest; a noise of 1 mN."""
+    rig, calibration = finger(), exact_calibration(finger())
+    told = [round(force_n / calibration.slope_n_per_count) for force_n in forces_n]
+    with open_tactile_rig(rig, Path()) as opened:
+        cell = Told(opened.load_cell)
+        gauge = ForceGauge(cell, rig.load_cell, calibration)
+        gauge.begin(opened.clock.monotonic_s)
+        empty = round(np.mean([cell.read(0.5).counts for _ in range(64)]))
+        cell.told = (empty + count for count in told)
+        gauge.reading_n()
+        return gauge.has_jumped(limit_n)
+
+
+class Told:
+    """A cell whose counts are told from some moment on."""
+
+    def __init__(self, cell) -> None:
+        self._cell, self.told = cell, None
+
+    def read(self, deadline_s: float) -> CellReading:
+        return self._cell.read(deadline_s) if self.told is None else CellReading(next(self.told), 0.0)
+
+
+@pytest.mark.parametrize("force_n", [0.0, 0.4, 0.9])
+@pytest.mark.parametrize("lost_n", [1.5, 9.8, -3.0])
+def test_a_lost_bit_is_told_by_the_next_reading(force_n: float, lost_n: float) -> None:
+    assert judged_lost([force_n + lost_n, *[force_n] * 4], 1.0)
+    assert not judged_lost([force_n + lost_n, *[force_n + lost_n] * 4], 1.0)  # it stays: a force, or a broken wire
+
+
+def test_one_lost_bit_after_another_ends_the_move() -> None:
+    """A stage whose cell is mostly wrong does not go on."""
+    rig = finger()
+    with open_tactile_rig(rig, Path()) as opened:
+        turn, cell = [0], opened.load_cell
+
+        class Broken:
+            identity = cell.identity
+
+            def read(self, deadline_s: float) -> CellReading:
+                turn[0] += 1
+                reading = cell.read(deadline_s)
+                lost = turn[0] > 100 and turn[0] % 5 == 0
+                return reading._replace(counts=reading.counts + (2_000_000 if lost else 0))
+
+        presser = StagePress(replace(opened, load_cell=Broken()), rig, exact_calibration(rig), lambda event, **_: None)
+        with pytest.raises(ForceLimitError, match="beyond the limit"), presser.standing_by():
+            presser.press(TactilePlan.model_validate_json(PRESS_JSON).presses[0], 1)
+
+
+def test_jumps_are_left_out_and_real_changes_kept() -> None:
+    rng = np.random.default_rng(2)
+    quiet = rng.normal(84_000, 60, 32)
+    spoilt = quiet.copy()
+    spoilt[[3, 20]] = 168_000, 84_000 ^ (1 << 15)
+    assert without_jumps(spoilt).size == 30
+    assert abs(without_jumps(spoilt).mean() - quiet.mean()) < 20
+    pressed = np.where(np.arange(32) < 16, quiet, quiet + 5_000)  # a force that began in the middle
+    assert without_jumps(pressed).size == 32
+    assert without_jumps(np.full(8, 5.0)).size == 8
+    ramp = np.linspace(0.0, 1.0, 40) + rng.normal(0.0, 1e-3, 40)
+    spiked = ramp.copy()
+    spiked[[10, 30]] = 5.0, -4.0
+    assert np.abs(without_spikes(spiked, 1e-3) - ramp).max() < 0.06
+    np.testing.assert_array_equal(without_spikes(ramp, 1e-3), ramp)
+    peak = np.array(averaged([0.0] * 8 + [1.0] * 3 + [0.0] * 8))  # a tap through the amplifier's filter
+    np.testing.assert_array_equal(without_spikes(peak, 1e-3), peak)

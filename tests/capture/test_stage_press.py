@@ -440,7 +440,7 @@ class Hands:
 def run(folder: Path, rig: TactileRig, monkeypatch, **press: object) -> TactileSession:
     from contextlib import nullcontext
 
-    monkeypatch.setattr("rigs.capture._stage_press.open_camera", lambda *_: nullcontext(FlatCamera()))
+    monkeypatch.setattr("rigs.capture._force_gauge.open_camera", lambda *_: nullcontext(FlatCamera()))
     plan = TactilePlan.model_validate_json(PRESS_JSON)
     presses = (plan.presses[0].model_copy(update=press),)
     plan = plan.model_copy(update={"presses": presses})
@@ -651,3 +651,64 @@ def test_second_interruption_waits_until_the_pad_is_left(bench, tmp_path, monkey
         run(tmp_path, real_rig(tmp_path, bench), monkeypatch, depth_mm=0.4)
     assert bench.force_n == 0.0
     assert bench.controller.at_mm["Z"] == pytest.approx(-0.7, abs=1e-6)
+
+
+def stiff(stiffness_n_per_mm: float, **stage: object) -> TactileRig:
+    rig = simulated()
+    rig["simulated"] |= {
+        "stiffness_n_per_mm": stiffness_n_per_mm, "stiffening_n_per_mm2": 0.0, "relaxing_share": 0.0,
+    }  # fmt: skip
+    rig["stage"] |= stage
+    return TactileRig.model_validate(rig)
+
+
+def pressed(rig: TactileRig, limit_n: float) -> tuple[str, list[float]]:
+    """Press with a limit; return why it ended ("" where it did not), and the forces of its places (N)."""
+    from rigs.capture import StagePress, open_tactile_rig
+
+    forces: list[float] = []
+    with open_tactile_rig(rig, Path()) as opened:
+        presser = StagePress(opened, rig, exact_calibration(rig), lambda event, **what: None, limit_n)
+        move = opened.stage.move
+
+        class Watched:
+            def __getattr__(self, name: str):
+                return getattr(opened.stage, name)
+
+            def move(self, *given: object) -> None:
+                move(*given)
+                forces.append(opened.stage.state.force_n())
+
+        presser._stage = Watched()  # noqa: SLF001
+        try:
+            presser.press(TactilePlan.model_validate_json(PRESS_JSON).presses[0], 1)
+        except CaptureError as error:
+            return str(error), forces
+    return "", forces
+
+
+def test_a_session_asks_for_room_before_its_first_whole_step():
+    """The first step goes where the search of the touch has been; a pad of 18 N/mm adds 0.9 N by the next."""
+    why, forces = pressed(stiff(18.0), 1.5)
+    assert "adds 0.9 N, which leaves no room below the limit of 1.5 N" in why
+    assert max(forces) < 1.5
+    why, forces = pressed(stiff(1.5), 1.5)
+    assert why == ""
+    assert max(forces) == pytest.approx(0.45, abs=0.05)
+
+
+@pytest.mark.parametrize("force_n", [0.15, 0.35])
+def test_what_is_met_beside_the_pad_stops_the_way_along_it(force_n):
+    """Nothing should touch there: a fifth of the limit ends it, not all of it."""
+    from rigs.capture import StagePress, open_tactile_rig
+
+    rig = stiff(1.5)
+    with open_tactile_rig(rig, Path()) as opened:
+        presser = StagePress(opened, rig, exact_calibration(rig), lambda event, **what: None, 1.0)
+        presser.prepare()
+        opened.stage.state.load_kg = force_n / 9.80665
+        if force_n < 0.2:
+            presser.along(rig.stage.base_mm + rig.stage.from_base * 9.0)
+        else:
+            with pytest.raises(ForceLimitError, match="it touches before clear_mm"):
+                presser.along(rig.stage.base_mm + rig.stage.from_base * 9.0)

@@ -20,14 +20,8 @@ from finray_calib.acceptance import judge
 from rigs import OpenRig, SystemClock, lights, open_rig, paint_plan, simulated_rig
 from rigs.capture import _check_session as check_session
 from rigs.capture import record_facts
-from rigs.capture.light_off_time import (
-    Contrast,
-    PhotodiodeWatch,
-    after_exception,
-    after_kill,
-    find_contrast,
-    require_seen,
-)
+from rigs.capture._check_light import Contrast, PhotodiodeWatch, find_contrast, require_seen
+from rigs.capture.light_off_time import after_exception, after_kill
 from rigs.light_guard import LightLevel, open_photodiode
 from tests.capture.drivers import firmware_in_qemu
 from tests.capture.drivers.firmware_in_qemu import Tap, build, firmware_board
@@ -35,7 +29,7 @@ from tests.capture.drivers.press_bench import Port, crc8
 from tests.capture.drivers.programs import free_port, require
 from tests.capture.drivers.test_stage_and_cell import connected
 
-SEEN = Contrast(3 / 1023, 700 / 1023)
+SEEN = Contrast(3 / 1023, 700 / 1023, 1 / 1023)
 
 
 class DiodeBoard:
@@ -120,6 +114,7 @@ def test_one_that_sees_the_laser_learns_what_dark_is_from_a_closed_beam() -> Non
         seen = find_contrast(nobody, Level(lambda: 700 if opened.laser.state() else 3))
         assert (seen.off_rel, seen.on_rel) == pytest.approx((SEEN.off_rel, SEEN.on_rel))
         assert seen.recorded().closed_rel is None
+        assert seen.threshold_rel == pytest.approx(4.5 / 1023)  # by noise, and no share of the light
         seen = find_contrast(opened, Level(lambda: 700 if opened.laser.state() and not closed[0] else 3))
         assert seen.threshold_rel == pytest.approx(4.5 / 1023)
         noisy = itertools.cycle([3, 7, 5, 1])
@@ -167,6 +162,40 @@ def test_one_that_is_no_witness_is_told(level: Callable[[bool, bool], int], word
         find_contrast(opened, Level(lambda: level(bool(opened.laser.state()), closed[0])))
 
 
+@pytest.mark.parametrize("fails", ["never", "while it is read", "for good"])
+def test_a_laser_that_went_out_behind_the_cap_proves_no_closed_beam(fails: str) -> None:
+    """The box was opened for the cap: the interlock is open, and the cap may let light through unseen."""
+    with opened_bench() as (opened, closed):
+        was_closed = [False]
+
+        def state() -> bool:
+            was_closed[0] |= closed[0]
+            out = fails == "while it is read" and closed[0] and len(read) > 10
+            return opened.laser.state() and not out
+
+        def level() -> int:
+            if closed[0] and opened.laser.state():
+                read.append(1)
+            dies = fails == "for good" and was_closed[0]
+            return 700 if opened.laser.state() and not closed[0] and not dies else 3
+
+        read: list[int] = []
+        laser = Laser(opened.laser, state)
+        seen = find_contrast(replace(opened, laser=laser), Level(level)).recorded()
+    proven = seen.reported_lit_closed and seen.on_again_rel > 0.5 * seen.on_rel
+    assert proven == (fails == "never"), seen
+
+
+class Laser:
+    """A laser with another answer about its state."""
+
+    def __init__(self, laser, state: Callable[[], bool]) -> None:
+        self._laser, self.state = laser, state
+
+    def __getattr__(self, name: str):
+        return getattr(self._laser, name)
+
+
 def test_a_beam_that_nobody_opens_again_is_told() -> None:
     with opened_bench() as (opened, closed):
         half = replace(opened, close_beam=lambda shut: opened.close_beam(shut) and shut)
@@ -206,7 +235,7 @@ def test_firmware_that_misses_pulses_does_not_pass(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("closes", "sees_pulses", "verdict", "words"),
     [
-        (True, True, "PASS", "less than 0.19 % of the laser's light would not be seen"),
+        (True, True, "PASS", "light below 0.19 % of the laser's, 0.0086 mW of its power_mw, would not be seen"),
         (False, True, "UNDECIDED", "learned what dark is from the controller's word"),
         (True, False, "UNDECIDED", "a pulsed laser may look off"),
     ],

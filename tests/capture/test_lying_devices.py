@@ -1,0 +1,158 @@
+"""Whole paint sessions beside devices that answer correctly and lie: no wrong frame is ever in the record.
+
+Each frame carries what was true while it was exposed: slot, lights, exposure. It is wrong when the record says another.
+"""
+
+import errno
+import random
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from data_schemas import CaptureError, CaptureSession, DeviceIdentity
+from rigs import OpenRig, RawFrame, open_rig, paint_plan, simulated_rig
+from rigs.capture import SessionRequest, _frame_store, paint_steps, read_interrupted
+from rigs.capture._paint_session import capture_with
+
+METERED = 35
+"""Exposures before the first frame that is stored."""
+
+
+@dataclass
+class LyingCamera:
+    """From one exposure on, or once, it delivers the frame before as a new one; or it halves exposures unsaid."""
+
+    opened: OpenRig
+    kind: str
+    begins: int
+    taken: int = 0
+    before: RawFrame | None = None
+
+    def identity(self) -> DeviceIdentity:
+        return self.opened.camera.identity()
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        self.taken += 1
+        truly_s = 0.5 * exposure_s if self.kind == "brown-out" and self.taken >= self.begins else exposure_s
+        raw, state = self.opened.camera.expose(truly_s, deadline_s), self.opened.camera.state
+        truth = {"slot": state.slot, "exposure_s": truly_s, "lamp": state.lamp, "laser": state.laser}
+        true = {f"true_{name}": float(value or 0.0) for name, value in truth.items()}
+        said = {"frame_id": self.taken, "device_time_s": float(self.taken), "exposure_s": exposure_s}
+        now = replace(raw, settings={**raw.settings, **true}, **said)
+        lies = {"late frames": self.taken >= self.begins, "an old frame": self.taken == self.begins}
+        before, self.before = self.before, now
+        if before is not None and lies.get(self.kind, False):
+            return replace(now, counts=before.counts, settings=before.settings)
+        return now
+
+
+@dataclass
+class LyingWheel:
+    """At one move it reports success and stays; or every answer is that to the question before."""
+
+    opened: OpenRig
+    kind: str
+    begins: int
+    moves: int = 0
+    claimed: int | None = None
+    last: int | None = None
+
+    @property
+    def slots(self) -> tuple[int, ...]:
+        return self.opened.wheel.slots
+
+    def identity(self) -> DeviceIdentity:
+        return self.opened.wheel.identity()
+
+    def position(self) -> int | None:
+        here = self.opened.wheel.position()
+        if self.claimed is not None and here is not None:
+            return self.claimed
+        if self.kind == "late answers" and self.moves >= self.begins // 4:
+            here, self.last = here if self.last is None else self.last, here
+        return here
+
+    def go_to(self, slot: int, deadline_s: float) -> None:
+        self.moves += 1
+        self.claimed = slot if self.kind == "a wheel that stays" and self.moves == self.begins // 4 else None
+        if self.claimed is None:
+            self.opened.wheel.go_to(slot, deadline_s)
+
+
+def captured(kind: str, begins: int, out: Path) -> tuple[CaptureSession, list[str]]:
+    """Capture beside a device that lies until a person restarts it; return the session and why it had to be resumed."""
+    rig = simulated_rig("red", width_px=64, height_px=64)
+    plan = paint_plan("red", rig.camera).model_copy(
+        update={"filters": ("450", "532", "600", "660"), "bracket": (1.0, 0.25), "darks_per_exposure": 2}
+    )
+    interrupted, resumes = None, []
+    for _ in range(3):
+        with open_rig(rig, Path()) as opened:
+            lie = kind if interrupted is None else ""
+            lying = replace(opened, camera=LyingCamera(opened, lie, begins), wheel=LyingWheel(opened, lie, begins))
+            request = SessionRequest(out, "pytest")
+            try:
+                return capture_with(lying, rig, plan, paint_steps(plan, rig), request, interrupted=interrupted), resumes
+            except CaptureError as error:
+                resumes.append(str(error))
+                interrupted = read_interrupted(out)
+    raise AssertionError(resumes)
+
+
+def wrong(session: CaptureSession) -> list[str]:
+    """Return the frames whose record says what was not true."""
+    lit = {"lamp": (1.0, 0.0), "laser": (0.0, 1.0), "off": (0.0, 0.0)}
+    found = []
+    for frame in session.frames:
+        true = {name: frame.settings[f"true_{name}"] for name in ("slot", "exposure_s", "lamp", "laser")}
+        right = (
+            (frame.filter_name is None or true["slot"] == frame.slot_before)
+            and true["exposure_s"] == pytest.approx(frame.exposure_s)
+            and (true["lamp"], true["laser"]) == lit.get(frame.light, (true["lamp"], true["laser"]))
+        )
+        if not right:
+            found.append(f"{frame.sequence}: {frame.frame_type} {frame.light} {true}")
+    return found
+
+
+# all along the session: metering, dark frames, lit ones
+BEGINNINGS = sorted(random.Random(3).sample(range(METERED - 25, METERED + 50), 8))
+
+
+@pytest.mark.parametrize("begins", [METERED + 1, METERED + 4, *BEGINNINGS])
+def test_one_old_frame_is_taken_again_by_itself(tmp_path: Path, begins: int) -> None:
+    """A number of its own does not make it new: it used to be stored as a dark frame, or ended the session."""
+    session, resumes = captured("an old frame", begins, tmp_path / "s")
+    assert (wrong(session), resumes) == ([], [])
+
+
+@pytest.mark.parametrize("kind", ["late frames", "brown-out", "a wheel that stays", "late answers"])
+@pytest.mark.parametrize("begins", [METERED + 1, METERED + 6, *BEGINNINGS[::3]])
+def test_a_device_that_lies_for_good_leaves_no_wrong_frame(tmp_path: Path, kind: str, begins: int) -> None:
+    session, resumes = captured(kind, begins, tmp_path / "s")
+    unseen = [one for one in wrong(session) if is_seen_in_light_only(kind, begins) and ": dark off" in one]
+    assert wrong(session) == unseen
+    assert len(resumes) <= 1, resumes
+
+
+def is_seen_in_light_only(kind: str, begins: int) -> bool:
+    """Whether dark frames look as they should: at half of the exposure; and late ones that no lit one follows."""
+    return kind == "brown-out" or (kind == "late frames" and begins > METERED + 40)
+
+
+@pytest.mark.parametrize("full_at", [3, 20])
+def test_a_disk_that_was_full_and_is_free_again_loses_nothing(tmp_path: Path, monkeypatch, full_at: int) -> None:
+    write, written = _frame_store.write_frame, [0]
+
+    def full(*given: object) -> str:
+        written[0] += 1
+        if written[0] in (full_at, full_at + 1):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(*given)
+
+    monkeypatch.setattr(_frame_store, "write_frame", full)
+    session, resumes = captured("", 0, tmp_path / "s")
+    assert wrong(session) == []
+    assert len(resumes) == 1
+    assert "No space left on device" in resumes[0]
