@@ -131,7 +131,7 @@ def test_normals_and_contact_are_those_of_the_ball(presses, taught):
 def test_a_press_that_taught_is_told_and_clipped_pixels_are_filled(presses, taught):
     own = capture_of(presses[0], "under another name")
     assert sense_press(taught, own).is_of_teaching
-    assert "this press taught the map 'map'" in sense_press(taught, own).notes[0]
+    assert "the map 'map' was trained on this press" in sense_press(taught, own).notes[0]
     bright = own.contact.copy()
     row, column = round(presses[0].row_px), round(presses[0].column_px)
     bright[row - 3 : row + 3, column - 3 : column + 3] = 255
