@@ -340,7 +340,7 @@ def command(
 def test_the_command_answers_by_a_surrogate(command: str, tmp_path: Path) -> None:
     said = succeed(f"{command}/quick.press.json --largest-error 1")
     assert "+-" in said
-    assert "answer of a surrogate" in said
+    assert "computed by a surrogate" in said
     stored = read_record(tmp_path / "quick.mechanics.json", PressMechanics)
     assert stored.surrogate is not None
     assert np.isnan(stored.energy_n_mm).all()
