@@ -412,10 +412,8 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
             say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
     if mechanics.slip_torque_per_friction_n_mm is not None:
         say(
-            "  torque that the grip resists: about the pad's normal "
-            f"{mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the coefficient of friction; about the finger's "
-            "long axis "
-            f"{mechanics.tipping_torque_n_mm:.3g} N mm, also without friction"
+            f"  torque that the grip resists: {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the friction "
+            f"coefficient about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's long axis"
         )
     if mechanics.sensitivities is not None:
         _report_sensitivities(mechanics.sensitivities)

@@ -614,10 +614,7 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
             "stated uncertainty is too large for it; train with other presses"
         )
     if taught is None:
-        notes.append(
-            "an older version made the map: whether it was trained on this press is not known; run 'finray sense "
-            "teach' again"
-        )
+        notes.append("an older version made the map: whether this press trained it is not known; train it again")
     if record.held_out_level_mm is None and record.held_out_depth_rms_mm is not None:
         notes.append(
             "the error of the depth's zero level around a contact is not known: the stated uncertainty holds only "
@@ -625,9 +622,7 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
             "in view"
         )
     if record.held_out_depth_rms_mm is None:
-        notes.append(
-            "an older version made the map: the uncertainty of the depth is not known; run 'finray sense teach' again"
-        )
+        notes.append("an older version made the map: the uncertainty of the depth is not known; train it again")
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
             f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no teaching "

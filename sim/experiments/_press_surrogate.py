@@ -189,9 +189,7 @@ def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if np.max(distance) > _SAME_NODE_MM:
-        raise SimulateError(
-            "the halves of the finger's mesh are not mirror images: training on one half cannot serve the other"
-        )
+        raise SimulateError("the halves of the finger's mesh are not mirror images: one cannot train the other")
     return np.asarray(image)
 
 
@@ -230,9 +228,7 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError(
-            "it cannot be trained on any press: ribs pass through each other in all of them from the start"
-        )
+        raise SimulateError("no press can train it: ribs pass through each other in all of them from the start")
     return whole
 
 
@@ -659,8 +655,7 @@ class SurrogateFinger:
         )
         notes = (
             f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within {last.force_bar_n:.2g} N, "
-            f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of the finite elements that it was "
-            "trained on",
+            f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of finite elements",
             "it gives no energies; pressures are those of the condensed contact, scaled to add up to the force",
         )
         return pressed, bars, notes, last.doubt
@@ -670,7 +665,6 @@ class SurrogateFinger:
         other = _differs(self.record.design, design)
         if other:
             raise SimulateError(
-                f"the surrogate was trained for another design, which differs in {', '.join(other)}; "
-                "train one for this design with "
+                f"the surrogate was trained for another design, which differs in {', '.join(other)}; train one with "
                 "'finray simulate teach', or press without --surrogate"
             )

@@ -137,8 +137,8 @@ def test_replayed_raspberry_pi_raw_files_through_the_command_line(tmp_path, monk
     assert outcome.status == 0, outcome.err
     stated, _, stored_line = outcome.out.partition("\n")
     assert stated.startswith(
-        "about 0.0 min plus the time for what you do by hand; "
-        "1 min at the longest plus the time for what you do by hand"
+        "this takes about 0.0 min plus the time for what you do by hand, and at most "
+        "1 min plus the time for what you do by hand. "
     )
     assert stored_line == f"{out}: 8 frames of 'finger 3, ball', 2 tactile captures\n"
     assert "Press 1 of 2: ball of radius 4 mm" in outcome.err

@@ -663,7 +663,7 @@ CASES = (
     Case(
         "no surrogate",
         MECHANICS + " --surrogate {tmp}/none.json",
-        r"none\.json: no such file; give the path of a taught surrogate \(\.json\)",
+        r"none\.json: no such file; give the path of a surrogate \(\.json\)",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(

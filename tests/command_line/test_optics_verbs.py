@@ -135,12 +135,12 @@ def test_optics_writes_record_capture_and_images(design, paints, tmp_path):
     )
     told = succeed(run)
     assert "a.capture.json: raw counts of 10 bit" in told
-    assert "camera response at the LED uncertain by 30 %" in told
+    assert "camera response to the LED: uncertain by 30 %" in told
     press = read_record(tmp_path / "a.press.json", SimulatedPress)
     capture = read_record(tmp_path / "a.capture.json", TactileCapture)
     assert capture.contact.shape == (96, 128, 1)
     assert capture.source == f"simulated: {press.label}"
-    assert any("camera response at the LED" in note for note in press.notes)
+    assert any("camera response to the LED" in note for note in press.notes)
     folder = tmp_path / "a.optics"
     with OpenEXR.File(str(folder / "bands.exr"), separate_channels=True) as file:
         bands = {name: channel.pixels for name, channel in file.channels().items()}

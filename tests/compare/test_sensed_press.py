@@ -131,7 +131,7 @@ def test_normals_and_contact_are_those_of_the_ball(presses, taught):
 def test_a_press_that_taught_is_told_and_clipped_pixels_are_filled(presses, taught):
     own = capture_of(presses[0], "under another name")
     assert sense_press(taught, own).is_of_teaching
-    assert "this press taught the map 'map'" in sense_press(taught, own).notes[0]
+    assert "the map 'map' was trained on this press" in sense_press(taught, own).notes[0]
     bright = own.contact.copy()
     row, column = round(presses[0].row_px), round(presses[0].column_px)
     bright[row - 3 : row + 3, column - 3 : column + 3] = 255
@@ -150,7 +150,7 @@ def test_a_map_of_an_earlier_version_knows_no_uncertainty(presses, taught):
     old = {"held_out_depth_rms_mm": None, "held_out_height_error_rel": None, "training_sha256": ()}
     sensed = sense_press(taught.model_copy(update=old), capture_of(presses[30], "q"))
     assert (sensed.depth_u_mm, sensed.deepest_u_mm, sensed.contact_area_u_mm2, sensed.is_of_teaching) == (None,) * 4
-    assert sum("teach it again" in note for note in sensed.notes) == 2
+    assert sum("train it again" in note for note in sensed.notes) == 2
 
 
 def test_what_cannot_be_sensed_is_refused(presses, taught):

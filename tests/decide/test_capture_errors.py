@@ -117,7 +117,7 @@ def test_captures_without_a_common_rig_and_paints_share_no_scale(other):
     assert found.scale_of is None
     assert found.log_error == pytest.approx([0.1, 0.1])
     (note,) = notes
-    assert "known at several angles but not compared: the reports do not name one rig" in note
+    assert "known at several angles but were not compared, because the reports do not name one rig" in note
 
 
 @pytest.mark.parametrize(("angle_deg", "kept"), [(-5.0, True), (-5.5, False), (125.0, True), (126.0, False)])

@@ -305,7 +305,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         ),
         (('"{press}.png"', '"../{press}.png"'), None, "must be a path within the folder"),
         (('"{press}.png"', '"a.png"'), None, r"must contain \{press\} exactly once"),
-        (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing, which belongs to file"),
+        (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing next to file"),
         (("[indenter]\n", CIRCLE), ('= "x"', '= "y"'), "t.csv: has no column 'y'; it has n, x, r: correct the recipe"),
         (("[indenter]\n", CIRCLE), ('"n"', '"m"'), "has no column 'm' that names the press"),
         (("[indenter]\n", CIRCLE), ('= "x"', '= "r"'), "r of a must be a number, got 'wide'"),
@@ -395,7 +395,7 @@ def test_two_commands_lead_from_a_folder_to_scores(tmp_path, monkeypatch):
     assert (circles["0002"].circle.row_px, circles["0002"].circle.column_px) == PLACES[1]
     assert (tmp_path / "set" / "contacts.png").read_bytes().startswith(b"\x89PNG")
     press = read_record(tmp_path / "set" / "0002.press.json", SimulatedPress)
-    assert "taught by 3 other presses: 0001, 0003, 0005" in press.notes
+    assert "trained on 3 other presses: 0001, 0003, 0005" in press.notes
     made_of = {path.rsplit("/", 1)[-1] for path in press.provenance.input_sha256}
     assert made_of >= {"0001.png", "0002.png", "0003.png", "0005.png", "0000.png", "annotate.csv"}
     assert "0004.png" not in made_of

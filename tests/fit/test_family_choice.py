@@ -58,10 +58,10 @@ def scores(probability, gain, sd):
     [
         (0.30, 5.0, 1.0, DEFAULT_FAMILY, "the default, and the most probable given these bands"),
         (0.89, 5.0, 1.0, DEFAULT_FAMILY, "do not clearly distinguish the families"),
-        (0.99, 1.9, 1.0, DEFAULT_FAMILY, "although it is improbable given these bands"),
+        (0.99, 1.9, 1.0, DEFAULT_FAMILY, "although the bands make it improbable"),
         (0.99, -3.0, 1.0, DEFAULT_FAMILY, "zheng2014 -3.0"),
-        (0.99, 2.1, 1.0, "zheng2014", "predicted better by 2.1 .- 1.0 nats"),
-        (0.9998, 43.0, 27.0, DEFAULT_FAMILY, "although it is improbable given these bands"),
+        (0.99, 2.1, 1.0, "zheng2014", "predicts left-out bands better by 2.1 .- 1.0 nats"),
+        (0.9998, 43.0, 27.0, DEFAULT_FAMILY, "although the bands make it improbable"),
         (0.99999, 43.0, 27.0, "zheng2014", "the bands rule out the default"),
         (0.99999, -43.0, 5.0, DEFAULT_FAMILY, "zheng2014 -43.0"),
     ],

@@ -83,7 +83,9 @@ def test_progress_that_cannot_be_called_is_refused_before_the_work(lab, paint, t
         lambda: finray.fit_sensor(finger, [], progress=3),
     )
     for call in calls:
-        with pytest.raises(RecordError, match=r"progress=3: a function of three arguments is needed \(parts done,"):
+        with pytest.raises(
+            RecordError, match=r"progress=3: allowed are None or a function of three arguments \(steps done,"
+        ):
             call()
     assert not (tmp_path / "s").exists()
 

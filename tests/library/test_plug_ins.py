@@ -212,7 +212,7 @@ def test_metric_of_the_page_stands_in_record_terminal_and_page(parts, tmp_path):
     assert rows["simulation"].high95 < rows["do nothing"].estimate
     assert rows["do nothing"].low95 == rows["do nothing"].estimate
     page = (tmp_path / "r.html").read_text("utf-8")
-    assert "Metrics that other packages bring" in page
+    assert "Metrics of other packages" in page
     assert f"{rows['do nothing'].estimate:.4g}" in page
 
 

@@ -142,7 +142,7 @@ def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text
         ),
         (vary("seed", [1]) + vary("seed", [2]), r"seed is given twice; vary it or set it, once"),
         ("[set]\nseed = 3\n" + vary("seed", [1]), r"seed is given twice"),
-        ("count = 4\n" + vary("seed", [1]), r'count goes with combine = "random", and only with it'),
+        ("count = 4\n" + vary("seed", [1]), r'count belongs to combine = "random" only'),
         ('combine = "random"\ncount = 4\n' + vary("seed", [1]), r'combine = "random" needs low and high, not values'),
         ('[[vary]]\nfield = "seed"\nlow = 1.0\nhigh = 2.0\n', r'low and high need combine = "random"; give values'),
         (

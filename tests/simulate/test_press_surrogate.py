@@ -340,11 +340,11 @@ def command(
 def test_the_command_answers_by_a_surrogate(command: str, tmp_path: Path) -> None:
     said = succeed(f"{command}/quick.press.json --largest-error 1")
     assert "+-" in said
-    assert "answer of a surrogate" in said
+    assert "computed by a surrogate" in said
     stored = read_record(tmp_path / "quick.mechanics.json", PressMechanics)
     assert stored.surrogate is not None
     assert np.isnan(stored.energy_n_mm).all()
-    assert stored.label.startswith("surrogate taught by 20 presses")
+    assert stored.label.startswith("surrogate trained on 20 presses")
     assert not (tmp_path / "quick.increments").exists()
     _, shape = restore_shapes(read_record(tmp_path / "quick.surfaces.json", FingerSurfaces))
     check_no_intersections(shape.gel)
@@ -362,7 +362,7 @@ def test_the_command_falls_back_on_finite_elements(command: str, tmp_path: Path)
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("length_mm = 48.0", "length_mm = 50.0", "was taught another design: it differs in pad"),
+        ("length_mm = 48.0", "length_mm = 50.0", "was trained for another design, which differs in pad"),
         (
             "depth_mm = 0.6",
             "depth_mm = 4.5",

@@ -108,7 +108,7 @@ def test_colours_spread_by_the_share_of_led_light():
     np.testing.assert_allclose(spread.sd_rel, 0.2 * share, rtol=SIGMAS * 0.006)
     both = 0.2 * np.hypot(share[:2], share[2])
     np.testing.assert_allclose(spread.ratio_sd_rel, both, rtol=0.1)  # first order in 0.2
-    assert "uncertain by 20 %: red, green, blue contain" in str(spread)
+    assert "uncertain by 20 %. LED light makes up" in str(spread)
 
 
 def test_spectral_images_integrate_to_the_bands(paints):

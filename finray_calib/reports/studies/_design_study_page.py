@@ -495,11 +495,8 @@ def _caption(point: StudyPoint) -> str:
     """Return the numbers of a point in a line."""
     found = {metric.name: metric for metric in point.metrics}
     shares = [found[name].value for name, _, _ in _SHARES if name in found]
-    parts = (
-        [f"Red, green, blue is the strongest on {', '.join(f'{100.0 * share:.0f}' for share in shares)} % of the coat"]
-        if shares
-        else []
-    )
+    listed = ", ".join(f"{100.0 * share:.0f}" for share in shares)
+    parts = [f"Red, green, blue is the strongest on {listed} % of the coat"] if shares else []
     parts += [f"{words} {_value(found[name])}" for name, words in _IN_CAPTIONS.items() if name in found]
     return f"{'; '.join(parts)}."
 
