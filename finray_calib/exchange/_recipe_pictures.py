@@ -102,7 +102,7 @@ def orientation(content: bytes) -> int:
     return _UPRIGHT
 
 
-def exr_steps(path: Path, full_scale: float) -> NDArray[np.uint16]:
+def exr_steps(path: Path, full_scale_rel: float) -> NDArray[np.uint16]:
     """Return an OpenEXR image (H, W, 3) in steps of which 65535 are full scale.
 
     Raises
@@ -111,18 +111,18 @@ def exr_steps(path: Path, full_scale: float) -> NDArray[np.uint16]:
         Much of it lies above full scale, or so little of the scale is used that steps would be seen.
     """
     image = exr_rgb(path)
-    largest, above = float(image.max()), float((image > full_scale).mean())
-    if above > _MOST_ABOVE_FULL or largest * 65535.0 < _LEAST_STEPS * full_scale:
+    largest, above = float(image.max()), float((image > full_scale_rel).mean())
+    if above > _MOST_ABOVE_FULL or largest * 65535.0 < _LEAST_STEPS * full_scale_rel:
         what = (
-            f"{100 * above:.3g} % of its values lie above picture.full_scale = {full_scale:g} and would be clipped"
+            f"{100 * above:.3g} % of its values lie above picture.full_scale = {full_scale_rel:g} and would be clipped"
             if above > _MOST_ABOVE_FULL
-            else f"its values fill only {largest / full_scale * 65535.0:.3g} of the 65535 steps below "
-            f"picture.full_scale = {full_scale:g}"
+            else f"its values fill only {largest / full_scale_rel * 65535.0:.3g} of the 65535 steps below "
+            f"picture.full_scale = {full_scale_rel:g}"
         )
         raise ImportFormatError(
             f"{path}: {what}; its largest value is {largest:.4g}: give a full scale a little above that of all pictures"
         )
-    return np.clip(np.rint(image / full_scale * 65535.0), 0.0, 65535.0).astype(np.uint16)
+    return np.clip(np.rint(image / full_scale_rel * 65535.0), 0.0, 65535.0).astype(np.uint16)
 
 
 def require_alike(pictures: Mapping[Path, NDArray[Any]]) -> None:
