@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from data_schemas import CauseParameter, ErrorAttribution, ErrorCause
 from finray_calib.compare._comparison import Comparison
 from finray_calib.compare._image_noise import NO_NOISE, block_mean, mean_level
+from finray_calib.compare._region_sums import error_variance
 from finray_calib.compare._regions import every_channel, tile_indices
 
 Floats = NDArray[np.float64]
@@ -278,12 +279,7 @@ def _known_variance(comparison: Comparison, scene: _Scene, window: _Window) -> F
     half = window.cut(layers.contact_half)
     if captured.noise is NO_NOISE and not half.any():
         return np.zeros(3)
-    known = captured.variance(np.nan_to_num(window.cut(captured.contact)))
-    known = known + comparison.best_exposure**2 * layers.rgb(half) ** 2
-    if layers.rest_noise is not None:
-        known = known + window.cut(layers.rest_noise) * captured.variance(
-            np.nan_to_num(window.cut(captured.no_contact))
-        )
+    known = window.cut(error_variance(layers, captured, comparison.best_exposure))
     return np.asarray(np.nan_to_num(window.averaged(known))[scene.fitted].mean(axis=0) / window.side_px**2)
 
 

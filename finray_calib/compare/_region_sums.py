@@ -300,6 +300,14 @@ class Captured:
         return Captured(block_mean(self.contact, side_px), block_mean(self.no_contact, side_px), repeat, noise)
 
 
+def error_variance(layers: RenderLayers, captured: Captured, exposure_k: float) -> Floats:
+    """Return the variance (H, W, 3) of the noise of render minus capture; of a clipped pixel that of no light."""
+    variance = captured.variance(np.nan_to_num(captured.contact)) + exposure_k**2 * layers.contact_variance
+    if layers.rest_noise is None:
+        return variance
+    return variance + layers.rest_noise * captured.variance(np.nan_to_num(captured.no_contact))
+
+
 @dataclass(frozen=True, slots=True)
 class RegionSums:
     """Hold everything a region's rows are formed from; arrays have three channels.

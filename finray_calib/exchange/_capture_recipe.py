@@ -13,13 +13,17 @@ from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Final, Literal
 from unicodedata import normalize
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from data_schemas import ImportFormatError, MissingPart, Model, explain
+from data_schemas import ImportFormatError, MissingPart, Model, TactileCapture, explain
 from data_schemas.storage import files_below, has_file, read_csv, read_toml_tables
 from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, MOST_PRESSES, read_npz, require_length
+from finray_calib.sensing import contact_distance
+
+Floats = NDArray[np.float64]
 
 RECIPES: Final = Path(__file__).parent / "recipes"
 PRESS: Final = "{press}"
@@ -465,3 +469,131 @@ def refuse_misspelt(folder: Path, recipe: Recipe, files: Collection[str]) -> Non
                 f"recipe '{recipe.name}': {where} names '{unknown[0]}', which is no press of {folder}, "
                 f"and not '{missing[0]}', which is one; correct the name, as {recipe.presses.files} gives it"
             )
+
+
+#: A ball that is pressed in by d touches over a circle whose cap is d high in a rigid pad, and half as high in a thick
+#: soft one; with a drawn circle and the play of a stage both agree to this factor.
+_DEPTH_FACTOR = 5.0
+_UNITS: Final = {1e-3: '"m"', 0.1: '"cm"', 1e3: '"um"'}
+#: Without a circle: depths in mm that a gel can have.
+_DEPTHS_MM: Final = (0.01, 30.0)
+#: The change by contact is so much denser where rows and columns of the circles are exchanged.
+_EXCHANGED, _NEAR = 2.0, 1.5
+
+
+def require_possible_scale(recipe: Recipe) -> None:
+    """Refuse a pixel of more than a millimetre: no sensor of this kind has one, and inverted scales do.
+
+    Raises
+    ------
+    ImportFormatError
+        The scale of the recipe says so.
+    """
+    scale = recipe.scale
+    if scale is not None and scale.side_mm > LARGEST_PIXEL_MM:
+        given, other = ("mm_per_px", "px_per_mm") if scale.mm_per_px is not None else ("px_per_mm", "mm_per_px")
+        number = scale.mm_per_px if scale.mm_per_px is not None else scale.px_per_mm
+        raise ImportFormatError(
+            f"recipe '{recipe.name}', scale: with {given} = {number:g} a pixel is {scale.side_mm:.4g} mm wide, and at "
+            f"most {LARGEST_PIXEL_MM:g} mm are allowed; is it {other} = {number:g}?"
+        )
+
+
+def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, float | None]]) -> None:
+    """Refuse depths that are in another unit than millimetres, by the circles of balls or by what a gel can be.
+
+    Parameters
+    ----------
+    recipe
+        Named in the message.
+    depths
+        Name of the press -> its depth and the height of its circle's cap where ball, scale and circle are known, mm.
+
+    Raises
+    ------
+    ImportFormatError
+        The median of the presses is too far off.
+    """
+    if not depths:
+        return
+    ratios = [depth / cap for depth, cap in depths.values() if cap is not None and cap > 0.0]
+    middle_mm = float(np.median([depth for depth, _ in depths.values()]))
+    if ratios:
+        ratio = float(np.median(ratios))
+        if 1.0 / _DEPTH_FACTOR <= ratio <= _DEPTH_FACTOR:
+            return
+        why = f"{ratio:.2g} times the height of the ball's cap over the contact circles, {middle_mm / ratio:.3g} mm"
+    elif _DEPTHS_MM[0] <= middle_mm <= _DEPTHS_MM[1]:
+        return
+    else:
+        ratio = middle_mm / 1.0
+        why = f"and {_DEPTHS_MM[0]:g} to {_DEPTHS_MM[1]:g} mm are allowed"
+    unit = next((name for factor, name in _UNITS.items() if 1 / 3 < ratio / factor < 3), '"m", "cm" or "um"')
+    raise ImportFormatError(
+        f"recipe '{recipe.name}', indenter.depth_mm: the median depth of {len(depths)} presses is {middle_mm:.3g} mm, "
+        f"{why}. If the column is in another unit, say columns_in = {unit} below [indenter]; else correct the depths, "
+        "the scale or the ball's diameter"
+    )
+
+
+def circle_densities(capture: TactileCapture) -> tuple[float, float] | None:
+    """Return the change by contact per pixel near the circle, and near one with row and column exchanged.
+
+    None where the exchanged one lies outside the picture or over the same pixels.
+    """
+    circle, distance = capture.contact_circle, contact_distance(capture)
+    if circle is None or distance is None:
+        return None
+    exchanged = circle.model_copy(update={"row_px": circle.column_px, "column_px": circle.row_px})
+    rows, columns = capture.contact.shape[:2]
+    apart = np.sqrt(2.0) * abs(circle.row_px - circle.column_px)
+    if not (exchanged.row_px < rows and exchanged.column_px < columns) or apart < circle.radius_px:
+        return None
+    other = contact_distance(capture.model_copy(update={"contact_circle": exchanged}))
+    change = np.abs(capture.contact.astype(np.float64) - capture.no_contact).mean(axis=-1)
+    if other is None or not ((distance < _NEAR).any() and (other < _NEAR).any()):
+        return None
+    return float(change[distance < _NEAR].mean()), float(change[other < _NEAR].mean())
+
+
+def require_circles_on_contacts(recipe: Recipe, densities: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse circles whose presses change more where row and column are exchanged.
+
+    Raises
+    ------
+    ImportFormatError
+        The median over presses says so.
+    """
+    if not densities:
+        return
+    ratio = float(np.median([other / max(own, 1e-9) for own, other in densities.values()]))
+    if ratio > _EXCHANGED:
+        raise ImportFormatError(
+            f"recipe '{recipe.name}', contact.circle: {len(densities)} presses change {ratio:.2g} times as much where "
+            "row and column of their circles are exchanged; exchange column_px and row_px"
+        )
+
+
+def above_zero(what: str, value_mm: float | None) -> None:
+    """Leave out a press of which a table says a length that none has.
+
+    Raises
+    ------
+    LeftOutError
+        It is not above 0.
+    """
+    if value_mm is not None and not value_mm > 0.0:
+        raise LeftOutError(f"its {what} is {value_mm:g} mm in the table; it must be above 0")
+
+
+def longest_hold(strength: Floats, least_share: float) -> int:
+    """Return the middle of the longest run of frames near the largest value."""
+    held = np.concatenate([[False], strength >= least_share * strength.max(), [False]])
+    starts, stops = np.flatnonzero(~held[:-1] & held[1:]), np.flatnonzero(held[:-1] & ~held[1:])
+    longest = int(np.argmax(stops - starts))
+    return int((starts[longest] + stops[longest] - 1) // 2)
+
+
+def small_frame(picture: NDArray[Any]) -> Floats:
+    """Return a frame in few pixels, for choosing frames."""
+    return np.asarray(cv2.resize(picture, (160, 120), interpolation=cv2.INTER_AREA), dtype=np.float64)

@@ -33,31 +33,31 @@ from finray_calib.exchange._capture_recipe import (
     PlaceOfPress,
     Quantity,
     Recipe,
+    above_zero,
+    circle_densities,
     label_array,
     label_column,
     label_entry,
+    longest_hold,
     named_file,
     named_presses,
     pickle_words,
     press_files,
     read_label_table,
     refuse_misspelt,
-)
-from finray_calib.exchange._recipe_pictures import (
-    above_zero,
-    circle_densities,
-    exr_steps,
-    frame_of,
-    in_colour,
-    longest_hold,
-    pixels_of,
-    require_alike,
     require_circles_on_contacts,
     require_possible_depths,
     require_possible_scale,
     small_frame,
 )
-from finray_calib.exchange._render_files import motion_jpeg_frames
+from finray_calib.exchange._render_files import (
+    exr_steps,
+    frame_of,
+    in_colour,
+    motion_jpeg_frames,
+    pixels_of,
+    require_alike,
+)
 from finray_calib.sensing import contact_distance, find_contact_circle, find_contact_outline
 
 Counts = NDArray[np.uint16]

@@ -22,7 +22,7 @@ from data_schemas import (
     TactileCapture,
     package_version,
 )
-from finray_calib.reports._comparison_statements import judged_skill, relative_sentence
+from finray_calib.reports._comparison_statements import judged_skill
 from finray_calib.reports._images import ByteImage, png_data_uri, touch_changes, touch_pictures
 from finray_calib.reports._page import (
     Content,
@@ -42,7 +42,7 @@ from finray_calib.reports._page import (
     one_group,
     report_html,
 )
-from finray_calib.reports._plain_text import NO_VALUE, fixed, plain, skill_text
+from finray_calib.reports._plain_text import NO_VALUE, fixed, plain, relative_sentence, skill_text
 from finray_calib.reports._style import BLUE, INK, MUTED, new_figure, styled, svg_text
 
 _TILE_PX = 150

@@ -68,7 +68,16 @@ from finray_calib.reports._page import (
     report_html,
     scale_table,
 )
-from finray_calib.reports._plain_text import Json, fixed, interval_name, percent, plain, signed_percent, significant
+from finray_calib.reports._plain_text import (
+    Json,
+    fixed,
+    interval_name,
+    percent,
+    plain,
+    relative_sentence,
+    signed_percent,
+    significant,
+)
 
 
 def comparison_page(
@@ -104,7 +113,7 @@ def comparison_page(
             verb="finray compare",
             title=f"{report.simulated}, compared with {report.captured}",
             lead=f"How far a simulated touch is from a real one. Simulation: {report.label}. Compared "
-            f"{words.grid_phrase(report)}; values: {report.values}.{words.relative_sentence(report)}",
+            f"{words.grid_phrase(report)}; values: {report.values}.{relative_sentence(report)}",
             verdict=words.comparison_verdict(report),
             light=words.judged_skill(report.headline_skill.low95, report.headline_skill.high95)[0],
             sentence=words.verdict_meaning(report),

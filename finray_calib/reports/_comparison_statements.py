@@ -10,7 +10,6 @@ from typing import Literal
 
 from data_schemas import (
     CauseParameter,
-    ComparisonBatch,
     ErrorAttribution,
     ErrorRow,
     FittedToneCurve,
@@ -148,16 +147,6 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
     return (
         f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0, a perfect simulation "
         f"1{taken_out}; {bound}."
-    )
-
-
-def relative_sentence(compared: PhotometricErrorReport | ComparisonBatch) -> str:
-    """Say, after a space, that only the change by contact was judged; nothing where the light was judged as well."""
-    if not compared.relative:
-        return ""
-    return (
-        " Relative: the captured image without contact stands in the place of the render's, so that only the change by "
-        "contact is judged, and not the light of the render."
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from data_schemas import (
+    ComparisonBatch,
     ErrorRow,
     Estimate,
     ForceComparison,
@@ -127,6 +128,16 @@ def interval_name(report: PhotometricErrorReport) -> str:
     """Return what the intervals of the scores are called: 95 % of what inputs leave open, or pixels of one press."""
     of_inputs = report.monte_carlo is not None if report.interval_over is None else report.interval_over == "inputs"
     return "95 %" if of_inputs else "over pixels"
+
+
+def relative_sentence(compared: PhotometricErrorReport | ComparisonBatch) -> str:
+    """Say, after a space, that only the change by contact was judged; nothing where the light was judged as well."""
+    if not compared.relative:
+        return ""
+    return (
+        " Relative: the captured image without contact stands in the place of the render's, so that only the change by "
+        "contact is judged, and not the light of the render."
+    )
 
 
 def comparison_lines(report: PhotometricErrorReport) -> str:

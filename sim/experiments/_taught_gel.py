@@ -221,9 +221,9 @@ class _Lights:
     thickness_rel: float
     depth_rel: float
     half_length: Floats
-    softness: float
+    softness_rel: float
     offset: Floats
-    power: float
+    depth_exponent: float
     circle_rel: float
 
     @classmethod
@@ -244,7 +244,7 @@ class _Lights:
 
     def depth(self, circle_rel: float) -> float:
         """Return how deep a ball is pressed whose labelled circle has this radius, in ball radii."""
-        return float(self.depth_rel * _cap(self.circle_rel) * (circle_rel / self.circle_rel) ** self.power)
+        return float(self.depth_rel * _cap(self.circle_rel) * (circle_rel / self.circle_rel) ** self.depth_exponent)
 
     def ratio(self, press: _Press) -> Floats:
         """Return contact over no contact of each pixel and channel, (pixel, 3)."""
@@ -281,8 +281,8 @@ class _Lights:
 
     def _soft(self, facing: Floats | float) -> Floats:
         """Return the mean of max(x, 0) over a normal distribution around the cosine of a light."""
-        share = np.divide(facing, self.softness)
-        return np.asarray(self.softness * _NORMAL * np.exp(-0.5 * share**2) + facing * ndtr(share))
+        share = np.divide(facing, self.softness_rel)
+        return np.asarray(self.softness_rel * _NORMAL * np.exp(-0.5 * share**2) + facing * ndtr(share))
 
 
 _NORMAL: Final = 1.0 / np.sqrt(2.0 * np.pi)

@@ -121,8 +121,8 @@ def test_strips_of_light_are_told_from_points():
     gel = fit_gel([capture(number, **STRIPS) for number in range(3)])
     length = next(number for number in gel.numbers if number.name == "half-length of the lights over their distance")
     assert length.low95 < 16.0 / 20.0 < length.high95
-    # points of light lose LOST_BY_POINTS of them
-    assert max(lost_by(gel, (20, 21, 22), **STRIPS)) < 0.02
+    # a model of points of light loses 0.013 to 0.018
+    assert max(lost_by(gel, (20, 21, 22), **STRIPS)) < 0.01
 
 
 def test_what_taught_is_not_predicted(gel):
