@@ -171,6 +171,18 @@ def test_one_turned_face_is_refused():
         check_closed(surfaces)
 
 
+def test_a_triangle_that_stands_twice_is_refused():
+    surfaces = gel()
+    tip = surfaces["tip"]
+    surfaces["tip"] = Surface(tip.vertices_mm, np.vstack([tip.triangles, tip.triangles[:1]]), tip.uv)
+    with pytest.raises(SimulateError, match=r"gel is not closed: .* at .*tip \("):
+        check_closed(surfaces)
+    # turned, it closes a second volume of its own edges, which run twice all the same
+    surfaces["tip"] = Surface(tip.vertices_mm, np.vstack([tip.triangles, tip.triangles[:1, ::-1]]), tip.uv)
+    with pytest.raises(SimulateError, match=r"gel is not closed: .* at .*tip \("):
+        check_closed(surfaces)
+
+
 def test_a_gel_inside_out_is_refused():
     with pytest.raises(SimulateError, match="normals of the gel point inward"):
         check_closed({name: surface.reversed() for name, surface in gel().items()})
