@@ -151,7 +151,9 @@ def test_camera_that_sees_nothing_is_refused(scalar):
     aside = CameraCalibration(
         model="pinhole", width_px=64, height_px=48, focal_px=(400.0, 400.0), centre_px=(2000.0, 24.0), source="off.yaml"
     )
-    with pytest.raises(ImpossibleFingerError, match=r"does not see the coated face .*field_of_view_deg.*\(off\.yaml\).*mirror"):
+    with pytest.raises(
+        ImpossibleFingerError, match=r"does not see the coated face .*field_of_view_deg.*\(off\.yaml\).*mirror"
+    ):
         maps_of(hidden, scalar, calibration=aside)
 
 
