@@ -105,7 +105,7 @@ class DesignSearch:
         if seen.shape[1] > 1:
             return np.full(seen.shape[1], np.inf)
         middle = np.median(seen, axis=0)
-        return np.maximum(middle + _FAR * (middle - seen.min(axis=0)), seen[0])
+        return np.asarray(np.maximum(middle + _FAR * (middle - seen.min(axis=0)), seen[0]))
 
     def emulators(self, before: Sequence[DesignEmulator], is_fitted_again: bool = True) -> tuple[DesignEmulator, ...]:
         """Return an emulator of each objective's loss; where it is not fitted again, lengths and noise stay.
