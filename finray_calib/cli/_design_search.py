@@ -59,10 +59,10 @@ Change the numbers of a finger within limits, and find the design that is best b
   bending-stiffness  stiffness against a force at the tip
   twist-stiffness    stiffness against a turn of the tip
 
-A third of the evaluations screens the limits (Sobol' points); an emulator proposes the others one by one. The design of
-the best expected value is recommended, and compared with the start and with the best of the screening by other seeds
-and contact places, which the search has not seen. With several objectives (--and) the page shows the front: the best
-compromises, and which differences between them are real. 1 % of one objective then counts as 1 % of another.
+A third of the evaluations (or --screen of them) screens the limits (Sobol' points); an emulator proposes the others one
+by one. The design of the best expected value is recommended, and compared with the start and with the best of the
+screening by other seeds and contact places, which the search has not seen. With several objectives (--and) the page
+shows the front: the best compromises, and which differences are real; 1 % of one then counts as 1 % of another.
 
 Each evaluation is stored as soon as it is finished: the same command continues where it was interrupted. Writes into
 the folder: evaluations/, the recommended finger (TOML), optimum.json and optimum.html. Where the powers of the panels
@@ -124,6 +124,7 @@ ASSESSMENT_PAGE, ASSESSED_FROM = "assessment.html", "computed-from.sha256"
 _ANGLES_DEG = tuple(float(angle) for angle in range(-60, 121, 10))
 _PLACES_REL = (0.12, 0.3, 0.5, 0.7, 0.88)
 _PERCENT_CHANGE = 0.2
+_MOST_EVALUATIONS = 1000
 
 
 def add_assess(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -169,6 +170,8 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )  # fmt: skip
     search.add_argument("--evaluations", type=whole_number(1, _MOST_EVALUATIONS), default=60, metavar="N",
                         help="designs to compute (default: 60)")  # fmt: skip
+    search.add_argument("--screen", type=whole_number(1, _MOST_EVALUATIONS), metavar="N", help="how many of them screen the limits, "
+                        "without an emulator (default: a third)")  # fmt: skip
     search.add_argument("--confirm", type=_confirmation_count, default=6, metavar="N",
                         help="other seeds and contact places that confirm the gain (default: 6; 0: none)")  # fmt: skip
     add_paint(search)
@@ -224,7 +227,7 @@ def run_optimise(arguments: argparse.Namespace) -> None:
     with naming(SimulateError, arguments.design), progress_bar(f"search of {design.name}") as progress:
         searched = search_designs(
             DesignSpace(design, parameters), objectives, evaluations.evaluate, arguments.evaluations, arguments.seed,
-            progress,
+            progress, arguments.screen,
         )  # fmt: skip
         compared = [searched.evaluated[k].design for k in (0, searched.screen_best, -1)]
         again = confirmed_losses(compared, objectives, evaluations, arguments.confirm, progress)

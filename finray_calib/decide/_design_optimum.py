@@ -48,6 +48,7 @@ TOLERANCE_REL: Final = 0.01
 #: Probability beyond which a difference of two designs is called real, on one side.
 REAL: Final = 0.975
 _DRAWS: Final = 960
+_FAR: Final = 2.0
 _FRONT_DRAWS: Final = 240
 #: Designs all over the box, and about the chosen one, that might be better than it.
 _ALL_OVER, _ABOUT = 128, 128
@@ -92,6 +93,20 @@ class DesignSearch:
         rows = [[self.evaluated[k].values[one.name] for one in self.objectives] for k in self.usable]
         return losses(np.array(rows), self.objectives)
 
+    @property
+    def most_told(self) -> Floats:
+        """Greatest losses that the emulators are told, (K,): twice as far above the median as the best lies below it.
+
+        A design that hides the light has a loss many times that far: lengths and noise of an emulator that follows it
+        no longer tell good designs apart. The start, which gains are counted from, is always told. Infinite with
+        several objectives, as the front reaches to designs that are poor in one.
+        """
+        seen = self.losses
+        if seen.shape[1] > 1:
+            return np.full(seen.shape[1], np.inf)
+        middle = np.median(seen, axis=0)
+        return np.asarray(np.maximum(middle + _FAR * (middle - seen.min(axis=0)), seen[0]))
+
     def emulators(self, before: Sequence[DesignEmulator], is_fitted_again: bool = True) -> tuple[DesignEmulator, ...]:
         """Return an emulator of each objective's loss; where it is not fitted again, lengths and noise stay.
 
@@ -104,7 +119,7 @@ class DesignSearch:
         """
         inputs = self.places[self.usable]
         found = []
-        for k, column in enumerate(self.losses.T):
+        for k, column in enumerate(np.minimum(self.losses, self.most_told).T):
             last = before[k] if before else None
             if last is None or is_fitted_again:
                 found.append(fit_emulator(inputs, column, last))
@@ -331,11 +346,12 @@ def _rows(searched: DesignSearch, judged: JudgedDesigns) -> tuple[OptimisedDesig
     """Return all designs with what is known of them."""
     of_usable = {int(k): row for row, k in enumerate(searched.usable)}
     names = [one.name for one in searched.objectives]
+    lost, most = searched.losses, searched.most_told
     rows = []
     for k, (role, changes, found) in enumerate(zip(searched.roles, searched.changes, searched.evaluated, strict=True)):
         row = of_usable.get(k)
         apart = np.zeros(len(names), dtype=np.int64) if row is None else judged.apart[row]
-        limits = None if row is None else values_of(judged.limits[:, row], searched.objectives)
+        limits = None if row is None else values_of(_limits_of(judged, lost, most, row), searched.objectives)
         rows.append(
             OptimisedDesign(
                 number=k + 1,
@@ -350,6 +366,12 @@ def _rows(searched: DesignSearch, judged: JudgedDesigns) -> tuple[OptimisedDesig
             )
         )
     return tuple(rows)
+
+
+def _limits_of(judged: JudgedDesigns, lost: Floats, most: Floats, row: int) -> Floats:
+    """Return the limits (2, K) of a design's losses; beyond what emulators are told, up to the computed loss."""
+    low, high = judged.limits[:, row]
+    return np.array([low, np.where(lost[row] > most, np.maximum(high, lost[row]), high)])
 
 
 def _ends(limits: Floats) -> list[tuple[float, float]]:

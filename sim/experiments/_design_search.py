@@ -492,6 +492,7 @@ def search_designs(
     evaluations: int,
     seed: int,
     progress: Progress | None = None,
+    screened: int | None = None,
 ) -> DesignSearch:
     """Search a space of designs: screen, proposals by knowledge gradient, and the design of the best expected value.
 
@@ -513,23 +514,31 @@ def search_designs(
         Of screen and proposals: the same seed and evaluations give the same search.
     progress
         Called after each evaluation.
+    screened
+        Of the evaluations, how many are the screen's; by default as :func:`screen_size` says.
 
     Raises
     ------
     SimulateError
         When there are too few evaluations, or most of the screen fails.
     """
-    least = 3 * (len(space.parameters) + 1) + 4
-    if evaluations < least:
+    count = len(space.parameters)
+    screened = screen_size(evaluations, count) if screened is None else screened
+    least = 3 * (count + 1)
+    if evaluations < least + 4:
         raise SimulateError(
-            f"--evaluations: {evaluations} are too few for {len(space.parameters)} parameters; give {least} or more"
+            f"--evaluations: {evaluations} are too few for {count} parameters; give {least + 4} or more"
+        )
+    if not least <= screened <= evaluations - 2:
+        raise SimulateError(
+            f"--screen: of {evaluations} evaluations {least} to {evaluations - 2} can screen the limits of {count} "
+            f"parameters, got {screened}; give --screen or --evaluations accordingly"
         )
     run = _Run(space, tuple(objectives), evaluate, evaluations, progress)
     run.add(space.place(space.start), "start")
     if run.evaluated[0].failure:
         raise SimulateError(f"the unchanged design cannot be evaluated: {run.evaluated[0].failure}")
-    count = len(space.parameters)
-    for place in screening_designs(count, screen_size(evaluations, count), seed, space.is_possible):
+    for place in screening_designs(count, screened, seed, space.is_possible):
         run.add(place, "screen")
     failures = [one.failure for one in run.evaluated if one.failure]
     if 2 * len(failures) > len(run.evaluated):

@@ -147,6 +147,8 @@ QUARTERS: Final = 4
 CLIPPED_LIMIT: Final = 0.001
 #: Three standard deviations of the shot noise of a full well of 5,000 e below full scale.
 BRIGHT_SHARE: Final = 0.95
+#: By which boxes that are near each other are widened: far above rounding.
+_TOUCH_MM: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -509,11 +511,25 @@ def in_the_way(light: LightPanel, shape: FingerShape) -> str:
     """
     panel = panel_surface(light)
     for name, surface in shape.surfaces.items():
+        near = _near(surface, panel)
+        if near is None:
+            continue
         try:
-            check_no_intersections({"light panel": panel, name: surface})
+            check_no_intersections({"light panel": panel, name: near})
         except SimulateError:
             return name
     return ""
+
+
+def _near(surface: Surface, panel: Surface) -> Surface | None:
+    """Return the triangles of a surface whose boxes reach into the panel's box, which alone can meet it, if any."""
+    corners = surface.vertices_mm[surface.triangles]
+    low, high = panel.vertices_mm.min(axis=0) - _TOUCH_MM, panel.vertices_mm.max(axis=0) + _TOUCH_MM
+    reached = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
+    if not reached.any():
+        return None
+    used, place = np.unique(surface.triangles[reached], return_inverse=True)
+    return Surface(surface.vertices_mm[used], place.reshape(-1, 3), surface.uv[used])
 
 
 def panel_surface(light: LightPanel) -> Surface:

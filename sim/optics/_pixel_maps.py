@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CameraCalibration, FingerDesign, SimulateError
+from data_schemas import CameraCalibration, FingerDesign, ImpossibleFingerError, SimulateError
 from sim.optics._calibrated_camera import ray_table, read_calibration, require_same_shape
 from sim.optics._optical_layout import CameraPose, camera_pose, panel_frame, pixel_directions
 from sim.optics._renderer import SCALAR_VARIANT
@@ -109,7 +109,7 @@ def pixel_maps(
     part = np.where(met, mesh.owner[triangle], NOTHING)
     on_coat = part == mesh.names.index("coat")
     if not on_coat.any():
-        raise SimulateError(
+        raise ImpossibleFingerError(
             f"the camera does not see the coated face ({shape.label}): check camera.field_of_view_deg"
             + ("" if calibration is None else f", camera.calibration ({calibration.source})")
             + ", mirror.radius_mm and whether light.position_mm stands in its way"

@@ -308,9 +308,11 @@ def check_closed(surfaces: Mapping[str, Surface], body: str = "gel") -> float:
     edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     directed = edges[:, 0] * (edges.max() + 1) + edges[:, 1]
     opposite = edges[:, 1] * (edges.max() + 1) + edges[:, 0]
-    _, first, times = np.unique(directed, return_inverse=True, return_counts=True)
-    bad = ~np.isin(directed, opposite) | (times[first.reshape(-1)] > 1)
-    if bad.any():
+    in_order = np.sort(directed)
+    # closed where each edge is run once and its opposite too: sorted, which takes a fifth of finding the ones at fault
+    if not (np.array_equal(in_order, np.sort(opposite)) and (np.diff(in_order) > 0).all()):
+        _, first, times = np.unique(directed, return_inverse=True, return_counts=True)
+        bad = ~np.isin(directed, opposite) | (times[first.reshape(-1)] > 1)
         per_face = np.bincount(np.tile(owner, 3)[bad], minlength=len(surfaces))
         where = ", ".join(f"{name} ({n})" for name, n in zip(surfaces, per_face, strict=True) if n)
         raise ImpossibleFingerError(

@@ -1,11 +1,14 @@
 """A search over designs is judged: gains, front, real differences, and what could still be gained."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from data_schemas import DesignObjective, DesignOptimum, DesignParameter, EvaluatedDesign, FingerDesign
 from finray_calib.decide import DesignSearch, design_optimum, losses, screening_designs
+from finray_calib.decide._design_emulator import DesignEmulator, fit_emulator
 
 Floats = NDArray[np.float64]
 ERROR = DesignObjective(name="error", unit="deg", meaning="made up", larger_is_better=False)
@@ -75,6 +78,33 @@ def test_the_sentence_says_to_build_what_is_better_and_else_to_keep_the_start(op
     same = design_optimum(search((ERROR,), chosen=(0.9, 0.9)), None, seed=1)
     words = "Keep the starting design: the best design found (light.angle_deg 9, pad.thickness_mm 9) is not shown"
     assert same.sentence.startswith(words)
+
+
+def test_designs_that_are_far_worse_do_not_hide_what_good_ones_differ_by() -> None:
+    """A cliff, where a panel hides the light: 30 deg in a corner. The emulator predicts unseen good designs better."""
+    plain = search((ERROR,))
+    cliff = plain.places.sum(axis=1) > 1.75
+    cliff[0] = False
+    assert 1 <= cliff.sum() <= 4
+    hidden = [
+        one.model_copy(update={"values": {"error": 60.0}}) if is_hidden and not one.failure else one
+        for one, is_hidden in zip(plain.evaluated, cliff, strict=True)
+    ]
+    found = replace(plain, evaluated=tuple(hidden))
+    unseen = screening_designs(2, 64, 9)
+    good = unseen[[error_of(x) < 3.0 for x in unseen]]
+    true = np.log([error_of(x) for x in good])
+
+    def rms(emulator: DesignEmulator) -> float:
+        return float(np.sqrt(np.mean((emulator.mean(good) - true) ** 2)))
+
+    told = rms(found.emulators(())[0])
+    assert told < 0.5 * rms(fit_emulator(found.places[found.usable], found.losses[:, 0]))
+    assert told < 2.0 * rms(plain.emulators(())[0])
+    # what was computed there lies within its limits all the same
+    for row in design_optimum(found, None, seed=1).designs:
+        if row.values.get("error") == 60.0:
+            assert row.expected_95["error"][1] >= 60.0 * (1.0 - 1e-12)
 
 
 def test_the_front_is_the_trade(optimum: DesignOptimum) -> None:

@@ -15,6 +15,8 @@ from sim.experiments import (
     search_designs,
     usual_parameters,
 )
+from sim.experiments._light_angle import in_the_way, panel_surface
+from sim.surface_meshes import Surface, check_no_intersections, rest_shape
 
 FLAT = preset_design("flat-70x35")
 ERROR = OBJECTIVES["normal-error"]
@@ -125,6 +127,41 @@ def test_the_search_finds_the_optimum_and_leaves_failures_alone() -> None:
 def test_too_few_evaluations_are_refused() -> None:
     with pytest.raises(SimulateError, match="12 are too few for 2 parameters; give 13 or more"):
         search_designs(space("light.angle_deg", "pad.thickness_mm"), [ERROR], evaluated, 12, seed=1)
+
+
+def test_the_screen_may_be_given_its_size() -> None:
+    varied = space("light.angle_deg=0:75", "light.position_mm[y]=-14:-8")
+    found = search_designs(varied, [ERROR], evaluated, 30, seed=3, screened=24)
+    assert [found.roles.count(role) for role in ("start", "screen", "search", "chosen")] == [1, 24, 4, 1]
+    for screened in (8, 29):
+        with pytest.raises(
+            SimulateError, match=f"of 30 evaluations 9 to 28 can screen .* 2 parameters, got {screened}"
+        ):
+            search_designs(varied, [ERROR], evaluated, 30, seed=3, screened=screened)
+
+
+def test_a_panel_is_tried_with_near_triangles_and_the_answer_is_that_of_all() -> None:
+    """Panels all about the finger: what each passes through, by all triangles of each surface."""
+    rest, rng = rest_shape(FLAT), np.random.default_rng(1)
+    blocked = []
+    for _ in range(16):
+        place = (rng.uniform(-20.0, 20.0), rng.uniform(-30.0, 8.0), rng.uniform(-10.0, 80.0))
+        panel = FLAT.light.model_copy(update={"angle_deg": rng.uniform(-60.0, 180.0), "position_mm": place})
+        sheet = {"light panel": panel_surface(panel)}
+        met = [name for name, surface in rest.surfaces.items() if is_crossed({**sheet, name: surface})]
+        assert in_the_way(panel, rest) == (met[0] if met else "")
+        blocked += met[:1]
+    assert 4 <= len(blocked) <= 12
+    assert len(set(blocked)) >= 2
+
+
+def is_crossed(surfaces: dict[str, Surface]) -> bool:
+    """Return whether surfaces pass through each other."""
+    try:
+        check_no_intersections(surfaces)
+    except SimulateError:
+        return True
+    return False
 
 
 def test_a_start_that_fails_ends_the_search() -> None:

@@ -171,6 +171,17 @@ def test_one_turned_face_is_refused():
         check_closed(surfaces)
 
 
+@pytest.mark.parametrize("ways", [(1,), (-1,), (1, -1)])
+def test_a_triangle_that_stands_twice_is_refused(ways):
+    """Turned it belongs to edges that run twice; with its turned copy every edge has its opposite, twice."""
+    surfaces = gel()
+    tip = surfaces["tip"]
+    more = [tip.triangles[:1, ::way] for way in ways]
+    surfaces["tip"] = Surface(tip.vertices_mm, np.vstack([tip.triangles, *more]), tip.uv)
+    with pytest.raises(SimulateError, match=r"gel is not closed: .* at .*tip \("):
+        check_closed(surfaces)
+
+
 def test_a_gel_inside_out_is_refused():
     with pytest.raises(SimulateError, match="normals of the gel point inward"):
         check_closed({name: surface.reversed() for name, surface in gel().items()})

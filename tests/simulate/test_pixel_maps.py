@@ -7,7 +7,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from data_schemas import CameraCalibration, FingerDesign, LightPanel, SimulateError
+from data_schemas import CameraCalibration, FingerDesign, ImpossibleFingerError, LightPanel, SimulateError
 from data_schemas._design_parts import TactileCamera
 from sim.optics import camera_pose, paint_bands, pixel_maps
 from sim.optics._optical_layout import pixel_directions
@@ -151,7 +151,9 @@ def test_camera_that_sees_nothing_is_refused(scalar):
     aside = CameraCalibration(
         model="pinhole", width_px=64, height_px=48, focal_px=(400.0, 400.0), centre_px=(2000.0, 24.0), source="off.yaml"
     )
-    with pytest.raises(SimulateError, match=r"does not see the coated face .*field_of_view_deg.*\(off\.yaml\).*mirror"):
+    with pytest.raises(
+        ImpossibleFingerError, match=r"does not see the coated face .*field_of_view_deg.*\(off\.yaml\).*mirror"
+    ):
         maps_of(hidden, scalar, calibration=aside)
 
 
