@@ -170,8 +170,8 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )  # fmt: skip
     search.add_argument("--evaluations", type=whole_number(1, _MOST_EVALUATIONS), default=60, metavar="N",
                         help="designs to compute (default: 60)")  # fmt: skip
-    search.add_argument("--screen", type=whole_number(1, _MOST_EVALUATIONS), metavar="N", help="how many of them screen the limits, "
-                        "without an emulator (default: a third)")  # fmt: skip
+    search.add_argument("--screen", type=whole_number(1, _MOST_EVALUATIONS), metavar="N",
+                        help="how many of them screen the limits, without an emulator (default: a third)")  # fmt: skip
     search.add_argument("--confirm", type=_confirmation_count, default=6, metavar="N",
                         help="other seeds and contact places that confirm the gain (default: 6; 0: none)")  # fmt: skip
     add_paint(search)

@@ -256,6 +256,7 @@ def load_increments(
         When an increment of the least size finds no equilibrium; all increments before have been yielded.
     """
     options = options or NewtonOptions()
+    tell = options.tell or (lambda _: None)
     search = _Search(assembly, solver, load, options)
     at, start = begin or (0.0, assembly.at_rest())
     state = assembly.with_own_pressures(start)
@@ -279,12 +280,10 @@ def load_increments(
                     )
                     stuck.reason = reached.failure
                     raise stuck
-                if options.tell is not None:
-                    options.tell(f"an increment of {part:.3g} in place of {2.0 * part:.3g}: {reached.failure}")
+                tell(f"an increment of {part:.3g} in place of {2.0 * part:.3g}: {reached.failure}")
                 continue
             if load.take_up is not None and (taken_up := load.take_up(reached.state, aim)):
-                if options.tell is not None:
-                    options.tell(taken_up)
+                tell(taken_up)
                 continue
             state, at, done = reached.state, aim, done + part
             if load.accept is not None:
