@@ -239,7 +239,7 @@ CASES = (
     Case(
         "unsorted wavelengths",
         BAD_RIG,
-        r"camera\.csv: 'wavelength_nm': wavelengths must increase .*: 450 nm follows 500 nm; sort the rows",
+        r"camera\.csv: wavelengths must increase .*: 450 nm follows 500 nm; sort the rows",
         curve("400,1,2,3\n500,1,2,3\n450,1,2,3\n700,1,2,3\n"),
     ),
     Case(
@@ -903,7 +903,7 @@ CASES = (
     Case(
         "material with unsorted wavelengths",
         "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
-        r"ink\.csv: 'wavelength_nm': wavelengths must increase from row to row: 450 nm follows 460 nm; sort the rows",
+        r"ink\.csv: wavelengths must increase from row to row: 450 nm follows 460 nm; sort the rows",
         file("ink.csv", MATRIX + "460,0.1,0.1\n450,0.1,0\n470,0,0\n"),
     ),
     Case(

@@ -90,7 +90,7 @@ def test_interrupted_capture_leaves_whole_files(lab: Path, tmp_path: Path) -> No
     process.send_signal(signal.SIGINT)
     said, complaint = process.communicate(timeout=600)
     assert process.returncode == 130
-    assert "recovery from faults may add up to" in said
+    assert "Recovery from faults may add up to" in said
     assert "frames of" not in said
     way_on = f"{out}: holds what was captured so far; continue with: finray capture --resume {out}\n"
     assert complaint == f"{way_on}finray capture: interrupted; files already written are complete\n"
