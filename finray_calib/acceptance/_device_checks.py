@@ -152,6 +152,17 @@ LEAST_BACK_SHARE: Final = 0.5
 NO_PULSES: Final = (
     "the photodiode's firmware looks for 0.1 ms in each 10 ms only, so a pulsed laser may look off; flash version 1.1"
 )
+OTHER_DARK: Final = (
+    "the witness read another level with the laser off than where it learned what dark is, so other light changed or "
+    "the laser is only dimmed; keep the box shut and the room as it is, and check again"
+)
+BETWEEN_PULSES: Final = (
+    "the frames are exposed for less than 20 ms, so the pulses of a laser that is only dimmed may lie between them; "
+    "close the aperture or put a grey filter before the camera, so that exposures are longer"
+)
+SLOWEST_PULSES_S: Final = 0.02
+LEAST_OF_CLASS_MW: Final = {"3R": 1.0, "3B": 5.0, "4": 500.0}
+"""Power from which a visible laser is of its class: a smaller power_mw is not that of the label."""
 CLASS_1_MW: Final = 0.039
 """Smallest accessible emission limit of class 1 from 400 to 1400 nm: that of blue light for hours (EN 60825-1:2014)."""
 CLASS_1_NM: Final = (400.0, 1400.0)
@@ -206,6 +217,8 @@ def _by_photodiode(found: CheckResult, diode: DiodeLevels | None, laser: LaserSe
     """Let a result pass where a person closed the beam, no pulse is missed, and no harmful light stays unseen."""
     if diode is None or diode.closed_rel is None:
         return not_proven(found, NO_DARK_REFERENCE)
+    if abs(diode.closed_rel - diode.off_rel) > diode.threshold_rel - diode.closed_rel:
+        return not_proven(found, OTHER_DARK)
     unseen_rel = (diode.threshold_rel - diode.closed_rel) / (diode.on_rel - diode.closed_rel)
     dark = f"dark is what it read with the beam closed by hand, {diode.readings} times in a row"
     found = _with_unseen(found, unseen_rel, dark, laser)
@@ -219,19 +232,23 @@ def _by_camera(found: CheckResult, sight: SightLevels | None, laser: LaserSettin
     """Let a result pass where a filter that blocks the laser shows what dark is, and no harmful light stays unseen."""
     if sight is None or sight.blocked_off_dn is None or sight.blocked_on_dn is None:
         return not_proven(found, NO_BLOCKED_REFERENCE)
+    margin_dn = sight.threshold_dn - sight.off_dn
+    if sight.blocked_off_dn >= sight.threshold_dn or abs(sight.blocked_off_dn - sight.off_dn) > margin_dn:
+        return not_proven(found, OTHER_DARK)
     seen_dn = sight.on_dn - sight.blocked_off_dn
     if sight.blocked_on_dn - sight.blocked_off_dn > MOST_BLOCKED_SHARE * seen_dn:
         return not_proven(found, f"the laser is seen behind filter {sight.blocked_filter} too; {NO_BLOCKED_REFERENCE}")
     dark = f"dark is what it saw behind filter {sight.blocked_filter}, which blocks the laser"
-    return _with_unseen(found, (sight.threshold_dn - sight.blocked_off_dn) / seen_dn, dark, laser)
+    found = _with_unseen(found, (sight.threshold_dn - sight.blocked_off_dn) / seen_dn, dark, laser)
+    return not_proven(found, BETWEEN_PULSES) if sight.exposure_s < SLOWEST_PULSES_S else found
 
 
 def _with_unseen(found: CheckResult, unseen_rel: float, dark: str, laser: LaserSettings) -> CheckResult:
     """Say how much light would not be seen, and let a result pass where that much is of class 1."""
-    unseen_mw = max(unseen_rel, 0.0) * laser.power_mw
+    unseen_mw = max(unseen_rel, 0.0) * max(laser.power_mw, LEAST_OF_CLASS_MW.get(laser.laser_class, 0.0))
     told = (
         f"{found.evidence}; {dark}; light below {100 * max(unseen_rel, 0.0):.2g} % of the laser's, {unseen_mw:.2g} mW "
-        "of its power_mw, would not be seen"
+        "at most, would not be seen"
     )
     found = found.model_copy(update={"evidence": told})
     if not CLASS_1_NM[0] <= laser.wavelength_nm <= CLASS_1_NM[1]:

@@ -548,7 +548,7 @@ def _in_words(moving: list[MovingStop]) -> str:
 
 def _unstopped(moving: list[MovingStop]) -> list[str]:
     """Say which moves ended without a force beyond the limit, or at their end by the controller's count."""
-    if any(one.stopped_at_n is None for one in moving):
+    if any(one.stopped_at_n is None or one.peak_n <= one.limit_n for one in moving):
         return [NO_FORCE_PASSED]
     at_end = any(one.stood_mm is not None and one.end_mm is not None
                  and abs(one.end_mm - one.stood_mm) < LEAST_LEFT_SHARE * one.way_mm for one in moving)  # fmt: skip

@@ -149,7 +149,7 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
     wrote(page, "its page, to be read in a browser or printed")
     give(
         headline_skill=report.headline_skill, headline_region=report.headline_region, findings=report.findings,
-        packaged_metrics=report.packaged_metrics,
+        packaged_metrics=report.packaged_metrics, relative=report.relative,
     )  # fmt: skip
     if not report.relative:
         suggest_command("finray decide SWEEP --photometric-error", out)

@@ -113,7 +113,8 @@ def compare_folders(arguments: argparse.Namespace) -> None:
         write_record(batch, out / SUMMARY, provenance(command_line(), inputs, arguments.seed), products)
     say(_told(batch))
     wrote(out, f"{len(succeeded)} of {len(jobs)} pairs compared; holds {PAGE}, {TABLE}, {SUMMARY} and reports")
-    give(pairs=batch.pairs, compared=len(succeeded), simulators=batch.simulators, lowest=batch.worst)
+    give(pairs=batch.pairs, compared=len(succeeded), simulators=batch.simulators, lowest=batch.worst,
+         relative=batch.relative)  # fmt: skip
     suggest_file(out / PAGE)
     if not succeeded:
         raise CompareError(f"none of the {len(jobs)} pairs could be compared; {out / TABLE} says why")

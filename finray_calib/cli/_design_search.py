@@ -182,9 +182,6 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     search.set_defaults(run=run_optimise)
 
 
-_MOST_EVALUATIONS = 1000
-
-
 def _confirmation_count(text: str) -> int:
     """Parse a number of confirmations: an interval needs three."""
     if not text.isdecimal() or not (int(text) == 0 or 3 <= int(text) <= 100):

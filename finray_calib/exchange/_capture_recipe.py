@@ -212,6 +212,20 @@ class RecipeForce(Model):
     factor: float = Field(default=1.0, description="newtons per unit of the file")
 
 
+def composed(text: str) -> str:
+    """Return a text with each letter in one part, as people type it."""
+    return normalize("NFC", text)
+
+
+def _composed_words(value: object) -> Any:
+    """Return what a recipe says with the letters of its names in one part, as those of the files."""
+    if isinstance(value, str):
+        return composed(value)
+    if isinstance(value, dict):
+        return {composed(key): _composed_words(inner) for key, inner in value.items()}
+    return [_composed_words(inner) for inner in value] if isinstance(value, list) else value
+
+
 class Recipe(Model):
     """How a folder of presses is read."""
 
@@ -226,6 +240,11 @@ class Recipe(Model):
     indenter: RecipeIndenter
     force: RecipeForce | None = None
     lacks: tuple[MissingPart, ...] = Field(default=(), description="what else the data set lacks")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _names_are_composed(cls, given: object) -> Any:
+        return _composed_words(given)
 
     @model_validator(mode="after")
     def _solid_has_an_outline_in_mm(self) -> "Recipe":
@@ -385,11 +404,6 @@ MOST_FILES = 200_000
 _FORMS: Final = ("NFC", "NFD")
 
 
-def composed(text: str) -> str:
-    """Return a text with each letter in one part, as people type it."""
-    return normalize("NFC", text)
-
-
 _LEAVE_OUT: Final = "presses.leave_out"
 
 
@@ -462,7 +476,7 @@ def refuse_misspelt(folder: Path, recipe: Recipe, files: Collection[str]) -> Non
     """
     read = [name for name in files if name not in recipe.presses.leave_out]
     for where, names in named_presses(recipe).items():
-        unknown = [name for name in names if name not in files]
+        unknown = [name for name in names if name not in files and fnmatchcase(name, recipe.presses.only)]
         missing = [name for name in read if name not in names]
         if where != _LEAVE_OUT and unknown and missing:
             raise ImportFormatError(

@@ -231,6 +231,11 @@ class _Folder:
             require_alike(self._pictures)
             if self.recipe.no_contact.file is not None and np.array_equal(images[0], images[1]):
                 raise LeftOutError("its image is the one without contact")
+            if self.recipe.no_contact.repeat_file is not None and np.array_equal(images[0], images[-1]):
+                raise ImportFormatError(
+                    f"recipe '{self.recipe.name}': no_contact.repeat_file of {name} is its image with contact, "
+                    "pixel by pixel; name a second picture without contact, or leave it out"
+                )
         if any(image.shape != images[0].shape for image in images):
             sizes = ", ".join(f"{image.shape[1]} x {image.shape[0]}" for image in images)
             raise ImportFormatError(
@@ -408,7 +413,7 @@ class _Folder:
         if not strength.max() > 0.0:
             raise LeftOutError("nothing changes in its video")
         held = longest_hold(strength, HOLD_SHARE)
-        if held < before or strength[:before].max() > REST_SHARE * strength.max():
+        if held < before or _begins_early(strength, before, 0 if force is None else 1):
             raise LeftOutError(
                 f"its video shows contact within the first {before} frames, which should be without contact"
             )
@@ -598,6 +603,18 @@ class _Folder:
         )
         told = [MissingPart(what=what, lost=lost) for is_missing, what, lost in lacks if is_missing]
         return (*told, *self.recipe.lacks)
+
+
+def _begins_early(strength: Floats, before: int, outliers: int) -> bool:
+    """Return whether contact begins within the first frames of a video, by how much they differ from the first one.
+
+    Noise makes all later frames differ from it alike; so many readings may be wrong.
+    """
+    rest = np.sort(strength[1:before])
+    if rest.size <= 2 * outliers:
+        return False
+    rises = rest[-1 - outliers] - rest[0]
+    return bool(rises > REST_SHARE * (strength.max() - rest[0]))
 
 
 def _ball_px(capture: TactileCapture) -> float | None:

@@ -310,6 +310,10 @@ NOISE_SD: Final = 6.0
 """Standard deviations of a dark reading: by noise one is beyond once in 10^9."""
 LEAST_STEPS: Final = 1.5
 """Of the converter: a level between two of them reads as either."""
+MOST_OTHER_SHARE: Final = 0.2
+"""Of the laser's level before the filter that blocks it: more is another filter, or another laser."""
+DARK_SPAN_S: Final = 0.05
+"""Frames in the dark must span it: a shorter one may lie between two pulses."""
 DARK_IN_A_ROW: Final = 5
 """Readings that must be dark for the laser to be off: 50 ms, in which any pulsed light is lit."""
 DIODE_SILENT_S: Final = 0.3
@@ -377,6 +381,8 @@ def find_sight(opened: OpenRig, rig: RigFile, frames: RegionFrames) -> SightLeve
         blocked = min(blocking, key=lambda f: abs(f.center_nm - laser_nm)) if blocking else None
         blocked_dn = None if blocked is None else _blocked_levels(opened, blocked, frames, exposure_s)
         _turn_in_the_dark(opened, passing[0])
+        if blocked is not None and not _is_back(opened, passing[0], frames, exposure_s, on_dn):
+            return None
         off = _darks(frames, passing[0], exposure_s)
     except (UnsafeError, LightLostError):
         raise
@@ -402,6 +408,12 @@ def find_sight(opened: OpenRig, rig: RigFile, frames: RegionFrames) -> SightLeve
 def _lit(band: BandPassFilter) -> Step:
     """Return the white tile under the laser behind a filter."""
     return Step("laser white", "white", "laser", band.name, band.slot)
+
+
+def _is_back(opened: OpenRig, band: BandPassFilter, frames: RegionFrames, exposure_s: float, on_dn: float) -> bool:
+    """Return whether the laser looks as before when its filter is back: a wheel may have stayed where it was."""
+    with shine(opened, "laser"):
+        return abs(frames.expose(_lit(band), exposure_s) / on_dn - 1.0) <= MOST_OTHER_SHARE
 
 
 def _darks(frames: RegionFrames, band: BandPassFilter, exposure_s: float) -> NDArray[np.float64]:
@@ -452,6 +464,11 @@ class CameraWatch:
             yield self
 
     def look(self) -> Reading:
+        """Return the next frame, or the first of some dark ones in a row; one shows the laser on unless it is dark."""
+        first = self._frame()
+        return self._first_of_dark(first) if first.on is False else first
+
+    def _frame(self) -> Reading:
         """Take a frame; it shows the laser on unless it cannot be told from dark."""
         start_s, exposure_s = time.monotonic(), self._sight.exposure_s
         try:
@@ -460,6 +477,16 @@ class CameraWatch:
             return Reading(start_s, time.monotonic(), None)
         is_on = self._frames.region_mean_dn(raw.counts) > self._sight.threshold_dn
         return Reading(start_s, time.monotonic(), is_on)
+
+    def _first_of_dark(self, first: Reading) -> Reading:
+        """Return the next frame that is lit or refused, or the first of some dark ones that span a while."""
+        dark, last = 1, first
+        while dark < DARK_IN_A_ROW or last.end_s - first.start_s < DARK_SPAN_S:
+            last = self._frame()
+            if last.on is not False:
+                return last
+            dark += 1
+        return first
 
 
 @dataclass(frozen=True, slots=True)
@@ -530,6 +557,12 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
         raise CaptureError(
             "photodiode: does not see the difference between laser on and off, so it is no witness; point it at the "
             "spot, check its wires and cover it from room light"
+        )
+    if contrast.closed_rel is not None and 2.0 * contrast.closed_rel - contrast.off_rel > contrast.threshold_rel:
+        raise CaptureError(
+            f"photodiode: reads {100 * contrast.closed_rel:.2g} % of its scale with the beam closed, and only "
+            f"{100 * contrast.off_rel:.2g} % with the laser off: other light came in while the beam was closed, so it "
+            "does not show what dark is; keep the box shut and the room as it is, and check again"
         )
     if float(off.max()) >= contrast.threshold_rel:
         raise CaptureError(

@@ -69,6 +69,8 @@ JUMP_SD: Final = 10.0
 """Of one reading: a reading farther away is no noise."""
 BACK_SHARE: Final = 0.8
 """Of a jump, within the next reading: a force leaves the amplifier's filter within four, a lost bit at once."""
+MOST_BETWEEN: Final = 2.0
+"""Times that readings come: two that were made farther apart do not follow each other."""
 MOST_JUMPS: Final = 0.25
 """Of the readings of a mean: more of them are no lost bits."""
 
@@ -76,8 +78,9 @@ MOST_JUMPS: Final = 0.25
 def without_jumps(readings: Sequence[float] | Floats, sd: float = 1.0) -> Floats:
     """Return readings of a cell at rest without those that lost a bit on their way.
 
-    A jump is farther from the median than ten standard deviations, by the median distance from it. More than a quarter
-    of the readings are no jumps, and all are kept.
+    A jump is farther from the median than ten standard deviations, by the median distance from it, and so far from both
+    of its neighbours too: the amplifier's filter shows a force in several. The first and the last reading are always
+    kept, and where more than a quarter seem to be jumps, all are.
 
     Parameters
     ----------
@@ -88,8 +91,11 @@ def without_jumps(readings: Sequence[float] | Floats, sd: float = 1.0) -> Floats
     """
     values = np.asarray(readings, dtype=np.float64)
     away = np.abs(values - np.median(values))
-    kept = away <= JUMP_SD * max(1.4826 * float(np.median(away)), sd)
-    return values if (~kept).sum() > MOST_JUMPS * values.size else values[kept]
+    far = JUMP_SD * max(1.4826 * float(np.median(away)), sd)
+    steps = np.abs(np.diff(values))
+    jumps = np.zeros(values.size, dtype=bool)
+    jumps[1:-1] = (away[1:-1] > far) & (np.minimum(steps[:-1], steps[1:]) > far)
+    return values if jumps.sum() > MOST_JUMPS * values.size else values[~jumps]
 
 
 def without_spikes(values: Floats, sd: float) -> Floats:
@@ -191,7 +197,7 @@ class ForceGauge:
         equal = max(LEAST_EQUAL, math.ceil(settings.silent_s * settings.rate_hz))
         self._newest: deque[int] = deque(maxlen=equal)
         self._zero, self._zero_readings, self.noise_n = math.nan, TARE_READINGS, math.nan
-        self._moved_s = self._made_s = -math.inf
+        self._moved_s = self._made_s = self._made_before_s = -math.inf
         self._tared = self._first_zero = math.nan
         self.lost_bits = 0
         slope, masses = calibration.slope_n_per_count, np.array(calibration.masses_kg)
@@ -224,16 +230,21 @@ class ForceGauge:
         return max(((counts - zero) * self._slope for zero in (self._zero, self._first_zero)), key=abs)
 
     def has_jumped(self, limit_n: float) -> bool:
-        """Whether the last reading had lost a bit, by those that come next: the cell must be at rest.
+        """Whether the last reading had lost a bit, by the one before and those that come next.
 
-        They are back at once, and none is beyond the limit.
+        It is far from the one before and from the next, which were made one after the other, and none of the next is
+        beyond the limit. Where a reading is missing between them, a force may have come and gone: it has not.
         """
-        if len(self._newest) < 1 or math.isnan(self.noise_n):
+        if len(self._newest) < 2 or math.isnan(self.noise_n):
             return False
-        jumped, sd = self._newest[-1], self.noise_n / abs(self._slope)
-        next_ones = [self._counts() for _ in range(SETTLING_READINGS)]
-        way = jumped - float(np.median(next_ones))
-        is_back = abs(jumped - next_ones[0]) > max(JUMP_SD * sd, BACK_SHARE * abs(way))
+        before, jumped = self._newest[-2], self._newest[-1]
+        sd, most_s = self.noise_n / abs(self._slope), MOST_BETWEEN / self._settings.rate_hz
+        since_before_s, jumped_s = self._made_s - self._made_before_s, self._made_s
+        next_ones = [self._counts()]
+        is_gapless = max(since_before_s, self._made_s - jumped_s) <= most_s
+        next_ones += [self._counts() for _ in range(SETTLING_READINGS - 1)]
+        far = max(JUMP_SD * sd, BACK_SHARE * abs(jumped - float(np.median(next_ones))))
+        is_back = is_gapless and min(abs(jumped - before), abs(jumped - next_ones[0])) > far
         strongest_n = max(abs(count - zero) for count in next_ones for zero in (self._zero, self._first_zero))
         if not is_back or strongest_n * abs(self._slope) > limit_n:
             return False
@@ -242,6 +253,7 @@ class ForceGauge:
 
     def _counts(self) -> int:
         """Return the next count, unless the cell is stuck."""
+        self._made_before_s = self._made_s
         counts, self._made_s = self._cell.read(self._settings.silent_s)
         self._newest.append(counts)
         if len(self._newest) == self._newest.maxlen and len(set(self._newest)) == 1:
@@ -295,7 +307,7 @@ class ForceGauge:
             self._counts()
         began_s = now_s()
         self.tare()
-        rate_hz = (SETTLING_READINGS + TARE_READINGS) / max(now_s() - began_s, 1e-9)
+        rate_hz = (SETTLING_READINGS + TARE_READINGS + 2) / max(now_s() - began_s, 1e-9)
         if not 0.5 < rate_hz / settings.rate_hz < 2.0:
             raise CaptureError(
                 f"load cell: sends {rate_hz:.3g} readings a second, but rate_hz of the rig file is "
@@ -319,7 +331,7 @@ class ForceGauge:
             It is far from the first one, or noise could hide a tenth of the force limit.
         """
         self.settle(self._counts)
-        counts = without_jumps([self._counts() for _ in range(TARE_READINGS)])
+        counts = self._at_rest(TARE_READINGS, 1.0)
         self._zero = self._tared = float(counts.mean())
         self._zero_readings, self.noise_n = TARE_READINGS, float(counts.std(ddof=1)) * abs(self._slope)
         allowed_n = ZERO_MOVED_SHARE * self._settings.force_limit_n
@@ -343,10 +355,17 @@ class ForceGauge:
         What watches moves, as :func:`rigs.capture._stage_press.StagePress.guard`, takes the readings before them.
         """
         self.settle(watch or self.reading_n)
-        counts = without_jumps([self._counts() for _ in range(readings)], self.noise_n / abs(self._slope))
+        counts = self._at_rest(readings, self.noise_n / abs(self._slope))
         mean_n = (float(counts.mean()) - self._zero) * self._slope
         noise_n = math.hypot(mean_noise_n(self.noise_n, readings), mean_noise_n(self.noise_n, self._zero_readings))
         return Force(mean_n, noise_n)
+
+    def _at_rest(self, readings: int, sd: float) -> Floats:
+        """Return counts without those that lost a bit; one reading before and one after show whether the ends did."""
+        counts = np.array([self._counts() for _ in range(readings + 2)], dtype=np.float64)
+        kept = without_jumps(counts, sd)
+        self.lost_bits += counts.size - kept.size
+        return kept[1:-1]
 
     def follow(self, force: Force) -> None:
         """Take a mean of a step that touched nothing for no force, by two standard deviations at most: it drifts."""

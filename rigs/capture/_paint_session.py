@@ -167,7 +167,7 @@ class PaintRecorder:
     def _set_aside(self, why: str) -> None:
         """Note that the frames so far do not count, then move them out of the way; none is used again."""
         self._journal.append(SET_ASIDE_EVENT, frames=len(self._store.frames), text=why)
-        count = self._store.set_aside()
+        count, self._healed = self._store.set_aside(), 0
         self._tell(f"{count} frames from before the repair are set aside and taken again: {why}")
 
     def _unlike_before(self, steps: tuple[Step, ...]) -> str | None:
@@ -372,7 +372,8 @@ class PaintRecorder:
             return
         metered = self._rates[step]
         for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
-            if before > visible_dn_per_s and not 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE:
+            is_alike = before > 0.0 and 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE
+            if max(before, rate) > visible_dn_per_s and not is_alike:
                 raise SignalChangedError(
                     f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at "
                     f"metering (a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light "

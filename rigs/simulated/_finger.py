@@ -34,6 +34,8 @@ FRAME_OVERHEAD_S: Final = 0.02
 BRAKING_MM_PER_S2: Final = 50.0
 DEAF_S: Final = 0.03
 """From the order to stop until the motors brake: a line of a serial port and the controller's own loop."""
+BUFFERED_S: Final = 0.2
+"""A real driver discards what has waited longer."""
 OFFSET_COUNTS: Final = 84_000
 END_OF_SCALE: Final = 0x7FFFFF
 PAD_E_PER_S: Final = 3.0e5
@@ -111,6 +113,8 @@ class FingerState:
         Brings the stage to where it is now, while it moves.
     noise
         Of the cell, beside the white one.
+    unread_s
+        Time for which readings of the cell lie in the port's buffer: the stage was being stopped.
     """
 
     rig: TactileRig
@@ -120,6 +124,7 @@ class FingerState:
     block_mm: float = 0.0
     moving: Callable[[], None] | None = None
     noise: CellNoise = field(default_factory=CellNoise)
+    unread_s: float = 0.0
     _lost_mm: float = 0.0
     _relaxing_n: float = 0.0
     _last: tuple[float, float] = (0.0, 0.0)
@@ -253,6 +258,7 @@ class SimulatedStage:
             braking_s = speed_mm_per_s / BRAKING_MM_PER_S2
             self.state.drive(axis, start_mm + share(DEAF_S + 0.5 * braking_s) * way_mm)
             self.state.advance(DEAF_S + braking_s)
+            self.state.unread_s = DEAF_S + braking_s if DEAF_S + braking_s <= BUFFERED_S else 0.0
             raise
         self.state.moving = None
         self.state.drive(axis, to_mm)
@@ -280,7 +286,12 @@ class SimulatedLoadCell:
         if finger is None or state.has("silent cell"):
             state.advance(deadline_s)
             raise TimedOutError(f"load cell: did not answer within {deadline_s:g} s; check its cable and supply")
-        state.advance(1.0 / self.settings.rate_hz)
+        period_s = 1.0 / self.settings.rate_hz
+        if state.unread_s < period_s:
+            state.unread_s = 0.0
+            state.advance(period_s)
+        else:
+            state.unread_s -= period_s  # one of those that have waited in the port's buffer
         force_n = state.force_n()
         fault = state.fault
         if fault is not None and fault.name == "drifting cell":
@@ -292,7 +303,7 @@ class SimulatedLoadCell:
             raise OverloadError("load cell: reads the end of its scale; take the load away")
         if not state.has("stuck cell"):
             self._last_counts = counts
-        return CellReading(self._last_counts, state.clock.monotonic_s())
+        return CellReading(self._last_counts, state.clock.monotonic_s() - state.unread_s)
 
 
 @dataclass(slots=True)

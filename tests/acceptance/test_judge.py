@@ -333,7 +333,7 @@ BY_WORD = (LightOff(layer="guard", witness="a new connection", earliest_s=(0.1,)
         ({"light_off": BY_DIODE, "diode": DIODE}, 4.5, "PASS", "below 0.21 % of the laser's, 0.0096 mW"),
         # a threshold that noise puts at a tenth: 0.45 mW of a class 3R laser are no "off"
         ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"threshold_rel": 0.073})}, 4.5, "UNDECIDED",
-         r"below 10 % of the laser's, 0.45 mW of its power_mw, would not be seen; that is more than the 0.039 mW"),
+         r"below 10 % of the laser's, 0.45 mW at most, would not be seen; that is more than the 0.039 mW"),
         ({"light_off": BY_DIODE, "diode": DIODE}, 100.0, "UNDECIDED", "more than the 0.039 mW of a class 1 laser"),
         ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"reported_lit_closed": False})}, 4.5, "UNDECIDED",
          "nobody proved that the laser was lit while its beam was closed"),
@@ -343,7 +343,14 @@ BY_WORD = (LightOff(layer="guard", witness="a new connection", earliest_s=(0.1,)
         ({"light_off": BY_CAMERA, "sight": None}, 4.5, "UNDECIDED", "from the controller's word"),
         # off by its controller, and still a tenth of the light
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"off_dn": 218.0, "threshold_dn": 219.0})}, 4.5,
-         "UNDECIDED", "more than the 0.039 mW of a class 1 laser"),
+         "UNDECIDED", "read another level with the laser off"),
+        # other light while dark was learned: behind the filter, and with the beam closed
+        ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"blocked_off_dn": 50.0})}, 4.5, "UNDECIDED",
+         "read another level with the laser off"),
+        ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"off_rel": 0.0})}, 4.5, "UNDECIDED",
+         "read another level with the laser off"),
+        ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"exposure_s": 0.002})}, 4.5, "UNDECIDED",
+         "may lie between them"),
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"blocked_on_dn": 1000.0})}, 4.5, "UNDECIDED",
          "is seen behind filter 550 too"),
         ({"light_off": BY_WORD}, 100.0, "PASS", "by the word of the laser's controller .*; nobody saw its light"),

@@ -331,7 +331,7 @@ def files(rig: RigFile, tmp_path: Path) -> Path:
 def test_command_captures_by_the_kind_of_the_plan(files: Path) -> None:
     said = succeed(f"capture {files}/plan.toml --rig {files}/rig.toml --out {files}/session")
     session = read_camera_session(files / "session")
-    assert said.startswith("about ")  # the time that it takes
+    assert said.startswith("this takes about ")  # the time that it takes
     assert f"\n{files}/session: {len(session.frames)} frames of 'demo camera'\n" in said
     assert all(f"  note: {note}\n" in said for note in session.notes)
 

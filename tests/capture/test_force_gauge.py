@@ -65,7 +65,7 @@ def test_noise_does_not_hide_the_pad(noise_counts, words):
     rig = finger(noise_counts=noise_counts)
     why, strongest_n = refused_press(rig, exact_calibration(rig))
     assert words in why
-    assert strongest_n < 1.5
+    assert strongest_n < 2.0  # with its own noise of 0.04 N and less; the limit is 5 N
 
 
 class RunningMean:
@@ -190,12 +190,12 @@ def test_a_force_beyond_the_limit_is_never_taken_for_a_lost_bit(falls: str) -> N
             "it snaps away": [0.0] * 8,
             "it snaps half away": [0.5 * end_n] * 8,
         }[falls]
-        readings = averaged(rises[: first + 1] + then)[first:]
+        readings = averaged(rises[: first + 1] + then)[first - 1 :]
         assert not judged_lost(readings, limit_n), (limit_n, rise_n, readings)
 
 
-def judged_lost(forces_n: list[float], limit_n: float) -> bool:
-    """Whether the first of some readings is taken for a lost bit, by the rest; a noise of 1 mN."""
+def judged_lost(forces_n: list[float], limit_n: float, gap_s: float = 0.0) -> bool:
+    """Whether the second of some readings is taken for a lost bit, by the others; a noise of 1 mN."""
     rig, calibration = finger(), exact_calibration(finger())
     told = [round(force_n / calibration.slope_n_per_count) for force_n in forces_n]
     with open_tactile_rig(rig, Path()) as opened:
@@ -203,7 +203,8 @@ def judged_lost(forces_n: list[float], limit_n: float) -> bool:
         gauge = ForceGauge(cell, rig.load_cell, calibration)
         gauge.begin(opened.clock.monotonic_s)
         empty = round(np.mean([cell.read(0.5).counts for _ in range(64)]))
-        cell.told = (empty + count for count in told)
+        cell.told = (CellReading(empty + count, gap_s * (k > 1)) for k, count in enumerate(told))
+        gauge.reading_n()
         gauge.reading_n()
         return gauge.has_jumped(limit_n)
 
@@ -215,14 +216,17 @@ class Told:
         self._cell, self.told = cell, None
 
     def read(self, deadline_s: float) -> CellReading:
-        return self._cell.read(deadline_s) if self.told is None else CellReading(next(self.told), 0.0)
+        return self._cell.read(deadline_s) if self.told is None else next(self.told)
 
 
 @pytest.mark.parametrize("force_n", [0.0, 0.4, 0.9])
 @pytest.mark.parametrize("lost_n", [1.5, 9.8, -3.0])
 def test_a_lost_bit_is_told_by_the_next_reading(force_n: float, lost_n: float) -> None:
-    assert judged_lost([force_n + lost_n, *[force_n] * 4], 1.0)
-    assert not judged_lost([force_n + lost_n, *[force_n + lost_n] * 4], 1.0)  # it stays: a force, or a broken wire
+    assert judged_lost([force_n, force_n + lost_n, *[force_n] * 4], 1.0)
+    assert not judged_lost([force_n, *[force_n + lost_n] * 5], 1.0)  # it stays: a force, or a broken wire
+    # readings are missing after it, or the one before was as large: a force may have come and gone
+    assert not judged_lost([force_n, force_n + lost_n, *[force_n] * 4], 1.0, gap_s=0.2)
+    assert not judged_lost([force_n + 0.9 * lost_n, force_n + lost_n, *[force_n] * 4], 1.0)
 
 
 def test_one_lost_bit_after_another_ends_the_move() -> None:

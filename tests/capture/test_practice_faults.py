@@ -231,7 +231,7 @@ def test_the_fault_stands_in_the_notes_of_a_session(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "why"),
-    [("sliping wheel", "did you mean 'slipping wheel'"), ("", "is not a practice fault; .*There are slipping wheel"),
+    [("sliping wheel", "did you mean 'slipping wheel'"), ("", "is not a practice fault; .*allowed are slipping wheel"),
      ("dirty filter, 30", "a number from 0.1 to 90 with a space and its unit, such as 'dirty filter, 30 %'"),
      ("dirty filter, 95 %", "from 0.1 to 90"), ("lamp ageing, nan K", "from 1 to 500"),
      ("stray light, 10 %", "such as 'stray light, 10 DN/s'"), ("exchanged filters, 500", "name the two filters"),

@@ -228,6 +228,42 @@ def test_frames_that_already_show_contact_are_no_rest(tmp_path):
         read(tmp_path, VIDEO.replace(".avi", ".mp4"))
 
 
+@pytest.mark.parametrize("noise_dn", [1.0, 3.0])
+def test_noise_and_one_wrong_force_are_no_early_contact(tmp_path, noise_dn):
+    """The mean change from the first frame is a noise floor that small contacts do not pass three times over."""
+    rng = np.random.default_rng(1)
+    frames = [np.clip(f + rng.normal(0.0, noise_dn, f.shape), 0, 255).round().astype(np.uint8) for f in grasp()]
+    write_video(tmp_path / "g.avi", frames)
+    found = read(tmp_path, VIDEO.split("[force]")[0]).captures["g"]
+    assert found.contact_circle is not None or found.contact is not None
+    force = np.interp(np.arange(len(frames)), [12, 16, 24, 28], [0.0, 5.0, 5.0, 0.0])
+    force[4] = 2.0
+    (tmp_path / "g.csv").write_text("force\n" + "\n".join(f"{f:.3f}" for f in force) + "\n")
+    assert read(tmp_path, VIDEO).captures["g"].force_n == pytest.approx(5.0)
+    with pytest.raises(ImportFormatError, match="shows contact within the first 17 frames"):
+        read(tmp_path, VIDEO.split("[force]")[0].replace("frames_before = 10", "frames_before = 17"))
+
+
+def test_names_of_a_recipe_may_have_letters_in_two_parts(tmp_path):
+    """As they are copied from a file manager of macOS."""
+    folder = write_lab(tmp_path / "f", ["Größe 1", "Öl über 2"])
+    text = BALLS.replace("[no_contact]", 'leave_out = ["Größe 1"]\n[no_contact]')
+    assert sorted(read(folder, unicodedata.normalize("NFD", text)).captures) == ["Öl über 2"]
+
+
+def test_names_that_only_leaves_out_are_not_misspelt(tmp_path):
+    folder = write_lab(tmp_path / "f")
+    text = BALLS.replace("[no_contact]", 'only = "p[01]"\n[no_contact]')
+    text = text.rstrip() + "\n"
+    assert len(read(folder, text + "depth_mm = { p0 = 0.5, p2 = 0.4, p3 = 0.4 }\n").captures) == 2
+
+
+def test_a_repeat_that_is_the_contact_is_refused(tmp_path):
+    folder = write_lab(tmp_path / "f")
+    with pytest.raises(ImportFormatError, match="repeat_file of p0 is its image with contact"):
+        read(folder, BALLS.replace('"rest.png"', '"rest.png"\nrepeat_file = "{press}.png"'))
+
+
 def test_what_some_presses_lack_is_told_with_their_number(tmp_path, monkeypatch):
     """Before, what the first press had counted for all."""
     folder = write_lab(tmp_path / "f")

@@ -101,7 +101,7 @@ def test_own_leaks_of_filters_stand_behind_the_common_blocking_by_name(paint):
     assert leaks
     assert set(leaks) <= {f"leak_{f.name}" for f in paint.optics.filters}
     for name in leaks:
-        assert paint.prior[name].startswith(f"normal(0, 1): ln(leak of filter {name.removeprefix('leak_')} over")
+        assert paint.prior[name].startswith(f"normal(0, 1): ln(leak of filter {name.removeprefix('leak_')} / ")
         assert name in paint.map_estimate
         assert name in paint.parameters
     assert paint.draws.shape[1] == paint.prior_draws.shape[1] == len(paint.sampled)
