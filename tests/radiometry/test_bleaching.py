@@ -40,7 +40,7 @@ def test_trend_is_recovered_and_its_interval_covers(loss_per_j, resolved):
         deviation = (bands.fluorescence - truth).ravel()
         chi2 += deviation @ np.linalg.solve(bands.fluorescence_covariance, deviation)
         freedom += deviation.size
-        verb = "corrected to the first" if found.resolved else "not resolved"
+        verb = "corrected to the first" if found.resolved else "not significant"
         assert any(note.startswith("bleaching through filter 600") and verb in note for note in bands.notes)
     # Beyond 3 sd of a sd from 14 ratios lies 1 % of Student's t: more than three of 25 have a probability of 1e-4.
     assert corrected == SESSIONS if resolved else corrected <= 3
