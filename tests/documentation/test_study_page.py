@@ -93,7 +93,7 @@ def test_pictures_have_their_numbers_and_points_their_names(changes):
     html = design_study_page(result, points, "finray study run pads.toml", {}, "0.1.0")
     assert_stands_alone(html)
     assert "Red, green, blue is the strongest on 41, 40, 19 % of the coat; vividness 8" in " ".join(html.split())
-    assert "share of the coat where each light leads" in html
+    assert "share of the coat where each light is the strongest" in html
     pictures = cv2.imdecode(np.frombuffer(study_pictures_webp(points), np.uint8), cv2.IMREAD_COLOR)
     assert pictures.shape[1] > pictures.shape[0] / 2
     assert pictures.std() > 20.0

@@ -543,7 +543,7 @@ def _panel(axes: Axes, result: StudyResult, name: str) -> None:
 
 def _shares_panel(axes: Axes, result: StudyResult) -> None:
     """Draw which share of the coat each light leads, at each point."""
-    _begin_panel(axes, result, "share of the coat where each light leads")
+    _begin_panel(axes, result, "share of the coat where each light is strongest")
     for number, (name, marker, colour) in enumerate(_SHARES):
         aside = 0.0 if _is_over_numbers(result) else 0.15 * (number - 1)
         found = [(_place(result, row) + aside, metric) for row in result.points if (metric := _found(row, name))]
