@@ -214,7 +214,7 @@ def test_a_press_to_a_force_tells_the_depth_and_the_torque_at_slip(tmp_path: Pat
     assert record.tipping_torque_n_mm == pytest.approx(0.8 * 9.0, rel=1e-3)
     # a strip across the pad: even pressure on it gives N w / 4, all of it at both edges N w / 2
     assert 0.25 < record.slip_torque_per_friction_n_mm / (0.8 * 18.0) < 0.5
-    assert "N mm times the coefficient of friction" in said
+    assert "N mm times the friction coefficient" in said
     check_no_intersections(restore_shapes(read_record(tmp_path / "held.surfaces.json", FingerSurfaces))[1].gel)
 
 
