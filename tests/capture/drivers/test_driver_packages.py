@@ -357,7 +357,11 @@ def test_a_driver_that_is_not_installed_is_refused_before_anything_opens(site: P
 
 def test_a_misspelt_driver_is_named_with_the_nearest_one() -> None:
     """Also where the address is missing, which would otherwise be asked for first."""
-    for driver, hint in (("simulatd", "did you mean 'simulated'"), ("araviss", "'aravis'"), ("xyzzy", "if another package")):
+    for driver, hint in (
+        ("simulatd", "did you mean 'simulated'"),
+        ("araviss", "'aravis'"),
+        ("xyzzy", "if another package"),
+    ):
         with pytest.raises(ValueError, match=f"finray has no driver '{driver}'; .*{hint}"):
             CameraSettings(driver=driver)
     with pytest.raises(RefusedError, match="no driver 'thorlab' is installed; did you mean 'thorlabs'"):
