@@ -79,9 +79,8 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     )  # fmt: skip
     with _Workers(work, jobs) as workers:
         # while the processes start, too
-        from data_schemas import ComparisonBatch, provenance
+        from data_schemas import provenance
         from data_schemas.storage import ProductSet, write_record
-        from finray_calib.compare import DILATED, rank_simulators, skill_differences, to_capture, worst_pairs
         from finray_calib.reports import PressPictures, batch_page
 
         _options.cache_clear()
@@ -89,20 +88,8 @@ def compare_folders(arguments: argparse.Namespace) -> None:
         compared, read = _compare_all(jobs, workers)
         chosen = _worst_of_each(compared)
         pages = workers.do("page", [jobs[k] for k in chosen], "pages of the lowest scores")
+    batch = _batch(compared, work, notes)
     succeeded = [pair for pair in compared if pair.skill is not None]
-    simulators, unshared = rank_simulators(compared)
-    if unshared:
-        notes.append(f"left out of the ranking, because not every simulator has them: {', '.join(unshared)}")
-    batch = ComparisonBatch(
-        pairs=tuple(compared),
-        headline_region=DILATED if succeeded else None,
-        simulators=simulators,
-        differences=skill_differences(compared, [s.simulator for s in simulators]),
-        worst=worst_pairs(compared),
-        to_capture_next=to_capture(compared),
-        relative=work.relative,
-        notes=tuple(notes),
-    )
     inputs = read | input_digests([*work.listed, *([] if arguments.pairs is None else [arguments.pairs])])
     shown = [PressPictures.model_validate(page["pictures"]) for page in pages]
     with ProductSet(out / SUMMARY) as products:
@@ -118,6 +105,26 @@ def compare_folders(arguments: argparse.Namespace) -> None:
     suggest_file(out / PAGE)
     if not succeeded:
         raise CompareError(f"none of the {len(jobs)} pairs could be compared; {out / TABLE} says why")
+
+
+def _batch(compared: "Sequence[ComparedPair]", work: "_Work", notes: list[str]) -> "ComparisonBatch":
+    """Return the record of all pairs, with the ranking of the simulators and what to capture next."""
+    from data_schemas import ComparisonBatch
+    from finray_calib.compare import DILATED, rank_simulators, skill_differences, to_capture, worst_pairs
+
+    simulators, unshared = rank_simulators(compared)
+    if unshared:
+        notes = [*notes, f"left out of the ranking, because not every simulator has them: {', '.join(unshared)}"]
+    return ComparisonBatch(
+        pairs=tuple(compared),
+        headline_region=DILATED if any(pair.skill is not None for pair in compared) else None,
+        simulators=simulators,
+        differences=skill_differences(compared, [s.simulator for s in simulators]),
+        worst=worst_pairs(compared),
+        to_capture_next=to_capture(compared),
+        relative=work.relative,
+        notes=tuple(notes),
+    )
 
 
 def _place(out: Path, jobs: Sequence[_Job]) -> Path:
