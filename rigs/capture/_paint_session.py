@@ -373,7 +373,8 @@ class PaintRecorder:
         metered = self._rates[step]
         for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
             is_alike = before > 0.0 and 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE
-            if max(before, rate) > visible_dn_per_s and not is_alike:
+            # a channel that was too dim for a ratio is compared by its difference
+            if not is_alike if before > visible_dn_per_s else rate - before > visible_dn_per_s:
                 raise SignalChangedError(
                     f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at "
                     f"metering (a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light "

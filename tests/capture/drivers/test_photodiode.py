@@ -235,7 +235,7 @@ def test_firmware_that_misses_pulses_does_not_pass(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("closes", "sees_pulses", "verdict", "words"),
     [
-        (True, True, "PASS", "light below 0.19 % of the laser's, 0.0086 mW of its power_mw, would not be seen"),
+        (True, True, "PASS", "light below 0.19 % of the laser's, 0.0086 mW at most, would not be seen"),
         (False, True, "UNDECIDED", "learned what dark is from the controller's word"),
         (True, False, "UNDECIDED", "a pulsed laser may look off"),
     ],
