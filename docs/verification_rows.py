@@ -6,6 +6,8 @@ not measured:
 
     python -m docs.verification_rows [--bench bench-out] [--junit FILE.xml]
 
+The summary at the top of the page is counted from the rows at each run.
+
 - the table between the marks, one row for each number of ``benchmarks/table.py``;
 - rows whose measured value is "N tests passed" or "N of M tests failed", by the tests that their command names.
 """
@@ -24,6 +26,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "verification.md"
 BEGIN, END = "<!-- written by make verification -->", "<!-- end of what is written -->"
+SUMMARY_BEGIN, SUMMARY_END = "<!-- counted by make verification -->", "<!-- end of what is counted -->"
 HEADER = ["| number | against | command | measured | bar | met |", "|---|---|---|---|---|---|"]
 COUNTED = re.compile(r"\d+ tests passed|\d+ of \d+ tests failed|tests not run yet")
 COMMAND, MEASURED, MET = 1, 2, 4
@@ -198,11 +201,15 @@ def updated(text: str, bench: Path | None, results: Mapping[str, tuple[int, int]
         if line is not None:
             lines[row.line - 1] = line
     page = "\n".join(lines)
-    if BEGIN not in page:
-        return page
-    head, _, rest = page.partition(BEGIN)
-    table = "\n".join(bench_table(page, bench))
-    return f"{head}{BEGIN}\n\n{table}\n\n{END}{rest.partition(END)[2]}"
+    if BEGIN in page:
+        page = _replaced(page, BEGIN, END, "\n".join(bench_table(page, bench)))
+    return _replaced(page, SUMMARY_BEGIN, SUMMARY_END, summary(page)) if SUMMARY_BEGIN in page else page
+
+
+def _replaced(page: str, begin: str, end: str, made: str) -> str:
+    """Return the page with what stands between two marks replaced."""
+    head, _, rest = page.partition(begin)
+    return f"{head}{begin}\n\n{made}\n\n{end}{rest.partition(end)[2]}"
 
 
 NOT_BY_THIS_TABLE = "not measured by this table"
@@ -217,27 +224,75 @@ verify](../how-to/trust-a-number.md).
 """
 
 
-def trust_page(text: str) -> str:
-    """Return a page that counts, for each subject of the page of rows, what met its bar, and lists what did not."""
+VERDICTS = ("met", "in part", "not met", "not shown", "no bar")
+
+
+def verdict(row: Row) -> str:
+    """Return which of `VERDICTS` the last cell of a row says; what begins with none of their words is met in part."""
+    said = row.cells[-1].lower()
+    first = re.match(r"[a-z]*", said)
+    if said in ("-", ""):
+        return "no bar"
+    if said.startswith(("not shown", "not yet")):
+        return "not shown"
+    return {"yes": "met", "no": "not met"}.get(first.group() if first else "", "in part")
+
+
+def by_subject(text: str, headings: tuple[str, ...] = ("## ",)) -> dict[str, list[Row]]:
+    """Return heading -> the rows below it that have a verdict."""
     lines = text.split("\n")
     subjects: dict[str, list[Row]] = {}
     for row in rows(text):
         if len(row.cells) > MET and NOT_BY_THIS_TABLE not in row.cells[-3]:
-            heading = next(line for line in reversed(lines[: row.line]) if line.startswith("## "))
-            subjects.setdefault(heading.removeprefix("## "), []).append(row)
+            heading = next(line for line in reversed(lines[: row.line]) if line.startswith(headings))
+            subjects.setdefault(heading.lstrip("# "), []).append(row)
+    return subjects
+
+
+def summary(text: str) -> str:
+    """Return a table of how many rows of each section met their bar, and a list of those that did not."""
+    outside = re.sub(f"{SUMMARY_BEGIN}.*{SUMMARY_END}", "", text, flags=re.DOTALL)
+    sections = by_subject(outside, ("## ", "### "))
+    table = [f"| section | {' | '.join(VERDICTS)} |", f"|---{'|---' * len(VERDICTS)}|"]
+    total = dict.fromkeys(VERDICTS, 0)
+    lists = []
+    for heading, found in sections.items():
+        link = f"[{heading}](#{re.sub(r'[^a-z0-9 -]', '', heading.lower()).replace(' ', '-')})"
+        counts = {name: sum(verdict(row) == name for row in found) for name in VERDICTS}
+        total = {name: total[name] + counts[name] for name in VERDICTS}
+        table.append(f"| {link} | {' | '.join(str(counts[name]) for name in VERDICTS)} |")
+        short = [row for row in found if verdict(row) not in ("met", "no bar")]
+        lists += (
+            [f"{link}:", "", *(f"- {_claim(row, found)}: **{row.cells[-1]}**" for row in short), ""] if short else []
+        )
+    table.append(f"| all | {' | '.join(str(total[name]) for name in VERDICTS)} |")
+    return "\n".join([*table, "", "Rows that are not met, met in part, or not shown:", "", *lists]).rstrip()
+
+
+def _claim(row: Row, found: list[Row]) -> str:
+    """Return the claim of a row in few words; "the same" is preceded by the claim that it repeats."""
+    claim = _shortened(row.cells[0], 30)
+    if len(row.cells) > MET + 1 and row.cells[1] != "-":
+        return f"{claim}, against {row.cells[1]}"
+    others = [other.cells[0] for other in found if other.line < row.line and not other.cells[0].startswith("the same")]
+    return f"{_shortened(others[-1], 15)}; {claim}" if claim.startswith("the same") and others else claim
+
+
+def _shortened(text: str, words: int) -> str:
+    kept = " ".join(text.split()[:words])
+    return text if len(text.split()) <= words else kept + "`" * (kept.count("`") % 2) + " ..."
+
+
+def trust_page(text: str) -> str:
+    """Return a page that counts, for each subject of the page of rows, what met its bar, and lists what did not."""
     table = ["| subject | met | no bar set | not met, in part, or not shown |", "|---|---|---|---|"]
     lists = []
-    for subject, found in subjects.items():
-        short = [row for row in found if not _is_met(row) and row.cells[-1] not in ("-", "")]
-        met = sum(map(_is_met, found))
+    for subject, found in by_subject(text).items():
+        short = [row for row in found if verdict(row) not in ("met", "no bar")]
+        met = sum(verdict(row) == "met" for row in found)
         table.append(f"| {subject} | {met} | {len(found) - met - len(short)} | {len(short)} |")
         lists += [f"## {subject}", "", *(_short_of(row) for row in short), ""] if short else []
     return "\n".join([TRUST, *table, "", *lists])
-
-
-def _is_met(row: Row) -> bool:
-    """Return whether a row says yes, and no more than yes with a reason."""
-    return row.cells[-1].lower().startswith("yes")
 
 
 def _short_of(row: Row) -> str:

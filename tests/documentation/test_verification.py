@@ -18,6 +18,10 @@ def row(command, measured="passes", met="yes"):
     )[0]
 
 
+def without_summary(text):
+    return re.sub(f"{page.SUMMARY_BEGIN}.*{page.SUMMARY_END}", "", text, flags=re.DOTALL)
+
+
 def test_every_row_names_what_exists():
     assert len(page.rows(TEXT)) > 300
     assert [(r.line, name) for r in page.rows(TEXT) for name in page.missing(r)] == []
@@ -55,8 +59,9 @@ def test_a_result_is_written_and_the_others_stay(tmp_path, ratio, measured, met)
     what = "full-spectrum error, one material left out | the paper's family"
     assert f"| {what} | {command} | {measured}; 2026-09-21 | at most 0.55x | {met} |" in made
     assert made.count("\n| coverage of 95 % bands, one material left out | nominal |") == 1
-    changed = [new for new, old in zip(made.split("\n"), TEXT.split("\n"), strict=True) if new != old]
-    assert len(changed) == 2
+    pairs = zip(without_summary(made).split("\n"), without_summary(TEXT).split("\n"), strict=True)
+    assert sum(new != old for new, old in pairs) == 2
+    assert (f"{what.split(' | ')[0]}, against the paper's family: **no**" in made) == (met == "no")
     # what was measured once stays when there is no result of it
     assert page.updated(made, None, {}) == made
 
@@ -91,8 +96,46 @@ def test_tests_are_counted_where_a_row_counts_them(tmp_path, command, before, af
 
 
 def test_a_page_without_marks_is_left_alone():
-    plain = re.sub(f"{page.BEGIN}.*", "", TEXT, flags=re.DOTALL)
+    plain = re.sub(f"{page.BEGIN}.*", "", without_summary(TEXT), flags=re.DOTALL)
     assert page.updated(plain, None, {}) == plain
+
+
+def test_the_summary_of_the_page_is_that_of_its_rows():
+    assert page.updated(TEXT, None, {}) == TEXT
+    short = [
+        r for r in page.rows(without_summary(TEXT)) if len(r.cells) > 4 and not r.cells[-1].startswith(("yes", "-"))
+    ]
+    listed = re.findall(r"^- .*\*\*$", TEXT, flags=re.MULTILINE)
+    assert [line.split(": **")[-1].removesuffix("**") for line in listed] == [r.cells[-1] for r in short]
+
+
+@pytest.mark.parametrize(
+    ("said", "counted"),
+    [
+        ("yes", "met"),
+        ("yes, simulated", "met"),
+        ("no: 13 seen", "not met"),
+        ("in part: yes; to 5 mm no", "in part"),
+        ("95 % yes; 68 % no", "in part"),
+        ("nearly", "in part"),
+        ("not shown yet", "not shown"),
+        ("not yet", "not shown"),
+        ("-", "no bar"),
+    ],
+)
+def test_a_verdict_is_counted_as_what_it_says(said, counted):
+    assert page.verdict(row("`make bench`", met=said)) == counted
+
+
+def test_the_summary_counts_rows_by_section_and_names_what_is_not_met():
+    table = "\n| claim | command | measured | bar | met |\n|---|---|---|---|---|\n"
+    first = f"## One\n{table}| a | `x` | 1 | 2 | yes |\n| b | `x` | 3 | 2 | no |\n"
+    text = f"{first}### Two\n{table}| the same | s | 4 | 2 | nearly |"
+    made = page.summary(text)
+    assert (
+        "| [One](#one) | 1 | 0 | 1 | 0 | 0 |\n| [Two](#two) | 0 | 1 | 0 | 0 | 0 |\n| all | 1 | 1 | 1 | 0 | 0 |" in made
+    )
+    assert "[One](#one):\n\n- b: **no**\n\n[Two](#two):\n\n- the same: **nearly**" in made
 
 
 def test_the_page_of_trust_counts_every_row_and_hides_none_that_failed():
