@@ -26,7 +26,7 @@ from scipy.stats import binom
 
 from data_schemas import Indenter, PressSurrogate, TaughtPress, provenance
 from data_schemas.storage import read_record, write_record
-from sim.experiments import SurrogateFinger, TeachSettings
+from sim.experiments import SurrogateFinger, TrainingSettings
 from sim.experiments._press_surrogate import Process, likeliest_kernel, press_to_teach, rms_length
 
 SURFACE_BAR_REL, FORCE_BAR_REL, LEVEL_BAR, TIME_BAR_S = 0.02, 0.02, 0.95, 0.05
@@ -66,7 +66,7 @@ def held_out(taught, folder, count, seconds):
             if time.monotonic() - begun > seconds:
                 break
             design = taught.design.model_copy(update={"indenter": indenter, "provenance": None})
-            press = press_to_teach(design, taught.preset, TeachSettings(count), number, None)
+            press = press_to_teach(design, taught.preset, TrainingSettings(count), number, None)
             write_record(press, path, provenance(" ".join(sys.argv), {}, SEED))
             print(f"press {number + 1} of {count}: {press.processor_s:.0f} s", flush=True)
         found.append(read_record(path, TaughtPress))

@@ -29,7 +29,7 @@ from data_schemas import (
 )
 from data_schemas.storage import write_bytes
 from rigs._drivers import FoundDevice, Kind, offered
-from rigs.light_guard import TEST_HOLDS_DAYS
+from rigs.light_guard import TEST_VALID_DAYS
 
 PAPER_FILTERS_NM = (405, 450, 500, 532, 560, 600, 630, 660)
 # The simulated filters come with a certificate: centre and width within 0.2 nm, uniform, is 0.12 nm, rounded up.
@@ -383,7 +383,7 @@ def _outside_layer_toml(layer: OutsideLayer | None) -> str:
     """Return the table of what switches the laser off outside the computer; a comment where none is declared."""
     head = f"""\
 # [laser.outside_layer] declares hardware that switches the laser off when the computer cannot, and its last test with
-# the laser on, which holds for {TEST_HOLDS_DAYS} days. A laser of class 3R or above is lit only with such a layer; the
+# the laser on, which holds for {TEST_VALID_DAYS} days. A laser of class 3R or above is lit only with such a layer; the
 # firmware behind driver arduino is one, and every session tests it.
 """
     if layer is None:

@@ -22,16 +22,16 @@ if TYPE_CHECKING:
         result_line,
         value_text,
     )
-    from finray_calib.acceptance._equivalence import Compared, Equivalence, tins_are_equivalent
+    from finray_calib.acceptance._equivalence import ComparedQuantity, Equivalence, tins_are_equivalent
     from finray_calib.acceptance._gauge_study import GaugeStudy, balanced_values, gauge_study
     from finray_calib.acceptance._press_checks import PRESS_SECTIONS, judge_pressing
     from finray_calib.acceptance._session_history import (
         Alarm,
         Chart,
+        ChartedQuantity,
         ChartRules,
         History,
         SessionFacts,
-        Watched,
         chart_rules,
         run_length,
         session_facts,
@@ -50,13 +50,13 @@ __all__ = [
     "CertifiedResult",
     "Chart",
     "ChartRules",
-    "Compared",
+    "ChartedQuantity",
+    "ComparedQuantity",
     "Equivalence",
     "GaugeStudy",
     "History",
     "SessionFacts",
     "ToleranceInterval",
-    "Watched",
     "balanced_values",
     "certified_results",
     "chart_rules",

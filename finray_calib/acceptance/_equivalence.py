@@ -35,7 +35,7 @@ from data_schemas import CERTIFIED, CheckVerdict, FinrayError, Optics, PaintCali
 from finray_calib.spectra import curve_quantities
 
 Floats = NDArray[np.float64]
-Compared = Literal["mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "spectrum"]
+ComparedQuantity = Literal["mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "spectrum"]
 
 RISK: Final = 0.05
 LARGEST_PRIOR_SHARE: Final = 0.5
@@ -68,7 +68,7 @@ class Equivalence:
         What the interval rests on, and what it does not know.
     """
 
-    name: Compared
+    name: ComparedQuantity
     title: str
     unit: str
     margin: float
@@ -80,7 +80,7 @@ class Equivalence:
 
 
 def tins_are_equivalent(
-    first: Sequence[PaintCalibration], second: Sequence[PaintCalibration], margins: Mapping[Compared, float]
+    first: Sequence[PaintCalibration], second: Sequence[PaintCalibration], margins: Mapping[ComparedQuantity, float]
 ) -> tuple[Equivalence, ...]:
     """Compare two tins of a paint, each by the calibrations of its coats.
 
@@ -102,7 +102,7 @@ def tins_are_equivalent(
 
 
 def _check(
-    first: Sequence[PaintCalibration], second: Sequence[PaintCalibration], margins: Mapping[Compared, float]
+    first: Sequence[PaintCalibration], second: Sequence[PaintCalibration], margins: Mapping[ComparedQuantity, float]
 ) -> None:
     """Refuse what cannot be compared."""
     if not first or not second:
@@ -144,7 +144,7 @@ class _Difference:
 
 
 def _compare(
-    first: Sequence[PaintCalibration], second: Sequence[PaintCalibration], name: Compared, margin: float
+    first: Sequence[PaintCalibration], second: Sequence[PaintCalibration], name: ComparedQuantity, margin: float
 ) -> Equivalence:
     """Compare the tins in one quantity."""
     if name == "spectrum":
@@ -176,7 +176,7 @@ def _has_coats(first: Sequence[PaintCalibration], second: Sequence[PaintCalibrat
     return min(len(first), len(second)) >= 2
 
 
-def _draws(tin: Sequence[PaintCalibration], name: Compared) -> Floats:
+def _draws(tin: Sequence[PaintCalibration], name: ComparedQuantity) -> Floats:
     """Return draws of a quantity over the coats of a tin; of the reflectance normal quantiles."""
     if name == "reflectance_at_laser":
         levels = norm.ppf((np.arange(QUANTILES) + 0.5) / QUANTILES)

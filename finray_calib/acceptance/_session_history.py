@@ -399,7 +399,7 @@ def _sharpness(session: CaptureSession, read: ReadFrame) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Watched:
+class ChartedQuantity:
     """One quantity of a rig or a sample over its sessions."""
 
     of: str
@@ -469,7 +469,7 @@ class History:
 
     verdict: Verdict
     reasons: tuple[str, ...]
-    watched: tuple[Watched, ...]
+    watched: tuple[ChartedQuantity, ...]
     ledger: tuple[LedgerRow, ...]
     waiting: tuple[str, ...]
     false_alarm_share: float
@@ -518,7 +518,9 @@ def session_history(
         first = sum(one.captured_utc <= since for one in sessions)
         chart = watch(values, rules, first)
         watched.append(
-            Watched(of, quantity, tuple(s.name for s in sessions), tuple(s.captured_utc for s in sessions), chart)
+            ChartedQuantity(
+                of, quantity, tuple(s.name for s in sessions), tuple(s.captured_utc for s in sessions), chart
+            )
         )
     reasons = _reasons(watched, ordered, since)
     judged = any(len(one.sessions) > reference for one in watched)
@@ -556,7 +558,7 @@ def _series(
     return series, (*waiting, *same)
 
 
-def _reasons(watched: Sequence[Watched], ordered: Sequence[SessionFacts], since: str) -> tuple[str, ...]:
+def _reasons(watched: Sequence[ChartedQuantity], ordered: Sequence[SessionFacts], since: str) -> tuple[str, ...]:
     """Return the sessions that could not be reduced and, of each chart, its alarms; in the order of their beginning."""
     told = [(s.captured_utc, f"{s.name}: cannot be reduced: {s.fault}") for s in ordered if s.fault]
     for one in watched:

@@ -19,7 +19,7 @@ from finray_calib.cli._run import add_out, add_seed, command_line, distinct_file
 
 if TYPE_CHECKING:
     from data_schemas import ComparisonBatch, SimulatedPress, TactileCapture
-    from sim.experiments import GelNumber
+    from sim.experiments import GelParameter
 
 BENCH_HELP = "score a simulator on captures that it has not seen, by one protocol"
 TACTILE_DESCRIPTION = """\
@@ -195,10 +195,10 @@ def _presses(
 ) -> "tuple[float | None, dict[str, dict[str, SimulatedPress]]]":
     """Return seconds of the command, and simulator -> press -> what it makes of the press."""
     from data_schemas import CompareError
-    from finray_calib.compare import predict_press, teach_table
+    from finray_calib.compare import predict_press, train_table
     from finray_calib.exchange import read_renders
 
-    table = teach_table([captures[name] for name in taught])
+    table = train_table([captures[name] for name in taught])
     of_table = {name: predict_press(table, captures[name]) for name in judged}
     blank = {
         name: press.model_copy(update={"contact": press.no_contact, "label": BLANK, "notes": ()})
@@ -227,7 +227,7 @@ def _presses(
 
 def _of_gel(
     captures: "Mapping[str, TactileCapture]", taught: Sequence[str], judged: Sequence[str]
-) -> "tuple[dict[str, dict[str, SimulatedPress]], tuple[GelNumber, ...]]":
+) -> "tuple[dict[str, dict[str, SimulatedPress]], tuple[GelParameter, ...]]":
     """Return what our model of a gel predicts, and the numbers that the training presses gave it."""
     from sim.experiments import fit_gel, predict_on_gel
 
@@ -312,7 +312,7 @@ def _row(
     captures: "Mapping[str, TactileCapture]",
     taught: Sequence[str],
     seconds: float | None,
-    numbers: "Sequence[GelNumber]",
+    numbers: "Sequence[GelParameter]",
 ) -> dict[str, Any]:
     """Return the row of the table, sealed by the SHA-256 of its other entries."""
     from data_schemas import package_version

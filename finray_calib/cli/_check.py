@@ -25,7 +25,7 @@ from finray_calib.cli._run import (
 
 if TYPE_CHECKING:
     from data_schemas import AcceptanceReport, CaptureSession, PaintCalibration, RigFile, TactileRig
-    from finray_calib.acceptance import CertifiedResult, ChartRules, Compared, GaugeStudy, History, SessionFacts
+    from finray_calib.acceptance import CertifiedResult, ChartRules, ComparedQuantity, GaugeStudy, History, SessionFacts
     from finray_calib.fit import BudgetRow
     from finray_calib.lineage import Traced
 
@@ -262,7 +262,7 @@ PASS: equivalent in this quantity. FAIL: different. UNDECIDED: neither is shown;
 unit of the quantity: mode_nm, fwhm_nm, peak_per_nm, energy_yield, reflectance_at_laser; that of spectrum is a share of
 the peak. With one coat of a tin the differences between coats are unknown, and the command says so.
 Exit status: 0, 1 where the tins differ in a quantity, 2 after a mistake."""
-COMPARED: "tuple[Compared, ...]" = (
+COMPARED: "tuple[ComparedQuantity, ...]" = (
     "mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "spectrum",
 )  # fmt: skip
 
@@ -283,7 +283,7 @@ def add_equivalence(acts: "argparse._SubParsersAction[argparse.ArgumentParser]")
     parser.set_defaults(run=run_equivalence)
 
 
-def _margin(text: str) -> "tuple[Compared, float]":
+def _margin(text: str) -> "tuple[ComparedQuantity, float]":
     """Parse QUANTITY=VALUE."""
     name, _, number = text.partition("=")
     known = next((one for one in COMPARED if one == name), None)

@@ -280,14 +280,14 @@ def _sensor_lights(
 ) -> _LightsApart:
     """Render each light of a classic sensor."""
     from data_schemas import SimulateError
-    from sim.experiments import ClassicLayers, light_by_light
+    from sim.experiments import ClassicLayers, render_each_light
 
     if arguments.paint:
         raise SimulateError("--paint: a classic sensor carries no fluorescent paint; leave it out")
     scene = ClassicLayers(
         sensor, open_engine(arguments.engine), folder, arguments.seed, samples=arguments.samples or 32
     )
-    return _LightsApart(*light_by_light(scene, 6, progress))
+    return _LightsApart(*render_each_light(scene, 6, progress))
 
 
 def _store_powers(out: Path, record: "LightPowers", origin: "Provenance") -> None:
@@ -296,10 +296,10 @@ def _store_powers(out: Path, record: "LightPowers", origin: "Provenance") -> Non
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.reports.studies import light_powers_page
     from sim import design_toml, sensor_toml
-    from sim.experiments import changed_numbers
+    from sim.experiments import with_changed_values
 
     page, file = new_page_beside(out), require_new(out.with_suffix(".toml"))
-    changed = changed_numbers(record.subject, {row.field: round(row.power_rel, 4) for row in record.rows})
+    changed = with_changed_values(record.subject, {row.field: round(row.power_rel, 4) for row in record.rows})
     text = design_toml(changed) if isinstance(changed, FingerDesign) else sensor_toml(changed)
     with ProductSet(out) as products:
         products.add(page, light_powers_page(record, origin.command, origin.input_sha256).encode())

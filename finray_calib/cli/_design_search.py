@@ -199,16 +199,16 @@ def run_optimise(arguments: argparse.Namespace) -> None:
         DesignEvaluations,
         DesignSpace,
         confirmed_losses,
+        default_parameters,
         design_parameter,
         is_of_light,
         search_designs,
-        usual_parameters,
     )
 
     objectives = _objectives([arguments.first, *arguments.further])
     design, files, folder = given_design(arguments.design)
     parameters = tuple(design_parameter(design, text) for text in arguments.within)
-    parameters = parameters or usual_parameters(design, objectives)
+    parameters = parameters or default_parameters(design, objectives)
     if len({one.field for one in parameters}) < len(parameters):
         raise SimulateError("--within: a field is given twice; give each once")
     out = require_folder(arguments.out or Path(f"{file_name(design.name)}.optimised"))

@@ -532,7 +532,7 @@ def _predicted(
 ) -> "Iterator[tuple[str, SimulatedPress, list[str]]]":
     """Yield name and prediction of every press that does not teach, also under another name, and which presses do."""
     from data_schemas import ImportFormatError
-    from finray_calib.compare import predict_press, spread_over, teach_table
+    from finray_calib.compare import predict_press, spread_over, train_table
     from finray_calib.sensing import contact_sha256
 
     if count is None:
@@ -541,7 +541,7 @@ def _predicted(
     if not 1 <= count < len(names):
         raise ImportFormatError(f"--predict-from {count}: must be 1 to {len(names) - 1}, for {len(names)} presses")
     taught = [names[i] for i in spread_over(len(names), count)]
-    table = teach_table([captures[name] for name in taught])
+    table = train_table([captures[name] for name in taught])
     for name in names:
         capture = captures[name]
         if contact_sha256(capture) not in table.training_sha256:

@@ -93,13 +93,13 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     from data_schemas import CompareError, provenance
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.exchange import calibration_yaml, read_board_picture
-    from finray_calib.sensing import Declared, find_board, pixel_scale, require_plausible
+    from finray_calib.sensing import BoardUncertainty, find_board, pixel_scale, require_plausible
 
     out = require_new(arguments.out or Path("pixel-scale.json"), ".json")
     lens_file = require_new(out.with_suffix(".lens.yaml"))
     board, pad, others = board_pictures(arguments)
     require_plausible(board)
-    declared = Declared(*tolerances(arguments, board.square_mm))
+    declared = BoardUncertainty(*tolerances(arguments, board.square_mm))
     files = [pad, *others]
     pictures = {str(path): read_board_picture(path, arguments.monochrome) for path in files}
     sizes = {picture.shape for picture in pictures.values()}

@@ -122,7 +122,7 @@ def run_teach(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import clear_leftovers, read_record, write_record
     from finray_calib.spectra import machine_threads
     from sim import read_design
-    from sim.experiments import USUAL_PRESSES, TeachSettings, train_surrogate
+    from sim.experiments import DEFAULT_PRESSES, TrainingSettings, train_surrogate
 
     design = read_design(arguments.design)
     out = require_new(arguments.out or Path(f"{file_name(arguments.design.stem)}.surrogate.json"), ".json")
@@ -137,7 +137,7 @@ def run_teach(arguments: argparse.Namespace) -> None:
     def store(number: int, press: "TaughtPress") -> None:
         write_record(press, kept / f"{number + 1:03d}.json", origin)
 
-    settings = TeachSettings(arguments.presses or USUAL_PRESSES, threads=machine_threads())
+    settings = TrainingSettings(arguments.presses or DEFAULT_PRESSES, threads=machine_threads())
     with progress_bar("teach") as progress, naming(SimulateError, arguments.design):
         taught = train_surrogate(design, settings, stored=stored, store=store, progress=progress)
     write_record(taught, out, origin)

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
         skill_differences,
         skill_over_presses,
         spread_over,
-        teach_table,
         to_capture,
+        train_table,
         worst_pairs,
     )
     from finray_calib.compare._candidate_errors import METRICS, Metric, check_metric
@@ -84,7 +84,7 @@ __all__ = [
     "srgb_to_lab",
     "strip_from_distance",
     "structural_similarity",
-    "teach_table",
     "to_capture",
+    "train_table",
     "worst_pairs",
 ]

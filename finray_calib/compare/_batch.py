@@ -71,7 +71,7 @@ class PressTable:
     training_sha256: tuple[str, ...]
 
 
-def teach_table(captures: Sequence[TactileCapture]) -> PressTable:
+def train_table(captures: Sequence[TactileCapture]) -> PressTable:
     """Fit the table to presses of one sensor by ridge regression.
 
     Parameters

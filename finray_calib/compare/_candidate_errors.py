@@ -31,7 +31,7 @@ from finray_calib.compare._displayed_images import ShownCandidate
 from finray_calib.compare._input_draws import InputDraws, ends
 from finray_calib.compare._photometric_error import ErrorDraws, RegionResult
 from finray_calib.compare._regions import pixels_within, usable_pixels
-from finray_calib.sensing import SensingError, check_senses, full_scale_dn, normal_map_of, sensing_error
+from finray_calib.sensing import SensingError, full_scale_dn, normal_map_of, require_matching_capture, sensing_error
 
 Floats = NDArray[np.float64]
 #: Below ten times its noise the sum is no divisor: shares would be biased by more than 1 %.
@@ -359,7 +359,7 @@ def sensing_record(
     CompareError
         The map belongs to another encoding or size.
     """
-    check_senses(normal_map, capture)
+    require_matching_capture(normal_map, capture)
     senses = normal_map_of(normal_map)
     captured, layers, k = comparison.captured, comparison.layers, comparison.best_exposure
     rest = k * layers.rgb(layers.no_contact)

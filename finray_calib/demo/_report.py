@@ -112,7 +112,7 @@ from finray_calib.reports import (
 )
 from finray_calib.sensing import rgb_image
 from rigs.capture import read_frame_of, read_session
-from rigs.simulated import lay_out
+from rigs.simulated import bench_scene
 
 
 def demo_report(results: DemoResults) -> str:
@@ -529,5 +529,5 @@ def _room_light_preview(folder: Path, colour: Colour, session: CaptureSession) -
         raise CaptureError(f"session of the {colour} paint: holds no room-light frame")
     planes = bayer_planes(read_frame_of(folder, frame)) - session.rig.camera.black_level_dn
     height, width = planes.shape[:2]
-    white = planes[lay_out(height, width, seed=0).patch == WHITE_PATCH].mean(axis=0)
+    white = planes[bench_scene(height, width, seed=0).patch == WHITE_PATCH].mean(axis=0)
     return to_display(planes[::PREVIEW_STEP, ::PREVIEW_STEP], white, linear=True)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from data_schemas import AcceptanceReport, CheckResult, CheckVerdict, Section, package_version
-from finray_calib.acceptance import GUARD_FACTOR, PRESS_SECTIONS, SECTIONS, History, Watched, value_text
+from finray_calib.acceptance import GUARD_FACTOR, PRESS_SECTIONS, SECTIONS, ChartedQuantity, History, value_text
 from finray_calib.reports._methods import check_methods, methods_part
 from finray_calib.reports._page import (
     Content,
@@ -297,7 +297,7 @@ def _charts(name: str, history: History) -> Part:
     return Part(name, Content(lead=lead, picture_rows=rows, tables=(_table(shown),), has_wide_tables=True))
 
 
-def _picture(one: Watched) -> Picture:
+def _picture(one: ChartedQuantity) -> Picture:
     """Return the chart of one quantity."""
     alarms = sorted({alarm.place for alarm in one.chart.alarms})
     text = "no alarm" if not alarms else f"alarms at {', '.join(one.sessions[i] for i in alarms[:5])}"
@@ -306,7 +306,7 @@ def _picture(one: Watched) -> Picture:
 
 
 @styled()
-def chart_figure(one: Watched) -> ReadableFigure:
+def chart_figure(one: ChartedQuantity) -> ReadableFigure:
     """Draw one quantity over its sessions, with limits and alarms."""
     chart, count = one.chart, one.chart.rules.reference or 0
     figure = new_figure(3.6, 2.3)
@@ -329,7 +329,7 @@ def chart_figure(one: Watched) -> ReadableFigure:
     return readable(figure, axes, chart_readings(one))
 
 
-def chart_readings(one: Watched) -> dict[float, str]:
+def chart_readings(one: ChartedQuantity) -> dict[float, str]:
     """Return in words, by the number of the session, its value and how far it is from the reference."""
     chart, alarmed = one.chart, {alarm.place for alarm in one.chart.alarms}
     return {
@@ -339,7 +339,7 @@ def chart_readings(one: Watched) -> dict[float, str]:
     }
 
 
-def _table(shown: Sequence[Watched]) -> ReportTable:
+def _table(shown: Sequence[ChartedQuantity]) -> ReportTable:
     """List mean and standard deviation of the reference, limits, and the last session."""
     rows = []
     for one in shown:

@@ -40,32 +40,31 @@ if TYPE_CHECKING:
     from finray_calib.sensing._normal_map_fit import (
         MINIMUM_PRESSES,
         CalibrationPress,
-        check_senses,
         contact_sha256,
         fit_normal_map,
         held_out_score,
         normal_map_of,
         normal_map_record,
         require_ball_press,
+        require_matching_capture,
         sense_press,
         surface_triangles,
     )
-    from finray_calib.sensing._pixel_scale import Declared
+    from finray_calib.sensing._pixel_scale import BoardUncertainty
     from finray_calib.sensing._scale_record import patch_scale, pixel_scale, scale_finding, with_measured_scale
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "MINIMUM_PRESSES",
+    "BoardUncertainty",
     "BoardView",
     "CalibrationPress",
-    "Declared",
     "FoundCircle",
     "LensCalibration",
     "NormalMap",
     "SensingError",
     "calibrate_lens",
-    "check_senses",
     "contact_distance",
     "contact_sha256",
     "find_board",
@@ -84,6 +83,7 @@ __all__ = [
     "poisson_depth_mm",
     "polynomial_terms",
     "require_ball_press",
+    "require_matching_capture",
     "require_plausible",
     "rgb_image",
     "scale_finding",

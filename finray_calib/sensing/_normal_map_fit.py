@@ -367,7 +367,7 @@ def normal_map_of(record: NormalMapRecord) -> NormalMap:
     )
 
 
-def check_senses(record: NormalMapRecord, capture: TactileCapture) -> None:
+def require_matching_capture(record: NormalMapRecord, capture: TactileCapture) -> None:
     """Refuse to apply a map to a capture of another encoding or scale.
 
     Raises
@@ -503,7 +503,7 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
     CompareError
         Encoding, size or scale are not those of the map, the level is not above zero, or nothing is pressed in.
     """
-    check_senses(record, capture)
+    require_matching_capture(record, capture)
     contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
     senses, level = normal_map_of(record), mean_level(no_contact)
     slopes = senses.slopes(contact, no_contact, level)

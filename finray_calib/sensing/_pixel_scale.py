@@ -193,7 +193,7 @@ def _rays(model: DistortionModel, lens: Floats, pixels: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Declared:
+class BoardUncertainty:
     """What the user knows of the board and of the coat; uncertainties are standard ones.
 
     Attributes
@@ -209,7 +209,7 @@ class Declared:
     coat_behind_board_u_mm: float = 0.0
 
 
-def fitted_plane(found: LensCalibration, declared: Declared, widened_factor: float = 1.0) -> SeenPlane:
+def fitted_plane(found: LensCalibration, declared: BoardUncertainty, widened_factor: float = 1.0) -> SeenPlane:
     """Return the plane of the first view, its standard deviations widened by a factor."""
     size = len(found.lens) + POSE
     return SeenPlane(
@@ -304,7 +304,11 @@ _SCATTER_FACTOR = 1.5
 
 
 def resampled_scatter_rel(
-    views: Sequence[BoardView], found: LensCalibration, declared: Declared, middle_px: Floats, rng: np.random.Generator
+    views: Sequence[BoardView],
+    found: LensCalibration,
+    declared: BoardUncertainty,
+    middle_px: Floats,
+    rng: np.random.Generator,
 ) -> float:
     """Return the relative scatter of the mean scale over pictures drawn with replacement.
 

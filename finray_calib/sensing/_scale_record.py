@@ -33,7 +33,7 @@ from finray_calib.sensing._lens_calibration import (
     require_plausible,
 )
 from finray_calib.sensing._pixel_scale import (
-    Declared,
+    BoardUncertainty,
     ScaleDraws,
     fitted_plane,
     local_scale,
@@ -59,7 +59,7 @@ def pixel_scale(
     lens_views: Sequence[BoardView],
     size_px: tuple[int, int],
     board: CharucoBoard,
-    declared: Declared,
+    declared: BoardUncertainty,
     seed: int,
     model: DistortionModel | None = None,
     pictures: Mapping[str, NDArray[np.uint8]] | None = None,
@@ -111,7 +111,11 @@ def pixel_scale(
 
 
 def _record(
-    views: Sequence[BoardView], found: LensCalibration, board: CharucoBoard, declared: Declared, resampled_u: float
+    views: Sequence[BoardView],
+    found: LensCalibration,
+    board: CharucoBoard,
+    declared: BoardUncertainty,
+    resampled_u: float,
 ) -> PixelScale:
     """Return the record of a fitted lens and board, of which the first view is that on the pad."""
     pad = views[0]

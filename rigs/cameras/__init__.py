@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from rigs.cameras._genicam import Delivered, Device, Features, GenicamCamera
+    from rigs.cameras._genicam import DeliveredFrame, Device, Features, GenicamCamera
     from rigs.cameras._image_files import (
         decoded_picture,
         read_content,
@@ -23,7 +23,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "Delivered",
+    "DeliveredFrame",
     "Device",
     "Features",
     "GenicamCamera",

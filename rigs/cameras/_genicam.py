@@ -324,7 +324,7 @@ FIRMWARE_NAMES = ("DeviceFirmwareVersion", "DeviceVersion")
 
 
 @dataclass(frozen=True, slots=True)
-class Delivered:
+class DeliveredFrame:
     """What the transport delivered.
 
     Attributes
@@ -356,7 +356,7 @@ class Device(Features, Protocol):
         """Get ready to acquire frames with the settings of now."""
         ...
 
-    def acquire(self, limit_s: float) -> Delivered | None:
+    def acquire(self, limit_s: float) -> DeliveredFrame | None:
         """Start an acquisition, return its first frame (None after `limit_s` seconds) and stop it."""
         ...
 
@@ -376,7 +376,7 @@ def name_of(settings: CameraSettings) -> str:
     return f"camera ({settings.driver}, {settings.address})"
 
 
-def image(delivered: Delivered, pixels: RawPixels, camera: str) -> NDArray[np.uint16]:
+def image(delivered: DeliveredFrame, pixels: RawPixels, camera: str) -> NDArray[np.uint16]:
     """Return the counts of a whole frame as they stand in its container, shape (H, W).
 
     Raises
@@ -560,7 +560,7 @@ class GenicamCamera:
             self.open(min(end_s - time.monotonic(), REOPEN_DEADLINE_S))
         return self._ask(lambda device: set_exposure(device, exposure_s, self._where))
 
-    def _counts(self, delivered: Delivered) -> NDArray[np.uint16]:
+    def _counts(self, delivered: DeliveredFrame) -> NDArray[np.uint16]:
         """Return the counts of a frame, or refuse it."""
         if delivered.fault:
             raise BadFrameError(
@@ -574,7 +574,7 @@ class GenicamCamera:
         self._last = label
         return right_aligned(counts, connection.pixels, self._settings.bit_depth, self._where)
 
-    def _grab(self, exposure_s: float, end_s: float) -> Delivered:
+    def _grab(self, exposure_s: float, end_s: float) -> DeliveredFrame:
         """Take one frame within the deadline."""
         limit_s = min(exposure_s + TRANSFER_S, end_s - time.monotonic())
         try:

@@ -19,7 +19,7 @@ import numpy as np
 from data_schemas import CameraSettings, DeviceIdentity, LostError, MissingExtraError, RefusedError
 from rigs.cameras._genicam import (
     ConnectionBrokenError,
-    Delivered,
+    DeliveredFrame,
     FeatureError,
     GenicamCamera,
     firmware_of,
@@ -262,7 +262,7 @@ class AravisStream:
         buffer = self._library.plain("arv_buffer_new_allocate", _Pointer, ctypes.c_size_t)(self._payload_bytes)
         self._library.plain("arv_stream_push_buffer", None, _Pointer, _Pointer)(self._pointer, buffer)
 
-    def next_buffer(self, limit_s: float) -> Delivered | None:
+    def next_buffer(self, limit_s: float) -> DeliveredFrame | None:
         """Return the frame that fills the offered buffer, or None after `limit_s` seconds."""
         pop = self._library.plain("arv_stream_timeout_pop_buffer", _Pointer, _Pointer, ctypes.c_uint64)
         buffer = pop(self._pointer, max(int(1e6 * limit_s), 0))
@@ -277,7 +277,7 @@ class AravisStream:
         """End the stream and free its buffers."""
         self._library.release(self._pointer)
 
-    def _copied(self, buffer: int) -> Delivered:
+    def _copied(self, buffer: int) -> DeliveredFrame:
         """Copy what a buffer holds; the bytes only of a whole frame."""
         plain = self._library.plain
         status = STATUS.get(plain("arv_buffer_get_status", ctypes.c_int, _Pointer)(buffer), "unknown")
@@ -290,7 +290,7 @@ class AravisStream:
             content = np.frombuffer(ctypes.string_at(start, size.value), dtype=np.uint8)
             width_px = int(plain("arv_buffer_get_image_width", ctypes.c_int, _Pointer)(buffer))
             height_px = int(plain("arv_buffer_get_image_height", ctypes.c_int, _Pointer)(buffer))
-        return Delivered(
+        return DeliveredFrame(
             fault="" if status == SUCCESS else status,
             frame_id=int(plain("arv_buffer_get_frame_id", ctypes.c_uint64, _Pointer)(buffer)),
             device_time_s=plain("arv_buffer_get_timestamp", ctypes.c_uint64, _Pointer)(buffer) / NS_PER_S,
@@ -338,7 +338,7 @@ class AravisCamera(AravisDevice):
         self.set_text("AcquisitionMode", "SingleFrame")
         self._stream = self.stream()
 
-    def acquire(self, limit_s: float) -> Delivered | None:
+    def acquire(self, limit_s: float) -> DeliveredFrame | None:
         """Take one frame."""
         if self._stream is None:
             raise ConnectionBrokenError("the stream is closed")

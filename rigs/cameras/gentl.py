@@ -12,7 +12,7 @@ import numpy as np
 from data_schemas import CameraSettings, DeviceIdentity, LostError, MissingExtraError, RefusedError
 from rigs.cameras._genicam import (
     ConnectionBrokenError,
-    Delivered,
+    DeliveredFrame,
     FeatureError,
     GenicamCamera,
     firmware_of,
@@ -113,14 +113,14 @@ class GentlCamera:
         if self.has("AcquisitionMode") and "SingleFrame" in self.entries("AcquisitionMode"):
             self.set_text("AcquisitionMode", "SingleFrame")
 
-    def acquire(self, limit_s: float) -> Delivered | None:
+    def acquire(self, limit_s: float) -> DeliveredFrame | None:
         """Start an acquisition, return its first frame (None after `limit_s` seconds) and stop it."""
         _asked(self._acquirer.start)
         try:
             end_s = time.monotonic() + limit_s
             buffer = _asked(lambda: self._acquirer.try_fetch(timeout=limit_s))
             if buffer is None:  # harvesters drops a frame that is not whole, and returns before the time is up
-                return None if time.monotonic() >= end_s else Delivered("incomplete", 0, 0.0, 0, 0, _NOTHING)
+                return None if time.monotonic() >= end_s else DeliveredFrame("incomplete", 0, 0.0, 0, 0, _NOTHING)
             try:
                 return _asked(lambda: _copied(buffer))
             finally:
@@ -236,13 +236,13 @@ def _asked(function: Callable[[], T]) -> T:
         raise FeatureError(str(error)) from error
 
 
-def _copied(buffer: Any) -> Delivered:
+def _copied(buffer: Any) -> DeliveredFrame:
     """Copy a whole frame out of the producer's memory."""
     parts = buffer.payload.components
     if not parts:
-        return Delivered("no image in the buffer", _number(buffer), 0.0, 0, 0, _NOTHING)
+        return DeliveredFrame("no image in the buffer", _number(buffer), 0.0, 0, 0, _NOTHING)
     content = np.array(parts[0].data).view(np.uint8).ravel()
-    return Delivered("", _number(buffer), _time_s(buffer), int(parts[0].width), int(parts[0].height), content)
+    return DeliveredFrame("", _number(buffer), _time_s(buffer), int(parts[0].width), int(parts[0].height), content)
 
 
 def _number(buffer: Any) -> int:

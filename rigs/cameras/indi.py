@@ -27,7 +27,7 @@ from data_schemas import (
     TimedOutError,
 )
 from rigs import Camera, RawFrame
-from rigs.transports import CAMERA_INTERFACE, INDI_OPENS_WITHIN_S, IndiClient, blob_bytes, found_on_this_computer
+from rigs.transports import CAMERA_INTERFACE, INDI_OPENS_WITHIN_S, IndiClient, blob_bytes, local_indi_devices
 
 ABORT_WITHIN_S: Final = 1.0
 TRANSFER_S: Final = 1.0
@@ -207,7 +207,7 @@ def open_camera(settings: CameraSettings, folder: Path, wheel_device: str = "") 
 
 def found() -> list[tuple[str, str]]:
     """Return address and description of the cameras of an INDI server on this computer."""
-    return found_on_this_computer(CAMERA_INTERFACE)
+    return local_indi_devices(CAMERA_INTERFACE)
 
 
 BLOCK_BYTES: Final = 2880

@@ -41,7 +41,7 @@ from data_schemas import (
 from rigs import CallThread, Clock, NoAnswerError, OpenRig, RawFrame, open_camera
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, CAMERA_EXPOSURES, WHEEL_DEADLINE_S, shine
 from rigs.capture._plan import Step
-from rigs.light_guard import MOST_LEVEL, LightLevel, LightLostError, LightMeter
+from rigs.light_guard import FULL_SCALE_LEVEL, LightLevel, LightLostError, LightMeter
 from rigs.transports import LATENCY_S
 
 LEAST_SIGNAL_FRACTION: Final = 0.05
@@ -511,7 +511,7 @@ class Contrast:
         dark_rel, sd_rel = self.off_rel, self.off_sd_rel
         if self.closed_rel is not None:
             dark_rel, sd_rel = self.closed_rel, self.closed_sd_rel
-        return dark_rel + max(NOISE_SD * sd_rel, LEAST_STEPS / MOST_LEVEL)
+        return dark_rel + max(NOISE_SD * sd_rel, LEAST_STEPS / FULL_SCALE_LEVEL)
 
     def recorded(self) -> DiodeLevels:
         """Return what the facts of a check hold."""
@@ -543,14 +543,14 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
     """
     before, lit, after = (_read_with(opened, diode, light) for light in ("off", "laser", "off"))
     off = np.concatenate([before, after])
-    if lit.max() * MOST_LEVEL >= MOST_LEVEL:
+    if lit.max() * FULL_SCALE_LEVEL >= FULL_SCALE_LEVEL:
         raise CaptureError(
             "photodiode: reads its full scale with the laser on, so it is saturated and no witness; take a smaller "
             "resistor, or move it away from the spot"
         )
     seen = Contrast(float(off.mean()), float(lit.mean()), float(off.std(ddof=1)), sees_pulses=diode.sees_pulses)
     contrast = _with_closed_beam(opened, diode, seen)
-    scatter_rel = max(float(off.std()), float(lit.std()), 0.5 / MOST_LEVEL)
+    scatter_rel = max(float(off.std()), float(lit.std()), 0.5 / FULL_SCALE_LEVEL)
     rises_rel = contrast.on_rel - contrast.off_rel
     is_seen = rises_rel > max(LEAST_CONTRAST, CONTRAST_SD * scatter_rel) and contrast.threshold_rel < float(lit.min())
     if not is_seen or contrast.threshold_rel > contrast.off_rel + MOST_SHARE * rises_rel:
@@ -616,7 +616,7 @@ def _levels(diode: LightMeter, clock: Clock) -> NDArray[np.float64]:
     while len(found) < CONTRAST_READINGS:
         reading = diode.read(DIODE_SILENT_S)
         if reading.at_s > begun_s:
-            found.append(reading.level / MOST_LEVEL)
+            found.append(reading.level / FULL_SCALE_LEVEL)
     return np.array(found)
 
 
@@ -644,7 +644,7 @@ class PhotodiodeWatch:
         readings = list[LightLevel]()
         while len(readings) < DARK_IN_A_ROW:
             readings.append(self._diode.read(DIODE_SILENT_S))
-            if readings[-1].level > MOST_LEVEL * self._contrast.threshold_rel:
+            if readings[-1].level > FULL_SCALE_LEVEL * self._contrast.threshold_rel:
                 return Reading(readings[-1].at_s - LATENCY_S, readings[-1].at_s, on=True)
         return Reading(readings[0].at_s - LATENCY_S, readings[0].at_s, on=False)
 

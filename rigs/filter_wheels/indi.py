@@ -15,7 +15,7 @@ from rigs.transports import (
     RECOVERS_WITHIN_S,
     IndiClient,
     IndiProperty,
-    found_on_this_computer,
+    local_indi_devices,
 )
 
 ANSWER_WITHIN_S: Final = 3.0
@@ -150,7 +150,7 @@ def open_wheel(settings: FilterWheelSettings, operator: Operator) -> Iterator[Fi
 
 def found() -> list[tuple[str, str]]:
     """Return address and description of the filter wheels of an INDI server on this computer."""
-    return found_on_this_computer(FILTER_WHEEL_INTERFACE)
+    return local_indi_devices(FILTER_WHEEL_INTERFACE)
 
 
 def _pause(end_s: float, overdue: str) -> None:

@@ -13,7 +13,7 @@ from data_schemas import lazy_exports
 if TYPE_CHECKING:
     from rigs.light_guard._guarded_light import (
         LEASE_S,
-        TEST_HOLDS_DAYS,
+        TEST_VALID_DAYS,
         GuardedLight,
         guarded_light,
         has_dead_man,
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
         require_outside_layer,
         safety_lines,
     )
-    from rigs.light_guard._photodiode import MOST_LEVEL, LightLevel, LightMeter, open_photodiode
+    from rigs.light_guard._photodiode import FULL_SCALE_LEVEL, LightLevel, LightMeter, open_photodiode
     from rigs.light_guard._reconnecting_light import LightLostError
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "FULL_SCALE_LEVEL",
     "LEASE_S",
-    "MOST_LEVEL",
-    "TEST_HOLDS_DAYS",
+    "TEST_VALID_DAYS",
     "GuardedLight",
     "LightLevel",
     "LightLostError",

@@ -555,7 +555,7 @@ def guarded_light(
 
 
 HAZARDOUS_CLASSES: Final = ("3R", "3B", "4")
-TEST_HOLDS_DAYS: Final = 90
+TEST_VALID_DAYS: Final = 90
 
 
 def is_hazardous(laser: LaserSettings) -> bool:
@@ -587,12 +587,12 @@ def refusal(laser: LaserSettings, has_dead_man: bool, today: datetime.date | Non
             "[laser.outside_layer] (docs/how-to/connect-a-laser.md)"
         )
     age_days = ((today or datetime.date.today()) - datetime.date.fromisoformat(layer.tested_on)).days
-    if 0 <= age_days <= TEST_HOLDS_DAYS:
+    if 0 <= age_days <= TEST_VALID_DAYS:
         return None
     when = "in the future" if age_days < 0 else f"{age_days} days ago"
     return (
         f"the test of its outside layer ({layer.kind}) on {layer.tested_on} is {when}, and at most "
-        f"{TEST_HOLDS_DAYS} days are allowed for a class {laser.laser_class} laser; test the {layer.kind} "
+        f"{TEST_VALID_DAYS} days are allowed for a class {laser.laser_class} laser; test the {layer.kind} "
         "again and correct tested_on of [laser.outside_layer] in the rig file"
     )
 

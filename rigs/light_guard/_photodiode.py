@@ -18,14 +18,14 @@ from contextlib import contextmanager
 from typing import Final, NamedTuple, Protocol
 
 from data_schemas import LostError, RefusedError, TimedOutError
-from rigs.transports import BoardClock, SerialLink, check_byte
+from rigs.transports import BoardClock, SerialLink, line_crc8
 
 BAUD: Final = 57600
 FIRMWARE_MAJOR: Final = 1
 PEAK_MINOR: Final = 1
 """From this minor version on, a reading is the highest level since the one before."""
 GREET_WITHIN_S: Final = 3.5
-MOST_LEVEL: Final = 1023
+FULL_SCALE_LEVEL: Final = 1023
 _LINE: Final = re.compile(rb"(L (\d{1,5}) (\d{1,10}) (\d{1,4})) ([0-9A-F]{2})\r?\n")
 _BANNER: Final = re.compile(rb"LIGHT (\d{1,3})\.(\d{1,3})\r?\n")
 
@@ -97,7 +97,7 @@ class Photodiode:
                 ) from None
             now_s = time.monotonic()
             match = _LINE.fullmatch(line)
-            if match is not None and check_byte(match[1]) == int(match[5], 16):
+            if match is not None and line_crc8(match[1]) == int(match[5], 16):
                 if match[2] == self._last:
                     raise LostError(f"{self._name}: repeats reading {int(match[2])}, so its board is stuck; reset it")
                 self._last = match[2]

@@ -9,7 +9,7 @@ from data_schemas import DeviceIdentity, RefusedError
 from rigs import GuardedSwitch, Operator, SwitchOffCommand
 from rigs.lights._server_light import HAS_DEAD_MAN as HAS_DEAD_MAN
 from rigs.lights._server_light import LightRole, ServerLight
-from rigs.transports import INDI_OPENS_WITHIN_S, LIGHT_INTERFACE, IndiClient, found_on_this_computer, new_vector
+from rigs.transports import INDI_OPENS_WITHIN_S, LIGHT_INTERFACE, IndiClient, local_indi_devices, new_vector
 
 ATTEMPT_S: Final = 2.0
 _CONTROL: Final = "FLAT_LIGHT_CONTROL"
@@ -101,4 +101,4 @@ def open_switch(address: str, role: LightRole, operator: Operator | None) -> Ite
 
 def found() -> list[tuple[str, str]]:
     """Return address and description of the lights of an INDI server on this computer."""
-    return found_on_this_computer(LIGHT_INTERFACE)
+    return local_indi_devices(LIGHT_INTERFACE)

@@ -18,7 +18,7 @@ from typing import Final
 
 from data_schemas import CaptureError, LoadCellSettings, LostError, PressDevice, RefusedError, TimedOutError
 from rigs import CellReading, OverloadError
-from rigs.transports import LATENCY_S, BoardClock, SerialLink, check_byte, usb_serial_ports
+from rigs.transports import LATENCY_S, BoardClock, SerialLink, line_crc8, usb_serial_ports
 
 BAUD: Final = 57600
 FIRMWARE_MAJOR: Final = 1
@@ -73,7 +73,7 @@ class Hx711Cell:
             now_s = time.monotonic()
             is_backlog &= now_s - began_s < BACKLOG_S
             match = _LINE.fullmatch(line)
-            if match is None or check_byte(match[1]) != int(match[6], 16):
+            if match is None or line_crc8(match[1]) != int(match[6], 16):
                 if now_s >= end_s:
                     raise TimedOutError(
                         f"{self._name}: only damaged lines came for {deadline_s:.2g} s (such as {line[:32]!r}); check "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from rigs.simulated._bench import Bench, BenchTruth, bench_truth, lay_out
+    from rigs.simulated._bench import Bench, BenchTruth, bench_scene, bench_truth
     from rigs.simulated._devices import (
         BenchFault,
         BenchState,
@@ -44,7 +44,7 @@ __all__ = [
     "SimulatedOperator",
     "SimulatedPhotodiode",
     "SimulatedStage",
+    "bench_scene",
     "bench_truth",
-    "lay_out",
     "with_fault",
 ]

@@ -147,7 +147,7 @@ class Bench:
         matrix = sample_matrix(rig, folder)
         self._sample_reflectance = matrix.reflectance(WAVELENGTH_NM)
         self._sample_reradiation_per_nm = matrix.radiance_factor_per_nm
-        self._scene = lay_out(rig.camera.height_px // 2, rig.camera.width_px // 2, seed)
+        self._scene = bench_scene(rig.camera.height_px // 2, rig.camera.width_px // 2, seed)
         paint = rig.simulated.paint if rig.simulated is not None else None
         self._bleaching_per_j = 0.0 if paint is None else paint.bleaching_per_j
         # The frames of one step follow each other with the same light, target and filter.
@@ -349,7 +349,7 @@ class Scene:
         return {"lamp": self.lamp, "laser": self.laser, "room": self.room}[light]
 
 
-def lay_out(height: int, width: int, seed: int) -> Scene:
+def bench_scene(height: int, width: int, seed: int) -> Scene:
     """Lay out the bench for a frame of `height` x `width` Bayer cells; `seed` fixes the textures."""
     y = ((np.arange(height) - 0.5 * (height - 1)) / height)[:, None]
     x = ((np.arange(width) - 0.5 * (width - 1)) / height)[None, :]

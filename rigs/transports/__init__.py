@@ -23,12 +23,12 @@ if TYPE_CHECKING:
         LIGHT_INTERFACE,
         IndiClient,
         IndiProperty,
-        found_on_this_computer,
         indi_address,
+        local_indi_devices,
     )
     from rigs.transports._indi_messages import blob_bytes, new_vector
     from rigs.transports._repeated_exchange import RECOVERS_WITHIN_S, Fault, fault_listener, repeated, report_fault
-    from rigs.transports._serial_link import LATENCY_S, BoardClock, SerialLink, check_byte, usb_serial_ports
+    from rigs.transports._serial_link import LATENCY_S, BoardClock, SerialLink, line_crc8, usb_serial_ports
     from rigs.transports._timed_http import MultipartStream, NewestPart, Part, TimedConnection
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -54,11 +54,11 @@ __all__ = [
     "alpaca_address",
     "alpaca_devices",
     "blob_bytes",
-    "check_byte",
     "device_number",
     "fault_listener",
-    "found_on_this_computer",
     "indi_address",
+    "line_crc8",
+    "local_indi_devices",
     "new_vector",
     "repeated",
     "report_fault",

@@ -80,7 +80,7 @@ def devices_at(where: IndiAddress, end_s: float) -> dict[str, int]:
     return found
 
 
-def found_on_this_computer(interface: int) -> list[tuple[str, str]]:
+def local_indi_devices(interface: int) -> list[tuple[str, str]]:
     """Return address and description of the devices with an interface at the default port of this computer."""
     where = IndiAddress("localhost", DEFAULT_PORT, "")
     devices = devices_at(where, time.monotonic() + 2 * _LISTING_S)

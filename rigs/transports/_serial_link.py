@@ -284,7 +284,7 @@ CREEP_REL: Final = 0.01
 MILLISECONDS: Final = 2**32
 
 
-def check_byte(text: bytes) -> int:
+def line_crc8(text: bytes) -> int:
     """Return the CRC-8 of a line: polynomial x^8 + x^2 + x + 1, initial value 0, most significant bit first."""
     crc = 0
     for byte in text:

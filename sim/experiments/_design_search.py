@@ -195,7 +195,7 @@ def _usual_limits(name: str, start: float) -> tuple[float, float]:
     return min(found[0], start), max(found[1], start)
 
 
-def usual_parameters(design: FingerDesign, objectives: Sequence[DesignObjective]) -> tuple[DesignParameter, ...]:
+def default_parameters(design: FingerDesign, objectives: Sequence[DesignObjective]) -> tuple[DesignParameter, ...]:
     """Return the parameters that are varied where none are given, according to the objectives."""
     fields = list(_OF_LIGHT) if any(o.name in _LIGHT for o in objectives) else []
     if any(o.name in _LOADS for o in objectives):

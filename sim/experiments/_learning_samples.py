@@ -42,7 +42,7 @@ _MOST_TRIES = 50
 
 
 @dataclass(frozen=True, slots=True)
-class LookTruth:
+class RenderedSample:
     """What one sample holds beside its labels; arrays of (rows, columns, ...).
 
     Attributes
@@ -68,7 +68,7 @@ class LookTruth:
 
 
 @dataclass(frozen=True, slots=True)
-class PaintLook:
+class SamplePaints:
     """Paints of one sample.
 
     Attributes
@@ -88,7 +88,7 @@ class PaintLook:
 
 def sampled_paints(
     finger: PaintedFinger, paints: Mapping[str, PaintDraws], emission_ratio: float, rng: np.random.Generator
-) -> PaintLook:
+) -> SamplePaints:
     """Draw both paints: from the posterior of the emission where there is one, else its emission times a factor.
 
     The factor is log-uniform from 1 / `emission_ratio` to `emission_ratio`. Draws that return more light than they get
@@ -122,7 +122,7 @@ def sampled_paints(
     raise SimulateError(f"no draw of the paints out of {_MOST_TRIES} conserves energy; the last one: {reason}")
 
 
-def _sampled_once(paints: Mapping[str, PaintDraws], emission_ratio: float, rng: np.random.Generator) -> PaintLook:
+def _sampled_once(paints: Mapping[str, PaintDraws], emission_ratio: float, rng: np.random.Generator) -> SamplePaints:
     """Draw both paints, whatever they return."""
     optics: dict[str, PaintOptics] = {}
     draws: dict[str, int] = {}
@@ -135,15 +135,15 @@ def _sampled_once(paints: Mapping[str, PaintDraws], emission_ratio: float, rng: 
             factors[colour] = float(emission_ratio ** rng.uniform(-1.0, 1.0))
             emission = factors[colour] * paint.emission_per_nm[0]
         optics[colour] = replace(paint.optics, emission_per_nm=emission)
-    return PaintLook(optics, draws, factors)
+    return SamplePaints(optics, draws, factors)
 
 
-def render_looks(
+def render_samples(
     finger: PaintedFinger,
-    paints: Sequence[PaintLook],
+    paints: Sequence[SamplePaints],
     how: RenderSettings,
     shapes: tuple[FingerShape, FingerShape] | None = None,
-) -> tuple[list[LookTruth], PressRender]:
+) -> tuple[list[RenderedSample], PressRender]:
     """Render a press once, and return what each pair of paints makes of it.
 
     Parameters
@@ -173,7 +173,7 @@ def render_looks(
     return list(_looks_of(finger, render, paints)), render
 
 
-def _looks_of(finger: PaintedFinger, render: PressRender, paints: Sequence[PaintLook]) -> Iterator[LookTruth]:
+def _looks_of(finger: PaintedFinger, render: PressRender, paints: Sequence[SamplePaints]) -> Iterator[RenderedSample]:
     """Yield what each pair of paints makes of a render."""
     depth, normal = encoded_depth(render.contact_maps), encoded_normal(render.contact_maps)
     at_rest = render.no_contact_maps.sees("coat")
@@ -188,7 +188,7 @@ def _looks_of(finger: PaintedFinger, render: PressRender, paints: Sequence[Paint
         pictures = [encoded_picture(image, gains) for image in (rest, contact)]
         clipped = float((pictures[1][pressed] == _FULL_8_BIT).any(axis=-1).mean())
         red, green, blue = gains.tolist()
-        yield LookTruth(pictures[0], pictures[1], depth, normal, (red, green, blue), clipped)
+        yield RenderedSample(pictures[0], pictures[1], depth, normal, (red, green, blue), clipped)
 
 
 def encoded_picture(linear: NDArray[np.float32], gains: Floats) -> NDArray[np.uint8]:

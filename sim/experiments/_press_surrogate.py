@@ -52,7 +52,7 @@ LIMIT_REL: Final = 0.1
 """A bar over the force, or over the surface's own displacement, from which finite elements should press instead."""
 FEWEST_PRESSES: Final = 20
 """With fewer, presses left out have too few neighbours to tell how wide the bars must be."""
-USUAL_PRESSES: Final = 40
+DEFAULT_PRESSES: Final = 40
 
 _EVENLY = 12  # presses spread evenly; each further one is chosen where least is known
 _SETTLED_REL = 1e-3  # to which a contact is found: no bar is less
@@ -312,7 +312,7 @@ def _deviation(process: Process, places: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class TeachSettings:
+class TrainingSettings:
     """How a surrogate is taught.
 
     Attributes
@@ -323,14 +323,14 @@ class TeachSettings:
         Fineness of the mesh, the design's own by default; threads of elements and factorisation.
     """
 
-    presses: int = USUAL_PRESSES
+    presses: int = DEFAULT_PRESSES
     preset: Preset | None = None
     threads: int = 1
 
 
 def train_surrogate(
     design: FingerDesign,
-    settings: TeachSettings | None = None,
+    settings: TrainingSettings | None = None,
     *,
     stored: Callable[[int], TaughtPress | None] | None = None,
     store: Callable[[int, TaughtPress], None] | None = None,
@@ -355,7 +355,7 @@ def train_surrogate(
     SimulateError
         When there are too few presses, the finger cannot be meshed, or a stored press is another one.
     """
-    settings, begun = settings or TeachSettings(), time.process_time()
+    settings, begun = settings or TrainingSettings(), time.process_time()
     if settings.presses < FEWEST_PRESSES:
         raise SimulateError(f"{settings.presses} presses are too few; at least {FEWEST_PRESSES} are needed")
     preset, family = settings.preset or design.mesh.preset, press_family(design)
@@ -401,7 +401,7 @@ def _check_same_press(press: TaughtPress, wanted: FingerDesign, preset: Preset, 
 
 
 def press_to_teach(
-    design: FingerDesign, preset: Preset, settings: TeachSettings, number: int, progress: Progress | None
+    design: FingerDesign, preset: Preset, settings: TrainingSettings, number: int, progress: Progress | None
 ) -> TaughtPress:
     """Press by finite elements."""
     begun, sound = time.process_time(), 0

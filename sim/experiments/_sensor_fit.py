@@ -33,7 +33,7 @@ from finray_calib.fit import (
     sample_picture_posterior,
 )
 from finray_calib.sensing import rgb_image
-from sim.experiments import FreeNumber, Layers, SensorScene, changed_numbers, value_at
+from sim.experiments import FreeParameter, Layers, SensorScene, value_at, with_changed_values
 from sim.optics import Progress
 
 Floats = NDArray[np.float64]
@@ -121,7 +121,7 @@ class PictureModel:
     channels that are fitted, 0 to 2 for red, green and blue: those of ``mix``, ``exponents`` and ``captured``.
     """
 
-    numbers: tuple[FreeNumber, ...]
+    numbers: tuple[FreeParameter, ...]
     captured: PictureBlocks
     base: Floats
     mix: Floats
@@ -261,7 +261,7 @@ def _as_captured(design: Design, capture: TactileCapture) -> Design:
         value = getattr(pose, name)
         if value is not None and not (name == "radius_mm" and pose.shape not in ("ball", "cylinder")):
             values[f"indenter.{name}"] = value
-    return changed_numbers(design, values)
+    return with_changed_values(design, values)
 
 
 def _require_same_light(design: FingerDesign, name: str, lit_deg: float) -> None:
@@ -273,7 +273,7 @@ def _require_same_light(design: FingerDesign, name: str, lit_deg: float) -> None
         )
 
 
-def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeNumber, ...]:
+def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeParameter, ...]:
     """Return the numbers of the design that are fitted."""
     idle = design.unused_fields()
     numbers = []
@@ -297,14 +297,14 @@ def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeNumber, ..
         u = stated if stated else USUAL_U_REL[origin]
         told = "design: uncertainty_rel" if stated else f"usual for the origin '{origin}': {100 * u:.0f} %"
         unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "1")
-        numbers.append(FreeNumber(name, value, u, True, told, "design", unit))
+        numbers.append(FreeParameter(name, value, u, True, told, "design", unit))
     return tuple(numbers)
 
 
 _UNITS: Final = {"_mm": "mm", "_deg": "deg", "_nm": "nm", "_px": "px"}
 
 
-def _press_numbers(captures: Sequence[TactileCapture], presses: Sequence[Design]) -> tuple[FreeNumber, ...]:
+def _press_numbers(captures: Sequence[TactileCapture], presses: Sequence[Design]) -> tuple[FreeParameter, ...]:
     """Return depth and place of each press whose uncertainty is stated."""
     numbers = []
     for k, (capture, press) in enumerate(zip(captures, presses, strict=True)):
@@ -313,20 +313,22 @@ def _press_numbers(captures: Sequence[TactileCapture], presses: Sequence[Design]
             if u:
                 value = float(getattr(press.indenter, f"{name}_mm"))
                 numbers.append(
-                    FreeNumber(f"press.{k}.{name}_mm", value, u, False, f"capture {capture.name}", "press", "mm", k)
+                    FreeParameter(f"press.{k}.{name}_mm", value, u, False, f"capture {capture.name}", "press", "mm", k)
                 )
     return tuple(numbers)
 
 
-def _model(scene: SensorScene, moving: tuple[FreeNumber, ...], captured: PictureBlocks, base: Layers) -> PictureModel:
+def _model(
+    scene: SensorScene, moving: tuple[FreeParameter, ...], captured: PictureBlocks, base: Layers
+) -> PictureModel:
     """Return the model at the gain that makes the pictures alike."""
     width = base.pictures.shape[4]
     picture = (
-        FreeNumber(GAIN, 1.0, _GAIN_U, True, "not known from the design", "picture", "DN"),
-        FreeNumber("picture.shift_rows_px", 0.0, _SHIFT_SHARE * width, False, "assumed", "picture", "px"),
-        FreeNumber("picture.shift_columns_px", 0.0, _SHIFT_SHARE * width, False, "assumed", "picture", "px"),
-        FreeNumber("picture.scale", 1.0, _SCALE_U_REL, True, "assumed", "picture"),
-        FreeNumber("picture.blur_px", _BLUR_PX, _BLUR_U, True, "assumed", "picture", "px"),
+        FreeParameter(GAIN, 1.0, _GAIN_U, True, "not known from the design", "picture", "DN"),
+        FreeParameter("picture.shift_rows_px", 0.0, _SHIFT_SHARE * width, False, "assumed", "picture", "px"),
+        FreeParameter("picture.shift_columns_px", 0.0, _SHIFT_SHARE * width, False, "assumed", "picture", "px"),
+        FreeParameter("picture.scale", 1.0, _SCALE_U_REL, True, "assumed", "picture"),
+        FreeParameter("picture.blur_px", _BLUR_PX, _BLUR_U, True, "assumed", "picture", "px"),
     )
     numbers = (*scene.layer_numbers, *moving, *picture)
     mix = scene.mix({})
@@ -373,7 +375,7 @@ def _without_dark_channels(model: PictureModel, name: str) -> tuple[PictureModel
 _DARK_DN: Final = 0.5
 
 
-def _exponents(scene: SensorScene, mix: Floats, number: FreeNumber) -> Floats:
+def _exponents(scene: SensorScene, mix: Floats, number: FreeParameter) -> Floats:
     """Return with what power of a number each layer grows in each channel, (3, layer)."""
     if number.name == GAIN:
         return np.ones_like(mix)
@@ -383,7 +385,7 @@ def _exponents(scene: SensorScene, mix: Floats, number: FreeNumber) -> Floats:
     return np.log(np.divide(grown, mix, out=np.ones_like(mix), where=mix > 0.0))
 
 
-def _moved(press: Design, number: int, numbers: Sequence[FreeNumber], theta: Floats) -> Design:
+def _moved(press: Design, number: int, numbers: Sequence[FreeParameter], theta: Floats) -> Design:
     """Return the design of one press with its free numbers at standardised places."""
     values = {}
     for one, at in zip(numbers, theta, strict=True):
@@ -391,7 +393,7 @@ def _moved(press: Design, number: int, numbers: Sequence[FreeNumber], theta: Flo
             values[one.name] = float(one.at(at))
         elif one.place == "press" and one.press == number:
             values[f"indenter.{one.name.rsplit('.', 1)[1]}"] = float(one.at(at))
-    return changed_numbers(press, values)
+    return with_changed_values(press, values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -400,7 +402,7 @@ class _Renders:
 
     scene: SensorScene
     presses: Sequence[Design]
-    numbers: Sequence[FreeNumber]
+    numbers: Sequence[FreeParameter]
     steps: _Steps
 
     def at(self, theta: Floats) -> Floats:
@@ -507,7 +509,7 @@ def _record(
     )
 
 
-def _fitted(number: FreeNumber, theta: Floats, is_noisy: bool) -> FittedNumber:
+def _fitted(number: FreeParameter, theta: Floats, is_noisy: bool) -> FittedNumber:
     """Return a number before and after."""
     from scipy.stats import norm
 
@@ -534,7 +536,7 @@ def _brightness(scene: SensorScene, model: PictureModel, theta: Floats) -> tuple
     )
 
 
-def _combinations(numbers: Sequence[FreeNumber], theta: Floats) -> tuple[str, ...]:
+def _combinations(numbers: Sequence[FreeParameter], theta: Floats) -> tuple[str, ...]:
     """Say which combinations keep more than half of the prior's width."""
     sizes, directions = np.linalg.eigh(np.cov(theta.T))
     told = []
@@ -566,7 +568,7 @@ def fitted_design(fit: SensorFit) -> Design:
         relative = number.posterior.sd / number.posterior.estimate
         spread[field] = max(relative, spread.get(field, 0.0) if field != number.name and field in origin else 0.0)
         origin[field] = "measured"
-    changed = changed_numbers(design, values)
+    changed = with_changed_values(design, values)
     return changed.model_copy(
         update={"name": f"{design.name}, fitted", "origin": origin, "uncertainty_rel": spread, "provenance": None}
     )

@@ -52,7 +52,7 @@ _OVER: Final = ((0.0, 0.0), (-0.22, -0.22), (-0.22, 0.22), (0.22, -0.22), (0.22,
 
 
 @dataclass(frozen=True, slots=True)
-class FreeNumber:
+class FreeParameter:
     """A number to be fitted: its value by the design and the standard uncertainty, of the logarithm or as it is.
 
     ``place`` is what it acts on: the "layer" factors, the "design" of all pictures, one "press", or the "picture".
@@ -92,7 +92,7 @@ class SensorScene(Protocol):
         """The sensor as it is described."""
 
     @property
-    def layer_numbers(self) -> tuple[FreeNumber, ...]:
+    def layer_numbers(self) -> tuple[FreeParameter, ...]:
         """Powers, yields and responses."""
 
     def mix(self, factors: Mapping[str, float]) -> Floats:
@@ -143,7 +143,7 @@ class ClassicLayers:
         return groups
 
     @property
-    def layer_numbers(self) -> tuple[FreeNumber, ...]:
+    def layer_numbers(self) -> tuple[FreeParameter, ...]:
         """The power of each light, relative to the others."""
         return _powers(self.design, [f"lights.{k}.power_rel" for k in range(len(self.design.lights))])
 
@@ -184,7 +184,9 @@ class ClassicLayers:
         return Layers(np.stack(found, axis=1), np.isfinite(seen[..., 0]))
 
 
-def light_by_light(scene: ClassicLayers, batches: int, progress: Progress | None = None) -> tuple[LightBasis, Floats]:
+def render_each_light(
+    scene: ClassicLayers, batches: int, progress: Progress | None = None
+) -> tuple[LightBasis, Floats]:
     """Render each light of a classic sensor by itself, at rest and under presses all over its pad.
 
     Parameters
@@ -251,7 +253,7 @@ def _presses_over(sensor: PlainSensor) -> list[PlainSensor]:
         return [sensor]
     pad = sensor.pad
     return [
-        changed_numbers(
+        with_changed_values(
             sensor,
             {
                 "indenter.across_mm": across * pad.width_mm * (sensor.indenter.shape == "ball"),
@@ -344,13 +346,13 @@ class FingerLayers:
         return light_paths(self.design)
 
     @property
-    def layer_numbers(self) -> tuple[FreeNumber, ...]:
+    def layer_numbers(self) -> tuple[FreeParameter, ...]:
         """Powers where there are several panels, yields of both paints, response of the camera."""
         # the power of a single panel is told from the gain by nothing
         powers = _powers(self.design, [f"{light}.power_rel" for light in self._lights]) if len(self._lights) > 1 else ()
         return (*powers, *self._yields(), *self._responses())
 
-    def _yields(self) -> list[FreeNumber]:
+    def _yields(self) -> list[FreeParameter]:
         numbers = []
         for colour in COLOURS:
             fit = self.calibrations.get(colour)
@@ -362,7 +364,7 @@ class FingerLayers:
             numbers.append(_factor(f"paint.{colour}.yield_rel", float(np.hypot(of_fit, _BATCH_U_REL)), origin))
         return numbers
 
-    def _responses(self) -> list[FreeNumber]:
+    def _responses(self) -> list[FreeParameter]:
         numbers = []
         at_led = self.design.camera.response_at_led_uncertainty_rel
         for channel, curve in zip(CHANNELS, self.finger.response, strict=True):
@@ -471,12 +473,12 @@ def with_one_panel(design: Design, lit: int) -> FingerDesign:
     return finger.model_copy(update={"light": lights[0], "second_light": second, "further_lights": further})
 
 
-def _factor(name: str, u: float, origin: str) -> FreeNumber:
+def _factor(name: str, u: float, origin: str) -> FreeParameter:
     """Return a number that is 1 by the design."""
-    return FreeNumber(name, 1.0, u, True, origin, "layer")
+    return FreeParameter(name, 1.0, u, True, origin, "layer")
 
 
-def _powers(design: Design, names: Sequence[str]) -> tuple[FreeNumber, ...]:
+def _powers(design: Design, names: Sequence[str]) -> tuple[FreeParameter, ...]:
     """Return powers of lights, of which the uncertainty may be stated for all of them."""
     found = []
     for name in names:
@@ -484,7 +486,7 @@ def _powers(design: Design, names: Sequence[str]) -> tuple[FreeNumber, ...]:
         stated = design.uncertainty_rel.get(of_all)
         origin = "design: uncertainty_rel" if stated is not None else "assumed: scatter from one LED to another"
         value = float(value_at(design, name))
-        found.append(FreeNumber(name, value, stated or _POWER_U_REL, True, origin, "layer"))
+        found.append(FreeParameter(name, value, stated or _POWER_U_REL, True, origin, "layer"))
     return tuple(found)
 
 
@@ -497,7 +499,7 @@ def value_at(design: Any, name: str) -> Any:
     return design
 
 
-def changed_numbers(design: D, values: Mapping[str, float]) -> D:
+def with_changed_values(design: D, values: Mapping[str, float]) -> D:
     """Return a design with values at dotted paths changed.
 
     Raises

@@ -62,7 +62,7 @@ _ALONG, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True, slots=True)
-class GelNumber:
+class GelParameter:
     """One fitted number of the model with its interval over presses.
 
     Attributes
@@ -113,7 +113,7 @@ class FittedGel:
     ball_radius_mm: float
     training_presses: tuple[str, ...]
     training_sha256: tuple[str, ...]
-    numbers: tuple[GelNumber, ...]
+    numbers: tuple[GelParameter, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -501,7 +501,7 @@ def _fitted(presses: Sequence[_Press], start: _Start, theta: Floats, error: floa
 
 def _numbers(
     theta: Floats, curvature: Floats, without: Floats, start: Floats, radius_mm: float
-) -> tuple[GelNumber, ...]:
+) -> tuple[GelParameter, ...]:
     """Return what was found, with intervals."""
     count = len(without)
     spread = np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
@@ -524,7 +524,7 @@ def _numbers(
     return tuple(found)
 
 
-def _number(name: str, told: Floats, unit: str) -> GelNumber:
+def _number(name: str, told: Floats, unit: str) -> GelParameter:
     """Return a number from its estimate and the ends of its interval."""
     value, low, high = (float(one) for one in told)
-    return GelNumber(name, value, low, high, unit)
+    return GelParameter(name, value, low, high, unit)

@@ -30,7 +30,7 @@ from sim.optics._scene import (
     surface_mesh,
     wall_texels,
 )
-from sim.surface_meshes import Surface, check_closed, gel_faces, pressed_height_mm, without_press
+from sim.surface_meshes import Surface, check_closed, gel_faces, pressed_height_mm, unpressed_design
 
 CHANNEL_CENTRES_NM = (630.0, 525.0, 465.0)
 """Usual peaks of red, green and blue LEDs; the metal's reflectance is read there."""
@@ -345,7 +345,7 @@ def analytic_gel(sensor: PlainSensor, pressed: bool) -> GelHeight:
     """Return the gel at rest, or with the indenter pressed in by :func:`sim.surface_meshes.pressed_height_mm`."""
     design = sensor.pressed_pad()
     x, z = pad_grid_mm(sensor.pad)
-    return GelHeight(x, z, pressed_height_mm(design if pressed else without_press(design), x, z))
+    return GelHeight(x, z, pressed_height_mm(design if pressed else unpressed_design(design), x, z))
 
 
 def seen_places_mm(

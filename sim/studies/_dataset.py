@@ -36,14 +36,14 @@ from data_schemas import (
 )
 from data_schemas.storage import ProductSet, clear_leftovers, read_record, write_record
 from sim.experiments import (
-    LookTruth,
     PaintDraws,
     PaintedFinger,
-    PaintLook,
+    RenderedSample,
+    SamplePaints,
     paint_finger,
     press_records,
-    render_looks,
     render_noise_rel,
+    render_samples,
     sampled_paints,
 )
 from sim.mechanics import PressSettings, press_as_designed
@@ -347,7 +347,7 @@ def compute_shard(task: DatasetTask, shard: PlannedShard) -> None:
         write_record(record, file.with_suffix(".json"), task.origin.of_this_process(), products)
 
 
-def press_samples(task: DatasetTask, press: int) -> list[tuple[DatasetSample, LookTruth]]:
+def press_samples(task: DatasetTask, press: int) -> list[tuple[DatasetSample, RenderedSample]]:
     """Return all samples of one press: each light rendered once, each paint by arithmetic.
 
     Parameters
@@ -372,7 +372,9 @@ def press_samples(task: DatasetTask, press: int) -> list[tuple[DatasetSample, Lo
         finger = paint_finger(design, optics, task.design_folder, renderer)
         looks = [_sampled_look(task, finger, press, light, paint) for paint in range(plan.paints)]
         seed = _render_seed(plan.seed, press, light)
-        truths, render = render_looks(finger, looks, RenderSettings("b", seed, plan.samples_per_pixel), pressed.shapes)
+        truths, render = render_samples(
+            finger, looks, RenderSettings("b", seed, plan.samples_per_pixel), pressed.shapes
+        )
         noise = render_noise_rel(finger, render)
         largest = float(np.nanmax(render.contact_maps.depth_mm))
         for paint, (look, truth) in enumerate(zip(looks, truths, strict=True)):
@@ -404,7 +406,7 @@ def _render_seed(seed: int, press: int, light: int) -> int:
     return int(words[0]) % _MOST_SEED
 
 
-def _sampled_look(task: DatasetTask, finger: PaintedFinger, press: int, light: int, paint: int) -> PaintLook:
+def _sampled_look(task: DatasetTask, finger: PaintedFinger, press: int, light: int, paint: int) -> SamplePaints:
     """Return one draw of the paints."""
     rng = np.random.default_rng((task.plan.seed, _PAINT_STREAM, press, light, paint))
     return sampled_paints(finger, task.paints, task.plan.emission_ratio, rng)
@@ -456,7 +458,7 @@ def pixel_places_mm(task: DatasetTask) -> Floats:
     return np.asarray(place[..., ::-1])
 
 
-def sample_members(sample: DatasetSample, truth: LookTruth) -> Iterator[tuple[str, bytes]]:
+def sample_members(sample: DatasetSample, truth: RenderedSample) -> Iterator[tuple[str, bytes]]:
     """Yield name and content of the files of a sample: pictures, depth and normal as PNG, and the labels as JSON."""
     key = f"{sample.sample:06d}"
     yield f"{key}.depth.png", _png(truth.depth_um)

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
         rest_shape,
         restore_shapes,
         store_shapes,
+        unpressed_design,
         vertex_normals,
-        without_press,
     )
     from sim.surface_meshes._hexahedra import (
         HEXAHEDRON_FACES,
@@ -104,6 +104,6 @@ __all__ = [
     "split_quads",
     "stl_bytes",
     "store_shapes",
+    "unpressed_design",
     "vertex_normals",
-    "without_press",
 ]

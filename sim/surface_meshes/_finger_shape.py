@@ -65,7 +65,7 @@ def check_analytic_press(design: FingerDesign) -> None:
         )
 
 
-def without_press(design: FingerDesign) -> FingerDesign:
+def unpressed_design(design: FingerDesign) -> FingerDesign:
     """Return the same finger with nothing pressed into it."""
     return design.model_copy(update={"indenter": design.indenter.model_copy(update={"depth_mm": 0.0})})
 
@@ -440,7 +440,7 @@ class FingerShape:
 
 def rest_shape(design: FingerDesign) -> FingerShape:
     """Return the undeformed finger."""
-    return pressed_shape(without_press(design))
+    return pressed_shape(unpressed_design(design))
 
 
 def pressed_shape(design: FingerDesign) -> FingerShape:

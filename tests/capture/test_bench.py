@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from data_schemas import BandPassFilter, LaserSettings, RigFile, bayer_planes
 from data_schemas.storage import camera_response, halogen_lamp, planck_relative
-from rigs.simulated import Bench, lay_out
+from rigs.simulated import Bench, bench_scene
 from rigs.simulated._bench import (
     FILTER_TOLERANCE_NM,
     LAMP_LEVEL_E_PER_S_NM,
@@ -118,7 +118,7 @@ def test_frame_shows_bright_sample_and_dark_cloth(bench: Bench) -> None:
 
 
 def test_laser_spot_falls_to_about_60_percent_at_the_edge_of_the_region() -> None:
-    scene = lay_out(512, 640, seed=1)
+    scene = bench_scene(512, 640, seed=1)
     half = 55
     region = scene.laser[256 - half : 256 + half, 320 - half : 320 + half]
     top, left = np.unravel_index(scene.laser.argmax(), scene.laser.shape)
@@ -131,7 +131,7 @@ def test_laser_spot_falls_to_about_60_percent_at_the_edge_of_the_region() -> Non
 
 
 def test_texture_and_fixed_pattern_share_no_random_numbers() -> None:
-    texture = lay_out(64, 64, seed=3).texture["white"]
+    texture = bench_scene(64, 64, seed=3).texture["white"]
     for seed in (3, [3, 4]):
         draws = np.random.default_rng(seed).standard_normal((64, 64))
         # Smoothing over some 25 cells leaves about 160 independent values: 5 / sqrt(160) is 0.4, the shared stream 0.9.
@@ -140,7 +140,7 @@ def test_texture_and_fixed_pattern_share_no_random_numbers() -> None:
 
 
 def test_room_light_frame_shows_the_colour_checker(bench: Bench) -> None:
-    scene = lay_out(64, 80, seed=1)
+    scene = bench_scene(64, 80, seed=1)
     assert sorted(set(scene.patch.ravel())) == list(range(-1, 25))
     planes = bayer_planes(bench.electrons_per_s("sample beside ColorChecker", "room", None))
     mean = {n: planes[scene.patch == n].mean(axis=0) for n in range(25)}

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from data_schemas import LaserSettings, OutsideLayer, RefusedError, RigFile
 from data_schemas.storage import read_toml
 from rigs import open_laser, open_rig_laser, paper_rig, write_rig
-from rigs.light_guard import TEST_HOLDS_DAYS, off_lines, require_outside_layer
+from rigs.light_guard import TEST_VALID_DAYS, off_lines, require_outside_layer
 from rigs.light_guard._guarded_light import HAZARDOUS_CLASSES, refusal
 from tests.capture.drivers import file_switch
 
@@ -49,9 +49,9 @@ def test_the_refusal_names_the_way_out() -> None:
     ("age_days", "said"),
     [
         (0, None),
-        (TEST_HOLDS_DAYS, None),
+        (TEST_VALID_DAYS, None),
         (
-            TEST_HOLDS_DAYS + 1,
+            TEST_VALID_DAYS + 1,
             "is 91 days ago, and at most 90 days are allowed for a class 3R laser; test the interlock again",
         ),
         (-1, "is in the future"),

@@ -20,7 +20,7 @@ from sim.mechanics import (
 from sim.mechanics._colliding_surfaces import edge_edge_mm, point_triangle_mm
 from sim.mechanics._indenters import least_over_triangles, over_rectangle
 from sim.mechanics._rigid_bodies import FacetedBody, TriangleMesh, check_closed_body, read_body, rotation_matrix
-from sim.surface_meshes import pressed_height_mm, rest_height_mm, stl_bytes, without_press
+from sim.surface_meshes import pressed_height_mm, rest_height_mm, stl_bytes, unpressed_design
 
 CUBE = TriangleMesh(
     np.array([[x, y, z] for x in (-3.0, 3.0) for y in (0.0, 4.0) for z in (-2.0, 2.0)]),
@@ -199,7 +199,7 @@ def test_the_analytic_press_refuses_what_it_cannot_shape(wanted, message):
     with pytest.raises(SimulateError, match=message + r".*simulate press DESIGN"):
         pressed_height_mm(design, x, z)
     # at rest there is nothing to refuse
-    np.testing.assert_array_equal(pressed_height_mm(without_press(design), x, z), 6.0)
+    np.testing.assert_array_equal(pressed_height_mm(unpressed_design(design), x, z), 6.0)
 
 
 def test_the_outline_of_a_cuboid_is_its_own():

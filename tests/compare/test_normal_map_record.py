@@ -5,7 +5,7 @@ import pytest
 
 from data_schemas import CompareError, ContactCircle, IndenterPose, NormalMapRecord, TactileCapture, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.sensing import check_senses, fit_normal_map, normal_map_of, normal_map_record
+from finray_calib.sensing import fit_normal_map, normal_map_of, normal_map_record, require_matching_capture
 from finray_calib.sensing._normal_map_fit import calibration_press
 from tests.compare.three_lights import BALL_PX, ball_presses
 
@@ -116,11 +116,11 @@ def test_a_press_that_is_given_twice_is_refused(captures):
 
 def test_a_map_senses_its_own_encoding_only(captures):
     record = normal_map_record(captures, "map", seed=1)
-    check_senses(record, captures[0])
+    require_matching_capture(record, captures[0])
     with pytest.raises(CompareError, match="holds unknown values, but the normal map 'map' was trained on linear ones"):
-        check_senses(record, captures[0].model_copy(update={"encoding": "unknown"}))
+        require_matching_capture(record, captures[0].model_copy(update={"encoding": "unknown"}))
     with pytest.raises(CompareError, match="slopes and depths would be wrong; fit the map"):
-        check_senses(record, captures[0].model_copy(update={"mm_per_px": 1.1 * MM_PER_PX}))
+        require_matching_capture(record, captures[0].model_copy(update={"mm_per_px": 1.1 * MM_PER_PX}))
 
 
 def test_no_capture_is_too_few():

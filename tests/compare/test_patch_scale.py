@@ -8,7 +8,7 @@ import pytest
 from data_schemas import CompareError, NormalMapRecord
 from finray_calib.compare import CheckOptions, compare_checked
 from finray_calib.reports import comparison_page
-from finray_calib.sensing import Declared, patch_scale, pixel_scale, with_measured_scale
+from finray_calib.sensing import BoardUncertainty, patch_scale, pixel_scale, with_measured_scale
 from tests.command_line.records import capture_of, press
 from tests.compare.board_scenes import BOARD, PINHOLE, board_views, pose_of, poses
 
@@ -25,7 +25,7 @@ def scale():
     rng = np.random.default_rng(1)
     places = [pose_of([0.0, 0.0, 0.0], (0.0, 0.0, HEIGHT_MM)), *poses("pinhole", PINHOLE, rng, 8)[1:]]
     views = board_views("pinhole", LENS, places, rng, noise_px=0.01)
-    return pixel_scale(views[0], views[1:], SIZE_PX, BOARD, Declared(0.002), 1, "pinhole")
+    return pixel_scale(views[0], views[1:], SIZE_PX, BOARD, BoardUncertainty(0.002), 1, "pinhole")
 
 
 def test_the_strip_has_its_size_in_mm(scale):

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from data_schemas import CompareError
-from finray_calib.sensing import BoardView, Declared, calibrate_lens, find_board, pixel_scale, require_plausible
+from finray_calib.sensing import BoardUncertainty, BoardView, calibrate_lens, find_board, pixel_scale, require_plausible
 from finray_calib.sensing._lens_calibration import POSE, adjust, refined_views
 from finray_calib.sensing._pixel_scale import (
     ScaleDraws,
@@ -124,7 +124,7 @@ def seen():
 def test_from_pictures_to_the_scale(seen):
     places, images = seen
     views = [find_board(image, BOARD, name) for name, image in images.items()]
-    record = pixel_scale(views[0], views[1:], SIZE_PX, BOARD, Declared(0.001), 1, pictures=images)
+    record = pixel_scale(views[0], views[1:], SIZE_PX, BOARD, BoardUncertainty(0.001), 1, pictures=images)
     middle = record.middle
     truth = true_scale("fisheye", FISHEYE, places[0], np.array([middle.column_px, middle.row_px]))
     # corners of rendered pictures err by a few hundredths of a pixel, partly together
@@ -182,7 +182,7 @@ def test_a_mirrored_board_gives_the_same_scale():
         for v in views
     ]
     plain, other = (
-        pixel_scale(v[0], v[1:], SIZE_PX, BOARD, Declared(0.0), 1, "pinhole").middle for v in (views, flipped)
+        pixel_scale(v[0], v[1:], SIZE_PX, BOARD, BoardUncertainty(0.0), 1, "pinhole").middle for v in (views, flipped)
     )
     # p2, which bends along x, changes its sign under reflection: the models are one family
     assert other.along_x_mm_per_px == pytest.approx(plain.along_x_mm_per_px, rel=1e-6)
@@ -198,8 +198,8 @@ def test_pictures_that_err_together_widen_the_uncertainty():
         BoardView(v.name, v.places_mm, projected("pinhole", PINHOLE, p, v.places_mm * (1.0 + rng.normal(0, 0.02, 2))))
         for v, p in zip(good, places, strict=True)
     ]
-    honest = pixel_scale(good[0], good[1:], SIZE_PX, BOARD, Declared(0.0), 1, "pinhole")
-    doubtful = pixel_scale(good[0], bent[1:], SIZE_PX, BOARD, Declared(0.0), 1, "pinhole")
+    honest = pixel_scale(good[0], good[1:], SIZE_PX, BOARD, BoardUncertainty(0.0), 1, "pinhole")
+    doubtful = pixel_scale(good[0], bent[1:], SIZE_PX, BOARD, BoardUncertainty(0.0), 1, "pinhole")
     assert honest.widened_factor == 1.0
     assert honest.resampled_u_rel == pytest.approx(honest.middle.mean_u_rel, rel=0.5)
     assert doubtful.middle.mean_u_rel >= 0.99 * doubtful.resampled_u_rel
@@ -211,7 +211,7 @@ def test_a_pad_picture_through_something_else_is_told():
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, 8), rng)
     pad = views[0]
     wavy = BoardView(pad.name, pad.places_mm, pad.pixels + 1.5 * np.sin(pad.places_mm[:, ::-1]))
-    record = pixel_scale(wavy, views[1:], SIZE_PX, BOARD, Declared(0.0), 1, "pinhole")
+    record = pixel_scale(wavy, views[1:], SIZE_PX, BOARD, BoardUncertainty(0.0), 1, "pinhole")
     assert any("taken through the gel" in note for note in record.notes)
 
 
@@ -224,7 +224,7 @@ def views_of(rng, pad_pose, noise_px=0.1, count=6):
 def test_a_board_seen_from_the_side_is_refused():
     views = views_of(np.random.default_rng(15), pose_of([1.35, 0.0, 0.0], (0.0, 0.0, 25.0)))
     with pytest.raises(CompareError, match=r"seen at 7\d deg from its normal, and at most 70 deg"):
-        pixel_scale(views[0], views[1:], SIZE_PX, BOARD, Declared(0.0), 1, "pinhole")
+        pixel_scale(views[0], views[1:], SIZE_PX, BOARD, BoardUncertainty(0.0), 1, "pinhole")
 
 
 def test_a_scale_that_is_hardly_known_is_refused():
@@ -233,14 +233,14 @@ def test_a_scale_that_is_hardly_known_is_refused():
     with pytest.raises(
         CompareError, match=r"is 8 %, but at most 5 % is allowed; most of it comes from 'printed squares'"
     ):
-        pixel_scale(views[0], views[1:], SIZE_PX, BOARD, Declared(0.08), 1, "pinhole")
+        pixel_scale(views[0], views[1:], SIZE_PX, BOARD, BoardUncertainty(0.08), 1, "pinhole")
 
 
 def test_few_pictures_beside_the_pad_are_refused():
     rng = np.random.default_rng(17)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, 3), rng)
     with pytest.raises(CompareError, match="3 usable pictures of the board besides that on the pad: give 4"):
-        pixel_scale(views[0], views[1:], SIZE_PX, BOARD, Declared(0.0), 1, "pinhole")
+        pixel_scale(views[0], views[1:], SIZE_PX, BOARD, BoardUncertainty(0.0), 1, "pinhole")
 
 
 @pytest.mark.parametrize(("square_mm", "unit", "meant"), [(0.003, "metres", "3"), (3000.0, "micrometres", "3")])

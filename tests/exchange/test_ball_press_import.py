@@ -13,7 +13,7 @@ from data_schemas import ImportFormatError, NormalMapRecord, TactileCapture, pro
 from data_schemas.storage import read_record, write_record
 from finray_calib.exchange import read_ball_presses, read_circles, read_taxim
 from finray_calib.exchange._ball_presses import read_npz, require_array
-from finray_calib.sensing import BoardView, Declared, normal_map_record, pixel_scale
+from finray_calib.sensing import BoardUncertainty, BoardView, normal_map_record, pixel_scale
 from tests.capture.drivers.programs import others_python
 from tests.command_line.running import finray, succeed
 from tests.compare.board_scenes import BOARD, PINHOLE, board_views, pose_of, poses
@@ -344,7 +344,7 @@ def test_the_measured_scale_takes_the_place_of_the_stated_one(tmp_path):
         BoardView(view.name, view.places_mm * share, view.pixels)
         for view in board_views("pinhole", lens, poses_mm, rng, noise_px=0.005)
     ]
-    scale = pixel_scale(views[0], views[1:], (80, 60), shrunk, Declared(0.002), 1, "pinhole")
+    scale = pixel_scale(views[0], views[1:], (80, 60), shrunk, BoardUncertainty(0.002), 1, "pinhole")
     write_record(scale, tmp_path / "scale.json", provenance("pytest"))
     succeed(f"import taxim {write_taxim(tmp_path / 't')} --out {tmp_path}/o")
     files = " ".join(map(str, sorted((tmp_path / "o").glob("*.json"))))

@@ -12,7 +12,7 @@ import pytest
 
 from data_schemas import CompareError, ImportFormatError, IndenterPose, PlaceInImage, SimulatedPress, TactileCapture
 from data_schemas.storage import read_record
-from finray_calib.compare import predict_press, teach_table
+from finray_calib.compare import predict_press, train_table
 from finray_calib.exchange import (
     Recipe,
     outline_solid_stl,
@@ -500,7 +500,7 @@ def test_a_press_that_taught_is_not_predicted_under_another_name(tmp_path, monke
     with pytest.raises(
         CompareError, match=r"0002: its contact image was used to train the table \(0001\), so its prediction"
     ):
-        predict_press(teach_table([captures["0001"]]), captures["0002"])
+        predict_press(train_table([captures["0001"]]), captures["0002"])
 
 
 def test_the_scale_that_the_user_gives_meets_the_check_length_too():

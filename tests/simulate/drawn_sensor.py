@@ -9,7 +9,7 @@ import numpy as np
 
 from data_schemas import CameraBelow, IndenterPose, PlainSensor, TactileCapture
 from finray_calib.fit import placed_picture
-from sim.experiments import FreeNumber, Layers
+from sim.experiments import FreeParameter, Layers
 
 ROWS, COLUMNS = 48, 64
 SIDES_DEG = (0.0, 120.0, 240.0)
@@ -30,7 +30,7 @@ class DrawnSensor:
     @property
     def layer_numbers(self):
         return tuple(
-            FreeNumber(f"lights.{k}.power_rel", 1.0, 0.2, True, "assumed", "layer") for k in range(len(SIDES_DEG))
+            FreeParameter(f"lights.{k}.power_rel", 1.0, 0.2, True, "assumed", "layer") for k in range(len(SIDES_DEG))
         )
 
     @property

@@ -11,9 +11,9 @@ from sim.experiments import (
     OBJECTIVES,
     DesignEvaluations,
     DesignSpace,
+    default_parameters,
     design_parameter,
     search_designs,
-    usual_parameters,
 )
 from sim.experiments._light_angle import in_the_way, panel_surface
 from sim.surface_meshes import Surface, check_no_intersections, rest_shape
@@ -63,12 +63,12 @@ def test_a_parameter_that_cannot_be_varied_is_refused(text: str, told: str) -> N
 
 
 def test_usual_parameters_go_with_what_is_asked_for() -> None:
-    of_light = [one.field for one in usual_parameters(FLAT, [ERROR])]
+    of_light = [one.field for one in default_parameters(FLAT, [ERROR])]
     assert of_light == ["light.angle_deg", "light.position_mm[y]", "light.position_mm[z]", "pad.thickness_mm"]
-    of_loads = [one.field for one in usual_parameters(FLAT, [OBJECTIVES["softness"]])]
+    of_loads = [one.field for one in default_parameters(FLAT, [OBJECTIVES["softness"]])]
     assert "skeleton.rib_thickness_mm" in of_loads
     assert "light.angle_deg" not in of_loads
-    for one in usual_parameters(FLAT, [ERROR, OBJECTIVES["softness"]]):
+    for one in default_parameters(FLAT, [ERROR, OBJECTIVES["softness"]]):
         assert one.low <= one.start <= one.high
 
 

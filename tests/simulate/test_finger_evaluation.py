@@ -7,7 +7,7 @@ import pytest
 
 from data_schemas import FingerDesign, LightPanel, SimulateError, SpectralCurve
 from data_schemas._design_parts import TactileCamera
-from sim.experiments import EvaluationSettings, FingerEvaluator, PaintDraws, PaintedFinger, changed_numbers
+from sim.experiments import EvaluationSettings, FingerEvaluator, PaintDraws, PaintedFinger, with_changed_values
 from sim.experiments._design_sensitivities import changed_design
 from sim.experiments._finger_evaluation import errors_at
 from sim.experiments._light_angle import angle_objectives
@@ -123,7 +123,7 @@ def test_light_adds_and_other_powers_trace_nothing(llvm, paints):
     assert mixed.brightness_rel == pytest.approx(both.brightness_rel, rel=1e-3)
     assert mixed.evenness_rel == pytest.approx(both.evenness_rel, rel=0.02)
     assert mixed.normal_error_deg == pytest.approx(both.normal_error_deg, rel=0.01)
-    other = changed_numbers(design, {"light.power_rel": 2.0, "second_light.power_rel": 0.5})
+    other = with_changed_values(design, {"light.power_rel": 2.0, "second_light.power_rel": 0.5})
     assert lit.evaluated(np.array([2.0, 0.5])).brightness_rel == pytest.approx(
         evaluator.evaluate(other, given).brightness_rel, rel=1e-3
     )

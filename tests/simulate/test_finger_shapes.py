@@ -20,7 +20,7 @@ from sim.surface_meshes import (
     rest_shape,
     restore_shapes,
     store_shapes,
-    without_press,
+    unpressed_design,
 )
 from sim.surface_meshes._finger_shape import BLEND_MM
 
@@ -46,12 +46,12 @@ def pressed_profile(design, z):
 def test_half_width_is_the_chord_of_the_circle():
     assert contact_half_width_mm(DESIGN) == pytest.approx(np.sqrt(10.0**2 - 8.5**2))
     assert contact_half_width_mm(press(radius_mm=2.0, depth_mm=3.0)) == 2.0
-    assert contact_half_width_mm(without_press(DESIGN)) == 0.0
+    assert contact_half_width_mm(unpressed_design(DESIGN)) == 0.0
 
 
 @pytest.mark.parametrize("pad", PADS)
 def test_without_a_press_the_face_is_that_of_the_pad(pad):
-    design = without_press(FingerDesign(pad=pad))
+    design = unpressed_design(FingerDesign(pad=pad))
     x, z = np.linspace(-9.0, 9.0, 7), np.linspace(0.0, 48.0, 9)
     np.testing.assert_array_equal(pressed_height_mm(design, x, z), rest_height_mm(design, x[:, None], z))
 
@@ -92,7 +92,9 @@ def test_a_press_without_free_face_beside_it_is_refused():
         pressed_profile(design, np.linspace(0.0, 20.0, 11))
 
 
-@pytest.mark.parametrize("design", [DESIGN, without_press(DESIGN), FingerDesign(pad=GelPad(length_mm=48, width_mm=18))])
+@pytest.mark.parametrize(
+    "design", [DESIGN, unpressed_design(DESIGN), FingerDesign(pad=GelPad(length_mm=48, width_mm=18))]
+)
 def test_the_gel_holds_the_volume_of_the_pad(design):
     pad = design.pad
     volume = check_closed(pressed_shape(design).gel)
@@ -126,7 +128,7 @@ def test_the_contact_of_a_curved_pad_ends_across_it():
     inside = contact_distance(design, x, 35.0) <= 1.0
     drop = 60.0 - np.sqrt(60.0**2 - x**2)
     np.testing.assert_array_equal(inside, drop <= design.indenter.depth_mm)
-    assert np.isnan(contact_distance(without_press(design), x, 35.0)).all()
+    assert np.isnan(contact_distance(unpressed_design(design), x, 35.0)).all()
 
 
 def test_every_face_points_outward():

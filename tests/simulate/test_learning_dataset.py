@@ -18,7 +18,7 @@ from sim.experiments import (
     Rendering,
     paint_finger,
     recoloured,
-    render_looks,
+    render_samples,
     sampled_paints,
     simulate_press,
 )
@@ -162,7 +162,7 @@ def test_pictures_are_those_of_a_render_of_the_same_press_recoloured(paints):
     finger = paint_finger(design, optics, None, open_renderer(choose_variant("auto"), threads=1))
     look = sampled_paints(finger, paints, 1.5, np.random.default_rng(2))
     assert all(1.0 / 1.5 <= factor <= 1.5 for factor in look.factors.values())
-    (truth,), render = render_looks(finger, [look], RenderSettings("b", 5, 2))
+    (truth,), render = render_samples(finger, [look], RenderSettings("b", 5, 2))
     press = simulate_press(FingerScene(finger), Rendering(seed=5, samples_per_pixel=2), {})
     shown = recoloured(press, look.optics)
     for stored, image in ((truth.rest, shown.no_contact), (truth.contact, shown.contact)):

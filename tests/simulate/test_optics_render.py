@@ -20,7 +20,7 @@ from sim.optics import (
 )
 from sim.optics._passes import joined_passes, known_variance, passes_of
 from sim.optics._scene import finger_scene
-from sim.surface_meshes import pressed_shape, rest_shape, without_press
+from sim.surface_meshes import pressed_shape, rest_shape, unpressed_design
 from tests.simulate.flat_refraction import trace_crossing
 
 DESIGN = FingerDesign(camera=TactileCamera(width_px=96, height_px=72))
@@ -108,7 +108,7 @@ def test_distances_are_measured_in_half_widths(scalar, paints):
         # interpolated over facets of 0.1 mm, half-width 5.3 mm: the kink at the centre is rounded by up to half a facet
         atol=0.01,
     )
-    flat = render_press(without_press(DESIGN), paints, scalar, RenderSettings(samples_per_pixel=2))
+    flat = render_press(unpressed_design(DESIGN), paints, scalar, RenderSettings(samples_per_pixel=2))
     assert np.isnan(flat.contact_maps.contact_distance).all()
 
 
@@ -202,7 +202,7 @@ def test_direct_light_without_mirror_follows_the_cosine_of_the_refracted_elevati
     point, sampler = np.array([0.0, 6.0, 24.0]), llvm.load_dict({"type": "independent"})
     for angle in angles:
         small = LightPanel(angle_deg=angle, width_mm=1.0, height_mm=1.0)
-        design = without_press(FingerDesign(mirror=Mirror(reflectance=0.0), light=small, camera=DESIGN.camera))
+        design = unpressed_design(FingerDesign(mirror=Mirror(reflectance=0.0), light=small, camera=DESIGN.camera))
         scene = finger_scene(design, pressed_shape(design), paint_bands(paints["red"], paints["green"], small), llvm)
         sampler.seed(1, 2000)
         rays = llvm.Ray3f(llvm.Point3f(0.0, 3.0, 24.0), llvm.Vector3f(0.0, 1.0, 0.0))

@@ -22,7 +22,7 @@ from data_schemas.storage import read_record
 from sim import read_design
 from sim.experiments import (
     SurrogateFinger,
-    TeachSettings,
+    TrainingSettings,
     candidate_presses,
     press_family,
     press_records,
@@ -113,7 +113,7 @@ def taught(
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(surrogate, "condense_finger", lambda *_: condensed)
         patched.setattr(surrogate, "press_to_teach", by_the_law(finger))
-        return train_surrogate(design, TeachSettings(PRESSES), store=presses.__setitem__)
+        return train_surrogate(design, TrainingSettings(PRESSES), store=presses.__setitem__)
 
 
 def test_a_small_push_on_the_condensed_finger_is_that_of_finite_elements(
@@ -231,14 +231,14 @@ def test_teaching_goes_on_after_the_last_press(
     monkeypatch.setattr(surrogate, "press_to_teach", by_the_law(finger))
     kept = {number: press for number, press in presses.items() if number < 22}
     new: dict[int, TaughtPress] = {}
-    again = train_surrogate(design, TeachSettings(PRESSES), stored=kept.get, store=new.__setitem__)
+    again = train_surrogate(design, TrainingSettings(PRESSES), stored=kept.get, store=new.__setitem__)
     assert sorted(new) == [22, 23]
     np.testing.assert_array_equal(again.sample_features, taught.sample_features)
     np.testing.assert_allclose(again.amplitudes_rel, taught.amplitudes_rel)
     stiffer = design.model_copy(update={"pad": design.pad.model_copy(update={"length_mm": 50.0})})
     kept[0] = kept[0].model_copy(update={"design": stiffer})
     with pytest.raises(SimulateError, match="press 1 in the folder belongs to another design"):
-        train_surrogate(design, TeachSettings(PRESSES), stored=kept.get)
+        train_surrogate(design, TrainingSettings(PRESSES), stored=kept.get)
 
 
 def test_the_presses_beyond_the_first_are_those_least_known(design: FingerDesign, taught: PressSurrogate) -> None:
@@ -315,7 +315,7 @@ def test_a_condensation_of_another_mesh_is_refused(design: FingerDesign, condens
 
 def test_too_few_presses_are_refused(design: FingerDesign) -> None:
     with pytest.raises(SimulateError, match="19 presses are too few"):
-        train_surrogate(design, TeachSettings(19))
+        train_surrogate(design, TrainingSettings(19))
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from data_schemas import BadFrameError, CameraSettings, DeviceIdentity, LostError, RefusedError
 from rigs import CallThread, NoAnswerError
-from rigs.cameras import Delivered, GenicamCamera
+from rigs.cameras import DeliveredFrame, GenicamCamera
 from rigs.cameras._genicam import (
     ConnectionBrokenError,
     FeatureError,
@@ -196,10 +196,10 @@ def test_frame_that_was_delivered_before_is_refused() -> None:
 
 def test_bytes_become_counts_of_the_container() -> None:
     content = np.arange(13, dtype=np.uint8)  # a transport may pad
-    found = image(Delivered("", 1, 0.0, 3, 2, content), RawPixels("Mono16", 16), "camera")
+    found = image(DeliveredFrame("", 1, 0.0, 3, 2, content), RawPixels("Mono16", 16), "camera")
     np.testing.assert_array_equal(found, [[0x0100, 0x0302, 0x0504], [0x0706, 0x0908, 0x0B0A]])
     with pytest.raises(BadFrameError, match="frame 1 holds 5 bytes; 2 x 3 px of Mono8 need 6"):
-        image(Delivered("", 1, 0.0, 3, 2, content[:5]), RawPixels("Mono8", 8), "camera")
+        image(DeliveredFrame("", 1, 0.0, 3, 2, content[:5]), RawPixels("Mono8", 8), "camera")
 
 
 class Unreachable(Nodes):
@@ -213,7 +213,7 @@ class Unreachable(Nodes):
     def prepare(self) -> None:
         """Nothing to do."""
 
-    def acquire(self, limit_s: float) -> Delivered | None:
+    def acquire(self, limit_s: float) -> DeliveredFrame | None:
         raise ConnectionBrokenError("unplugged")
 
     def close(self) -> None:
@@ -245,10 +245,10 @@ def test_camera_that_lost_its_settings_in_a_frame_is_set_anew(name: str, reset: 
         def identity(self) -> DeviceIdentity:
             return DeviceIdentity(role="camera", driver="gentl", model="M")
 
-        def acquire(self, limit_s: float) -> Delivered | None:
+        def acquire(self, limit_s: float) -> DeliveredFrame | None:
             if restarts and restarts.pop(0):
                 self.values[name] = reset
-            return Delivered("", 1, time.monotonic(), 64, 64, np.zeros(2 * 64 * 64, dtype=np.uint8))
+            return DeliveredFrame("", 1, time.monotonic(), 64, 64, np.zeros(2 * 64 * 64, dtype=np.uint8))
 
     camera = GenicamCamera(SETTINGS, lambda: Restarted(nodes().values))
     camera.open()

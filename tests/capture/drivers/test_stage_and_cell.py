@@ -26,7 +26,7 @@ from data_schemas import (
 from rigs import ForceLimitError, OverloadError, load_cells
 from rigs.load_cells.hx711 import Hx711Cell, open_load_cell
 from rigs.stages.grbl import GrblStage, open_stage
-from rigs.transports import check_byte
+from rigs.transports import line_crc8
 from tests.capture.drivers import firmware_in_qemu
 from tests.capture.drivers.press_bench import PressBench, crc8, press_bench
 from tests.capture.drivers.programs import free_port, require, wait_until
@@ -242,8 +242,8 @@ def test_something_else_at_the_port(bench):
 
 
 def test_check_byte_is_that_of_the_polynomial():
-    assert check_byte(b"123456789") == 0xF4  # the catalogue's check value of CRC-8/SMBUS
-    assert check_byte(b"R 421 12345 -83211 0") == crc8(b"R 421 12345 -83211 0")
+    assert line_crc8(b"123456789") == 0xF4  # the catalogue's check value of CRC-8/SMBUS
+    assert line_crc8(b"R 421 12345 -83211 0") == crc8(b"R 421 12345 -83211 0")
 
 
 @pytest.fixture
