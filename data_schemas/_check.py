@@ -539,7 +539,7 @@ class StageStop(Model):
     still_sd_s: DurationS | None = Field(default=None, description="standard uncertainty of that time")
     unseen_creep_rel: Annotated[float, Field(ge=0.0)] | None = Field(
         default=None,
-        description="speed at which the stage could creep on unseen by the cell, of the speed of the move; None: not "
+        description="speed at which the stage could creep unseen by the cell, relative to that of the move; None: not "
         "known",
     )
 

@@ -521,7 +521,7 @@ class ForceRow(Model):
 
     candidate: Literal["do nothing", "simulation"]
     rms_rel: ForceEstimate = Field(
-        description="root mean square of the error over that of the measured force, with noise removed from both; the "
+        description="root mean square of the error / that of the measured force, with noise removed from both; the "
         "interval includes the model's own error"
     )
 
@@ -583,7 +583,7 @@ class FittedModulus(Model):
     prior: Estimate = Field(description="without the curves")
     posterior: Estimate
     left_of_prior_rel: NotNegative = Field(
-        description="width of the middle 68 % of its logarithm after the curves over that before"
+        description="width of the middle 68 % of its logarithm after the curves / that before"
     )
     verdict: MaterialVerdict = Field(
         description="verdict by the share of the prior's width that is left: below a quarter and known to 15 %, below "

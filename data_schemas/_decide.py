@@ -43,9 +43,9 @@ class DecidingCapture(Model):
     light_angle_deg: AngleDeg
     light_angle_uncertainty_deg: Annotated[float, Field(ge=0.0, le=90.0)]
     error_rel: float = Field(
-        description="simulated over captured objective, minus one; for absolute ratios without the scale of the rig"
+        description="simulated / captured objective - 1; for absolute ratios without the scale of the rig"
     )
-    error_u_rel: float = Field(description="standard uncertainty of the error, with that of the angle")
+    error_u_rel: float = Field(description="standard uncertainty of the error, including that of the angle")
     value: float
     sd: float
 
@@ -137,7 +137,7 @@ class LightAngleDecision(Record):
         default=None, description="angle of the least loss at the worst of the touches"
     )
     contact_value: Annotated[Floats, ArraySpec("<f8", ("contact", "angle"))] | None = Field(
-        default=None, description="expected brightness of each touch over that at its own best angle"
+        default=None, description="expected brightness of each touch / that at its own best angle"
     )
     validated: bool = Field(description="False: not validated against a capture")
     discrepancy_rel: float | None = Field(
@@ -271,7 +271,7 @@ class DesignOptimum(Record):
         description="loss that is not exceeded with 95 % probability, according to the emulator"
     )
     unexplained_rel: dict[str, float] = Field(
-        description="objective -> error of the emulator at designs left out, over their spread, of ln(value)"
+        description="objective -> error of the emulator at left-out designs / their spread, both of ln(value)"
     )
     tolerance_rel: Fraction = Field(description="tolerance of p_front")
     effects: tuple[MainEffect, ...] = ()
@@ -395,12 +395,10 @@ class FingerTolerances(Record):
         "directly with other paths"
     )
     checked_fingers: Annotated[int, Field(ge=0)]
-    box_factor: Annotated[float, Field(gt=0.0)] = Field(
-        description="half-ranges of the emulated box over the given ones"
-    )
+    box_factor: Annotated[float, Field(gt=0.0)] = Field(description="half-ranges of the emulated box / the given ones")
     q2: float = Field(description="share of the variance of left-out runs that the emulator predicts")
     noise_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="standard deviation of a growth by its random numbers"
+        description="standard deviation of a growth that random numbers alone cause"
     )
     inputs: Annotated[Floats, ArraySpec("<f8", ("run", "input"))] = Field(
         description="inputs of each run, from -1 to 1 over the emulated box"
@@ -426,7 +424,7 @@ class LightPowerRow(Model):
     least_rel: Annotated[float, Field(ge=0.0)]
     most_rel: Annotated[float, Field(gt=0.0)]
     power_rel: Annotated[float, Field(ge=0.0)] = Field(description="recommended")
-    optimum_rel: Estimate = Field(description="the most even power by draws of paths and paints")
+    optimum_rel: Estimate = Field(description="power that makes the light most even, from draws of paths and paints")
     share_now: Fraction = Field(description="share of the light that all lights emit now")
 
 
@@ -485,7 +483,7 @@ class LightPowers(Record):
     )
     gain_rel: Estimate = Field(description="share by which the variation falls")
     gap_rel: Annotated[float, Field(ge=0.0)] = Field(
-        description="no allowed powers are more even by a larger share than this, on this basis"
+        description="upper bound, on this basis, of what other allowed powers could still gain"
     )
     brightness_rel: Annotated[float, Field(gt=0.0)] = Field(description="mean brightness, relative to the present")
     normal_error: NormalErrorChange | None = Field(

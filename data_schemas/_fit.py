@@ -123,7 +123,7 @@ class EmissionDetection(Model):
 
     verdict: EmissionVerdict
     statistic_sd: float = Field(
-        description="fitted emission over the standard deviation that it has in a sample without emission; the "
+        description="fitted emission / the standard deviation that it has in a sample without emission; the "
         "largest value over many shapes"
     )
     threshold_sd: float = Field(description="value of the statistic that the stated share of simulated blanks exceeds")
@@ -177,7 +177,7 @@ class PaintWithoutEmission(Record):
         description="signals that are expected of a sample with this reflectance that emits nothing; 0 where not usable"
     )
     blank_sd: Annotated[Floats, ArraySpec("<f8", ("filter", "3"))] = Field(
-        description="standard deviation of the blank over noise, leaks, tolerances and calibration"
+        description="standard deviation of the blank from noise, leaks, tolerances and calibration"
     )
     warnings: tuple[str, ...] = ()
 
@@ -286,7 +286,7 @@ class PriorSensitivity(Model):
 class PriorShare(Model):
     """How much of a reported quantity comes from the prior."""
 
-    share: Fraction = Field(description="variance after the measurement over variance before it, at most 1")
+    share: Fraction = Field(description="variance after the measurement / variance before it, at most 1")
     shift_sd: float = Field(description="shift of the mean by the measurement, in standard deviations of the prior")
 
     @property
@@ -372,7 +372,7 @@ class PaintCalibration(Record):
     )
     energy_yield: Estimate = Field(description="emitted / incident energy, emission above the laser line to 780 nm")
     band_integrals: tuple[Estimate, ...] = Field(
-        description="emission through each filter: integral of emission times transmission over that of transmission"
+        description="emission through each filter: integral of emission times transmission / that of transmission"
     )
     families: tuple[FamilyResult, ...]
     family_emission_per_nm: FamilyCurves
@@ -498,7 +498,7 @@ class PaintSpot(Model):
 
     row_px: int = Field(description="centre of the block in the raw frame")
     column_px: int
-    deviation_rel: float = Field(description="yield over the median, minus 1")
+    deviation_rel: float = Field(description="yield / median - 1")
     deviation_sd_rel: float
     mode_shift_nm: float = Field(description="mode minus the median")
 
@@ -544,7 +544,7 @@ class PaintMap(Record):
     prior_sd: dict[str, float] = Field(description="prior of a pixel around the region's fit")
     prior_in_words: str
     band_factor: Annotated[Floats, ArraySpec("<f8", ("filter", "3"), allow_nan=True)] = Field(
-        description="region's signal over its family curve; NaN where a filter and channel is not used"
+        description="region's signal / its family curve; NaN where a filter and channel is not used"
     )
     fitted_pixels: Annotated[int, Field(ge=1)]
     unusable_pixels: Annotated[int, Field(ge=0)] = Field(description="masked, or with too few usable bands")

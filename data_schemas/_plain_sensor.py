@@ -41,7 +41,7 @@ class ColouredLight(Model):
     )
     turn_deg: AngleDeg = Field(
         default=0.0,
-        description="turn of the panel's normal about the axis, away from the pad's middle; the panel's place stays",
+        description="turn of the panel's normal about the axis, away from the pad's middle, at an unchanged place",
     )
     distance_mm: Annotated[float, Field(ge=0.0, le=1000.0, json_schema_extra={"unit": "mm"})] = Field(
         default=14.0, description="distance of its centre from the axis through the pad's middle"

@@ -101,7 +101,7 @@ class Uniformity(Model):
     )
     middle_variation_rel: float = Field(description="the same over the middle 70 % of the length")
     min_to_max_ratio: float = Field(description="darkest to brightest along z, means over the width")
-    noise_rel: float = Field(description="render noise of one cell of the coat, over the mean")
+    noise_rel: float = Field(description="render noise of one cell of the coat / the mean")
 
 
 class TwoLights(_Study):
@@ -210,7 +210,7 @@ class StiffnessOrder(Model):
     )
     at: str = Field(description="the change at which the ratio is smallest; empty for none")
     independent_ratio: float = Field(
-        description="least stiffness of the stiffer finger over the largest of the softer one, over all changes"
+        description="least stiffness of the stiffer finger / largest of the softer one, of all changes"
     )
     note: str = ""
 
@@ -264,9 +264,7 @@ class BandFit(Model):
     mean_per_nm: OverEmission
     low95_per_nm: OverEmission
     high95_per_nm: OverEmission
-    residual_rel: float = Field(
-        description="difference of the mean from the measured emission: norm, relative to that of the emission"
-    )
+    residual_rel: float = Field(description="norm of (mean - measured emission) / norm of the measured emission")
     covered_share: Fraction = Field(
         description="share of the measured samples above 5 % of the peak within the pointwise 95 % band"
     )
@@ -278,7 +276,7 @@ class ColourPatch(Model):
     """Distance of a ColorChecker patch from a measured reflectance."""
 
     name: str
-    error_rel: float = Field(description="norm of the difference over the norm of the measured reflectance")
+    error_rel: float = Field(description="norm of the difference / norm of the measured reflectance")
 
 
 class PaintStandIn(Model):

@@ -359,7 +359,10 @@ LAST_SHARE: Final = 0.2
 
 def judge_warm_up(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings) -> tuple[CheckResult, ...]:
     """Return how long the lamp needs to settle, and how far the dark level moved meanwhile."""
-    settles = ("lamp settles", "time after switching on from which the lamp stays within lamp_drift_rel of its end")
+    settles = (
+        "lamp settles",
+        "time after switching on from which the lamp stays within lamp_drift_rel of its final level",
+    )
     dark = ("dark level stays", "change of the dark level while the lamp was on")
     limit = limit_text(None, plan.limits.lamp_settles_s, "s")
     if (warm := facts.warm_up) is None:
@@ -406,8 +409,8 @@ def _settling(warm: WarmUp, plan: CheckPlan, camera: CameraSettings, words: tupl
     step_s = span_s / (times_s.size - 1)
     sd_s = math.hypot(step_s, later_s - sooner_s) / math.sqrt(12.0)
     evidence = (
-        f"{levels.size} frames behind filter {warm.filter_name} within {span_s:.3g} s; begins {100 * away[0]:+.2g} % "
-        f"from its end, scatters by {100 * noise:.2g} %"
+        f"{levels.size} frames behind filter {warm.filter_name} within {span_s:.3g} s; starts {100 * away[0]:+.2g} % "
+        f"from its final level, scatters by {100 * noise:.2g} %"
     )
     value_s, limits = 0.5 * (sooner_s + later_s), ToleranceInterval(None, most_s)
     result, least_s = measured("warm-up", name, what, value_s, sd_s, "s", evidence, limits=limits), LEAST_WATCH * most_s
@@ -455,7 +458,7 @@ def judge_stray_light(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, 
     passed, passed_sd = rate_dn_per_s(stray.passed.level)
     reason = None
     if not stray.blocked:
-        reason = "behind no filter that blocks the laser was anything recorded"
+        reason = "nothing was recorded behind a filter that blocks the laser"
     elif max((dark.at_zero_fraction for dark in facts.darks), default=0.0) > MOST_AT_ZERO:
         reason = "dark frames have counts of 0, which hide faint light: raise the black level"
     elif passed <= 3.0 * passed_sd:

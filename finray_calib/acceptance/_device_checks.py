@@ -136,12 +136,12 @@ def _words_of(said: DeviceIdentity | PressDevice) -> tuple[str, ...]:
 
 
 NO_DARK_REFERENCE: Final = (
-    "the photodiode learned what dark is from the controller's word, so a laser that is only dimmed would look off; "
-    "run the check in a terminal, and close the beam by hand when it asks"
+    "the photodiode learned what dark is from the controller's report alone, so a laser that is only dimmed would look "
+    "off; run the check in a terminal, and close the beam by hand when it asks"
 )
 NO_BLOCKED_REFERENCE: Final = (
-    "the camera learned what dark is from the controller's word, so a laser that is only dimmed would look off; give "
-    "the wheel a filter that blocks the laser"
+    "the camera learned what dark is from the controller's report alone, so a laser that is only dimmed would look "
+    "off; give the wheel a filter that blocks the laser"
 )
 NOT_LIT_CLOSED: Final = (
     "nobody proved that the laser was lit while its beam was closed by hand, so the cap may let light through: its "
@@ -169,8 +169,8 @@ CLASS_1_NM: Final = (400.0, 1400.0)
 MOST_BLOCKED_SHARE: Final = 0.1
 """Of the laser's light that the camera sees: a filter that lets more through does not block it."""
 _BY: Final[dict[Witness, str]] = {
-    "its own connection": "by the word of the laser's controller; nobody saw its light",
-    "a new connection": "by the word of the laser's controller over a new connection; nobody saw its light",
+    "its own connection": "reported by the laser's controller only; nobody saw its light",
+    "a new connection": "reported by the laser's controller only, over a new connection; nobody saw its light",
     "the camera": "measured by the camera",
     "a photodiode": "measured by a photodiode",
 }
@@ -252,7 +252,9 @@ def _with_unseen(found: CheckResult, unseen_rel: float, dark: str, laser: LaserS
     )
     found = found.model_copy(update={"evidence": told})
     if not CLASS_1_NM[0] <= laser.wavelength_nm <= CLASS_1_NM[1]:
-        why = f"finray has no limit of class 1 at {laser.wavelength_nm:g} nm, so nobody says whether that is harmless"
+        why = (
+            f"finray has no limit of class 1 at {laser.wavelength_nm:g} nm, so it is not known whether that is harmless"
+        )
         return not_proven(found, why)
     if unseen_mw <= CLASS_1_MW:
         return found

@@ -163,7 +163,7 @@ def unfelt(facts: PressFacts) -> str | None:
         if not (grew and gone and one.from_above_n > FELT_SD * one.noise_n):
             return (
                 f"a touch gave {one.from_above_n:.3g} N, {one.deeper_n:.3g} N deeper and {one.zero_shift_n:.3g} N "
-                "after the stage had left, which is not how a pad presses: stage and cell are no witness of each other"
+                "after the stage had left, which is not how a pad presses: stage and cell do not confirm each other"
             )
     return None
 
@@ -265,15 +265,15 @@ def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     most = 100 * limits.cell_drift_rel
     per_minute = MINUTE_S / max(rest.span_s, 1e-9)
     zero = measured(
-        "load cell", "load cell keeps its zero", "change of the zero in a minute while nothing touched, of "
-        "force_limit_n of the rig file",
+        "load cell", "load cell keeps its zero",
+        "change of the zero in a minute without contact, relative to force_limit_n of the rig file",
         100 * drift_n * per_minute / full_n, 100 * drift_sd_n * per_minute / full_n, "%",
         f"{1e3 * drift_n:+.2g} mN within {rest.span_s:.3g} s", limits=ToleranceInterval(-most, most),
     )  # fmt: skip
     if plan.rest_s < MINUTE_S:
         zero = not_proven(zero, f"{plan.rest_s:g} s show too little of a minute; set rest_s = {MINUTE_S:g} or more")
     quiet = measured(
-        "load cell", "load cell is quiet", "noise of one reading, of force_limit_n of the rig file",
+        "load cell", "load cell is quiet", "noise of one reading, relative to force_limit_n of the rig file",
         100 * rest.noise_n / full_n, 100 * rest.noise_n / full_n / math.sqrt(2.0 * free), "%",
         f"{1e3 * rest.noise_n:.3g} mN in {spent}", limits=ToleranceInterval(None, 100 * limits.cell_noise_rel),
     )  # fmt: skip
@@ -438,7 +438,8 @@ def _touches(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
     worst_n, most = max(shifts, key=abs), 100 * limits.zero_return_rel
     zero_sd_n = float(np.std(shifts, ddof=1))
     zero = measured(
-        "touch", "load cell returns to zero", "largest change of the zero by a press, of force_limit_n of the rig file",
+        "touch", "load cell returns to zero",
+        "largest change of the zero by a press, relative to force_limit_n of the rig file",
         100 * worst_n / cell.force_limit_n, 100 * zero_sd_n / cell.force_limit_n, "%",
         f"{1e3 * worst_n:+.2g} mN after presses of {max(one.deeper_n for one in touches):.3g} N",
         limits=ToleranceInterval(-most, most),

@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 
 BENCH_HELP = "score a simulator on captures that it has not seen, by one protocol"
 TACTILE_DESCRIPTION = """\
-Score a simulator on a set of tactile captures. At most six presses, spread over the set, may teach it; all others
+Score a simulator on a set of tactile captures. At most six presses, spread over the set, may train it; all others
 judge it. Your command is run once, with these words replaced by folders:
 
-  {teach}    a folder for each teaching press: contact.png, no_contact.png, press.json
+  {teach}    a folder for each training press: contact.png, no_contact.png, press.json
   {judge}    a folder for each judged press: no_contact.png and press.json, without the contact
   {renders}  where it writes a folder of the same name for each judged press, as 'finray import render' reads it
 
-It is scored beside a table that the same presses taught, and beside doing nothing, which scores 0; with --elastic-gel
-also beside a physical model that is fitted to these presses: a ball in an elastic layer under three lights. Presses
-whose image taught are never judged. OUT gets the page of the comparison (scores/summary.html), row.json and row.csv:
-skill with its interval, digests of all captures, what the command was and how long it took. A run that was
+It is scored beside a table trained on the same presses, and beside doing nothing, which scores 0; with --elastic-gel
+also beside a physical model that is fitted to these presses: a ball in an elastic layer under three lights. A press
+whose image was used for training is never judged. OUT gets the page of the comparison (scores/summary.html), row.json
+and row.csv: skill with its interval, digests of all captures, what the command was and how long it took. A run that was
 interrupted or failed starts from the beginning when the same OUT is given again."""
 TABLE, BLANK = "table of the training presses", "doing nothing"
 GEL = "elastic gel under three lights"

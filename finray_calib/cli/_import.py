@@ -400,7 +400,7 @@ finray, by its name (--list shows them), or a file of your own. Videos give cont
 circles that are not drawn are searched for. OUT gets a capture of each press, a picture of all contacts to check
 (contacts.png), and circles.csv: correct it and give it with --circles.
 
-With --predict-from N, presses spread over the set teach a table, and what it predicts of each other press is stored
+With --predict-from N, presses spread over the set train a table, and what it predicts of each other press is stored
 beside its capture: 'finray compare OUT OUT' then scores these as a yardstick for simulators. Files with pickled objects
 are never opened."""
 CAPTURE, PRESS = ".capture.json", ".press.json"

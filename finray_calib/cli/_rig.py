@@ -384,7 +384,7 @@ def _offered(role: str, device: "FoundDevice") -> bool:
 
 
 TACTILE_TABLES = {"schema_version", "name", "camera", "stage", "load_cell", "simulated"}
-LIVE_HELP = "look through a rig, or run a session, in the browser or the terminal"
+LIVE_HELP = "show what a rig's camera sees, or run a session, in the browser or the terminal"
 LIVE_DESCRIPTION = """\
 Open a rig and show what its camera sees in the browser of this computer: focus of a region that you draw, exposure and
 saturation, histogram, and a key that switches the lamp off. Lamp and filter wheel follow the page. The laser stays off.
@@ -427,7 +427,9 @@ def run_live(arguments: argparse.Namespace) -> None:
         _run_session(arguments)
         return
     if arguments.rig is None:
-        raise CaptureError("live: give the --rig to look through, --rig and --plan of a session, or --resume")
+        raise CaptureError(
+            "live: give --rig to see its camera's picture, --rig and --plan to run a session, or --resume"
+        )
     if arguments.out is not None or arguments.like is not None:
         raise CaptureError("live: --out and --like belong to a session; give its --plan too, or leave them out")
     rig = read_toml(arguments.rig, RigFile)

@@ -397,8 +397,9 @@ def _files(places: list[Path]) -> list[Path]:
 RUN_HELP = "sense a press: depth, normals and contact, with uncertainty, a picture and a mesh"
 RUN_DESCRIPTION = """\
 Sense depth, normals and contact of a capture by a map that 'finray sense teach' wrote. Writes the record, and beside it
-a picture (FILE.png) and the surface of the gel as a mesh (FILE.stl, mm). The uncertainty is that of presses that did
-not teach the map. The command warns when this press did, because its result then proves nothing."""
+a picture (FILE.png) and the surface of the gel as a mesh (FILE.stl, mm). The uncertainty is that of
+presses that the map was not trained on. The command warns when it was trained on this press, because the result then
+proves nothing."""
 
 
 def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

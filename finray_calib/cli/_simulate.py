@@ -89,8 +89,9 @@ TEACH_HELP = "train a surrogate of a finger, which presses in milliseconds with 
 TEACH_DESCRIPTION = """\
 Teach a surrogate that answers presses of the design's finger in milliseconds, each with error bars, for 'finray
 simulate press --surrogate': by a cylinder or a ball of 6 to 20 mm radius, along the middle of the pad, off its middle
-line, turned, 0.5 to 4 mm deep, without friction. The finger is condensed to its coat once; presses by finite elements,
-each where least is known, teach the rest. They are kept: the same command continues after the last one."""
+line, turned, 0.5 to 4 mm deep, without friction. The finger is condensed to its coat once; the rest is
+learned from presses by finite elements, each where least is known. They are kept: the same command continues after the
+last one."""
 
 
 def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

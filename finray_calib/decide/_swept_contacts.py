@@ -91,8 +91,8 @@ def decided_on(
         raise DecideError(
             "the decision on the error of the normal was requested together with "
             f"{'reports on captures' if captured else 'weights'}: "
-            f"{'reports measure the brightness' if captured else 'weights belong to touches, the error to places'}. "
-            "Leave them out, or decide on the brightness (--aim brightness)"
+            f"{'reports measure the brightness' if captured else 'weights apply to touches, but this error to places'}"
+            ". Leave them out, or decide on the brightness (--aim brightness)"
         )
     if aim == "normal" and normal is None:
         raise DecideError(

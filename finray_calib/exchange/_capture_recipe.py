@@ -75,7 +75,9 @@ class RecipePicture(Model):
 class RecipeNoContact(Model):
     """Where the image without contact comes from: exactly one of these."""
 
-    file: Pattern | None = Field(default=None, description="path within the folder; with {press} one for each press")
+    file: Pattern | None = Field(
+        default=None, description="path within the folder; holds {press} where each press has a file of its own"
+    )
     repeat_file: Pattern | None = Field(default=None, description="a second image without contact")
     frames_before: Annotated[int, Field(ge=2, le=1000)] | None = Field(
         default=None, description="number of frames without contact at the beginning of each video"
@@ -207,7 +209,7 @@ _COLUMN_UNITS_MM: Final = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 class RecipeForce(Model):
     """Where the force of each press is: a CSV or npy file."""
 
-    file: Pattern = Field(description="path within the folder with {press}; for videos one number for each frame")
+    file: Pattern = Field(description="path within the folder, holding {press}; for videos one number for each frame")
     column: str | None = Field(default=None, description="of a CSV file")
     factor: float = Field(default=1.0, description="newtons per unit of the file")
 

@@ -625,8 +625,8 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
         notes.append("an older version made the map: the uncertainty of the depth is not known; train it again")
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
-            f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no teaching "
-            "press did; there the map keeps its last value: train with deeper presses, or at more places"
+            f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no "
+            "training press did; there the map keeps its last value: train with deeper presses, or at more places"
         )
     if shares.clipped_share > _CLIPPED_TOLD:
         notes.append(

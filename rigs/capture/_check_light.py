@@ -665,6 +665,6 @@ def require_seen(watch: LaserWatch, now_s: Callable[[], float] = time.monotonic)
         if reading.start_s > begun_s and reading.on:
             return
     raise CaptureError(
-        f'laser: is on, and {watch.witness} does not see it (any more), so it is no witness of "off"; check what it '
+        f'laser: is on, and {watch.witness} does not see it (any more), so it cannot prove "off"; check what it '
         "looks at, and its cable"
     )

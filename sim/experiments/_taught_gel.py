@@ -182,8 +182,8 @@ _COLOURS, _AMBIENT = (-2.0, 1.5), (-1.5, 1.5)
 _SHARED = (
     ("exponent of the tone curve", "1", np.log(0.5), 0.3),
     ("thickness of the gel", "mm", np.log(2.5), 0.8),
-    ("depth over that of the labelled cap, at a middle circle", "1", np.log(1.8), 0.3),
-    ("half-length of the lights over their distance", "1", np.log(0.3), 1.0),
+    ("depth / that of the labelled cap, at a middle circle", "1", np.log(1.8), 0.3),
+    ("half-length of the lights / their distance", "1", np.log(0.3), 1.0),
     ("softness of the lights, as a sine", "1", np.log(0.1), 1.0),
 )
 # of a circle drawn without error 2 in a soft layer, where depth is radius squared over the ball's radius

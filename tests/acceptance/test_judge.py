@@ -152,7 +152,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
         ({"revisits": tuple(Revisit(still_rel=0.001, moved_rel=0.002) for _ in range(4))}, "picture stays in place",
          "UNDECIDED", "not recorded"),
         ({"warm_up": None}, "lamp settles", "UNDECIDED", "warm_up_s = 0"),
-        ({"warm_up": slower(24)}, "lamp settles", "FAIL", "within 156 s; begins -"),
+        ({"warm_up": slower(24)}, "lamp settles", "FAIL", "within 156 s; starts -"),
         ({"warm_up": slower(60, 0.5)}, "lamp settles", "FAIL", "it still changes by +"),
         # the lens cap is on: a bias of 3 DN above the rig file's black level, which the dark frames have too
         ({"warm_up": {**WARM, "white_dn": (3.0, 3.01) * 20, "dark_before_dn": (19.0, 19.01) * 3,
@@ -311,8 +311,8 @@ def test_results_in_words(rig):
     assert value_text(found["wheel arrives"]) == "0 moves"
     assert value_text(found["filters in their slots"]) == ""
     assert result_line(found["laser off by the guard"]) == (
-        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps, by the "
-        "word of the laser's controller over a new connection; nobody saw its light"
+        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps, "
+        "reported by the laser's controller only, over a new connection; nobody saw its light"
     )
     line = result_line(found["filters in their slots"])
     assert line == "PASS      filters in their slots: the frames show every filter in its slot"
@@ -353,7 +353,7 @@ BY_WORD = (LightOff(layer="guard", witness="a new connection", earliest_s=(0.1,)
          "may lie between them"),
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"blocked_on_dn": 1000.0})}, 4.5, "UNDECIDED",
          "is seen behind filter 550 too"),
-        ({"light_off": BY_WORD}, 100.0, "PASS", "by the word of the laser's controller .*; nobody saw its light"),
+        ({"light_off": BY_WORD}, 100.0, "PASS", "reported by the laser's controller only.*; nobody saw its light"),
     ],
 )  # fmt: skip
 def test_off_is_what_leaves_no_more_than_class_1_unseen(

@@ -95,8 +95,8 @@ def test_a_touch_that_is_none_makes_no_witness(lie: dict[str, float]) -> None:
     good = touched(-6.0)
     assert device_checks.unfelt(PressFacts(touches=(good,) * 4)) is None
     facts = PressFacts(touches=(good, good, good.model_copy(update=lie), good))
-    assert "no witness of each other" in device_checks.unfelt(facts)
-    assert "no witness of each other" in device_checks.unfelt(
+    assert "do not confirm each other" in device_checks.unfelt(facts)
+    assert "do not confirm each other" in device_checks.unfelt(
         PressFacts(touches=(good,) * 4, after_stops=facts.touches)
     )
 

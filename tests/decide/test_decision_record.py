@@ -182,7 +182,7 @@ def test_captures_and_weights_are_of_the_brightness():
         DecideError, match=r"reports measure the brightness\. Leave them out, or decide on the brightness"
     ):
         decide(sweep, [capture(30.0, 0.1)], 1, aim="normal")
-    with pytest.raises(DecideError, match="weights belong to touches, the error to places"):
+    with pytest.raises(DecideError, match="weights apply to touches, but this error to places"):
         decide(sweep, [], 1, weights=[2.0], aim="normal")
     with pytest.raises(
         DecideError, match="do not hold this error at places along the pad: simulate them with --objectives all"

@@ -84,7 +84,7 @@ def test_it_finds_the_sensor_that_was_hidden(gel):
     assert exponent.high95 / exponent.low95 < 2.5  # 3.2 by the prior alone
     # a half-space is found as a layer three contacts thick, which a ball enters less deep: not within their intervals
     assert found["thickness of the gel"].high95 > 6.0
-    assert found["depth over that of the labelled cap, at a middle circle"].value == pytest.approx(2.0, rel=0.15)
+    assert found["depth / that of the labelled cap, at a middle circle"].value == pytest.approx(2.0, rel=0.15)
     power = found["power of the circle's radius that the depth grows with"]
     assert power.low95 < 2.0 < power.high95
     assert power.high95 - power.low95 < 2.0
@@ -119,7 +119,7 @@ STRIPS = {"widths_mm": (2.4, 3.2), "height_mm": 5.0, "half_length_mm": 16.0}
 
 def test_strips_of_light_are_told_from_points():
     gel = fit_gel([capture(number, **STRIPS) for number in range(3)])
-    length = next(number for number in gel.numbers if number.name == "half-length of the lights over their distance")
+    length = next(number for number in gel.numbers if number.name == "half-length of the lights / their distance")
     assert length.low95 < 16.0 / 20.0 < length.high95
     # a model of points of light loses 0.013 to 0.018
     assert max(lost_by(gel, (20, 21, 22), **STRIPS)) < 0.01

@@ -236,7 +236,7 @@ def test_firmware_that_misses_pulses_does_not_pass(tmp_path: Path) -> None:
     ("closes", "sees_pulses", "verdict", "words"),
     [
         (True, True, "PASS", "light below 0.19 % of the laser's, 0.0086 mW at most, would not be seen"),
-        (False, True, "UNDECIDED", "learned what dark is from the controller's word"),
+        (False, True, "UNDECIDED", "learned what dark is from the controller's report alone"),
         (True, False, "UNDECIDED", "a pulsed laser may look off"),
     ],
 )
