@@ -290,8 +290,12 @@ class PaintStandIn(Model):
     emission_peak_nm: WavelengthNm
     absorption_peak_nm: WavelengthNm
     stokes_shift_nm: float = Field(description="maximum of emission minus maximum of absorption")
-    stokes_shift_low_nm: float = Field(description="the same to the longest wavelength on the absorption plateau")
-    stokes_shift_high_nm: float = Field(description="the same to the shortest wavelength on the absorption plateau")
+    stokes_shift_low_nm: float = Field(
+        description="maximum of emission minus the longest wavelength of the absorption plateau"
+    )
+    stokes_shift_high_nm: float = Field(
+        description="maximum of emission minus the shortest wavelength of the absorption plateau"
+    )
     printed_stokes_shift_nm: float
     absorption_edge_nm: WavelengthNm = Field(description="where absorption has fallen to half, towards the red")
     laser_absorption_factor: float = Field(description="a(laser) / maximum")

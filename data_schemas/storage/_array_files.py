@@ -166,7 +166,7 @@ def _member(
     """Read one array of an archive after its header was checked."""
     name = entry.filename.removesuffix(".npy")
     if entry.compress_type not in _COMPRESSIONS or entry.flag_bits & _ENCRYPTED:
-        raise ValueError(f"array {name!r} is encrypted or packed in another way than numpy packs")
+        raise ValueError(f"array {name!r} is encrypted, or compressed in a way that numpy does not use")
     with archive.open(entry) as opened:
         file: Any = opened
         shape, fortran, dtype = _header(file)

@@ -260,8 +260,8 @@ def _with_unseen(found: CheckResult, unseen_rel: float, dark: str, laser: LaserS
         return found
     return not_proven(
         found,
-        f"that is more than the {CLASS_1_MW:g} mW of a class 1 laser, so it is no proof of off; shade the witness from "
-        "other light, or let it see more of the laser",
+        f"that is more than the {CLASS_1_MW:g} mW of a class 1 laser, so it does not prove 'off'; shade the witness "
+        "from other light, or let it see more of the laser",
     )
 
 

@@ -222,7 +222,9 @@ def watch(values: Sequence[float], rules: ChartRules, cleared: int = 0) -> Chart
     """
     series, count = np.asarray(values, dtype=np.float64), rules.reference or 0
     if count < 2 or series.size < count or not np.isfinite(series).all():
-        raise FinrayError(f"series of {series.size} values: it needs the {count} of its reference, all finite numbers")
+        raise FinrayError(
+            f"series of {series.size} values: give at least the {count} of the reference, all finite numbers"
+        )
     mean, sd = float(series[:count].mean()), float(series[:count].std(ddof=1))
     if not sd > 0.0:
         raise FinrayError(

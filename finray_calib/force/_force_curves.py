@@ -47,7 +47,9 @@ class ForceCurve:
                 f"{self.name}: has {len(self.depth_mm)} increment(s), too few for a curve; simulate with --increments 4"
             )
         if (self.force_n <= 0.0).any() or (self.depth_mm <= 0.0).any() or (np.diff(self.depth_mm) <= 0.0).any():
-            raise CompareError(f"{self.name}: its pushes must rise from above 0 mm and its forces be above 0 N")
+            raise CompareError(
+                f"{self.name}: all pushes must be above 0 mm and increase, and all forces must be above 0 N"
+            )
 
     @property
     def reach_mm(self) -> float:

@@ -180,7 +180,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
         # two counts that do not scatter may each be off by half a count: 80 DN are allowed, 1 DN in 0.01 s is too much
         ({"stray_light": {"passed": GOOD.stray_light.passed, "blocked": (BlockedLight(filter_name="600",
           level=level(0.01, 0.5, 0.0)),)}}, "stray light", "UNDECIDED", "behind 600"),
-        ({"stray_light": {"passed": GOOD.stray_light.passed}}, "stray light", "UNDECIDED", "behind no filter"),
+        ({"stray_light": {"passed": GOOD.stray_light.passed}}, "stray light", "UNDECIDED", "nothing was recorded"),
         ({"stray_light": {"passed": BlockedLight(filter_name="450", level=level(0.01, 0.0)),
           "blocked": GOOD.stray_light.blocked}}, "stray light", "UNDECIDED", "is not seen behind filter 450 either"),
         ({"latency": {"missing": "not possible on this rig"}}, "trigger latency", "UNDECIDED", "not possible"),
@@ -340,7 +340,7 @@ BY_WORD = (LightOff(layer="guard", witness="a new connection", earliest_s=(0.1,)
         ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"on_again_rel": 0.3})}, 4.5, "UNDECIDED",
          "nobody proved that the laser was lit while its beam was closed"),
         ({"light_off": BY_CAMERA}, 4.5, "PASS", "which blocks the laser; light below 0.05 % of the laser's, 0.0023 mW"),
-        ({"light_off": BY_CAMERA, "sight": None}, 4.5, "UNDECIDED", "from the controller's word"),
+        ({"light_off": BY_CAMERA, "sight": None}, 4.5, "UNDECIDED", "from the controller's report"),
         # off by its controller, and still a tenth of the light
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"off_dn": 218.0, "threshold_dn": 219.0})}, 4.5,
          "UNDECIDED", "read another level with the laser off"),

@@ -303,7 +303,7 @@ def test_a_force_in_its_noise_is_refused(rng):
 def test_curves_that_are_none():
     with pytest.raises(CompareError, match=r"1 increment\(s\), too few for a curve; simulate with --increments 4"):
         ForceCurve("press", np.array([1.0]), np.array([1.0]))
-    with pytest.raises(CompareError, match="pushes must rise from above 0 mm and its forces be above 0 N"):
+    with pytest.raises(CompareError, match="pushes must be above 0 mm and increase, and all forces must be above 0 N"):
         ForceCurve("press", np.array([1.0, 2.0]), np.array([1.0, -1.0]))
 
 

@@ -63,7 +63,7 @@ ODD = {
     r"\b(unit|number|name|place|stage|light|panel)s? stands?\b(?! (for|in for|still)\b)": "is, is given, is at rest",
     r"\b(face|room)s of the (code|house)\b": "package",
     r"\bby the word of the (laser|controller|lamp)\b|\bcontroller's word\b": "reported by the controller only",
-    r"\bno witness of\b": "does not confirm",
+    r"\bno (witness|proof) of\b": "does not confirm",
     r"\b(error|width|stiffness|root mean square)[^.;]{0,60} over (that|those) (of|before|at)\b": "divided by: x / y",
     r"\b(that|which) (did not|no) teach|\bpress(es)? taught\b": "trained on; training presses",
     r"\bis a [A-Z][a-z]+[A-Z]\w+, a [A-Z][a-z]+[A-Z]\w+ is needed": "holds band signals, where a paint is needed",
