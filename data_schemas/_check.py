@@ -396,7 +396,7 @@ class DiodeLevels(Model):
     """What a photodiode read before the mishaps, of its full scale: beam closed by hand, laser off, laser on."""
 
     closed_rel: Annotated[float, Field(ge=0.0)] | None = Field(
-        description="mean while a person held the beam closed, with the laser on and off; None: nobody closed it"
+        description="mean level with the laser on and off while a person held the beam closed; None: nobody closed it"
     )
     closed_sd_rel: Annotated[float, Field(ge=0.0)] | None = Field(description="standard deviation of one such reading")
     off_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser off by its controller")

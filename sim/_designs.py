@@ -234,7 +234,7 @@ def _listed(name: str, entries: tuple[BaseModel, ...], idle: Collection[str]) ->
     lines = (
         "".join(_table_lines(name, entry, idle, in_list=True, with_words=k == 0)) for k, entry in enumerate(entries)
     )
-    return "".join(lines) or f"\n# [[{name}]] begins one more, with the fields of [light]; there may be several.\n"
+    return "".join(lines) or f"\n# [[{name}]] adds one more, with the fields of [light]; there may be several.\n"
 
 
 def _uncertainty_lines(stated: Mapping[str, float], example_field: str = "mechanics.gel.c10_mpa") -> str:

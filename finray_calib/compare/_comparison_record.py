@@ -148,7 +148,7 @@ def _checked(
     if chosen.relative and chosen.registered:
         raise CompareError(
             "--relative puts the capture's own image without contact in the place of the render's, so that --register "
-            "finds no drift; leave one of both out"
+            "finds no drift; leave out one of the two"
         )
     # before the images: a press elsewhere looks like another exposure
     require_same_conditions(press, capture)

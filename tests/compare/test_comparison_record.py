@@ -433,7 +433,7 @@ def test_relative_stands_in_the_report():
 
 def test_relative_says_that_it_cannot_be_registered():
     press = made_up_press()
-    with pytest.raises(CompareError, match="--register finds no drift; leave one of both out"):
+    with pytest.raises(CompareError, match="--register finds no drift; leave out one of the two"):
         compare_checked(press, capture_of(press, 200.0), 1, CheckOptions(registered=True, relative=True))
 
 

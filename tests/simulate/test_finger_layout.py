@@ -129,7 +129,7 @@ def test_a_design_with_all_of_it_is_written_and_read(tmp_path):
     page = finger_page(design, b"", "view")
     assert "further_lights.azimuth_deg" in page
     assert "light panel 3" in page
-    assert "# [[further_lights]] begins one more" in design_toml(FingerDesign())
+    assert "# [[further_lights]] adds one more" in design_toml(FingerDesign())
 
 
 def test_another_mirror_is_another_finger_and_another_view_is_not():
