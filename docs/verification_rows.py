@@ -235,6 +235,8 @@ def verdict(row: Row) -> str:
         return "no bar"
     if said.startswith(("not shown", "not yet")):
         return "not shown"
+    if said.startswith("yes") and said.endswith(" no"):
+        return "in part"
     return {"yes": "met", "no": "not met"}.get(first.group() if first else "", "in part")
 
 
