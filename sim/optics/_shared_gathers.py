@@ -208,8 +208,10 @@ class SharedGathers:
         found = arriving_light(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
         found = [dr.select(density > 0.0, value / density, 0.0) for value in found]
         value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(direction))
-        sent = [dr.block_sum(value[band] * one, RAYS) / RAYS for band, one in zip(self.band_of, found, strict=True)]
-        dr.eval(direction, found, sent)
+        own = [value[band] * one for band, one in zip(self.band_of, found, strict=True)]
+        # a sum over lanes evaluates what it adds: one after the other, each channel would trace all paths again
+        dr.eval(direction, found, own)
+        sent = [dr.block_sum(one, RAYS) / RAYS for one in own]
         light, sent_light = (np.stack([np.array(one) for one in channels], axis=-1) for channels in (found, sent))
         return (
             direction.numpy().T.reshape(batches, -1, 3),
