@@ -67,6 +67,10 @@ _PACKET = 4
 _GUIDED = 0.8
 # places within a bin at which the coat's reflection is averaged, each way
 _WITHIN_BIN = 3
+# directions of a place stand in its list as often as they matter; that share of it as they are lit, for the rest also
+# as the coat reflects there: a pixel in a dent has another normal
+_CHOICES = 4096
+_AS_LIT = 0.3
 # of the largest light at a node: what is missed is smoothed relative to it
 _LEAST_LIGHT_REL = 1e-3
 # the coat is seen through the inner face, and once more in what that reflects to the mirror
@@ -83,16 +87,21 @@ class GatherCounts:
     Attributes
     ----------
     directions
-        Directions, of some 600, from which it weights what arrives.
+        Directions, of some 600 and mostly those that matter, from which it weights what arrives.
     points
         Points drawn on each wall, and on the panels.
     mirrored
         Paths to the panels by mirror and faces.
     """
 
-    directions: int = 288
+    directions: int = 48
     points: int = 4
     mirrored: int = 8
+
+    def at_sight(self, number: int) -> "GatherCounts":
+        """Return the work where the coat is seen at first (0) or in what the face reflects, a fortieth as bright."""
+        fewer = self if number == 0 else GatherCounts(self.directions // 8, self.points // 4, self.mirrored // 8)
+        return GatherCounts(max(1, fewer.directions), max(1, fewer.points), max(1, fewer.mirrored))
 
 
 class SharedGathers:
@@ -182,10 +191,21 @@ class SharedGathers:
         drawn, light, sent = (np.concatenate([one[k] for one in traced]) for k in range(3))
         self.bins = DirectionBins.of(drawn)
         table = np.stack([self._arriving(*one) for one in zip(drawn, light, strict=True)])
-        self.light = LookupTable(table.reshape(-1, _PACKET), mi)
-        missed = np.zeros((*sent.shape[:2], self.walls.packets * _PACKET), dtype=np.float32)
-        missed[..., : sent.shape[-1]] = self.missed_at_nodes(sent, table)
-        self.missed = LookupTable(missed.reshape(-1, _PACKET), mi)
+        reflection = self.nodes.reflection(self.bins)
+        shared = self.nodes.sent(reflection, self.band_of, table)
+        self._share(table.mean(axis=0), reflection)
+        own = np.zeros((*sent.shape[:2], self.walls.packets * _PACKET), dtype=np.float32)
+        # all batches look the mean up, which has less noise; how each differs from it is added as nodes see it
+        own[..., : sent.shape[-1]] = self.missed_at_nodes(sent, shared) + (shared - shared.mean(axis=0))
+        self.own = LookupTable(own.reshape(-1, _PACKET), mi)
+
+    def _share(self, light: Floats32, reflection: Floats32) -> None:
+        """Keep the light (place, bin * channel) that all pixels share, and which of its directions matter."""
+        self.light = LookupTable(light.reshape(-1, _PACKET), mi)
+        by_bin = np.abs(light.reshape(len(light), self.bins.count, -1)[..., : len(self.chains)])
+        lit = [sum(by_bin[..., k] for k, band in enumerate(self.band_of) if band == b) for b in range(len(BAND_NAMES))]
+        sent = [one * reflection[b, self.nodes.nearest] for b, one in enumerate(lit)]
+        self.choices = LookupTable(choices_of(lit, sent).reshape(-1, 2), mi)
 
     def _traced(self, start: int, batches: int, rng: np.random.Generator) -> tuple[Floats32, Floats32, Floats32]:
         """Return directions of paths from the nodes, (batch, path, 3), and their light over their density.
@@ -219,7 +239,7 @@ class SharedGathers:
             sent_light.reshape(batches, -1, len(found)),
         )
 
-    def missed_at_nodes(self, sent: Floats32, table: Floats32) -> Floats:
+    def missed_at_nodes(self, sent: Floats32, shared: Floats) -> Floats:
         """Return what nodes send by their own paths but not by the shared light, smooth by place.
 
         Both use the same paths, so that most of their noise cancels. Each half of the batches is smoothed as stiffly as
@@ -227,12 +247,9 @@ class SharedGathers:
 
         Parameters
         ----------
-        sent
-            By own paths, (batch, node, channel).
-        table
-            What arrives at the places, (batch, place, bin * channel).
+        sent, shared
+            By own paths and by the light at the places, (batch, node, channel).
         """
-        shared = self.nodes.sent(self.bins, self.band_of, table)
         along = self.nodes.nodes_along
         usual = shared.mean(axis=0)
         usual = np.maximum(usual, _LEAST_LIGHT_REL * usual.max(axis=0) + np.finfo(np.float32).tiny)
@@ -315,6 +332,7 @@ class Nodes:
         self.scene, self.uv = finger.scene, uv
         depth = coat.positions_mm(places)[:, 1], points[:, 1]
         self.weights = regression_weights(places * self.sizes, uv * self.sizes, *depth)
+        self.nearest = cKDTree(uv * self.sizes).query(places * self.sizes)[1]
 
     def grid(self, step_mm: tuple[float, float]) -> Floats:
         """Return a grid over the coat (n, 2), across running first."""
@@ -340,8 +358,8 @@ class Nodes:
         si.wi = si.to_local(-mi.Vector3f(look.x, look.y, look.z))
         return si
 
-    def sent(self, bins: "DirectionBins", band_of: Sequence[int], table: Floats32) -> Floats:
-        """Return what nodes send to the camera by the light at the places, (batch, node, channel)."""
+    def reflection(self, bins: "DirectionBins") -> Floats32:
+        """Return how nodes reflect light from each direction to the camera, (band, node, bin)."""
         lane: Any = dr.arange(mi.UInt32, self.count * bins.count)
         node = lane // dr.opaque(mi.UInt32, bins.count)
         si, spread = self.seen(self.scene, node), dr.opaque(mi.Float, 1.0 / _WITHIN_BIN)
@@ -350,11 +368,14 @@ class Nodes:
             for y in range(_WITHIN_BIN):
                 way = si.to_local(bins.direction(chosen, (x + 0.5) * spread, (y + 0.5) * spread))
                 value += si.bsdf().eval(mi.BSDFContext(), si, way) / _WITHIN_BIN**2
-        reflection = value.numpy().reshape(-1, self.count, bins.count)
+        return np.asarray(value.numpy().reshape(-1, self.count, bins.count))
+
+    def sent(self, reflection: Floats32, band_of: Sequence[int], table: Floats32) -> Floats:
+        """Return what nodes send to the camera by the light at the places, (batch, node, channel)."""
         between = self.between(self.uv)
         sent = np.empty((len(table), self.count, len(band_of)))
         for batch, one in enumerate(table):
-            light = one.reshape(len(one), bins.count, -1)
+            light = one.reshape(len(one), reflection.shape[-1], -1)
             for channel, band in enumerate(band_of):
                 here = between @ np.ascontiguousarray(light[..., channel])
                 sent[batch, :, channel] = np.einsum("nb,nb->n", reflection[band], here)
@@ -426,6 +447,33 @@ class DirectionBins:
         sine = dr.safe_sqrt(1.0 - cosine * cosine)
         turn = 2.0 * dr.pi * ((mi.Float(number - row * _TURNS) + y) / _TURNS - 0.5)
         return mi.Vector3f(sine * dr.cos(turn), -cosine, sine * dr.sin(turn))
+
+
+def choices_of(lit: Sequence[Floats32], sent: Sequence[Floats32]) -> Floats32:
+    """Return directions as often as they matter at each place, (place, _CHOICES, 2): bin, and 1 over its chance.
+
+    Each that is lit at all is listed: draws from the list, weighted by the second number, bring all light in the mean.
+
+    Parameters
+    ----------
+    lit, sent
+        Sizes of the light that arrives, and of what is reflected of it to the camera, (place, bin) for each band.
+    """
+    places, bins = lit[0].shape
+    lists = np.zeros((places, _CHOICES, 2), dtype=np.float32)
+    matters = np.zeros((places, bins))
+    for share, bands in ((_AS_LIT, lit), (1.0 - _AS_LIT, sent)):
+        for band in bands:
+            matters += share * band / np.maximum(band.sum(axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    for one, weights in zip(lists, matters, strict=True):
+        listed = np.flatnonzero(weights)
+        if len(listed) == 0:
+            continue
+        ends = np.cumsum(weights[listed]) * ((_CHOICES - len(listed)) / weights.sum())
+        ends = np.append(np.rint(ends[:-1]), _CHOICES - len(listed)).astype(np.int64)
+        times = 1 + np.diff(ends, prepend=0)
+        one[:, 0], one[:, 1] = np.repeat(listed, times), np.repeat(_CHOICES / times, times)
+    return lists
 
 
 def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, node_depth_mm: Floats) -> Floats32:
@@ -535,34 +583,37 @@ def straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[
     return lit
 
 
-def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, of: Any, active: Any) -> Any:
     """Return what light from some of the directions brings to the camera, per channel: all together at each number."""
-    bins, packets = gathers.bins, gathers.walls.packets
-    # evenly spread over the bins, from a random start
-    among = (mi.Float(number) + shift[3]) * (bins.count / gathers.counts.directions)
-    chosen = cell_at(among, bins.count)
+    bins, packets, nodes = gathers.bins, gathers.walls.packets, gathers.nodes
     x, y, u, v = (_spread(shift[k], number, step) for k, step in zip((0, 1, 2, 4), _STEPS_4, strict=True))
+    place = nodes.near(si.uv, (u, v))
+    # evenly spread over the list, from a random start
+    listed = cell_at((mi.Float(number) + shift[3]) * (_CHOICES / of), _CHOICES)
+    choice = gathers.choices.row(place * _CHOICES + listed, active)
+    chosen = cell_at(choice.x, bins.count)
     direction = si.to_local(bins.direction(chosen, x, y))
-    value = si.bsdf().eval(mi.BSDFContext(), si, direction, active) * (bins.count / gathers.counts.directions)
-    place = gathers.batch_of_lane * (gathers.nodes.across * gathers.nodes.along) + gathers.nodes.near(si.uv, (u, v))
+    value = si.bsdf().eval(mi.BSDFContext(), si, direction, active) * (choice.y / of)
     row = (place * bins.count + chosen) * packets
     light = [gathers.light.row(row + packet, active) for packet in range(packets)]
     return [value[band] * light[k // _PACKET][k % _PACKET] for k, band in enumerate(gathers.band_of)]
 
 
-def missed_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], active: Any) -> list[Any]:
-    """Return what the shared light misses of what comes to the camera, per channel."""
+def own_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], active: Any) -> list[Any]:
+    """Return what is to be added to the shared light, per channel.
+
+    That is what it misses of what comes to the camera, and how this batch of it differs from the mean.
+    """
     nodes, packets = gathers.nodes, gathers.walls.packets
     row = (gathers.batch_of_lane * nodes.count + nodes.near_node(si.uv, (shift[2], shift[4]))) * packets
-    light = [gathers.missed.row(row + packet, active) for packet in range(packets)]
+    light = [gathers.own.row(row + packet, active) for packet in range(packets)]
     return [dr.select(active, light[k // _PACKET][k % _PACKET], 0.0) for k in range(len(gathers.chains))]
 
 
 @dr.syntax
-def _coat_radiance(gathers, scene, sampler, si, shift, active):  # type: ignore[no-untyped-def]
+def _coat_radiance(gathers, scene, sampler, si, shift, counts, active):  # type: ignore[no-untyped-def]
     """Return the radiance of points of the coat, per channel."""
-    sums = missed_light(gathers, si, shift, active)
-    counts = gathers.counts
+    sums = own_light(gathers, si, shift, active)
     points, mirrored, directions = (
         dr.opaque(mi.UInt32, n) for n in (counts.points, counts.mirrored, counts.directions)
     )
@@ -570,15 +621,15 @@ def _coat_radiance(gathers, scene, sampler, si, shift, active):  # type: ignore[
     while active & (number < points):
         found = straight_light(gathers, scene, si, shift, number, active)
         for k in range(len(sums)):
-            sums[k] += found[k] / gathers.counts.points
+            sums[k] += found[k] / mi.Float(points)
         number += 1
     number = mi.UInt32(0)
     while active & (number < mirrored):
-        sums[2] += mirrored_light(gathers, scene, sampler, si, shift, number, active) / gathers.counts.mirrored
+        sums[2] += mirrored_light(gathers, scene, sampler, si, shift, number, active) / mi.Float(mirrored)
         number += 1
     number = mi.UInt32(0)
     while active & (number < directions):
-        found = shared_light(gathers, si, shift, number, active)
+        found = shared_light(gathers, si, shift, number, mi.Float(directions), active)
         for k in range(len(sums)):
             sums[k] += found[k]
         number += 1
@@ -590,11 +641,14 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
     gathers.batch_of_lane = gathers.batch
     rest, weight = ray, mi.Float(1)
     sums = [mi.Float(0) for _ in gathers.chains]
-    for _ in range(_SIGHTS):
+    for number in range(_SIGHTS):
         sight = Sight.along(gathers, scene, rest)
         glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
         shift = [sampler.next_1d() for _ in range(8)]
-        lit = _coat_radiance(gathers, scene, sampler, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
+        counts = gathers.counts.at_sight(number)
+        lit = _coat_radiance(  # type: ignore[no-untyped-call]
+            gathers, scene, sampler, sight.si, shift, counts, sight.on_coat
+        )
         for k in range(len(sums)):
             met = dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0))
             sums[k] += weight * sight.through * met
