@@ -67,6 +67,8 @@ _PACKET = 4
 _GUIDED = 0.8
 # places within a bin at which the coat's reflection is averaged, each way
 _WITHIN_BIN = 3
+# so near to a wall, pixels draw so many times more points
+_STEEP_MM, _STEEP_POINTS = 1.5, 4
 # directions of a place stand in its list as often as they matter; that share of it as they are lit, for the rest also
 # as the coat reflects there: a pixel in a dent has another normal
 _CHOICES = 4096
@@ -95,8 +97,8 @@ class GatherCounts:
     """
 
     directions: int = 48
-    points: int = 4
-    mirrored: int = 8
+    points: int = 8
+    mirrored: int = 12
 
     def at_sight(self, number: int) -> "GatherCounts":
         """Return the work where the coat is seen at first (0) or in what the face reflects, a fortieth as bright."""
@@ -149,6 +151,7 @@ class SharedGathers:
             if chain in light:
                 radiance[:, WALLS.index(last_band(chain)), ..., channel] += light[chain]
         pad = finger.design.pad
+        self.width = dr.opaque(mi.Float, pad.width_mm)
         self.walls = LitWalls(radiance, finger.shape, pad.thickness_mm, pad.length_mm)
         self.mirror = mi.ShapePtr(next(s for s in finger.scene.shapes() if s.id() == "mirror"))
         dr.make_opaque(self.mirror)
@@ -271,7 +274,13 @@ class SharedGathers:
         channels = np.zeros((size, self.walls.packets * _PACKET), dtype=np.float32)
         for k in range(light.shape[-1]):
             channels[:, k] = np.bincount(cell, weights=light[:, k] / RAYS, minlength=size)
-        return np.asarray(self.nodes.weights @ channels.reshape(self.nodes.count, -1))
+        by_bin = channels.reshape(self.nodes.count, self.bins.count, -1)
+        # half of the bins point out of the gel, where no path begins
+        lit = by_bin.any(axis=(0, 2))
+        arriving = np.zeros((len(self.nodes.weights), *by_bin.shape[1:]), dtype=np.float32)
+        of_places = self.nodes.weights @ by_bin[:, lit].reshape(self.nodes.count, -1)
+        arriving[:, lit] = of_places.reshape(len(arriving), -1, by_bin.shape[-1])
+        return arriving.reshape(len(arriving), -1)
 
     def drawn(self, si: Any, numbers: Sequence[Any], guided_share: float) -> tuple[Any, Any]:
         """Return directions from the coat, drawn as it reflects and, with a chance, by the guide; their density."""
@@ -397,21 +406,28 @@ class Nodes:
 
     def near(self, uv: Any, chances: Sequence[Any]) -> Any:
         """Return the number of one of the four places around points, drawn by its bilinear weight."""
-        return self._one_of_four(uv, chances, self.across, self.along)
+        (i, s), (j, t) = self._cell(uv, self.across, self.along)
+        first, second = (dr.select(chances[k] < share, mi.UInt32(1), mi.UInt32(0)) for k, share in enumerate((s, t)))
+        return (j + second) * self.across + i + first
 
-    def near_node(self, uv: Any, chances: Sequence[Any]) -> Any:
-        """Return the number of one of the four nodes around points, drawn by its bilinear weight."""
-        return self._one_of_four(uv, chances, self.nodes_across, self.nodes_along)
+    def around(self, uv: Any) -> list[tuple[Any, Any]]:
+        """Return bilinear weight and number of the four nodes around points."""
+        (i, s), (j, t) = self._cell(uv, self.nodes_across, self.nodes_along)
+        return [
+            (up * right, (j + b) * self.nodes_across + i + a)
+            for b, up in ((0, 1.0 - t), (1, t))
+            for a, right in ((0, 1.0 - s), (1, s))
+        ]
 
-    def _one_of_four(self, uv: Any, chances: Sequence[Any], across: int, along: int) -> Any:
-        """Return the number of a point of a grid over the coat, drawn among the four around."""
-        picked = []
-        for place, count, size, chance in zip((uv.x, uv.y), (across, along), self.sizes.tolist(), chances, strict=True):
+    def _cell(self, uv: Any, across: int, along: int) -> list[tuple[Any, Any]]:
+        """Return number and share, across and along, of the point of a grid over the coat before points."""
+        cells = []
+        for place, count, size in zip((uv.x, uv.y), (across, along), self.sizes.tolist(), strict=True):
             rim = _RIM_MM / size
             x = dr.clip((place - rim) / (1.0 - 2.0 * rim), 0.0, 1.0) * (count - 1)
             i = cell_at(x, count - 1)
-            picked.append(i + dr.select(chance < x - mi.Float(i), mi.UInt32(1), mi.UInt32(0)))
-        return picked[1] * across + picked[0]
+            cells.append((i, x - mi.Float(i)))
+        return cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -599,24 +615,30 @@ def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: 
     return [value[band] * light[k // _PACKET][k % _PACKET] for k, band in enumerate(gathers.band_of)]
 
 
-def own_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], active: Any) -> list[Any]:
+def own_light(gathers: SharedGathers, si: Any, active: Any) -> list[Any]:
     """Return what is to be added to the shared light, per channel.
 
     That is what it misses of what comes to the camera, and how this batch of it differs from the mean.
     """
     nodes, packets = gathers.nodes, gathers.walls.packets
-    row = (gathers.batch_of_lane * nodes.count + nodes.near_node(si.uv, (shift[2], shift[4]))) * packets
-    light = [gathers.own.row(row + packet, active) for packet in range(packets)]
-    return [dr.select(active, light[k // _PACKET][k % _PACKET], 0.0) for k in range(len(gathers.chains))]
+    sums = [mi.Float(0) for _ in gathers.chains]
+    for weight, number in nodes.around(si.uv):
+        row = (gathers.batch_of_lane * nodes.count + number) * packets
+        light = [gathers.own.row(row + packet, active) for packet in range(packets)]
+        sums = [one + weight * light[k // _PACKET][k % _PACKET] for k, one in enumerate(sums)]
+    return [dr.select(active, one, 0.0) for one in sums]
 
 
 @dr.syntax
 def _coat_radiance(gathers, scene, sampler, si, shift, counts, active):  # type: ignore[no-untyped-def]
     """Return the radiance of points of the coat, per channel."""
-    sums = own_light(gathers, si, shift, active)
+    sums = own_light(gathers, si, active)
     points, mirrored, directions = (
         dr.opaque(mi.UInt32, n) for n in (counts.points, counts.mirrored, counts.directions)
     )
+    # beside a wall its light is steep
+    beside = dr.minimum(si.uv.x, 1.0 - si.uv.x) * gathers.width < _STEEP_MM
+    points *= dr.select(beside, mi.UInt32(_STEEP_POINTS), mi.UInt32(1))
     number = mi.UInt32(0)
     while active & (number < points):
         found = straight_light(gathers, scene, si, shift, number, active)
