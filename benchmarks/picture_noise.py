@@ -7,7 +7,7 @@ and band, over the pixels that see the coat: the median, over pixels, of the err
 mean square error over the band's mean, and the same without the 1 % of pixels with the largest errors, which lie at
 rims. The reference is what ``--keep`` stored of other seeds, its own noise included: the mean of K pictures adds a
 K-th of one's variance. Without it each seed is compared with the mean of the others, scaled to the error of one.
-Processor time by part is that of one picture of both states, without compilation: the first seed runs twice.
+Processor time by part is the mean over the seeds, of both states, without compilation.
 """
 
 import argparse
@@ -29,6 +29,7 @@ from sim.optics import BAND_NAMES, LoadedScene, RenderSettings, choose_variant, 
 from sim.optics import _render as rendering
 from sim.optics._painted_walls import BAKE_SAMPLES, bake_batches, last_band, led_irradiance, reflected_light
 from sim.optics._passes import traced_picture
+from sim.optics._pixel_maps import pixel_maps
 from sim.optics._scene import camera_sensor
 from sim.surface_meshes import FingerShape, pressed_shape, rest_shape
 
@@ -66,40 +67,47 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     mi = open_renderer(choose_variant("llvm"))
-    design = FingerDesign()
-    shapes = dict(zip(STATES, (rest_shape(design), pressed_shape(design)), strict=True))
-    maps = [rendering.pixel_maps(design, shape, shapes["rest"], mi, None) for shape in shapes.values()]
-    camera = rendering.CameraWindows.of(design, None, maps)
-    pictures: dict[str, list[Floats]] = {state: [] for state in STATES}
-    variances: dict[str, list[Floats]] = {state: [] for state in STATES}
-    for seed in (args.first_seed, *range(args.first_seed, args.first_seed + args.seeds)):
-        parts = Parts()
-        how = RenderSettings("b", seed, args.samples, shared_light=not args.own_paths)
-        for state, shape in shapes.items():
-            bands, variance = _picture(camera, shape, mi, how, parts)
-            pictures[state].append(bands)
-            variances[state].append(variance)
-    coats = {state: one.sees("coat") for state, one in zip(STATES, maps, strict=True)}
-    # the first was rendered to compile
-    images = {state: np.array(pictures[state][1:])[:, coats[state]] for state in STATES}
-    means = {state: of.mean(axis=0) for state, of in images.items()}
+    images, variances, seconds = _rendered(args, mi)
     if args.keep is not None:
-        np.savez(args.keep, **means)
-    reference = dict(np.load(args.against)) if args.against is not None else None
-    noise = {state: _noise(images[state], None if reference is None else reference[state]) for state in STATES}
-    told = {state: _beyond(images[state], np.array(variances[state][1:])[:, coats[state]]) for state in STATES}
+        np.savez(args.keep, **{state: of.mean(axis=0) for state, of in images.items()})
+    reference = dict(np.load(args.against)) if args.against is not None else dict.fromkeys(STATES)
+    noise = {state: _noise(images[state], reference[state]) for state in STATES}
+    beyond = {state: _beyond(images[state], variances[state]) for state in STATES}
     met = all(value <= BAR_REL for of in noise.values() for value in of["rms"])
     for state in STATES:
         print(f"{state} ({', '.join(BAND_NAMES)})")
-        for name, values in (*noise[state].items(), ("beyond their 95 % points", told[state])):
+        for name, values in (*noise[state].items(), ("beyond their 95 % points", beyond[state])):
             print(f"  {name:32s} " + ", ".join(f"{100 * value:.2f} %" for value in values))
-    total = sum(parts.seconds.values())
-    print(f"processor time {total:.1f} s: " + ", ".join(f"{k} {v:.1f}" for k, v in parts.seconds.items()))
+    told = ", ".join(f"{part} {value:.1f}" for part, value in seconds.items())
+    print(f"processor time {sum(seconds.values()):.1f} s: {told}")
     if args.out is not None:
         args.out.parent.mkdir(parents=True, exist_ok=True)
-        found = {"noise_rel": noise, "beyond": told, "seconds": parts.seconds, "met": met}
-        args.out.write_text(json.dumps(found, indent=1))
+        args.out.write_text(
+            json.dumps({"noise_rel": noise, "beyond": beyond, "seconds": seconds, "met": met}, indent=1)
+        )
     raise SystemExit(0 if met else 1)
+
+
+def _rendered(args: argparse.Namespace, mi: Any) -> tuple[dict[str, Floats], dict[str, Floats], dict[str, float]]:
+    """Return bands and variances (seed, pixel, band) of the coat's pixels by state, and mean seconds by part."""
+    design, parts = FingerDesign(), Parts()
+    shapes = (rest_shape(design), pressed_shape(design))
+    maps = [pixel_maps(design, shape, shapes[0], mi, None) for shape in shapes]
+    camera = rendering.CameraWindows.of(design, None, maps)
+    images: dict[str, list[Floats]] = {state: [] for state in STATES}
+    variances: dict[str, list[Floats]] = {state: [] for state in STATES}
+    # what is rendered first only serves to compile
+    for number in range(-1, args.seeds):
+        parts = Parts() if number <= 0 else parts
+        how = RenderSettings("b", args.first_seed + max(number, 0), args.samples, shared_light=not args.own_paths)
+        for state, shape, seen in zip(STATES, shapes, maps, strict=True):
+            bands, variance = _picture(camera, shape, mi, how, parts)
+            if number >= 0:
+                images[state].append(bands[seen.sees("coat")])
+                variances[state].append(variance[seen.sees("coat")])
+    means = {part: seconds / args.seeds for part, seconds in parts.seconds.items()}
+    pictures, their_variances = ({state: np.array(one[state]) for state in STATES} for one in (images, variances))
+    return pictures, their_variances, means
 
 
 def _picture(camera: Any, shape: FingerShape, mi: Any, how: RenderSettings, parts: Parts) -> tuple[Floats, Floats]:
@@ -115,19 +123,19 @@ def _picture(camera: Any, shape: FingerShape, mi: Any, how: RenderSettings, part
     if how.shared_light:
         from sim.optics._shared_gathers import SharedGathers  # needs the variant set
 
-        streams = (seed_of(stream) for stream in (rendering._REFLECTED_STREAM, rendering._NODES_STREAM))
+        streams = (seed_of(stream) for stream in (rendering.REFLECTED_STREAM, rendering.NODES_STREAM))
         reflected = parts.timed("bake", lambda: reflected_light(finger, light, received, next(streams)))
         tracer = parts.timed("nodes", lambda: SharedGathers(finger, light, reflected, guide, next(streams)))
         chains = tracer.chains
     else:
         tracer, chains = rendering.lit_integrator(scene, design, shape, mi, light, guide)
     # beside the coat, its pixels, and those of the contact, which get more paths
-    found = None
+    found: list[Floats] = []
     for number, name in enumerate(("surroundings", "pad", "contact")):
         regions = [(px if k == number else px[:0], n) for k, (px, n) in enumerate(camera.regions(how))]
         work = partial(traced_picture, scene, tracer, mi, chains, regions, seed_of)
         one = parts.timed(f"pixels of the {name}", work)
-        found = one if found is None else [a + b for a, b in zip(found, one, strict=True)]
+        found = [a + b for a, b in zip(found, one, strict=True)] if found else list(one)
     of_band = np.array([[last_band(chain) == band for band in BAND_NAMES] for chain in chains], dtype=np.float64)
     return found[0] @ of_band, np.asarray(found[2], dtype=np.float64)
 

@@ -31,13 +31,14 @@ from scipy.spatial import cKDTree
 
 from data_schemas import CameraCalibration, SimulateError
 from sim.optics._band_paths import BandPaths, LitWalls, band_paths, by_smooth_faces
+from sim.optics._mirror_guide import CHOICES, DirectionBins, choices_of
 from sim.optics._optical_layout import camera_pose
 from sim.optics._paint_bands import BAND_NAMES
 from sim.optics._painted_walls import WALLS, WallLight, last_band
 from sim.optics._panel_light import FROM_EYE, state_after
 from sim.optics._path_rules import LARGEST_SURVIVAL, MAX_DEPTH, ROULETTE_DEPTH, LookupTable, cell_at
 from sim.optics._pixel_maps import camera_rays
-from sim.optics._position_map import PositionMap
+from sim.optics._position_map import PositionMap, regression_weights
 from sim.optics._scene import LoadedScene
 from sim.optics._wall_spline import choose_smoother
 
@@ -57,11 +58,6 @@ _RIM_MM = 0.137
 # nodes start their paths from here below the coat's surface
 _BELOW_MM = 0.3
 _BESIDE_MM = 7e-3
-# a place is served by the nodes around it, across and along the pad: the face blurs what it sends back over 12 mm
-_REACH_MM = np.array([7.0, 12.0])
-_HEIGHT_PRIOR = 1e-6
-# directions are told apart by their height over the coat, rows per unit of its cosine, and by their turn
-_ROWS, _TURNS = 16, 36
 _PACKET = 4
 # chance that paths to the panels by the mirror follow the guide
 _GUIDED = 0.8
@@ -69,10 +65,6 @@ _GUIDED = 0.8
 _WITHIN_BIN = 3
 # so near to a wall, pixels draw so many times more points
 _STEEP_MM, _STEEP_POINTS = 1.5, 4
-# directions of a place stand in its list as often as they matter; that share of it as they are lit, for the rest also
-# as the coat reflects there: a pixel in a dent has another normal
-_CHOICES = 4096
-_AS_LIT = 0.3
 # of the largest light at a node: what is missed is smoothed relative to it
 _LEAST_LIGHT_REL = 1e-3
 # the coat is seen through the inner face, and once more in what that reflects to the mirror
@@ -206,7 +198,8 @@ class SharedGathers:
         """Keep the light (place, bin * channel) that all pixels share, and which of its directions matter."""
         self.light = LookupTable(light.reshape(-1, _PACKET), mi)
         by_bin = np.abs(light.reshape(len(light), self.bins.count, -1)[..., : len(self.chains)])
-        lit = [sum(by_bin[..., k] for k, band in enumerate(self.band_of) if band == b) for b in range(len(BAND_NAMES))]
+        of_band = [[k for k, band in enumerate(self.band_of) if band == b] for b in range(len(BAND_NAMES))]
+        lit = [by_bin[..., channels].sum(axis=-1) for channels in of_band]
         sent = [one * reflection[b, self.nodes.nearest] for b, one in enumerate(lit)]
         self.choices = LookupTable(choices_of(lit, sent).reshape(-1, 2), mi)
 
@@ -367,7 +360,7 @@ class Nodes:
         si.wi = si.to_local(-mi.Vector3f(look.x, look.y, look.z))
         return si
 
-    def reflection(self, bins: "DirectionBins") -> Floats32:
+    def reflection(self, bins: DirectionBins) -> Floats32:
         """Return how nodes reflect light from each direction to the camera, (band, node, bin)."""
         lane: Any = dr.arange(mi.UInt32, self.count * bins.count)
         node = lane // dr.opaque(mi.UInt32, bins.count)
@@ -428,101 +421,6 @@ class Nodes:
             i = cell_at(x, count - 1)
             cells.append((i, x - mi.Float(i)))
         return cells
-
-
-@dataclass(frozen=True, slots=True)
-class DirectionBins:
-    """Bins of equal solid angle: rows of the cosine to the pad's inward axis from `lowest_cosine` to 1, and turns."""
-
-    lowest_cosine: float
-    rows: int
-
-    @classmethod
-    def of(cls, directions: Floats32) -> "DirectionBins":
-        """Return bins that hold all these directions (..., 3)."""
-        lowest = min(0.0, -float(directions[..., 1].max()))
-        rows = int(np.ceil(_ROWS * (1.0 - lowest)))
-        return cls(1.0 - rows / _ROWS, rows)
-
-    @property
-    def count(self) -> int:
-        """Number of bins."""
-        return self.rows * _TURNS
-
-    def of_directions(self, directions: Floats32) -> NDArray[np.int64]:
-        """Return the number of the bin of each direction (..., 3)."""
-        row = np.floor((-directions[..., 1] - self.lowest_cosine) * _ROWS)
-        turn = np.floor((np.arctan2(directions[..., 2], directions[..., 0]) / (2.0 * np.pi) + 0.5) * _TURNS)
-        rows, turns = np.clip(row, 0, self.rows - 1), np.clip(turn, 0, _TURNS - 1)
-        return np.asarray(rows * _TURNS + turns, dtype=np.int64)
-
-    def direction(self, number: Any, x: Any, y: Any) -> Any:
-        """Return directions in bins, at shares x and y of their rows and turns."""
-        row = number // _TURNS
-        cosine = self.lowest_cosine + (mi.Float(row) + x) / _ROWS
-        sine = dr.safe_sqrt(1.0 - cosine * cosine)
-        turn = 2.0 * dr.pi * ((mi.Float(number - row * _TURNS) + y) / _TURNS - 0.5)
-        return mi.Vector3f(sine * dr.cos(turn), -cosine, sine * dr.sin(turn))
-
-
-def choices_of(lit: Sequence[Floats32], sent: Sequence[Floats32]) -> Floats32:
-    """Return directions as often as they matter at each place, (place, _CHOICES, 2): bin, and 1 over its chance.
-
-    Each that is lit at all is listed: draws from the list, weighted by the second number, bring all light in the mean.
-
-    Parameters
-    ----------
-    lit, sent
-        Sizes of the light that arrives, and of what is reflected of it to the camera, (place, bin) for each band.
-    """
-    places, bins = lit[0].shape
-    lists = np.zeros((places, _CHOICES, 2), dtype=np.float32)
-    matters = np.zeros((places, bins))
-    for share, bands in ((_AS_LIT, lit), (1.0 - _AS_LIT, sent)):
-        for band in bands:
-            matters += share * band / np.maximum(band.sum(axis=1, keepdims=True), np.finfo(np.float32).tiny)
-    for one, weights in zip(lists, matters, strict=True):
-        listed = np.flatnonzero(weights)
-        if len(listed) == 0:
-            continue
-        ends = np.cumsum(weights[listed]) * ((_CHOICES - len(listed)) / weights.sum())
-        ends = np.append(np.rint(ends[:-1]), _CHOICES - len(listed)).astype(np.int64)
-        times = 1 + np.diff(ends, prepend=0)
-        one[:, 0], one[:, 1] = np.repeat(listed, times), np.repeat(_CHOICES / times, times)
-    return lists
-
-
-def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, node_depth_mm: Floats) -> Floats32:
-    r"""Return the weights (place, node) by which values at nodes stand for those at places: local regression.
-
-    .. math:: \min_c \sum_n k_n (y_n - c \cdot b(p_n - p))^2, \quad b = (1, x, z, x^2, x z, z^2, h), \quad w_n = c_0
-
-    with the kernel :math:`k = 1 - r^2` in the ellipse of :data:`_REACH_MM` around the place and the height h of the
-    coat. Exact for what is quadratic in place and linear in height; to fourth order for what is smooth.
-
-    Parameters
-    ----------
-    places_mm, nodes_mm
-        (x, z) on the undeformed pad, (n, 2).
-    depth_mm, node_depth_mm
-        Height of the coat there, (n,).
-    """
-    weights = np.zeros((len(places_mm), len(nodes_mm)), dtype=np.float32)
-    for start in range(0, len(places_mm), 256):
-        here = slice(start, start + 256)
-        away = (nodes_mm[None] - places_mm[here, None]) / _REACH_MM
-        kernel = np.maximum(1.0 - (away**2).sum(axis=-1), 0.0)
-        height = (node_depth_mm[None] - depth_mm[here, None]) / _REACH_MM[0]
-        x, z = away[..., 0], away[..., 1]
-        basis = np.stack([np.ones_like(x), x, z, x * x, x * z, z * z, height], axis=-1)
-        weighted = basis * kernel[..., None]
-        gram = np.swapaxes(weighted, 1, 2) @ basis
-        # a flat coat does not tell what the height does
-        gram[:, -1, -1] += _HEIGHT_PRIOR * gram[:, 0, 0]
-        first = np.zeros((len(gram), basis.shape[-1], 1))
-        first[:, 0] = 1.0
-        weights[here] = (weighted @ np.linalg.solve(gram, first))[..., 0]
-    return weights
 
 
 @dr.syntax
@@ -605,8 +503,8 @@ def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: 
     x, y, u, v = (_spread(shift[k], number, step) for k, step in zip((0, 1, 2, 4), _STEPS_4, strict=True))
     place = nodes.near(si.uv, (u, v))
     # evenly spread over the list, from a random start
-    listed = cell_at((mi.Float(number) + shift[3]) * (_CHOICES / of), _CHOICES)
-    choice = gathers.choices.row(place * _CHOICES + listed, active)
+    listed = cell_at((mi.Float(number) + shift[3]) * (CHOICES / of), CHOICES)
+    choice = gathers.choices.row(place * CHOICES + listed, active)
     chosen = cell_at(choice.x, bins.count)
     direction = si.to_local(bins.direction(chosen, x, y))
     value = si.bsdf().eval(mi.BSDFContext(), si, direction, active) * (choice.y / of)
