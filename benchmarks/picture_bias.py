@@ -205,9 +205,8 @@ def _one_round(gathers: Any, design: FingerDesign, mi: Any, seed: int) -> _Round
     value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(towards), here)
     own = [dr.select(drawn, a * value[b] / density, 0) for a, b in zip(arriving, gathers.band_of, strict=True)]
     shift = [sampler.next_1d() for _ in range(8)]
-    gathers.counts = sharing.GatherCounts(directions=_LOOKED_UP)
-    looked = [sharing.missed_light(gathers, si, shift, here)]
-    looked += [sharing.shared_light(gathers, si, shift, mi.UInt32(k), here) for k in range(_LOOKED_UP)]
+    looked = [sharing.own_light(gathers, si, here)]
+    looked += [sharing.shared_light(gathers, si, shift, mi.UInt32(k), _LOOKED_UP, here) for k in range(_LOOKED_UP)]
     shared = [sum(one[k] for one in looked) for k in range(len(own))]
     rest = sharing.straight_light(gathers, scene, si, shift, mi.UInt32(0), here)
     rest[2] += sharing.mirrored_light(gathers, scene, sampler, si, shift, mi.UInt32(0), here)

@@ -47,7 +47,7 @@ _WALL_POINTS = (17, 141)
 # shadow rays stop before a wall by more than its mesh and these points differ
 _BEFORE_WALL_MM = 0.05
 # share of the points on a wall that are drawn evenly up it: weights stay bounded on facets that lean to the wall
-_EVENLY = 0.25
+_EVENLY, _GLOSS = 0.1, 0.2
 _SMALLEST_MM = 1e-3
 
 
@@ -373,17 +373,21 @@ class LitWalls:
         r"""Return (seen, direction, solid angle per point, place) of a point drawn on a wall from points of the coat.
 
         With the distance d from the wall at the coat, a depth t below it and a place z along, the light of an even wall
-        on an even coat is :math:`t d / (d^2 + t^2 + z^2)^2 dt dz`: t is drawn by :math:`t / (d^2 + t^2)` and z by
-        :math:`D / (D^2 + z^2)`, :math:`D^2 = d^2 + t^2`. Left over is the product of two cosines.
+        on an even coat is :math:`t d / (d^2 + t^2 + z^2)^2 dt dz`: with :math:`D^2 = d^2 + t^2`, t is drawn by
+        :math:`t d / D^3`, as a matt coat is lit, for some points by :math:`t / D^2`, as a glossy one sees further up,
+        and for a few evenly; z by :math:`D / (D^2 + z^2)`.
         """
         rim = self.place(wall, mi.Float(1), si.uv.y, active)[0]
         d = dr.maximum(dr.norm(rim - si.p), _SMALLEST_MM)
-        reach = 0.5 * dr.log(1.0 + dr.square(self.height / d))
-        even = sample[2] < _EVENLY
-        t = d * dr.safe_sqrt(dr.exp(2.0 * reach * sample[0]) - 1.0)
-        t = dr.select(even, sample[0] * self.height, dr.minimum(t, self.height))
-        up_density = (1.0 - _EVENLY) * t / (d * d + t * t) / reach * self.height + _EVENLY
-        across = dr.sqrt(d * d + t * t)
+        reach, furthest = 0.5 * dr.log(1.0 + dr.square(self.height / d)), dr.sqrt(d * d + dr.square(self.height))
+        gloss = d * dr.safe_sqrt(dr.exp(2.0 * reach * sample[0]) - 1.0)
+        matt = d * dr.safe_sqrt(dr.square(1.0 / (1.0 - sample[0] * (1.0 - d / furthest))) - 1.0)
+        t = dr.select(sample[2] < _EVENLY + _GLOSS, gloss, matt)
+        t = dr.select(sample[2] < _EVENLY, sample[0] * self.height, dr.minimum(t, self.height))
+        d2 = d * d + t * t
+        up_density = _GLOSS / reach + (1.0 - _EVENLY - _GLOSS) * d / (dr.sqrt(d2) * (1.0 - d / furthest))
+        up_density = up_density * t / d2 * self.height + _EVENLY
+        across = dr.sqrt(d2)
         from_end = si.uv.y * self.length
         low, high = dr.atan(-from_end / across), dr.atan((self.length - from_end) / across)
         z = across * dr.tan(low + (high - low) * sample[1])

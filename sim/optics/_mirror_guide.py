@@ -5,12 +5,13 @@ much: these few carried nine tenths of the variance of the LED band beside the i
 panels to the mirror, directly or by the outside of the gel, tell where on the coating their light arrives and from
 where. Per cell of the coating and per route a normal distribution of directions describes them; eye paths draw from it
 with a fixed chance, else from the material, and are weighted by the density of the mixture, so that whatever was
-learned, the mean stays the same.
+learned, the mean stays the same. Bins of directions, and lists of those that matter, serve pixels that share light.
 
 Import this module only after a compiled variant has been set (see :func:`sim.optics.open_renderer`).
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
@@ -23,11 +24,21 @@ from sim.optics._panel_light import Panel, panel_point
 from sim.optics._path_rules import LookupTable, cell_at
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
 
 GUIDE_CHANCE = 0.2
 """Chance that a path leaves the coating along the guide: the painted bands lose this share of their paths."""
 
 LIGHT_PATHS = 200_000
+
+CHOICES = 4096
+"""Length of the lists of :func:`choices_of`."""
+
+# directions are told apart by their height over the coat, rows per unit of its cosine, and by their turn
+_ROWS, _TURNS = 16, 36
+# directions are listed to that share as they are lit, for the rest also as the coat reflects at the place: a pixel in a
+# dent has another normal
+_AS_LIT = 0.3
 _LONGEST_ROUTE = 10
 # what a light path has arrived at
 _AT_COAT, _AT_RED, _AT_GREEN = 1, 2, 3
@@ -344,3 +355,65 @@ def _shared_with_neighbours(
     inside = ((corners >= 0) & (corners < cells)).all(axis=1)
     kept = rows[inside]
     return uv[kept], slopes[kept], light[kept], route[kept].astype(np.int64), corners[inside]
+
+
+@dataclass(frozen=True, slots=True)
+class DirectionBins:
+    """Bins of equal solid angle: rows of the cosine to the pad's inward axis from `lowest_cosine` to 1, and turns."""
+
+    lowest_cosine: float
+    rows: int
+
+    @classmethod
+    def of(cls, directions: Floats32) -> "DirectionBins":
+        """Return bins that hold all these directions (..., 3)."""
+        lowest = min(0.0, -float(directions[..., 1].max()))
+        rows = int(np.ceil(_ROWS * (1.0 - lowest)))
+        return cls(1.0 - rows / _ROWS, rows)
+
+    @property
+    def count(self) -> int:
+        """Number of bins."""
+        return self.rows * _TURNS
+
+    def of_directions(self, directions: Floats32) -> NDArray[np.int64]:
+        """Return the number of the bin of each direction (..., 3)."""
+        row = np.floor((-directions[..., 1] - self.lowest_cosine) * _ROWS)
+        turn = np.floor((np.arctan2(directions[..., 2], directions[..., 0]) / (2.0 * np.pi) + 0.5) * _TURNS)
+        rows, turns = np.clip(row, 0, self.rows - 1), np.clip(turn, 0, _TURNS - 1)
+        return np.asarray(rows * _TURNS + turns, dtype=np.int64)
+
+    def direction(self, number: Any, x: Any, y: Any) -> Any:
+        """Return directions in bins, at shares x and y of their rows and turns."""
+        row = number // _TURNS
+        cosine = self.lowest_cosine + (mi.Float(row) + x) / _ROWS
+        sine = dr.safe_sqrt(1.0 - cosine * cosine)
+        turn = 2.0 * dr.pi * ((mi.Float(number - row * _TURNS) + y) / _TURNS - 0.5)
+        return mi.Vector3f(sine * dr.cos(turn), -cosine, sine * dr.sin(turn))
+
+
+def choices_of(lit: Sequence[Floats32], sent: Sequence[Floats32]) -> Floats32:
+    """Return directions as often as they matter at each place, (place, CHOICES, 2): bin, and 1 over its chance.
+
+    Each that is lit at all is listed: draws from the list, weighted by the second number, bring all light in the mean.
+
+    Parameters
+    ----------
+    lit, sent
+        Sizes of the light that arrives, and of what is reflected of it to the camera, (place, bin) for each band.
+    """
+    places, bins = lit[0].shape
+    lists = np.zeros((places, CHOICES, 2), dtype=np.float32)
+    matters = np.zeros((places, bins))
+    for share, bands in ((_AS_LIT, lit), (1.0 - _AS_LIT, sent)):
+        for band in bands:
+            matters += share * band / np.maximum(band.sum(axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    for one, weights in zip(lists, matters, strict=True):
+        listed = np.flatnonzero(weights)
+        if len(listed) == 0:
+            continue
+        ends = np.cumsum(weights[listed]) * ((CHOICES - len(listed)) / weights.sum())
+        ends = np.append(np.rint(ends[:-1]), CHOICES - len(listed)).astype(np.int64)
+        times = 1 + np.diff(ends, prepend=0)
+        one[:, 0], one[:, 1] = np.repeat(listed, times), np.repeat(CHOICES / times, times)
+    return lists

@@ -104,6 +104,9 @@ _MOST_FITTED = 64
 _FITTED: "OrderedDict[bytes, PositionMap]" = OrderedDict()
 # a mesh that leaves its smooth map by more than this is crumpled, or its texture coordinates are wrong
 _LARGEST_GAP_MM = 0.3
+# a place on the coat is served by points so near, across and along: the face blurs what it sends back over 12 mm
+_REACH_MM = np.array([7.0, 12.0])
+_HEIGHT_PRIOR = 1e-6
 
 
 class FacePoint(NamedTuple):
@@ -306,3 +309,41 @@ def _cells(surface: Surface) -> tuple[int, int]:
         spacing = np.median(step_uv[along, axis])
         cells.append(int(np.clip(min(round(size_mm / _CELL_MM), round(1.0 / spacing)), 1, _MOST_CELLS)))
     return cells[0], cells[1]
+
+
+def regression_weights(
+    places_mm: NDArray[np.float64],
+    nodes_mm: NDArray[np.float64],
+    depth_mm: NDArray[np.float64],
+    node_depth_mm: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    r"""Return the weights (place, node) by which values at nodes stand for those at places: local regression.
+
+    .. math:: \min_c \sum_n k_n (y_n - c \cdot b(p_n - p))^2, \quad b = (1, x, z, x^2, x z, z^2, h), \quad w_n = c_0
+
+    with the kernel :math:`k = 1 - r^2` in the ellipse of 7 by 12 mm around the place and the height h of the
+    coat. Exact for what is quadratic in place and linear in height; to fourth order for what is smooth.
+
+    Parameters
+    ----------
+    places_mm, nodes_mm
+        (x, z) on the undeformed pad, (n, 2).
+    depth_mm, node_depth_mm
+        Height of the coat there, (n,).
+    """
+    weights = np.zeros((len(places_mm), len(nodes_mm)), dtype=np.float32)
+    for start in range(0, len(places_mm), 256):
+        here = slice(start, start + 256)
+        away = (nodes_mm[None] - places_mm[here, None]) / _REACH_MM
+        kernel = np.maximum(1.0 - (away**2).sum(axis=-1), 0.0)
+        height = (node_depth_mm[None] - depth_mm[here, None]) / _REACH_MM[0]
+        x, z = away[..., 0], away[..., 1]
+        basis = np.stack([np.ones_like(x), x, z, x * x, x * z, z * z, height], axis=-1)
+        weighted = basis * kernel[..., None]
+        gram = np.swapaxes(weighted, 1, 2) @ basis
+        # a flat coat does not tell what the height does
+        gram[:, -1, -1] += _HEIGHT_PRIOR * gram[:, 0, 0]
+        first = np.zeros((len(gram), basis.shape[-1], 1))
+        first[:, 0] = 1.0
+        weights[here] = (weighted @ np.linalg.solve(gram, first))[..., 0]
+    return weights

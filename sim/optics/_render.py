@@ -209,8 +209,8 @@ def _shared_gathers(
     """Return what renders pixels that share light, each batch of it with its own batch of the walls' light."""
     from sim.optics._shared_gathers import SharedGathers  # needs the variant set
 
-    reflected = reflected_light(finger, light, received, stream_seed(seed, _REFLECTED_STREAM))
-    nodes_seed = stream_seed(seed, _NODES_STREAM)
+    reflected = reflected_light(finger, light, received, stream_seed(seed, REFLECTED_STREAM))
+    nodes_seed = stream_seed(seed, NODES_STREAM)
     return SharedGathers(finger, light, reflected, guide, nodes_seed, camera.calibration)
 
 
@@ -240,7 +240,7 @@ def _scalar_picture(
 
 # beside the streams of bake and pixels, which count from zero
 _CONTACT_STREAM = 100
-_REFLECTED_STREAM, _NODES_STREAM = 1_000_000, 1_000_001
+REFLECTED_STREAM, NODES_STREAM = 1_000_000, 1_000_001
 
 # a bent finger at rest would be shorter; meshes keep their size to rounding
 _SIZE_TOLERANCE_REL = 0.02

@@ -31,13 +31,14 @@ from scipy.spatial import cKDTree
 
 from data_schemas import CameraCalibration, SimulateError
 from sim.optics._band_paths import BandPaths, LitWalls, band_paths, by_smooth_faces
+from sim.optics._mirror_guide import CHOICES, DirectionBins, choices_of
 from sim.optics._optical_layout import camera_pose
 from sim.optics._paint_bands import BAND_NAMES
 from sim.optics._painted_walls import WALLS, WallLight, last_band
 from sim.optics._panel_light import FROM_EYE, state_after
 from sim.optics._path_rules import LARGEST_SURVIVAL, MAX_DEPTH, ROULETTE_DEPTH, LookupTable, cell_at
 from sim.optics._pixel_maps import camera_rays
-from sim.optics._position_map import PositionMap
+from sim.optics._position_map import PositionMap, regression_weights
 from sim.optics._scene import LoadedScene
 from sim.optics._wall_spline import choose_smoother
 
@@ -57,16 +58,13 @@ _RIM_MM = 0.137
 # nodes start their paths from here below the coat's surface
 _BELOW_MM = 0.3
 _BESIDE_MM = 7e-3
-# a place is served by the nodes around it, across and along the pad: the face blurs what it sends back over 12 mm
-_REACH_MM = np.array([7.0, 12.0])
-_HEIGHT_PRIOR = 1e-6
-# directions are told apart by their height over the coat, rows per unit of its cosine, and by their turn
-_ROWS, _TURNS = 16, 36
 _PACKET = 4
 # chance that paths to the panels by the mirror follow the guide
 _GUIDED = 0.8
 # places within a bin at which the coat's reflection is averaged, each way
 _WITHIN_BIN = 3
+# so near to a wall, pixels draw so many times more points
+_STEEP_MM, _STEEP_POINTS = 1.5, 4
 # of the largest light at a node: what is missed is smoothed relative to it
 _LEAST_LIGHT_REL = 1e-3
 # the coat is seen through the inner face, and once more in what that reflects to the mirror
@@ -83,16 +81,21 @@ class GatherCounts:
     Attributes
     ----------
     directions
-        Directions, of some 600, from which it weights what arrives.
+        Directions, of some 600 and mostly those that matter, from which it weights what arrives.
     points
         Points drawn on each wall, and on the panels.
     mirrored
         Paths to the panels by mirror and faces.
     """
 
-    directions: int = 288
-    points: int = 4
-    mirrored: int = 8
+    directions: int = 48
+    points: int = 8
+    mirrored: int = 12
+
+    def at_sight(self, number: int) -> "GatherCounts":
+        """Return the work where the coat is seen at first (0) or in what the face reflects, a fortieth as bright."""
+        fewer = self if number == 0 else GatherCounts(self.directions // 8, self.points // 4, self.mirrored // 8)
+        return GatherCounts(max(1, fewer.directions), max(1, fewer.points), max(1, fewer.mirrored))
 
 
 class SharedGathers:
@@ -140,6 +143,7 @@ class SharedGathers:
             if chain in light:
                 radiance[:, WALLS.index(last_band(chain)), ..., channel] += light[chain]
         pad = finger.design.pad
+        self.width = dr.opaque(mi.Float, pad.width_mm)
         self.walls = LitWalls(radiance, finger.shape, pad.thickness_mm, pad.length_mm)
         self.mirror = mi.ShapePtr(next(s for s in finger.scene.shapes() if s.id() == "mirror"))
         dr.make_opaque(self.mirror)
@@ -182,10 +186,22 @@ class SharedGathers:
         drawn, light, sent = (np.concatenate([one[k] for one in traced]) for k in range(3))
         self.bins = DirectionBins.of(drawn)
         table = np.stack([self._arriving(*one) for one in zip(drawn, light, strict=True)])
-        self.light = LookupTable(table.reshape(-1, _PACKET), mi)
-        missed = np.zeros((*sent.shape[:2], self.walls.packets * _PACKET), dtype=np.float32)
-        missed[..., : sent.shape[-1]] = self.missed_at_nodes(sent, table)
-        self.missed = LookupTable(missed.reshape(-1, _PACKET), mi)
+        reflection = self.nodes.reflection(self.bins)
+        shared = self.nodes.sent(reflection, self.band_of, table)
+        self._share(table.mean(axis=0), reflection)
+        own = np.zeros((*sent.shape[:2], self.walls.packets * _PACKET), dtype=np.float32)
+        # all batches look the mean up, which has less noise; how each differs from it is added as nodes see it
+        own[..., : sent.shape[-1]] = self.missed_at_nodes(sent, shared) + (shared - shared.mean(axis=0))
+        self.own = LookupTable(own.reshape(-1, _PACKET), mi)
+
+    def _share(self, light: Floats32, reflection: Floats32) -> None:
+        """Keep the light (place, bin * channel) that all pixels share, and which of its directions matter."""
+        self.light = LookupTable(light.reshape(-1, _PACKET), mi)
+        by_bin = np.abs(light.reshape(len(light), self.bins.count, -1)[..., : len(self.chains)])
+        of_band = [[k for k, band in enumerate(self.band_of) if band == b] for b in range(len(BAND_NAMES))]
+        lit = [by_bin[..., channels].sum(axis=-1) for channels in of_band]
+        sent = [one * reflection[b, self.nodes.nearest] for b, one in enumerate(lit)]
+        self.choices = LookupTable(choices_of(lit, sent).reshape(-1, 2), mi)
 
     def _traced(self, start: int, batches: int, rng: np.random.Generator) -> tuple[Floats32, Floats32, Floats32]:
         """Return directions of paths from the nodes, (batch, path, 3), and their light over their density.
@@ -208,8 +224,10 @@ class SharedGathers:
         found = arriving_light(self, self.finger.scene, sampler, ray, batch + first)  # type: ignore[no-untyped-call]
         found = [dr.select(density > 0.0, value / density, 0.0) for value in found]
         value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(direction))
-        sent = [dr.block_sum(value[band] * one, RAYS) / RAYS for band, one in zip(self.band_of, found, strict=True)]
-        dr.eval(direction, found, sent)
+        own = [value[band] * one for band, one in zip(self.band_of, found, strict=True)]
+        # a sum over lanes evaluates what it adds: one after the other, each channel would trace all paths again
+        dr.eval(direction, found, own)
+        sent = [dr.block_sum(one, RAYS) / RAYS for one in own]
         light, sent_light = (np.stack([np.array(one) for one in channels], axis=-1) for channels in (found, sent))
         return (
             direction.numpy().T.reshape(batches, -1, 3),
@@ -217,7 +235,7 @@ class SharedGathers:
             sent_light.reshape(batches, -1, len(found)),
         )
 
-    def missed_at_nodes(self, sent: Floats32, table: Floats32) -> Floats:
+    def missed_at_nodes(self, sent: Floats32, shared: Floats) -> Floats:
         """Return what nodes send by their own paths but not by the shared light, smooth by place.
 
         Both use the same paths, so that most of their noise cancels. Each half of the batches is smoothed as stiffly as
@@ -225,12 +243,9 @@ class SharedGathers:
 
         Parameters
         ----------
-        sent
-            By own paths, (batch, node, channel).
-        table
-            What arrives at the places, (batch, place, bin * channel).
+        sent, shared
+            By own paths and by the light at the places, (batch, node, channel).
         """
-        shared = self.nodes.sent(self.bins, self.band_of, table)
         along = self.nodes.nodes_along
         usual = shared.mean(axis=0)
         usual = np.maximum(usual, _LEAST_LIGHT_REL * usual.max(axis=0) + np.finfo(np.float32).tiny)
@@ -252,7 +267,13 @@ class SharedGathers:
         channels = np.zeros((size, self.walls.packets * _PACKET), dtype=np.float32)
         for k in range(light.shape[-1]):
             channels[:, k] = np.bincount(cell, weights=light[:, k] / RAYS, minlength=size)
-        return np.asarray(self.nodes.weights @ channels.reshape(self.nodes.count, -1))
+        by_bin = channels.reshape(self.nodes.count, self.bins.count, -1)
+        # half of the bins point out of the gel, where no path begins
+        lit = by_bin.any(axis=(0, 2))
+        arriving = np.zeros((len(self.nodes.weights), *by_bin.shape[1:]), dtype=np.float32)
+        of_places = self.nodes.weights @ by_bin[:, lit].reshape(self.nodes.count, -1)
+        arriving[:, lit] = of_places.reshape(len(arriving), -1, by_bin.shape[-1])
+        return arriving.reshape(len(arriving), -1)
 
     def drawn(self, si: Any, numbers: Sequence[Any], guided_share: float) -> tuple[Any, Any]:
         """Return directions from the coat, drawn as it reflects and, with a chance, by the guide; their density."""
@@ -313,6 +334,7 @@ class Nodes:
         self.scene, self.uv = finger.scene, uv
         depth = coat.positions_mm(places)[:, 1], points[:, 1]
         self.weights = regression_weights(places * self.sizes, uv * self.sizes, *depth)
+        self.nearest = cKDTree(uv * self.sizes).query(places * self.sizes)[1]
 
     def grid(self, step_mm: tuple[float, float]) -> Floats:
         """Return a grid over the coat (n, 2), across running first."""
@@ -338,8 +360,8 @@ class Nodes:
         si.wi = si.to_local(-mi.Vector3f(look.x, look.y, look.z))
         return si
 
-    def sent(self, bins: "DirectionBins", band_of: Sequence[int], table: Floats32) -> Floats:
-        """Return what nodes send to the camera by the light at the places, (batch, node, channel)."""
+    def reflection(self, bins: DirectionBins) -> Floats32:
+        """Return how nodes reflect light from each direction to the camera, (band, node, bin)."""
         lane: Any = dr.arange(mi.UInt32, self.count * bins.count)
         node = lane // dr.opaque(mi.UInt32, bins.count)
         si, spread = self.seen(self.scene, node), dr.opaque(mi.Float, 1.0 / _WITHIN_BIN)
@@ -348,11 +370,14 @@ class Nodes:
             for y in range(_WITHIN_BIN):
                 way = si.to_local(bins.direction(chosen, (x + 0.5) * spread, (y + 0.5) * spread))
                 value += si.bsdf().eval(mi.BSDFContext(), si, way) / _WITHIN_BIN**2
-        reflection = value.numpy().reshape(-1, self.count, bins.count)
+        return np.asarray(value.numpy().reshape(-1, self.count, bins.count))
+
+    def sent(self, reflection: Floats32, band_of: Sequence[int], table: Floats32) -> Floats:
+        """Return what nodes send to the camera by the light at the places, (batch, node, channel)."""
         between = self.between(self.uv)
         sent = np.empty((len(table), self.count, len(band_of)))
         for batch, one in enumerate(table):
-            light = one.reshape(len(one), bins.count, -1)
+            light = one.reshape(len(one), reflection.shape[-1], -1)
             for channel, band in enumerate(band_of):
                 here = between @ np.ascontiguousarray(light[..., channel])
                 sent[batch, :, channel] = np.einsum("nb,nb->n", reflection[band], here)
@@ -374,89 +399,28 @@ class Nodes:
 
     def near(self, uv: Any, chances: Sequence[Any]) -> Any:
         """Return the number of one of the four places around points, drawn by its bilinear weight."""
-        return self._one_of_four(uv, chances, self.across, self.along)
+        (i, s), (j, t) = self._cell(uv, self.across, self.along)
+        first, second = (dr.select(chances[k] < share, mi.UInt32(1), mi.UInt32(0)) for k, share in enumerate((s, t)))
+        return (j + second) * self.across + i + first
 
-    def near_node(self, uv: Any, chances: Sequence[Any]) -> Any:
-        """Return the number of one of the four nodes around points, drawn by its bilinear weight."""
-        return self._one_of_four(uv, chances, self.nodes_across, self.nodes_along)
+    def around(self, uv: Any) -> list[tuple[Any, Any]]:
+        """Return bilinear weight and number of the four nodes around points."""
+        (i, s), (j, t) = self._cell(uv, self.nodes_across, self.nodes_along)
+        return [
+            (up * right, (j + b) * self.nodes_across + i + a)
+            for b, up in ((0, 1.0 - t), (1, t))
+            for a, right in ((0, 1.0 - s), (1, s))
+        ]
 
-    def _one_of_four(self, uv: Any, chances: Sequence[Any], across: int, along: int) -> Any:
-        """Return the number of a point of a grid over the coat, drawn among the four around."""
-        picked = []
-        for place, count, size, chance in zip((uv.x, uv.y), (across, along), self.sizes.tolist(), chances, strict=True):
+    def _cell(self, uv: Any, across: int, along: int) -> list[tuple[Any, Any]]:
+        """Return number and share, across and along, of the point of a grid over the coat before points."""
+        cells = []
+        for place, count, size in zip((uv.x, uv.y), (across, along), self.sizes.tolist(), strict=True):
             rim = _RIM_MM / size
             x = dr.clip((place - rim) / (1.0 - 2.0 * rim), 0.0, 1.0) * (count - 1)
             i = cell_at(x, count - 1)
-            picked.append(i + dr.select(chance < x - mi.Float(i), mi.UInt32(1), mi.UInt32(0)))
-        return picked[1] * across + picked[0]
-
-
-@dataclass(frozen=True, slots=True)
-class DirectionBins:
-    """Bins of equal solid angle: rows of the cosine to the pad's inward axis from `lowest_cosine` to 1, and turns."""
-
-    lowest_cosine: float
-    rows: int
-
-    @classmethod
-    def of(cls, directions: Floats32) -> "DirectionBins":
-        """Return bins that hold all these directions (..., 3)."""
-        lowest = min(0.0, -float(directions[..., 1].max()))
-        rows = int(np.ceil(_ROWS * (1.0 - lowest)))
-        return cls(1.0 - rows / _ROWS, rows)
-
-    @property
-    def count(self) -> int:
-        """Number of bins."""
-        return self.rows * _TURNS
-
-    def of_directions(self, directions: Floats32) -> NDArray[np.int64]:
-        """Return the number of the bin of each direction (..., 3)."""
-        row = np.floor((-directions[..., 1] - self.lowest_cosine) * _ROWS)
-        turn = np.floor((np.arctan2(directions[..., 2], directions[..., 0]) / (2.0 * np.pi) + 0.5) * _TURNS)
-        rows, turns = np.clip(row, 0, self.rows - 1), np.clip(turn, 0, _TURNS - 1)
-        return np.asarray(rows * _TURNS + turns, dtype=np.int64)
-
-    def direction(self, number: Any, x: Any, y: Any) -> Any:
-        """Return directions in bins, at shares x and y of their rows and turns."""
-        row = number // _TURNS
-        cosine = self.lowest_cosine + (mi.Float(row) + x) / _ROWS
-        sine = dr.safe_sqrt(1.0 - cosine * cosine)
-        turn = 2.0 * dr.pi * ((mi.Float(number - row * _TURNS) + y) / _TURNS - 0.5)
-        return mi.Vector3f(sine * dr.cos(turn), -cosine, sine * dr.sin(turn))
-
-
-def regression_weights(places_mm: Floats, nodes_mm: Floats, depth_mm: Floats, node_depth_mm: Floats) -> Floats32:
-    r"""Return the weights (place, node) by which values at nodes stand for those at places: local regression.
-
-    .. math:: \min_c \sum_n k_n (y_n - c \cdot b(p_n - p))^2, \quad b = (1, x, z, x^2, x z, z^2, h), \quad w_n = c_0
-
-    with the kernel :math:`k = 1 - r^2` in the ellipse of :data:`_REACH_MM` around the place and the height h of the
-    coat. Exact for what is quadratic in place and linear in height; to fourth order for what is smooth.
-
-    Parameters
-    ----------
-    places_mm, nodes_mm
-        (x, z) on the undeformed pad, (n, 2).
-    depth_mm, node_depth_mm
-        Height of the coat there, (n,).
-    """
-    weights = np.zeros((len(places_mm), len(nodes_mm)), dtype=np.float32)
-    for start in range(0, len(places_mm), 256):
-        here = slice(start, start + 256)
-        away = (nodes_mm[None] - places_mm[here, None]) / _REACH_MM
-        kernel = np.maximum(1.0 - (away**2).sum(axis=-1), 0.0)
-        height = (node_depth_mm[None] - depth_mm[here, None]) / _REACH_MM[0]
-        x, z = away[..., 0], away[..., 1]
-        basis = np.stack([np.ones_like(x), x, z, x * x, x * z, z * z, height], axis=-1)
-        weighted = basis * kernel[..., None]
-        gram = np.swapaxes(weighted, 1, 2) @ basis
-        # a flat coat does not tell what the height does
-        gram[:, -1, -1] += _HEIGHT_PRIOR * gram[:, 0, 0]
-        first = np.zeros((len(gram), basis.shape[-1], 1))
-        first[:, 0] = 1.0
-        weights[here] = (weighted @ np.linalg.solve(gram, first))[..., 0]
-    return weights
+            cells.append((i, x - mi.Float(i)))
+        return cells
 
 
 @dr.syntax
@@ -533,50 +497,59 @@ def straight_light(gathers: SharedGathers, scene: Any, si: Any, shift: Sequence[
     return lit
 
 
-def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, active: Any) -> Any:
+def shared_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], number: Any, of: Any, active: Any) -> Any:
     """Return what light from some of the directions brings to the camera, per channel: all together at each number."""
-    bins, packets = gathers.bins, gathers.walls.packets
-    # evenly spread over the bins, from a random start
-    among = (mi.Float(number) + shift[3]) * (bins.count / gathers.counts.directions)
-    chosen = cell_at(among, bins.count)
+    bins, packets, nodes = gathers.bins, gathers.walls.packets, gathers.nodes
     x, y, u, v = (_spread(shift[k], number, step) for k, step in zip((0, 1, 2, 4), _STEPS_4, strict=True))
+    place = nodes.near(si.uv, (u, v))
+    # evenly spread over the list, from a random start
+    listed = cell_at((mi.Float(number) + shift[3]) * (CHOICES / of), CHOICES)
+    choice = gathers.choices.row(place * CHOICES + listed, active)
+    chosen = cell_at(choice.x, bins.count)
     direction = si.to_local(bins.direction(chosen, x, y))
-    value = si.bsdf().eval(mi.BSDFContext(), si, direction, active) * (bins.count / gathers.counts.directions)
-    place = gathers.batch_of_lane * (gathers.nodes.across * gathers.nodes.along) + gathers.nodes.near(si.uv, (u, v))
+    value = si.bsdf().eval(mi.BSDFContext(), si, direction, active) * (choice.y / of)
     row = (place * bins.count + chosen) * packets
     light = [gathers.light.row(row + packet, active) for packet in range(packets)]
     return [value[band] * light[k // _PACKET][k % _PACKET] for k, band in enumerate(gathers.band_of)]
 
 
-def missed_light(gathers: SharedGathers, si: Any, shift: Sequence[Any], active: Any) -> list[Any]:
-    """Return what the shared light misses of what comes to the camera, per channel."""
+def own_light(gathers: SharedGathers, si: Any, active: Any) -> list[Any]:
+    """Return what is to be added to the shared light, per channel.
+
+    That is what it misses of what comes to the camera, and how this batch of it differs from the mean.
+    """
     nodes, packets = gathers.nodes, gathers.walls.packets
-    row = (gathers.batch_of_lane * nodes.count + nodes.near_node(si.uv, (shift[2], shift[4]))) * packets
-    light = [gathers.missed.row(row + packet, active) for packet in range(packets)]
-    return [dr.select(active, light[k // _PACKET][k % _PACKET], 0.0) for k in range(len(gathers.chains))]
+    sums = [mi.Float(0) for _ in gathers.chains]
+    for weight, number in nodes.around(si.uv):
+        row = (gathers.batch_of_lane * nodes.count + number) * packets
+        light = [gathers.own.row(row + packet, active) for packet in range(packets)]
+        sums = [one + weight * light[k // _PACKET][k % _PACKET] for k, one in enumerate(sums)]
+    return [dr.select(active, one, 0.0) for one in sums]
 
 
 @dr.syntax
-def _coat_radiance(gathers, scene, sampler, si, shift, active):  # type: ignore[no-untyped-def]
+def _coat_radiance(gathers, scene, sampler, si, shift, counts, active):  # type: ignore[no-untyped-def]
     """Return the radiance of points of the coat, per channel."""
-    sums = missed_light(gathers, si, shift, active)
-    counts = gathers.counts
+    sums = own_light(gathers, si, active)
     points, mirrored, directions = (
         dr.opaque(mi.UInt32, n) for n in (counts.points, counts.mirrored, counts.directions)
     )
+    # beside a wall its light is steep
+    beside = dr.minimum(si.uv.x, 1.0 - si.uv.x) * gathers.width < _STEEP_MM
+    points *= dr.select(beside, mi.UInt32(_STEEP_POINTS), mi.UInt32(1))
     number = mi.UInt32(0)
     while active & (number < points):
         found = straight_light(gathers, scene, si, shift, number, active)
         for k in range(len(sums)):
-            sums[k] += found[k] / gathers.counts.points
+            sums[k] += found[k] / mi.Float(points)
         number += 1
     number = mi.UInt32(0)
     while active & (number < mirrored):
-        sums[2] += mirrored_light(gathers, scene, sampler, si, shift, number, active) / gathers.counts.mirrored
+        sums[2] += mirrored_light(gathers, scene, sampler, si, shift, number, active) / mi.Float(mirrored)
         number += 1
     number = mi.UInt32(0)
     while active & (number < directions):
-        found = shared_light(gathers, si, shift, number, active)
+        found = shared_light(gathers, si, shift, number, mi.Float(directions), active)
         for k in range(len(sums)):
             sums[k] += found[k]
         number += 1
@@ -588,11 +561,14 @@ def _seen_radiance(gathers: SharedGathers, scene: Any, sampler: Any, ray: Any) -
     gathers.batch_of_lane = gathers.batch
     rest, weight = ray, mi.Float(1)
     sums = [mi.Float(0) for _ in gathers.chains]
-    for _ in range(_SIGHTS):
+    for number in range(_SIGHTS):
         sight = Sight.along(gathers, scene, rest)
         glow = gathers.walls.at(sight.si, sight.on_green, gathers.batch, sight.on_wall)
         shift = [sampler.next_1d() for _ in range(8)]
-        lit = _coat_radiance(gathers, scene, sampler, sight.si, shift, sight.on_coat)  # type: ignore[no-untyped-call]
+        counts = gathers.counts.at_sight(number)
+        lit = _coat_radiance(  # type: ignore[no-untyped-call]
+            gathers, scene, sampler, sight.si, shift, counts, sight.on_coat
+        )
         for k in range(len(sums)):
             met = dr.select(sight.on_coat, lit[k], dr.select(sight.on_wall, glow[k], 0))
             sums[k] += weight * sight.through * met

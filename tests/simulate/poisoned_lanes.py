@@ -135,6 +135,7 @@ def shared_light(lanes, scene):
     aimed = list(lit.aim(scene, lanes.interaction(scene), 0, [lanes.next_1d() for _ in range(3)], everywhere))[:3]
     nodes = Nodes(LoadedScene(scene, DESIGN, SHAPE, BANDS, mi), np.full((1, 2), 0.5), np.eye(3)[1:2])
     near = nodes.near(lanes.next_2d(), [lanes.next_1d() for _ in range(2)])
+    around = nodes.around(lanes.next_2d())
     return [
         *seen,
         point,
@@ -142,6 +143,7 @@ def shared_light(lanes, scene):
         dv,
         *aimed,
         LookupTable(np.ones((9, 4)), mi).row(near),
+        sum(weight * LookupTable(np.ones((9, 4)), mi).row(number) for weight, number in around),
         nodes.seen(scene, lanes.number()).p,
     ]
 

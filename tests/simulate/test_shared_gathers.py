@@ -52,6 +52,25 @@ def test_bins_hold_the_directions_that_are_drawn_in_them(llvm, gathers):
         np.testing.assert_array_equal(bins.of_directions(drawn), numbers)
 
 
+def test_draws_from_a_list_of_directions_bring_all_light_in_the_mean(gathers):
+    """Every direction that is lit is listed, as often as its weight says; the chances of all add up to 1."""
+    rng = np.random.default_rng(0)
+    lit = rng.random((2, 5, 300)) * (rng.random((5, 300)) < 0.5)
+    sent = lit**4
+    # a place that the LED does not reach, and a dark one
+    lit[1, 3], lit[:, 4], sent[1, 3], sent[:, 4] = 0.0, 0.0, 0.0, 0.0
+    lists = gathers.choices_of(list(lit), list(sent))
+    for place in range(4):
+        bins, over_chance = lists[place].T
+        light = rng.random(300) * (lit[:, place] > 0.0).any(axis=0)
+        np.testing.assert_allclose((light[bins.astype(int)] * over_chance).mean(), light.sum(), rtol=1e-5)
+        # nearly as often as it matters: the light that is sent itself would hardly vary between draws
+        value = lit[0, place][bins.astype(int)] * over_chance
+        evenly = lit[0, place][lit[0, place] > 0.0]
+        assert value.std() / value.mean() < 1.5 * evenly.std() / evenly.mean()
+    assert (lists[4] == 0.0).all()
+
+
 @pytest.mark.parametrize(("x_mm", "z_mm"), [(-17.3, 20.0), (-12.0, 35.0), (5.0, 66.0)])
 def test_points_on_a_wall_cover_its_solid_angle(llvm, gathers, x_mm, z_mm):
     """Closed form: a corner of a rectangle a x b at a distance d covers atan(a b / (d sqrt(a^2 + b^2 + d^2)))."""
@@ -122,9 +141,9 @@ def test_a_sharing_that_is_a_fifth_too_dark_is_mended_by_what_the_nodes_send(gat
     monkeypatch.setattr(gathers, "regression_weights", lambda *places: 0.8 * right(*places))
     found = {}
 
-    def kept(self, sent, table):
-        found["sent"], found["shared"] = sent, self.nodes.sent(self.bins, self.band_of, table)
-        found["missed"] = missed(self, sent, table)
+    def kept(self, sent, shared):
+        found["sent"], found["shared"] = sent, shared
+        found["missed"] = missed(self, sent, shared)
         return found["missed"]
 
     missed = gathers.SharedGathers.missed_at_nodes
