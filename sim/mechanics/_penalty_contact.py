@@ -31,8 +31,13 @@ def coat_points(nodes_mm: FloatArray, quads: IntArray, body: Body) -> FacePoints
 
     A sharp edge comes between the points: with 2 x 2 of them a node of the coat lay 0.17 mm in a cuboid.
     """
+    return face_points(quads, 3 if least_radius_mm(body) < face_side_mm(nodes_mm, quads) else 2)
+
+
+def face_side_mm(nodes_mm: FloatArray, quads: IntArray) -> float:
+    """Return the median side of faces (k, 4)."""
     sides_mm = np.linalg.norm(nodes_mm[quads] - nodes_mm[np.roll(quads, -1, axis=1)], axis=2)
-    return face_points(quads, 3 if least_radius_mm(body) < float(np.median(sides_mm)) else 2)
+    return float(np.median(sides_mm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +155,12 @@ class PenaltyContact:
         """Return the contact pressure (referred to the area at rest) at each face's points, shape (k, q)."""
         return self._eps * np.maximum(-self.gaps_mm(u), 0.0)
 
+    def sunk_mm(self, u: FloatArray) -> float:
+        """Return how deep the deepest corner of the faces lies in the body; below 0 where none does."""
+        nodes = np.unique(self.quads)
+        distance, _, _ = self.pose.distances(self.body, (self._rest + u)[nodes] - self._offset(u))
+        return -float(distance.min())
+
     def points_mm(self, u: FloatArray) -> FloatArray:
         """Return the places of each face's points, shape (k, q, 3)."""
         return np.asarray(np.einsum("kqa,kai->kqi", self._shapes, (self._rest + u)[self.quads]))
@@ -216,6 +227,11 @@ def penalty_mpa_per_mm(design: FingerDesign, step_mm: float) -> float:
     return _CONTACT_MODULI_PER_STEP * material_of(design.mechanics.gel, "mechanics.gel").shear_modulus_mpa / step_mm
 
 
+MOST_SUNK_SHARE = 0.1
+"""Of a face's side, what a node of the coat may lie in the indenter; the penalty itself sinks in by 0.1 of it where the
+pressure is 10 shear moduli."""
+
+
 class PenaltyTouch:
     """What the penalty does at an equilibrium: a :class:`~sim.mechanics._press.Touch`.
 
@@ -237,6 +253,16 @@ class PenaltyTouch:
     def note(self) -> str:
         """How the surfaces touch."""
         return f"contact by penalty: frictionless; the indenter's distance is exact{NOT_OF_RIBS}"
+
+    def caveat(self, u: FloatArray) -> str:
+        """Return in words that the indenter lies in the coat between the points where contact acts, or nothing."""
+        sunk, side = self._contact.sunk_mm(u), face_side_mm(self.mesh.nodes_mm, self.mesh.surfaces["coat"])
+        if sunk <= MOST_SUNK_SHARE * side:
+            return ""
+        return (
+            f"; a node of the coat lies {sunk:.2f} mm in the indenter, of which {MOST_SUNK_SHARE * side:.2f} mm is "
+            f"allowed: its edges are too sharp for elements of {side:.1f} mm. Press on a finer mesh"
+        )
 
     def force_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the indenter (3,)."""

@@ -46,6 +46,10 @@ class Touch(Protocol):
         """How surfaces touch, in words."""
         ...
 
+    def caveat(self, u: FloatArray) -> str:
+        """Return what a user must know of the contact at an equilibrium, in words, or nothing."""
+        ...
+
     def force_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the indenter (3,)."""
         ...
@@ -299,7 +303,8 @@ class PressHistory:
             pressure_mpa=self._touch.pressures_mpa(last.u_mm),
             touch_mm=self._touch.touch_mm(),
             unreached=unreached,
-            contact=note if self._parts is None else self._parts.note(note, last.u_mm, self.parts_touch_from_mm),
+            contact=(note if self._parts is None else self._parts.note(note, last.u_mm, self.parts_touch_from_mm))
+            + self._touch.caveat(last.u_mm),
             contact_energy_n_mm=self._after("contact_energy_n_mm", rows[:, 2]),
             friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
             kind=self._touch.kind,

@@ -1,5 +1,7 @@
 """Penalty contact: exact distances, derivatives, balance of forces, bodies driven by supports and by loads."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -9,7 +11,7 @@ from data_schemas import SimulateError
 from sim.mechanics import Cylinder, PenaltyContact, Pose, RoundedBox, Sphere, face_points, quad_shapes
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._newton import Supports
-from sim.mechanics._penalty_contact import coat_points
+from sim.mechanics._penalty_contact import PenaltyTouch, coat_points
 from tests.certified.blocks import GridBlock, assemble, press
 
 GEL = neo_hooke(0.1333)
@@ -137,6 +139,25 @@ def test_a_sharp_body_is_met_at_more_points():
         for body in (Sphere(3.0), Sphere(1.0), Cylinder(2.5), Cylinder(9.0, 4.0, 1.0), RoundedBox((5.0, 5.0, 5.0), 1.9))
     }
     assert list(counts.values()) == [4, 9, 4, 9, 9]
+
+
+@pytest.mark.parametrize(("depth_mm", "caveat"), [(0.4, "a node of the coat lies 0.23 mm in the indenter"), (0.3, "")])
+def test_a_corner_between_the_points_is_told(depth_mm, caveat):
+    """A cube on its corner at a node misses the 2 x 2 points of faces of 2 mm; the nearest of its sides is told."""
+    cells = GridBlock(np.linspace(0, 4, 3), [0.0, 1.0], np.linspace(0, 4, 3))
+    quads, diagonal = cells.top_quads(), np.ones(3) / np.sqrt(3.0)
+    on_corner = Rotation.align_vectors([[0.0, -1.0, 0.0]], [diagonal])[0].as_matrix()
+    cube, high_mm = RoundedBox((5.0, 5.0, 5.0), 1e-6), 5.0 * np.sqrt(3.0)
+    pose = Pose((2.0, 1.0 + high_mm - depth_mm, 2.0), on_corner)
+    contact = PenaltyContact(cells.nodes_mm, quads, cube, pose, 5.0, points=face_points(quads))
+    u = np.zeros_like(cells.nodes_mm)
+    assert (contact.gaps_mm(u) > 0.0).all()
+    assert contact.sunk_mm(u) == pytest.approx(depth_mm / np.sqrt(3.0), abs=1e-5)
+    mesh = replace(cells.mesh("mean_dilatation"), surfaces={"coat": quads})
+    told = PenaltyTouch(mesh, contact).caveat(u)
+    assert told.startswith(f"; {caveat}, of which 0.20 mm is allowed") if caveat else told == ""
+    finer = PenaltyContact(cells.nodes_mm, quads, cube, pose, 5.0, points=face_points(quads, 3))
+    assert (finer.gaps_mm(u) < 0.0).any() == bool(caveat)
 
 
 class Weight:
