@@ -222,11 +222,10 @@ class CondensedFinger:
                 "cuboid, or press by finite elements"
             )
         pose = indenter.pose(depth_mm)
-        whole = PenaltyContact(self._rest, self._quads, indenter.body, pose, self._eps, points=self._points)
+        whole = PenaltyContact(self._rest, self._points, indenter.body, pose, self._eps)
         near = np.flatnonzero(whole.gaps_mm(np.zeros_like(self._rest)).min(axis=1) < _NEAR_MM)
         while True:
-            points = self._points.of(near)
-            contact = PenaltyContact(self._rest, self._quads[near], indenter.body, pose, self._eps, points=points)
+            contact = PenaltyContact(self._rest, self._points.of(near), indenter.body, pose, self._eps)
             search = _Balance(self.condensed.compliance_mm_per_n, contact, len(self.coat))
             search.begin(indenter.pose(_FIRST_SHARE * depth_mm))
             rounds = search.solve()

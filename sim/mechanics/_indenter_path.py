@@ -184,9 +184,8 @@ class MovedIndenter(SlidingTouch):
         self.indenter = indenter
         self._pad_mm = STEPS[settings.preset or design.mesh.preset].pad_mm
         eps = penalty_mpa_per_mm(design, self._pad_mm)
-        coat, ratio = mesh.surfaces["coat"], design.indenter.friction
-        points = coat_points(mesh.nodes_mm, coat, body)
-        contact = SlidingContact(mesh.nodes_mm, coat, body, indenter.touching, eps, ratio, points)
+        points, ratio = coat_points(mesh.nodes_mm, mesh.surfaces["coat"], body), design.indenter.friction
+        contact = SlidingContact(mesh.nodes_mm, points, body, indenter.touching, eps, ratio)
         super().__init__(mesh, contact)
         self._rows: list[tuple[FloatArray, ...]] = []
 

@@ -378,10 +378,10 @@ class _DrivenIndenter(PenaltyTouch):
         self._node = len(finger.nodes_mm)
         mesh = replace(finger, nodes_mm=np.concatenate([finger.nodes_mm, [indenter.touching.position_mm]]))
         self._step_mm = STEPS[preset or design.mesh.preset].pad_mm
+        points = coat_points(mesh.nodes_mm, mesh.surfaces["coat"], indenter.body)
         contact = PenaltyContact(
-            mesh.nodes_mm, mesh.surfaces["coat"], indenter.body, indenter.pose(_TOUCH_MM),
+            mesh.nodes_mm, points, indenter.body, indenter.pose(_TOUCH_MM),
             penalty_mpa_per_mm(design, self._step_mm), reference_node=self._node, curvature=False,
-            points=coat_points(mesh.nodes_mm, mesh.surfaces["coat"], indenter.body),
         )  # fmt: skip
         super().__init__(mesh, contact)
         self._force = DeadForce(np.array([self._node]))

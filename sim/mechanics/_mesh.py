@@ -241,18 +241,21 @@ class FacePoints:
 
     Attributes
     ----------
+    quads
+        Nodes of the faces, (k, 4), outward.
     places
         In the faces' own coordinates from -1 to 1, (k, q, 2).
     shares
         Of a face's area that the points stand for, (k, q); they sum to 1.
     """
 
+    quads: NDArray[np.int64]
     places: NDArray[np.float64]
     shares: NDArray[np.float64]
 
     def of(self, faces: NDArray[np.int64]) -> "FacePoints":
         """Return the points of some of the faces."""
-        return FacePoints(self.places[faces], self.shares[faces])
+        return FacePoints(self.quads[faces], self.places[faces], self.shares[faces])
 
 
 # points and weights of Radau's rules from the side at -1, and of those with both ends
@@ -302,7 +305,7 @@ def face_points(quads: NDArray[np.int64], per_side: int = 2, to_border: bool = T
         rows = (at_border == ends).all(axis=1)
         places[rows] = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
         shares[rows] = np.outer(share_y, share_x).ravel() / 4.0
-    return FacePoints(places, shares)
+    return FacePoints(quads, places, shares)
 
 
 class OwnSurfaces:

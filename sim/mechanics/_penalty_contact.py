@@ -72,8 +72,8 @@ class PenaltyContact:
     ----------
     nodes_mm
         Nodes at rest (n, 3).
-    quads
-        Faces (k, 4) that may touch, outward.
+    faces
+        Those (k, 4) that may touch, outward, and where: by default at 2 x 2 Gauss points of each.
     body, pose
         The rigid body.
     stiffness_mpa_per_mm
@@ -84,34 +84,31 @@ class PenaltyContact:
     curvature
         False leaves eps g H out of the second derivative: at a jump of the body g is the whole step, and the term's
         negative stiffness sends points sideways; at equilibrium g is a micrometre and the term worth nothing.
-    points
-        Where on the faces it acts; by default at 2 x 2 Gauss points.
     """
 
     def __init__(
         self,
         nodes_mm: FloatArray,
-        quads: IntArray,
+        faces: IntArray | FacePoints,
         body: Body,
         pose: Pose,
         stiffness_mpa_per_mm: float,
         reference_node: int | None = None,
         curvature: bool = True,
-        points: FacePoints | None = None,
     ) -> None:
         if not 0.0 < stiffness_mpa_per_mm < math.inf:
             raise SimulateError(f"a contact's stiffness must be above 0 MPa/mm, got {stiffness_mpa_per_mm:g}")
         self.body, self.pose = body, pose
-        self.quads = quads
         self._rest = nodes_mm
         self._eps = stiffness_mpa_per_mm
         self.curvature = curvature
         self._reference = reference_node
-        self._points_at = face_points(quads, to_border=False) if points is None else points
-        self._shapes, slopes = quad_shapes(self._points_at.places)
+        points = faces if isinstance(faces, FacePoints) else face_points(faces, to_border=False)
+        self.quads = quads = points.quads
+        self._shapes, slopes = quad_shapes(points.places)
         tangents = np.einsum("kai,kqaj->kqij", nodes_mm[quads], slopes)
         normal = np.cross(tangents[..., 0], tangents[..., 1])
-        self._areas = np.linalg.norm(normal, axis=-1) * 4.0 * self._points_at.shares
+        self._areas = np.linalg.norm(normal, axis=-1) * 4.0 * points.shares
 
     def place(self, pose: Pose) -> None:
         """Put the body somewhere else."""
@@ -302,9 +299,8 @@ class PenaltyPress(PenaltyTouch):
 
     def __init__(self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float) -> None:
         body, pose = indenter.exact_body(), indenter.touching
-        coat = mesh.surfaces["coat"]
-        points = coat_points(mesh.nodes_mm, coat, body)
-        contact = PenaltyContact(mesh.nodes_mm, coat, body, pose, stiffness_mpa_per_mm, curvature=False, points=points)
+        points = coat_points(mesh.nodes_mm, mesh.surfaces["coat"], body)
+        contact = PenaltyContact(mesh.nodes_mm, points, body, pose, stiffness_mpa_per_mm, curvature=False)
         super().__init__(mesh, contact)
         self._indenter = indenter
         self.terms: tuple[Term, ...] = (contact,)
@@ -363,12 +359,10 @@ class SlidingContact(PenaltyContact):
 
     Parameters
     ----------
-    nodes_mm, quads, body, pose, stiffness_mpa_per_mm
+    nodes_mm, faces, body, pose, stiffness_mpa_per_mm
         See :class:`~sim.mechanics.PenaltyContact`.
     friction_ratio
         Coulomb's coefficient mu.
-    points
-        Where on the faces it acts; by default at 2 x 2 Gauss points.
 
     Raises
     ------
@@ -379,14 +373,13 @@ class SlidingContact(PenaltyContact):
     def __init__(
         self,
         nodes_mm: FloatArray,
-        quads: NDArray[np.int64],
+        faces: IntArray | FacePoints,
         body: Body,
         pose: Pose,
         stiffness_mpa_per_mm: float,
         friction_ratio: float,
-        points: FacePoints | None = None,
     ) -> None:
-        super().__init__(nodes_mm, quads, body, pose, stiffness_mpa_per_mm, curvature=False, points=points)
+        super().__init__(nodes_mm, faces, body, pose, stiffness_mpa_per_mm, curvature=False)
         if not 0.0 <= friction_ratio < np.inf:
             raise SimulateError(f"friction = {friction_ratio:g}: Coulomb's coefficient must be finite and not negative")
         self.friction_ratio = friction_ratio
@@ -633,16 +626,8 @@ class SlidingPress(SlidingTouch):
         self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float, friction_ratio: float
     ) -> None:
         body, pose = indenter.exact_body(), indenter.touching
-        coat = mesh.surfaces["coat"]
-        contact = SlidingContact(
-            mesh.nodes_mm,
-            coat,
-            body,
-            pose,
-            stiffness_mpa_per_mm,
-            friction_ratio,
-            coat_points(mesh.nodes_mm, coat, body),
-        )
+        points = coat_points(mesh.nodes_mm, mesh.surfaces["coat"], body)
+        contact = SlidingContact(mesh.nodes_mm, points, body, pose, stiffness_mpa_per_mm, friction_ratio)
         super().__init__(mesh, contact)
         self._indenter = indenter
         self.terms: tuple[Term, ...] = (contact,)

@@ -110,7 +110,7 @@ def test_an_even_pressure_has_the_nodal_forces_of_its_exact_integral(per_side, t
     quads, depth, eps = cells.top_quads(), 0.01, 5.0
     points = face_points(quads, per_side, to_border)
     punch = RoundedBox((10.0, 1.0, 10.0), 0.5)
-    contact = PenaltyContact(cells.nodes_mm, quads, punch, Pose((2.0, 2.0 - depth, 1.0)), eps, points=points)
+    contact = PenaltyContact(cells.nodes_mm, points, punch, Pose((2.0, 2.0 - depth, 1.0)), eps)
     corners = cells.nodes_mm[quads]
     areas = np.ptp(corners[..., 0], axis=1) * np.ptp(corners[..., 2], axis=1)
     exact = np.zeros(len(cells.nodes_mm))
@@ -149,14 +149,14 @@ def test_a_corner_between_the_points_is_told(depth_mm, caveat):
     on_corner = Rotation.align_vectors([[0.0, -1.0, 0.0]], [diagonal])[0].as_matrix()
     cube, high_mm = RoundedBox((5.0, 5.0, 5.0), 1e-6), 5.0 * np.sqrt(3.0)
     pose = Pose((2.0, 1.0 + high_mm - depth_mm, 2.0), on_corner)
-    contact = PenaltyContact(cells.nodes_mm, quads, cube, pose, 5.0, points=face_points(quads))
+    contact = PenaltyContact(cells.nodes_mm, face_points(quads), cube, pose, 5.0)
     u = np.zeros_like(cells.nodes_mm)
     assert (contact.gaps_mm(u) > 0.0).all()
     assert contact.sunk_mm(u) == pytest.approx(depth_mm / np.sqrt(3.0), abs=1e-5)
     mesh = replace(cells.mesh("mean_dilatation"), surfaces={"coat": quads})
     told = PenaltyTouch(mesh, contact).caveat(u)
     assert told.startswith(f"; {caveat}, of which 0.20 mm is allowed") if caveat else told == ""
-    finer = PenaltyContact(cells.nodes_mm, quads, cube, pose, 5.0, points=face_points(quads, 3))
+    finer = PenaltyContact(cells.nodes_mm, face_points(quads, 3), cube, pose, 5.0)
     assert (finer.gaps_mm(u) < 0.0).any() == bool(caveat)
 
 

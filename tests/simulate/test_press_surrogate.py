@@ -144,7 +144,7 @@ def test_contact_and_condensed_finger_are_in_balance(
     assert indenter.body is not None
     penalty = penalty_mpa_per_mm(design, STEPS["coarse"].pad_mm)
     nodes, points = finger.mesh.nodes_mm[finger.coat], face_points(quads)
-    own = PenaltyContact(nodes, quads, indenter.body, indenter.pose(2.0), penalty, points=points)
+    own = PenaltyContact(nodes, points, indenter.body, indenter.pose(2.0), penalty)
     off = own.gradient(contact.coat_mm) + contact.coat_forces_n
     # to which the search goes, and as much again for the single precision of the compliance
     assert np.linalg.norm(off) < 1e-3 * np.linalg.norm(contact.coat_forces_n)
