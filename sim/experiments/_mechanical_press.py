@@ -27,12 +27,12 @@ from sim.mechanics import (
     PressedFinger,
     chord_shortfall_rel,
     chosen_contact,
-    coat_areas_mm2,
     contact_distance,
     contact_forces_n,
     finger_mesh,
     frictionless_torque_n_mm,
     slip_torque_n_mm,
+    touch_areas_mm2,
 )
 from sim.surface_meshes import coat_nodes, shape_from_mesh, store_shapes
 
@@ -292,9 +292,7 @@ def _what_was_done(pressed: PressedFinger) -> str:
 def _motion(design: FingerDesign, pressed: PressedFinger, motion: ContactMotion) -> PressMotion:
     """Return the path and its contact, of the points that touch at one increment at least."""
     touched = motion.pressure_mpa.max(axis=0) > 0.0
-    count = touched.shape[1]
-    # a face's points share its area evenly, to the distortion of a face
-    areas = np.repeat(coat_areas_mm2(pressed.mesh)[:, None] / count, count, axis=1)[touched]
+    areas = touch_areas_mm2(pressed)[touched]  # to the distortion of a face
     pressure, slip = motion.pressure_mpa[:, touched], motion.slip_mm[:, touched]
     touches = pressure > 0.0
     return PressMotion(

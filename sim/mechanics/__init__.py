@@ -66,14 +66,12 @@ if TYPE_CHECKING:
         PackagedMaterial,
         check_material_law,
     )
-    from sim.mechanics._mesh import Block, FingerMesh
+    from sim.mechanics._mesh import QUAD_CORNERS, Block, FingerMesh, face_points, quad_shapes
     from sim.mechanics._penalty_contact import (
-        QUAD_CORNERS,
         ContactMotion,
         PenaltyContact,
         SlidingContact,
         penalty_mpa_per_mm,
-        quad_shapes,
     )
     from sim.mechanics._press import (
         ContactChoice,
@@ -81,10 +79,10 @@ if TYPE_CHECKING:
         PressSettings,
         check_no_path,
         chosen_contact,
-        coat_areas_mm2,
         contact_distance,
         contact_pressure_mpa,
         press_finger,
+        touch_areas_mm2,
     )
     from sim.mechanics._printed_parts import Part, mould_sizes, mould_solid, mould_stl, part_solid, part_stl
     from sim.mechanics._rigid_bodies import Body, Cylinder, Pose, RoundedBox, Sphere, body_mesh, read_triangles
@@ -140,13 +138,13 @@ __all__ = [
     "check_no_path",
     "chord_shortfall_rel",
     "chosen_contact",
-    "coat_areas_mm2",
     "coat_of",
     "compress_block",
     "condense_finger",
     "contact_distance",
     "contact_forces_n",
     "contact_pressure_mpa",
+    "face_points",
     "facing_design",
     "finger_materials",
     "finger_mesh",
@@ -175,4 +173,5 @@ __all__ = [
     "skeleton_layout",
     "skeleton_mesh",
     "slip_torque_n_mm",
+    "touch_areas_mm2",
 ]

@@ -96,8 +96,9 @@ class UpperBlocks:
 
     def times(self, vector: FloatArray) -> FloatArray:
         """Return the whole symmetric matrix times a vector (3 n,)."""
-        upper = self.upper()
-        return np.asarray(upper @ vector + upper.T @ vector - upper.diagonal() * vector)
+        out = np.zeros_like(vector)
+        _add_product(self.indptr, self.indices, self.values, np.ascontiguousarray(vector), out)
+        return out
 
     def constrain(self, fixed: NDArray[np.bool_]) -> None:
         """Replace rows and columns of fixed unknowns (3 n,) by those of the unit matrix, in place."""
@@ -180,6 +181,20 @@ def _add_entries(
         elif write:
             values[low] += value[e]
     return missing
+
+
+@compiled
+def _add_product(
+    indptr: IntArray, indices: NDArray[np.int32], values: FloatArray, vector: FloatArray, out: FloatArray
+) -> None:
+    """Add a symmetric matrix, given by rows of its upper triangle that begin with the diagonal, times a vector."""
+    for r in range(len(vector)):
+        begin, own = indptr[r], vector[r]
+        total = values[begin] * own
+        for p in range(begin + 1, indptr[r + 1]):
+            total += values[p] * vector[indices[p]]
+            out[indices[p]] += values[p] * own
+        out[r] += total
 
 
 @compiled

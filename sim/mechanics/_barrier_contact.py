@@ -414,6 +414,10 @@ class BarrierPress(DrivenContact):
         """Return the energy of the barrier alone, without friction and the drive of the indenter."""
         return self.contact.barrier_energy(u)
 
+    def caveat(self, u: FloatArray) -> str:
+        """Return nothing: a barrier keeps surfaces apart."""
+        return ""
+
     def friction_work_n_mm(self, u: FloatArray) -> float:
         """Return the work lost to friction in the increment that ended at `u`."""
         return self.contact.friction_work_n_mm(u)

@@ -18,14 +18,12 @@ from sim.mechanics._assembly import Assembly, Elasticity
 from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_mesh, finger_ties
 from sim.mechanics._indenters import RigidIndenter
 from sim.mechanics._linear_solver import linear_solver
-from sim.mechanics._mesh import FingerMesh
+from sim.mechanics._mesh import FingerMesh, face_points, quad_shapes
 from sim.mechanics._newton import Supports
 from sim.mechanics._penalty_contact import (
-    GAUSS_POINTS,
     PenaltyContact,
     TouchedPoints,
     penalty_mpa_per_mm,
-    quad_shapes,
 )
 from sim.mechanics._rigid_bodies import Pose
 
@@ -194,8 +192,9 @@ class CondensedFinger:
         self._quads = np.searchsorted(self.coat, self.mesh.surfaces["coat"])
         self._rest = self.mesh.nodes_mm[self.coat]
         self._eps = penalty_mpa_per_mm(design, STEPS[preset].pad_mm)
-        corners, (shapes, _) = self._rest[self._quads], quad_shapes(GAUSS_POINTS)
-        self.touch_mm: FloatArray = np.asarray(np.einsum("qa,kai->kqi", shapes, corners))
+        self._points = face_points(self._quads)
+        corners, (shapes, _) = self._rest[self._quads], quad_shapes(self._points.places)
+        self.touch_mm: FloatArray = np.asarray(np.einsum("kqa,kai->kqi", shapes, corners))
 
     def press(self, indenter: RigidIndenter, depth_mm: float) -> CondensedContact:
         r"""Return the contact with an indenter at a push, by Newton's method on the forces of the coat.
@@ -223,10 +222,10 @@ class CondensedFinger:
                 "cuboid, or press by finite elements"
             )
         pose = indenter.pose(depth_mm)
-        whole = PenaltyContact(self._rest, self._quads, indenter.body, pose, self._eps)
+        whole = PenaltyContact(self._rest, self._points, indenter.body, pose, self._eps)
         near = np.flatnonzero(whole.gaps_mm(np.zeros_like(self._rest)).min(axis=1) < _NEAR_MM)
         while True:
-            contact = PenaltyContact(self._rest, self._quads[near], indenter.body, pose, self._eps)
+            contact = PenaltyContact(self._rest, self._points.of(near), indenter.body, pose, self._eps)
             search = _Balance(self.condensed.compliance_mm_per_n, contact, len(self.coat))
             search.begin(indenter.pose(_FIRST_SHARE * depth_mm))
             rounds = search.solve()

@@ -14,8 +14,17 @@ from numpy.typing import NDArray
 from data_schemas import FingerDesign, Preset, SimulateError
 from sim.mechanics._indenters import touch_radius_mm
 from sim.mechanics._materials import Material, material_of
-from sim.mechanics._mesh import Block, CornerGrading, FingerMesh, Tie, divided, hexahedra_on_grid, quads_of_layer
-from sim.mechanics._penalty_contact import node_blocks, quad_shapes
+from sim.mechanics._mesh import (
+    Block,
+    CornerGrading,
+    FingerMesh,
+    Tie,
+    divided,
+    hexahedra_on_grid,
+    quad_shapes,
+    quads_of_layer,
+)
+from sim.mechanics._penalty_contact import node_blocks
 from sim.mechanics._skeleton import BOND_MM, skeleton_mesh
 from sim.surface_meshes import rest_height_mm
 

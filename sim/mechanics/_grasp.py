@@ -31,7 +31,7 @@ from sim.mechanics._indenter_path import MovedIndenter, moved_pose
 from sim.mechanics._indenters import PackagedBody, RigidIndenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._newton import Equilibrium, NewtonOptions
-from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, coat_areas_mm2
+from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, touch_areas_mm2
 
 FloatArray = NDArray[np.float64]
 
@@ -581,7 +581,7 @@ def contact_forces_n(pressed: PressedFinger) -> tuple[FloatArray, FloatArray]:
     The pressures times their areas, made to add up to the size of the force on the indenter; places at rest: the
     patch's own stretch, a few per cent, is left out.
     """
-    pushes = pressed.pressure_mpa * coat_areas_mm2(pressed.mesh)[:, None]
+    pushes = pressed.pressure_mpa * touch_areas_mm2(pressed)
     touching = pushes > 0.0
     whole = float(pushes.sum())
     if whole <= 0.0:

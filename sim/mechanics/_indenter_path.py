@@ -18,7 +18,13 @@ from sim.mechanics._increments import Extrapolation, Load, Watch, load_increment
 from sim.mechanics._indenters import RigidIndenter, rigid_indenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._newton import NewtonOptions, Supports
-from sim.mechanics._penalty_contact import ContactMotion, SlidingContact, SlidingTouch, penalty_mpa_per_mm
+from sim.mechanics._penalty_contact import (
+    ContactMotion,
+    SlidingContact,
+    SlidingTouch,
+    coat_points,
+    penalty_mpa_per_mm,
+)
 from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, press_finger
 from sim.mechanics._rigid_bodies import Pose
 
@@ -178,9 +184,8 @@ class MovedIndenter(SlidingTouch):
         self.indenter = indenter
         self._pad_mm = STEPS[settings.preset or design.mesh.preset].pad_mm
         eps = penalty_mpa_per_mm(design, self._pad_mm)
-        contact = SlidingContact(
-            mesh.nodes_mm, mesh.surfaces["coat"], body, indenter.touching, eps, design.indenter.friction
-        )
+        points, ratio = coat_points(mesh.nodes_mm, mesh.surfaces["coat"], body), design.indenter.friction
+        contact = SlidingContact(mesh.nodes_mm, points, body, indenter.touching, eps, ratio)
         super().__init__(mesh, contact)
         self._rows: list[tuple[FloatArray, ...]] = []
 

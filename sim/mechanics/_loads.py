@@ -24,7 +24,7 @@ from sim.mechanics._linear_solver import SymmetricSolver, linear_solver
 from sim.mechanics._materials import Ogden
 from sim.mechanics._mesh import Block, FingerMesh, graded, hexahedra_on_grid
 from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports, find_equilibrium
-from sim.mechanics._penalty_contact import PenaltyContact, PenaltyTouch, penalty_mpa_per_mm
+from sim.mechanics._penalty_contact import PenaltyContact, PenaltyTouch, coat_points, penalty_mpa_per_mm
 from sim.mechanics._press import PressedFinger, PressHistory, PressSettings, check_no_path
 
 FloatArray = NDArray[np.float64]
@@ -378,8 +378,9 @@ class _DrivenIndenter(PenaltyTouch):
         self._node = len(finger.nodes_mm)
         mesh = replace(finger, nodes_mm=np.concatenate([finger.nodes_mm, [indenter.touching.position_mm]]))
         self._step_mm = STEPS[preset or design.mesh.preset].pad_mm
+        points = coat_points(mesh.nodes_mm, mesh.surfaces["coat"], indenter.body)
         contact = PenaltyContact(
-            mesh.nodes_mm, mesh.surfaces["coat"], indenter.body, indenter.pose(_TOUCH_MM),
+            mesh.nodes_mm, points, indenter.body, indenter.pose(_TOUCH_MM),
             penalty_mpa_per_mm(design, self._step_mm), reference_node=self._node, curvature=False,
         )  # fmt: skip
         super().__init__(mesh, contact)

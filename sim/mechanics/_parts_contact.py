@@ -77,7 +77,8 @@ class PartsContact:
         self._design, self._mesh, self._assembly, self._threads = design, mesh, assembly, threads
         self.surfaces = OwnSurfaces(mesh)
         self._clean_mm = begin_mm
-        self._watched, self._acts = not acts, acts
+        self._watched, self._acts, self._left_out = not acts, acts, ""
+        self._continued = ""
         self._contact: BarrierContact | None = None
         if acts:
             self._contact = self._of_parts()
@@ -91,6 +92,10 @@ class PartsContact:
         SimulateError
             When surfaces of the finger pass through each other there, after a push of `pushed_mm`.
         """
+        self._continued = (
+            ", from which it was continued, and its record does not say that contact between them acted: of a version "
+            "before 7 none does. Press from the start where it may have"
+        )
         if found := self.surfaces.crossing(self._clean_mm):
             raise SimulateError(
                 f"at the increment to continue from, a push of {pushed_mm:.4g} mm, {found}, which is not physical; "
@@ -110,6 +115,10 @@ class PartsContact:
             self._contact = self._of_parts()
             if self._contact.energy(self._clean_mm) > 0.0:  # the increments before are no equilibria of it
                 self._watched = False
+                self._left_out = (
+                    f"; parts of the finger were within {self._contact.barrier.reach_mm:g} mm of each other already at "
+                    f"the increment before a push of {pushed_mm:.4g} mm{self._continued}"
+                )
                 return ""
         if self._contact.energy(state.u_mm) == 0.0 and not self.surfaces.crossing(state.u_mm):
             return ""
@@ -135,7 +144,7 @@ class PartsContact:
         `from_mm` is the push at the first increment where they touched, if any.
         """
         if self._contact is None or from_mm is None:
-            return of_penalty
+            return of_penalty + self._left_out
         reach, pairs = self._contact.barrier.reach_mm, self._contact.pairs_of_parts(u)
         return (
             f"{of_penalty.removesuffix(NOT_OF_RIBS)}; parts of the finger keep apart by a barrier, within {reach:g} mm "

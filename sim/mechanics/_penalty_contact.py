@@ -16,24 +16,28 @@ from data_schemas import ContactKind, FingerDesign, SimulateError
 from sim.mechanics._assembly import State, Term
 from sim.mechanics._indenters import RigidIndenter
 from sim.mechanics._materials import material_of
-from sim.mechanics._mesh import FingerMesh
+from sim.mechanics._mesh import FacePoints, FingerMesh, face_points, quad_shapes
 from sim.mechanics._newton import Supports
-from sim.mechanics._rigid_bodies import Body, Pose
+from sim.mechanics._rigid_bodies import Body, Pose, least_radius_mm
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 NOT_OF_RIBS = "; contact between ribs is not computed"
-_POINTS_PER_EDGE = 2  # Gauss points along each side of a face
-_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(_POINTS_PER_EDGE)
-GAUSS_POINTS = np.stack(np.meshgrid(_PLACES, _PLACES), -1).reshape(-1, 2)
-QUAD_CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
-def quad_shapes(local: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the bilinear shape functions at points (..., 2), shape (..., 4), and their gradients (..., 4, 2)."""
-    x, y = 1.0 + QUAD_CORNERS[:, 0] * local[..., None, 0], 1.0 + QUAD_CORNERS[:, 1] * local[..., None, 1]
-    return x * y / 4.0, np.stack([QUAD_CORNERS[:, 0] * y, QUAD_CORNERS[:, 1] * x], -1) / 4.0
+def coat_points(nodes_mm: FloatArray, quads: IntArray, body: Body) -> FacePoints:
+    """Return the points at which a coat's faces (k, 4) meet a body: 2 x 2, or 3 x 3 of one sharper than the faces.
+
+    A sharp edge comes between the points: with 2 x 2 of them a node of the coat lay 0.17 mm in a cuboid.
+    """
+    return face_points(quads, 3 if least_radius_mm(body) < face_side_mm(nodes_mm, quads) else 2)
+
+
+def face_side_mm(nodes_mm: FloatArray, quads: IntArray) -> float:
+    """Return the median side of faces (k, 4)."""
+    sides_mm = np.linalg.norm(nodes_mm[quads] - nodes_mm[np.roll(quads, -1, axis=1)], axis=2)
+    return float(np.median(sides_mm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +62,7 @@ class TouchedPoints:
 
 
 class PenaltyContact:
-    """A :class:`~sim.mechanics._assembly.Term`: Pi = eps/2 sum_q A_q min(g_q, 0)^2 over Gauss points of the faces.
+    """A :class:`~sim.mechanics._assembly.Term`: Pi = eps/2 sum_q A_q min(g_q, 0)^2 over points of the faces.
 
     g is the signed distance of the deformed face's point and A its area at rest, so that contact is sampled inside
     the faces too: nodes alone would let the faces between them cut into a round body by h^2 / 8 R. The body sinks in
@@ -68,8 +72,8 @@ class PenaltyContact:
     ----------
     nodes_mm
         Nodes at rest (n, 3).
-    quads
-        Faces (k, 4) that may touch, outward.
+    faces
+        Those (k, 4) that may touch, outward, and where: by default at 2 x 2 Gauss points of each.
     body, pose
         The rigid body.
     stiffness_mpa_per_mm
@@ -85,7 +89,7 @@ class PenaltyContact:
     def __init__(
         self,
         nodes_mm: FloatArray,
-        quads: IntArray,
+        faces: IntArray | FacePoints,
         body: Body,
         pose: Pose,
         stiffness_mpa_per_mm: float,
@@ -95,15 +99,16 @@ class PenaltyContact:
         if not 0.0 < stiffness_mpa_per_mm < math.inf:
             raise SimulateError(f"a contact's stiffness must be above 0 MPa/mm, got {stiffness_mpa_per_mm:g}")
         self.body, self.pose = body, pose
-        self.quads = quads
         self._rest = nodes_mm
         self._eps = stiffness_mpa_per_mm
         self.curvature = curvature
         self._reference = reference_node
-        self._shapes, slopes = quad_shapes(GAUSS_POINTS)
-        tangents = np.einsum("kai,qaj->kqij", nodes_mm[quads], slopes)
+        points = faces if isinstance(faces, FacePoints) else face_points(faces, to_border=False)
+        self.quads = quads = points.quads
+        self._shapes, slopes = quad_shapes(points.places)
+        tangents = np.einsum("kai,kqaj->kqij", nodes_mm[quads], slopes)
         normal = np.cross(tangents[..., 0], tangents[..., 1])
-        self._areas = np.linalg.norm(normal, axis=-1) * np.outer(_WEIGHTS, _WEIGHTS).ravel()
+        self._areas = np.linalg.norm(normal, axis=-1) * 4.0 * points.shares
 
     def place(self, pose: Pose) -> None:
         """Put the body somewhere else."""
@@ -121,7 +126,7 @@ class PenaltyContact:
     def _touching(self, u: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
         """Return face, number and place relative to the pose of all points, of faces whose nodes are near enough."""
         corners = (self._rest + u)[self.quads] - self._offset(u)
-        points = np.einsum("qa,kai->kqi", self._shapes, corners)
+        points = np.einsum("kqa,kai->kqi", self._shapes, corners)
         face, number = np.divmod(np.arange(points.shape[0] * points.shape[1]), points.shape[1])
         return face, number, points.reshape(-1, 3)
 
@@ -137,7 +142,7 @@ class PenaltyContact:
         kept = np.flatnonzero(distance < 0.0)
         return TouchedPoints(
             self.quads[face[kept]],
-            self._shapes[number[kept]],
+            self._shapes[face[kept], number[kept]],
             distance[kept],
             normal[kept],
             self._eps * self._areas.ravel()[kept],
@@ -147,9 +152,15 @@ class PenaltyContact:
         """Return the contact pressure (referred to the area at rest) at each face's points, shape (k, q)."""
         return self._eps * np.maximum(-self.gaps_mm(u), 0.0)
 
+    def sunk_mm(self, u: FloatArray) -> float:
+        """Return how deep the deepest corner of the faces lies in the body; below 0 where none does."""
+        nodes = np.unique(self.quads)
+        distance, _, _ = self.pose.distances(self.body, (self._rest + u)[nodes] - self._offset(u))
+        return -float(distance.min())
+
     def points_mm(self, u: FloatArray) -> FloatArray:
         """Return the places of each face's points, shape (k, q, 3)."""
-        return np.asarray(np.einsum("qa,kai->kqi", self._shapes, (self._rest + u)[self.quads]))
+        return np.asarray(np.einsum("kqa,kai->kqi", self._shapes, (self._rest + u)[self.quads]))
 
     def force_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the body (3,)."""
@@ -167,7 +178,9 @@ class PenaltyContact:
         distance, normal, _ = self.pose.distances(self.body, points)
         pull = (self._eps * self._areas.ravel() * np.minimum(distance, 0.0))[:, None] * normal
         out = np.zeros_like(u)
-        np.add.at(out, self.quads[face].ravel(), (self._shapes[number][:, :, None] * pull[:, None]).reshape(-1, 3))
+        np.add.at(
+            out, self.quads[face].ravel(), (self._shapes[face, number][:, :, None] * pull[:, None]).reshape(-1, 3)
+        )
         if self._reference is not None:
             out[self._reference] -= pull.sum(0)
         return out
@@ -182,7 +195,7 @@ class PenaltyContact:
         blocks = normal[kept, :, None] * normal[kept, None, :]
         if self.curvature and not project:
             blocks = blocks + distance[kept, None, None] * curvature[kept]
-        nodes, weights = self.quads[face[kept]], self._shapes[number[kept]]
+        nodes, weights = self.quads[face[kept]], self._shapes[face[kept], number[kept]]
         if self._reference is not None:
             nodes = np.column_stack([nodes, np.full(len(nodes), self._reference)])
             weights = np.column_stack([weights, np.full(len(nodes), -1.0)])
@@ -211,6 +224,11 @@ def penalty_mpa_per_mm(design: FingerDesign, step_mm: float) -> float:
     return _CONTACT_MODULI_PER_STEP * material_of(design.mechanics.gel, "mechanics.gel").shear_modulus_mpa / step_mm
 
 
+MOST_SUNK_SHARE = 0.1
+"""Of a face's side, what a node of the coat may lie in the indenter; the penalty itself sinks in by 0.1 of it where the
+pressure is 10 shear moduli."""
+
+
 class PenaltyTouch:
     """What the penalty does at an equilibrium: a :class:`~sim.mechanics._press.Touch`.
 
@@ -232,6 +250,16 @@ class PenaltyTouch:
     def note(self) -> str:
         """How the surfaces touch."""
         return f"contact by penalty: frictionless; the indenter's distance is exact{NOT_OF_RIBS}"
+
+    def caveat(self, u: FloatArray) -> str:
+        """Return in words that the indenter lies in the coat between the points where contact acts, or nothing."""
+        sunk, side = self._contact.sunk_mm(u), face_side_mm(self.mesh.nodes_mm, self.mesh.surfaces["coat"])
+        if sunk <= MOST_SUNK_SHARE * side:
+            return ""
+        return (
+            f"; a node of the coat lies {sunk:.2f} mm in the indenter, of which {MOST_SUNK_SHARE * side:.2f} mm is "
+            f"allowed: its edges are too sharp for elements of {side:.1f} mm. Press on a finer mesh"
+        )
 
     def force_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the indenter (3,)."""
@@ -271,9 +299,8 @@ class PenaltyPress(PenaltyTouch):
 
     def __init__(self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float) -> None:
         body, pose = indenter.exact_body(), indenter.touching
-        contact = PenaltyContact(
-            mesh.nodes_mm, mesh.surfaces["coat"], body, pose, stiffness_mpa_per_mm, curvature=False
-        )
+        points = coat_points(mesh.nodes_mm, mesh.surfaces["coat"], body)
+        contact = PenaltyContact(mesh.nodes_mm, points, body, pose, stiffness_mpa_per_mm, curvature=False)
         super().__init__(mesh, contact)
         self._indenter = indenter
         self.terms: tuple[Term, ...] = (contact,)
@@ -332,7 +359,7 @@ class SlidingContact(PenaltyContact):
 
     Parameters
     ----------
-    nodes_mm, quads, body, pose, stiffness_mpa_per_mm
+    nodes_mm, faces, body, pose, stiffness_mpa_per_mm
         See :class:`~sim.mechanics.PenaltyContact`.
     friction_ratio
         Coulomb's coefficient mu.
@@ -346,13 +373,13 @@ class SlidingContact(PenaltyContact):
     def __init__(
         self,
         nodes_mm: FloatArray,
-        quads: NDArray[np.int64],
+        faces: IntArray | FacePoints,
         body: Body,
         pose: Pose,
         stiffness_mpa_per_mm: float,
         friction_ratio: float,
     ) -> None:
-        super().__init__(nodes_mm, quads, body, pose, stiffness_mpa_per_mm, curvature=False)
+        super().__init__(nodes_mm, faces, body, pose, stiffness_mpa_per_mm, curvature=False)
         if not 0.0 <= friction_ratio < np.inf:
             raise SimulateError(f"friction = {friction_ratio:g}: Coulomb's coefficient must be finite and not negative")
         self.friction_ratio = friction_ratio
@@ -470,7 +497,7 @@ class SlidingContact(PenaltyContact):
         """Return dPi/du in N, shape (n, 3)."""
         out = super().gradient(u)
         force = self._friction_n(u).reshape(*self._areas.shape, 3)
-        np.add.at(out, self.quads.ravel(), np.einsum("qa,kqi->kai", self._shapes, force).reshape(-1, 3))
+        np.add.at(out, self.quads.ravel(), np.einsum("kqa,kqi->kai", self._shapes, force).reshape(-1, 3))
         return out
 
     def hessian(self, u: FloatArray, project: bool) -> sp.coo_array | sp.csr_array:
@@ -491,7 +518,7 @@ class SlidingContact(PenaltyContact):
         blocks = rate * (across - np.where(slips, way[:, :, None] * way[:, None, :], 0.0))
         face, number = np.divmod(at, self._areas.shape[1])
         scaled = self._areas.ravel()[at, None, None] * blocks
-        return sp.coo_array(pushed + node_blocks(self.quads[face], self._shapes[number], scaled, len(u)))
+        return sp.coo_array(pushed + node_blocks(self.quads[face], self._shapes[face, number], scaled, len(u)))
 
     def forces_n(self, u: FloatArray) -> FloatArray:
         """Return the force on the body at each point, (m, 3)."""
@@ -599,7 +626,8 @@ class SlidingPress(SlidingTouch):
         self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float, friction_ratio: float
     ) -> None:
         body, pose = indenter.exact_body(), indenter.touching
-        contact = SlidingContact(mesh.nodes_mm, mesh.surfaces["coat"], body, pose, stiffness_mpa_per_mm, friction_ratio)
+        points = coat_points(mesh.nodes_mm, mesh.surfaces["coat"], body)
+        contact = SlidingContact(mesh.nodes_mm, points, body, pose, stiffness_mpa_per_mm, friction_ratio)
         super().__init__(mesh, contact)
         self._indenter = indenter
         self.terms: tuple[Term, ...] = (contact,)

@@ -4,6 +4,7 @@ What a press found, increment by increment. Contact is the fast penalty on exact
 of the ribs; both with friction.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,7 +22,7 @@ from sim.mechanics._increments import CoarserPath, Increment, Load, Watch, load_
 from sim.mechanics._indenters import rigid_indenter
 from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import material_of
-from sim.mechanics._mesh import FingerMesh, OwnSurfaces
+from sim.mechanics._mesh import FingerMesh, OwnSurfaces, face_points
 from sim.mechanics._newton import Equilibrium, NewtonOptions, Supports
 from sim.mechanics._parts_contact import PartsContact, check_parts_contact
 from sim.mechanics._penalty_contact import PenaltyPress, SlidingPress, penalty_mpa_per_mm
@@ -43,6 +44,10 @@ class Touch(Protocol):
     @property
     def note(self) -> str:
         """How surfaces touch, in words."""
+        ...
+
+    def caveat(self, u: FloatArray) -> str:
+        """Return what a user must know of the contact at an equilibrium, in words, or nothing."""
         ...
 
     def force_n(self, u: FloatArray) -> FloatArray:
@@ -298,7 +303,8 @@ class PressHistory:
             pressure_mpa=self._touch.pressures_mpa(last.u_mm),
             touch_mm=self._touch.touch_mm(),
             unreached=unreached,
-            contact=note if self._parts is None else self._parts.note(note, last.u_mm, self.parts_touch_from_mm),
+            contact=(note if self._parts is None else self._parts.note(note, last.u_mm, self.parts_touch_from_mm))
+            + self._touch.caveat(last.u_mm),
             contact_energy_n_mm=self._after("contact_energy_n_mm", rows[:, 2]),
             friction_work_n_mm=self._after("friction_work_n_mm", np.cumsum(rows[:, 3]), goes_on=True),
             kind=self._touch.kind,
@@ -317,7 +323,7 @@ class PressHistory:
         return np.concatenate([before, now + before[-1] if goes_on else now])
 
 
-def coat_areas_mm2(mesh: FingerMesh) -> FloatArray:
+def _coat_areas_mm2(mesh: FingerMesh) -> FloatArray:
     """Return the areas at rest of the coat's f faces, (f,)."""
     corners = mesh.nodes_mm[mesh.surfaces["coat"]]
     return np.asarray(
@@ -325,16 +331,23 @@ def coat_areas_mm2(mesh: FingerMesh) -> FloatArray:
     )
 
 
+def touch_areas_mm2(pressed: PressedFinger) -> FloatArray:
+    """Return the areas at rest that the q sampling points of the coat's f faces stand for, (f, q)."""
+    count, quads = pressed.pressure_mpa.shape[1], pressed.mesh.surfaces["coat"]
+    shares = face_points(quads, math.isqrt(count)).shares if pressed.kind == "penalty" else 1.0 / count
+    return np.asarray(_coat_areas_mm2(pressed.mesh)[:, None] * np.broadcast_to(shares, pressed.pressure_mpa.shape))
+
+
 def contact_pressure_mpa(pressed: PressedFinger) -> FloatArray:
     """Return the contact pressure of the last increment at the mesh's n nodes, (n,); 0 away from the coat.
 
-    p_a = sum_f A_f p_f / sum_f A_f over the faces f at node a, with p_f the mean of a face's points and A_f its area
-    at rest: pressure times the coat's area is the same at the nodes as on the faces.
+    p_a = sum_f A_f p_f / sum_f A_f over the faces f at node a, with p_f the mean of a face's points by the areas that
+    they stand for, and A_f its area at rest: pressure times the coat's area is the same at the nodes as on the faces.
     """
-    faces, areas = pressed.mesh.surfaces["coat"], coat_areas_mm2(pressed.mesh)
+    faces, areas = pressed.mesh.surfaces["coat"], touch_areas_mm2(pressed)
     count = len(pressed.mesh.nodes_mm)
-    held = np.bincount(faces.ravel(), np.repeat(areas * pressed.pressure_mpa.mean(axis=1), 4), count)
-    area = np.bincount(faces.ravel(), np.repeat(areas, 4), count)
+    held = np.bincount(faces.ravel(), np.repeat((areas * pressed.pressure_mpa).sum(axis=1), 4), count)
+    area = np.bincount(faces.ravel(), np.repeat(areas.sum(axis=1), 4), count)
     return np.asarray(np.divide(held, area, out=np.zeros(count), where=area > 0.0))
 
 
@@ -346,8 +359,10 @@ def contact_distance(pressed: PressedFinger, nodes: NDArray[np.int64]) -> FloatA
     contact.
     """
     touching = pressed.touch_mm[pressed.pressure_mpa > 0.0]
-    # two Gauss points lie 1/sqrt(3) of a face apart, on average half a face
-    margin = np.median(np.ptp(pressed.touch_mm, axis=1), axis=0) * np.sqrt(3.0) / 4.0
+    # n Gauss points lie on average 1/n of a face apart, and the outermost ones by the last place
+    count = math.isqrt(pressed.touch_mm.shape[1])
+    last = np.polynomial.legendre.leggauss(count)[0][-1]
+    margin = np.median(np.ptp(pressed.touch_mm, axis=1), axis=0) / (2.0 * count * last)
     if not len(touching):
         return np.full(len(nodes), np.nan)
     places = pressed.mesh.nodes_mm[nodes]

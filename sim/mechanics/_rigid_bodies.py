@@ -247,6 +247,15 @@ class FacetedBody:
 _FEATURE = np.array([0, 4, 5, 3, 6, 2, 1, 0])
 
 
+def least_radius_mm(body: Body) -> float:
+    """Return the radius of a body's sharpest edge; 0 of facets, and of bodies that do not tell it."""
+    if isinstance(body, RoundedBox):
+        return body.edge_radius_mm
+    if isinstance(body, Cylinder):
+        return body.radius_mm if body.half_length_mm == math.inf else body.edge_radius_mm
+    return body.radius_mm if isinstance(body, Sphere) else 0.0
+
+
 def _feature_normals(surface: TriangleMesh) -> FloatArray:
     """Return the unit normals (k, 7, 3) of each triangle's face, edges (opposite to each corner) and corners."""
     corners = surface.vertices_mm[surface.triangles]

@@ -34,10 +34,9 @@ _MIRROR_CLEARANCE_MM = 0.5
 # the camera's pinhole lies 2 mm under the pad's end in the nominal lay-out; half as much again for its housing
 _BASE_BELOW_CAMERA_MM = 3.0
 _LIGHT_CLEARANCE_MM = 0.5
-# least free length of a fin between neighbouring ribs, base and tip
+# least free length of a fin between neighbouring ribs, base and tip, and least room between the fins where the hollow
+# ends: a nozzle of 0.4 mm closes a narrower slit
 _SMALLEST_GAP_MM = 0.5
-# least room between the fins where the hollow ends
-_SMALLEST_DEPTH_MM = 1.0
 _PAD_SIZES_MM = (5.0, 300.0)
 _PAD_THICKNESS_MM = (0.5, 50.0)
 _FILM_THICKNESS_MM = (0.01, 2.0)
@@ -167,9 +166,9 @@ def _tip_line(design: FingerDesign, mirror: MirrorShape, inner_mm: float) -> tup
         )
     s = _along_at(mirror, behind, np.array([inner_mm, z]), np.array([-1.0, 0.0]))
     depth = inner_mm - float(back_curve_mm(mirror, s, behind)[0])
-    if depth < _SMALLEST_DEPTH_MM:
+    if depth < _SMALLEST_GAP_MM:
         raise SimulateError(
-            f"the fins are {depth:.2g} mm apart at the tip ({_SMALLEST_DEPTH_MM:g} mm needed): make "
+            f"the fins are {depth:.2g} mm apart at the tip ({_SMALLEST_GAP_MM:g} mm needed): make "
             f"skeleton.tip_starts_mm = {z:g} mm smaller, or skeleton.front_fin_thickness_mm"
         )
     return z, s

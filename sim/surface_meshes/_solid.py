@@ -301,6 +301,7 @@ _TOUCH_MM = 1e-9  # far above rounding, and far below the nanometre at which ver
 
 
 _CELLS_PER_TRIANGLE, _MOST_CELLS = 2.0, 256  # of the grid that finds triangles near an edge; along an axis
+_FAR_SHARE = 200  # one of so many corners may lie outside this grid at each end of an axis
 
 
 def check_no_intersections(surfaces: Mapping[str, Surface], body: str = "gel") -> None:
@@ -360,13 +361,15 @@ def _first_meeting(vertices: FloatArray, edges: IntArray, triangles: IntArray) -
     """Return the numbers of an edge and a triangle that meet, or -1, -1.
 
     Space is divided into about twice as many cells as there are triangles. Each cell lists the triangles whose boxes
-    reach into it, and an edge is tried with those of the cells that its own box reaches into.
+    reach into it, and an edge is tried with those of the cells that its own box reaches into. The outermost cells have
+    no end: the grid spans all corners but a few, so that one far away does not take it from the others.
     """
     low, extent = np.empty(3), np.empty(3)
     for t in range(3):
-        used = vertices[triangles.ravel(), t]
-        low[t] = used.min()
-        extent[t] = max(used.max() - low[t], _TOUCH_MM)
+        used = np.sort(vertices[triangles.ravel(), t])
+        few = len(used) // _FAR_SHARE
+        low[t] = used[few]
+        extent[t] = max(used[len(used) - 1 - few] - low[t], _TOUCH_MM)
     edge_mm = (extent[0] * extent[1] * extent[2] / (_CELLS_PER_TRIANGLE * len(triangles))) ** (1.0 / 3.0)
     cells, per_mm = np.empty(3, np.int64), np.empty(3)
     for t in range(3):

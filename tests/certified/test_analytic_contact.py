@@ -1,14 +1,17 @@
 """Penalty contact: exact distances, derivatives, balance of forces, bodies driven by supports and by loads."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from data_schemas import SimulateError
-from sim.mechanics import Cylinder, PenaltyContact, Pose, RoundedBox, Sphere
+from sim.mechanics import Cylinder, PenaltyContact, Pose, RoundedBox, Sphere, face_points, quad_shapes
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._newton import Supports
+from sim.mechanics._penalty_contact import PenaltyTouch, coat_points
 from tests.certified.blocks import GridBlock, assemble, press
 
 GEL = neo_hooke(0.1333)
@@ -97,6 +100,64 @@ def test_areas_and_pressure_of_a_flat_punch():
     assert contact.pressures_mpa(u) == pytest.approx(0.05)
     assert contact.force_n(u) == pytest.approx([0.0, 0.05 * 8.0, 0.0], abs=1e-15)
     assert contact.points_mm(u)[..., 1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("per_side", [2, 3])
+@pytest.mark.parametrize("to_border", [False, True], ids=["inside", "to the border"])
+def test_an_even_pressure_has_the_nodal_forces_of_its_exact_integral(per_side, to_border):
+    """Faces of uneven sides: each of their corners carries a quarter of the face, whatever rule the face has."""
+    cells = GridBlock([0.0, 1.0, 1.7, 4.0], [0.0, 1.0], [0.0, 0.5, 2.0])
+    quads, depth, eps = cells.top_quads(), 0.01, 5.0
+    points = face_points(quads, per_side, to_border)
+    punch = RoundedBox((10.0, 1.0, 10.0), 0.5)
+    contact = PenaltyContact(cells.nodes_mm, points, punch, Pose((2.0, 2.0 - depth, 1.0)), eps)
+    corners = cells.nodes_mm[quads]
+    areas = np.ptp(corners[..., 0], axis=1) * np.ptp(corners[..., 2], axis=1)
+    exact = np.zeros(len(cells.nodes_mm))
+    np.add.at(exact, quads, eps * depth * areas[:, None] / 4.0)
+    assert contact.gradient(np.zeros_like(cells.nodes_mm))[:, 1] == pytest.approx(exact, abs=1e-15)
+    np.testing.assert_allclose(points.shares.sum(axis=1), 1.0, rtol=1e-15)
+
+
+def test_points_lie_on_the_border_and_on_no_inner_side():
+    cells = GridBlock(np.linspace(0, 4, 5), [0.0, 1.0], np.linspace(0, 3, 4))
+    quads = cells.top_quads()
+    for per_side in (2, 3):
+        points = face_points(quads, per_side)
+        shapes, _ = quad_shapes(points.places)
+        at = np.einsum("kqa,kai->kqi", shapes, cells.nodes_mm[quads])[..., [0, 2]].reshape(-1, 2)
+        on_border = (np.isclose(at, 0.0) | np.isclose(at, [4.0, 3.0])).any(axis=1)
+        assert on_border.sum() == per_side * 2 * (4 + 3) - 4  # those of the corners are on two sides
+        inside = at[~on_border]
+        assert np.abs(inside - np.round(inside)).min() > 0.05
+
+
+def test_a_sharp_body_is_met_at_more_points():
+    cells = GridBlock(np.linspace(0, 8, 5), [0.0, 1.0], np.linspace(0, 8, 5))
+    counts = {
+        body: coat_points(cells.nodes_mm, cells.top_quads(), body).shares.shape[1]
+        for body in (Sphere(3.0), Sphere(1.0), Cylinder(2.5), Cylinder(9.0, 4.0, 1.0), RoundedBox((5.0, 5.0, 5.0), 1.9))
+    }
+    assert list(counts.values()) == [4, 9, 4, 9, 9]
+
+
+@pytest.mark.parametrize(("depth_mm", "caveat"), [(0.4, "a node of the coat lies 0.23 mm in the indenter"), (0.3, "")])
+def test_a_corner_between_the_points_is_told(depth_mm, caveat):
+    """A cube on its corner at a node misses the 2 x 2 points of faces of 2 mm; the nearest of its sides is told."""
+    cells = GridBlock(np.linspace(0, 4, 3), [0.0, 1.0], np.linspace(0, 4, 3))
+    quads, diagonal = cells.top_quads(), np.ones(3) / np.sqrt(3.0)
+    on_corner = Rotation.align_vectors([[0.0, -1.0, 0.0]], [diagonal])[0].as_matrix()
+    cube, high_mm = RoundedBox((5.0, 5.0, 5.0), 1e-6), 5.0 * np.sqrt(3.0)
+    pose = Pose((2.0, 1.0 + high_mm - depth_mm, 2.0), on_corner)
+    contact = PenaltyContact(cells.nodes_mm, face_points(quads), cube, pose, 5.0)
+    u = np.zeros_like(cells.nodes_mm)
+    assert (contact.gaps_mm(u) > 0.0).all()
+    assert contact.sunk_mm(u) == pytest.approx(depth_mm / np.sqrt(3.0), abs=1e-5)
+    mesh = replace(cells.mesh("mean_dilatation"), surfaces={"coat": quads})
+    told = PenaltyTouch(mesh, contact).caveat(u)
+    assert told.startswith(f"; {caveat}, of which 0.20 mm is allowed") if caveat else told == ""
+    finer = PenaltyContact(cells.nodes_mm, face_points(quads, 3), cube, pose, 5.0)
+    assert (finer.gaps_mm(u) < 0.0).any() == bool(caveat)
 
 
 class Weight:

@@ -363,13 +363,13 @@ def test_sides_of_a_body_with_a_notch_are_told_apart():
 
 def test_an_stl_on_a_path_is_the_body_that_it_stands_for(tmp_path):
     """A long cuboid that stands askew, pressed, dragged and twisted: force and torque as by its exact distances."""
-    block = body_mesh(RoundedBox((3.0, 3.0, 6.0), 2.0), 0.002, 0.0)
+    block = body_mesh(RoundedBox((3.0, 3.0, 6.0), 1.8), 0.002, 0.0)
     (tmp_path / "block.stl").write_bytes(stl_bytes(block.triangles, block.vertices_mm, "block"))
-    base = preset_design("baby-48x18")
+    base = preset_design("baby-48x18")  # with faces of 2 mm, so that both touch at 3 x 3 points of each
     common = {"friction": 0.4, "rotation_deg": (0.0, 20.0, 0.0)}
     path = IndenterPath(np.array([[0, -0.6, 0], [0, -0.6, 0.4]]), np.array([[0, 0, 0], [0, 15.0, 0]]), np.array([1, 2]))
     found = []
-    for shape in ({"shape": "cuboid", "size_mm": (6.0, 6.0, 12.0), "edge_radius_mm": 2.0},
+    for shape in ({"shape": "cuboid", "size_mm": (6.0, 6.0, 12.0), "edge_radius_mm": 1.8},
                   {"shape": "mesh", "file": "block.stl"}):  # fmt: skip
         indenter = base.indenter.model_copy(update={**common, **shape})
         design = base.model_copy(update={"indenter": indenter})

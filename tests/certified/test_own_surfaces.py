@@ -20,6 +20,7 @@ from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import OwnSurfaces, Tie, outer_triangles
 from sim.mechanics._newton import NewtonOptions, Supports
 from sim.mechanics._parts_contact import PartsContact
+from sim.mechanics._penalty_contact import NOT_OF_RIBS
 from tests.certified.blocks import unit_cells
 
 if contact_library_failure() is None:
@@ -240,6 +241,20 @@ def test_a_press_that_is_continued_takes_up_no_contact_that_it_lacked_where_part
         assert parts.take_up(State(states[1.0], ()), 10.0) == ""
         assert len(assembly.terms) == int(had)
         assert (parts.energy_n_mm(states[1.0]) > 0.0) == had
+
+
+@needs_the_toolkit
+def test_a_press_that_lacks_contact_where_parts_were_near_says_so():
+    """A record of a version before 7 does not tell whether it had that contact: it must not be left out in silence."""
+    mesh, states, _, _ = pressed_together(acts_from_rest=False)
+    for at, near in ((0.25, False), (0.75, True)):
+        assembly = Assembly(Elasticity(mesh, {"material": neo_hooke(0.1333, 20.0)}))
+        parts = PartsContact(preset_design("flat-70x35"), mesh, assembly, 1, states[at])
+        parts.check_start(7.5)
+        parts.take_up(State(states[at], ()), 7.5)
+        note = parts.note(f"contact by penalty{NOT_OF_RIBS}", states[at], None)
+        assert ("were within 0.02 mm of each other already" in note) is near
+        assert ("of a version before 7" in note) is near
 
 
 @needs_the_toolkit

@@ -1,5 +1,7 @@
 """Meshes that cross, against the IPC Toolkit's own test and against cases that are known by construction."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -79,3 +81,33 @@ def test_the_toolkit_says_the_same_of_random_triangles():
         assert ours == theirs, (vertices.tolist(), triangles.tolist())
         crossing += ours
     assert 400 < crossing < 1600
+
+
+def sheets(cells, apart):
+    """Two wavy sheets of triangles, one over the other."""
+    x, y = np.meshgrid(np.arange(cells + 1.0), np.arange(cells + 1.0), indexing="ij")
+    sheet = np.column_stack([x.ravel(), y.ravel(), 0.1 * np.sin(x + y).ravel()])
+    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    first = np.column_stack([corner, corner + cells + 1, corner + cells + 2])
+    one = np.concatenate([first, np.column_stack([corner, corner + cells + 2, corner + 1])])
+    above = sheet + np.array([0.3, 0.2, apart])
+    return np.concatenate([sheet, above]), np.concatenate([one, one + len(sheet)])
+
+
+@pytest.mark.parametrize("far_mm", [1e3, 1e6, -1e9])
+def test_a_corner_far_away_neither_hides_a_crossing_nor_makes_the_search_slow(far_mm):
+    """Without a bound on the grid by all other corners one cell holds them all: 20 to 100 times the time."""
+    for apart, crosses in ((0.0, True), (0.5, False)):
+        vertices, triangles = sheets(60, apart)
+        vertices[30 * 61 + 30, 2] = -abs(far_mm)  # away from the other sheet
+        assert (crossing_pair(vertices, triangles) is not None) is crosses
+    away = np.concatenate([vertices, [[far_mm, far_mm, far_mm], [far_mm + 1.0, far_mm, 0.0], [far_mm, 1.0, far_mm]]])
+    more = np.concatenate([triangles, [[len(vertices) + k for k in range(3)]]])
+    plain, near, far = sheets(60, 0.5)[0], np.inf, np.inf
+    for _ in range(3):
+        begin = time.process_time()
+        assert crossing_pair(plain, triangles) is None
+        middle = time.process_time()
+        assert crossing_pair(away, more) is None
+        near, far = min(near, middle - begin), min(far, time.process_time() - middle)
+    assert far < 5.0 * near + 0.01

@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 
 from data_schemas import FingerDesign, Indenter, SimulateError
+from sim import preset_design
 from sim.experiments import press_records
-from sim.mechanics import PressSettings, contact_distance, contact_pressure_mpa, press_finger
+from sim.mechanics import (
+    PressSettings,
+    contact_distance,
+    contact_pressure_mpa,
+    press_finger,
+    rigid_indenter,
+    touch_areas_mm2,
+)
 from sim.surface_meshes import check_closed, check_no_intersections, restore_shapes
 
 DESIGN = FingerDesign(indenter=Indenter(depth_mm=1.0))
@@ -104,3 +112,18 @@ def test_a_record_says_where_a_press_may_stand_at_an_unstable_equilibrium(presse
     for unstable in ("", told):
         mechanics, _ = press_records(DESIGN, replace(pressed, unstable=unstable))
         assert (told in mechanics.notes) == bool(unstable)
+
+
+def test_a_turned_cylinder_does_not_sink_into_the_border_of_the_pad():
+    """By Gauss points alone, 0.4 mm inside the border, a node of it lies 0.12 mm in the cylinder."""
+    turned = Indenter(radius_mm=10.0, position_mm=24.0, rotation_deg=(0.0, 0.0, 25.0), depth_mm=1.0)
+    finger = preset_design("baby-48x18").model_copy(update={"indenter": turned})
+    pressed = press_finger(finger, PressSettings("coarse", 1))
+    coat = np.unique(pressed.mesh.surfaces["coat"])
+    places = pressed.mesh.nodes_mm[coat] + pressed.displacement_mm[-1][coat]
+    indenter = rigid_indenter(finger)
+    distance, *_ = indenter.pose(1.0).distances(indenter.exact_body(), places)
+    assert distance.min() > -0.02
+    # the pressures, by the areas that their points stand for, push as hard along the normals of the cylinder
+    pushed = (touch_areas_mm2(pressed) * pressed.pressure_mpa).sum()
+    assert pushed * np.cos(np.radians(25.0)) == pytest.approx(pressed.force_n[-1, 1], rel=0.02)

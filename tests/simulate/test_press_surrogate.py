@@ -35,6 +35,7 @@ from sim.mechanics import (
     CondensedFinger,
     PressSettings,
     condense_finger,
+    face_points,
     press_finger,
     rigid_indenter,
 )
@@ -142,7 +143,8 @@ def test_contact_and_condensed_finger_are_in_balance(
     quads = np.searchsorted(finger.coat, finger.mesh.surfaces["coat"])
     assert indenter.body is not None
     penalty = penalty_mpa_per_mm(design, STEPS["coarse"].pad_mm)
-    own = PenaltyContact(finger.mesh.nodes_mm[finger.coat], quads, indenter.body, indenter.pose(2.0), penalty)
+    nodes, points = finger.mesh.nodes_mm[finger.coat], face_points(quads)
+    own = PenaltyContact(nodes, points, indenter.body, indenter.pose(2.0), penalty)
     off = own.gradient(contact.coat_mm) + contact.coat_forces_n
     # to which the search goes, and as much again for the single precision of the compliance
     assert np.linalg.norm(off) < 1e-3 * np.linalg.norm(contact.coat_forces_n)
