@@ -30,6 +30,7 @@ from data_schemas import (
 from data_schemas.storage import write_manifest
 from rigs import OpenRig, RawFrame, open_rig, rig_locked
 from rigs.capture._exposure import (
+    REPLAY_DRIVER,
     WHEEL_DEADLINE_S,
     exposure_ladder,
     meter_exposure,
@@ -221,7 +222,7 @@ class PaintRecorder:
         ):
             shots = [shot for shot in missing if first <= shot.sequence < last]
             self._walk([(shot.step, shot) for shot in shots], phase, self._take)
-        if self._store.has_unproven:
+        if self._store.has_unproven and self._rig.camera.driver != REPLAY_DRIVER:
             self._prove_in_light(
                 missing, checks_in_light(self._rates, steps[-1], self._rates, used_s, self._store.full_scale_dn)
             )

@@ -188,7 +188,7 @@ def _replayed(folder: Path, start: dict[str, Any], lines: list[dict[str, Any]]) 
             line["label"]: ([float(t) for t in line["exposures_s"]], _rates(line["rates_dn_per_s"])) for line in steps
         },
         dose_j=max(doses_j),
-        levels=next((line for line in lines if line["event"] == "levels"), None),
+        levels=_levels(lines),
         ended_s=float(lines[-1]["monotonic_s"]),
         ended_utc=datetime.fromisoformat(lines[-1]["utc"]).astimezone(UTC).isoformat(),
         lines=len(lines),
@@ -234,6 +234,14 @@ def _in_force(lines: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[d
             proven = len(stored)
     lit = [line for line in stored[proven:] if is_compared(line.get("light"))]
     return list(steps.values()), [*stored[:proven], *lit], doubt
+
+
+def _levels(lines: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Return what a camera session decided after metering, where its frames were not set aside since."""
+    for line in reversed(lines):
+        if line["event"] in ("levels", SET_ASIDE_EVENT):
+            return line if line["event"] == "levels" else None
+    return None
 
 
 def _laser_was_lost(lines: list[dict[str, Any]]) -> bool:
