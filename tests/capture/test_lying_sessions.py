@@ -66,13 +66,13 @@ class JumpingClock:
         self.clock.sleep(duration_s)
 
 
-def full_disk(monkeypatch: pytest.MonkeyPatch, module: Any, full_at: int) -> None:
-    """Have the disk full for two frames, and free again."""
+def full_disk(monkeypatch: pytest.MonkeyPatch, module: Any, full_at: int, frames: int) -> None:
+    """Have the disk full for some frames, and free again."""
     write, written = module.write_frame, [0]
 
     def full(*given: object) -> str:
         written[0] += 1
-        if written[0] in (full_at, full_at + 1):
+        if full_at <= written[0] < full_at + frames:
             raise OSError(errno.ENOSPC, "No space left on device")
         return str(write(*given))
 
@@ -121,7 +121,7 @@ def test_a_camera_session_beside_a_device_that_lies(tmp_path: Path, kind: str, b
 
 
 def test_a_disk_that_was_full_and_is_free_again_loses_no_flat_frame(tmp_path: Path, monkeypatch) -> None:
-    full_disk(monkeypatch, _frame_store, 8)
+    full_disk(monkeypatch, _frame_store, 8, 2)
     session, resumes = camera_session("", 0, tmp_path / "s")
     assert wrong_flats(session) == []
     assert len(resumes) == 1
@@ -211,7 +211,7 @@ def test_a_tactile_session_beside_a_camera_that_lies(tmp_path: Path, monkeypatch
 
 def test_a_disk_that_was_full_and_is_free_again_loses_no_contact(tmp_path: Path, monkeypatch) -> None:
     Lies(monkeypatch, "", 0)
-    full_disk(monkeypatch, _tactile_session, 4)
+    full_disk(monkeypatch, _tactile_session, 4, 1)
     session, resumes = tactile_session(tmp_path)
     assert wrong_presses(session) == []
     assert len(resumes) == 1
