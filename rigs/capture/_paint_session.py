@@ -122,7 +122,7 @@ class PaintRecorder:
         self._before = {} if interrupted is None else interrupted.metered
         self._in_doubt = interrupted is not None and interrupted.doubt != ""
         self.proof: FilterProof | None = None
-        self.notes: tuple[str, ...] = ()
+        self.notes = opened.notes
         self._healed = 0
 
     def record(self, steps: tuple[Step, ...], last_good: CaptureSession | None, mend: Mend) -> None:
@@ -233,7 +233,7 @@ class PaintRecorder:
         No frame in the dark tells that it was exposed for half of the time that was asked for.
         """
         if not checks:
-            self.notes = (UNPROVEN_NOTE,)
+            self.notes = (*self.notes, UNPROVEN_NOTE)
             return
         told: list[str] = []
 
@@ -584,13 +584,7 @@ def capture_with(
             devices=opened.identities(),
             filter_proof=recorder.proof,
             white_rates_dn_per_s=recorder.white_rates(),
-            notes=(
-                *opened.notes,
-                *recorder.notes,
-                *colour_notes(store.frames),
-                *resume_notes(interrupted),
-                *fault_notes(out),
-            ),
+            notes=(*recorder.notes, *colour_notes(store.frames), *resume_notes(interrupted), *fault_notes(out)),
         )
         noted = dict(request.sources) or ({} if interrupted is None else interrupted.sources)
         write_session(session, out, {**noted, **inputs}, request.command, journal)
