@@ -36,7 +36,7 @@ LONG = 40
 """Sessions behind the reference of a series in control."""
 SERIES = 400
 """Random series drawn from the sessions for each fault and size."""
-COLOUR = "lamp colour, long over short wavelengths (%)"
+COLOUR = "lamp colour, long / short wavelengths (%)"
 
 
 GOOD = {

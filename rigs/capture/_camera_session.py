@@ -12,14 +12,23 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CameraPlan, CameraSession, CameraSettings, CaptureError, RegionOfInterest, RigFile
+from data_schemas import (
+    CameraPlan,
+    CameraSession,
+    CameraSettings,
+    CaptureError,
+    RegionOfInterest,
+    RigFile,
+    SignalChangedError,
+)
 from data_schemas.storage import write_manifest
-from rigs import OpenRig, open_rig, rig_locked
-from rigs.capture._exposure import exposure_ladder, meter_exposure, under_light
-from rigs.capture._frame_store import FrameStore, Shot, numbered
+from rigs import OpenRig, RawFrame, open_rig, rig_locked
+from rigs.capture._exposure import REPLAY_DRIVER, exposure_ladder, meter_exposure, under_light
+from rigs.capture._frame_store import WELL_SEEN, FrameStore, Rates, Shot, numbered
 from rigs.capture._journal import Journal, StatedTimes, fault_notes, faults_noted, healing_s
 from rigs.capture._plan import Step, require_named, require_region_inside
 from rigs.capture._resume import (
+    SET_ASIDE_EVENT,
     Interrupted,
     require_same_camera,
     require_same_inputs,
@@ -38,6 +47,7 @@ from rigs.capture._session_folder import (
 )
 
 METERED_FRACTION = 0.7
+Counts = NDArray[np.uint16]
 
 
 def camera_step(plan: CameraPlan, rig: RigFile) -> Step:
@@ -148,6 +158,9 @@ TYPICAL_EXPOSURE_S: Final = 0.25
 FRAME_S: Final = 0.3
 """Checking and writing a frame, beside its exposure: typical of the cameras here."""
 METERING_FRAMES: Final = 12
+CHECKS_IN_LIGHT: Final = 2
+SATURATED_SHARE: Final = 0.01
+"""Of the pixels of a channel: where more are saturated, its mean tells no exposure."""
 CHANNELS: Final = 3
 
 
@@ -157,9 +170,14 @@ def camera_times(plan: CameraPlan, rig: RigFile) -> StatedTimes:
     At the longest each channel has levels of its own, and all exposures are the longest that plan and camera allow.
     """
     flats = plan.levels * plan.frames_per_level + plan.repeats
-    most = METERING_FRAMES + 2 * (CHANNELS * flats - (CHANNELS - 1) * plan.repeats) + plan.frames_per_level
+    most = (
+        METERING_FRAMES
+        + CHECKS_IN_LIGHT
+        + 2 * (CHANNELS * flats - (CHANNELS - 1) * plan.repeats)
+        + plan.frames_per_level
+    )
     longest_s = min(plan.longest_exposure_s, rig.camera.longest_exposure_s)
-    typical_s = (METERING_FRAMES + 2 * flats) * (min(TYPICAL_EXPOSURE_S, longest_s) + FRAME_S)
+    typical_s = (METERING_FRAMES + CHECKS_IN_LIGHT + 2 * flats) * (min(TYPICAL_EXPOSURE_S, longest_s) + FRAME_S)
     return StatedTimes(typical_s, most * (longest_s + FRAME_S), healing_s(typical_s))
 
 
@@ -179,6 +197,7 @@ class _Recorder:
         self._opened, self._camera, self._plan, self._flat = opened, rig.camera, plan, flat
         self._store, self._journal, self._progress, self._watch = store, journal, request.tell, request.watch
         self.notes: tuple[str, ...] = ()
+        self._metered: Rates | None = None
 
     def record(self, levels: Mapping[str, Any] | None) -> None:
         """Meter, store the flat frames with the lamp on throughout, then the dark frames.
@@ -198,6 +217,9 @@ class _Recorder:
             if not found:
                 found.update(self._meter())
                 self._journal.append("levels", **found)
+            if "rates_dn_per_s" in found:
+                red, green, blue = (float(rate) for rate in found["rates_dn_per_s"])
+                self._metered = red, green, blue
             both_s = [*found["flats_s"], *found["flats_s"], *found["extra_darks_s"]]
             missing = self._store.missing(numbered((self._flat, exposure_s) for exposure_s in both_s))
             flats, name = len(found["flats_s"]), self._flat.filter_name
@@ -211,11 +233,77 @@ class _Recorder:
         exposures_s = (*found["flats_s"], *found["extra_darks_s"])
         darks = numbered(((dark, t) for t in exposures_s), first=len(found["flats_s"]))
         under_light(self._opened, "off", self._takes(darks, "dark frames"), self._tell_fault)
+        if self._store.has_unproven and self._metered is not None and self._camera.driver != REPLAY_DRIVER:
+            self._prove_in_light(darks, sorted(set(found["flats_s"])))
+
+    def _prove_in_light(self, darks: list[Shot], levels_s: list[float]) -> None:
+        """See by flat frames that are not stored whether the camera exposed as asked in the dark; else once more."""
+        told: list[str] = []
+
+        def look() -> None:
+            for exposure_s in (levels_s[len(levels_s) // 2], levels_s[-1]):
+                try:
+                    self._require_as_metered(self._flat, self._store.camera.expose(self._flat, exposure_s).raw)
+                except SignalChangedError as error:
+                    told.append(str(error))
+
+        for is_last in (False, True):
+            told.clear()
+            under_light(self._opened, "lamp", deque([look]), self._tell_fault)
+            if not told:
+                self._store.prove()
+                return
+            again = self._store.take_back()
+            self._journal.append("refused", text=f"{told[0]}; {len(again)} frames in the dark before it do not count")
+            if is_last:  # a camera that is late for good was late in the light, too
+                self._journal.append(SET_ASIDE_EVENT, frames=len(self._store.frames), text=told[0])
+                self._store.set_aside()
+                raise SignalChangedError(f"{told[0]}; restart the camera, then resume: all frames are taken again")
+            under_light(self._opened, "off", self._takes(darks, "dark frames once more"), self._tell_fault)
+
+    def _require_as_metered(self, step: Step, raw: RawFrame) -> None:
+        """Refuse a frame that is not as bright as its exposure and the metering say, or is bright in the dark.
+
+        Where a channel should be near saturation, it is enough that it is bright; one with saturated pixels tells
+        nothing.
+        """
+        if self._metered is None:  # a session that an older version began
+            return
+        now, full_dn = self._store.rates(raw.counts, raw.exposure_s), self._store.full_scale_dn
+        part = raw.counts[self._store.region]
+        sites = (part[0::2, 0::2], np.stack([part[0::2, 1::2], part[1::2, 0::2]]), part[1::2, 1::2])
+        red, green, blue = (
+            there if (site >= full_dn).mean() > SATURATED_SHARE or min(rate, there) > WELL_SEEN[1] * most else rate
+            for rate, there, site in zip(self._metered, now, sites, strict=True)
+            for most in (full_dn / raw.exposure_s,)
+        )
+        self._store.require_as_metered(step, raw, None if step.light == "off" else (red, green, blue))
+
+    def _take(self, shot: Shot) -> None:
+        """Take and store a frame that is as metered; one more where it is not. Light that stays in the dark counts."""
+        try:
+            self._store.take(shot, lambda raw: self._require_as_metered(shot.step, raw))
+        except SignalChangedError as error:
+            self._journal.append("refused", text=f"{error}; one more was taken")
+            if shot.step.light == "off":
+                self._store.take(shot)
+            else:
+                self._store.take(shot, lambda raw: self._require_as_metered(shot.step, raw))
 
     def _meter(self) -> dict[str, Any]:
         """Return the exposures (s) of the flat frames, those of further dark frames, and what the user should know."""
+        rates: list[Rates] = []
+
+        def take(exposure_s: float) -> Counts:
+            raw = self._store.camera.expose(self._flat, exposure_s).raw
+            now = self._store.rates(raw.counts, raw.exposure_s)
+            if _is_well_seen(now, raw.exposure_s, self._store.full_scale_dn):
+                rates.append(now)
+                self._store.require_as_metered(self._flat, raw, rates[0])
+            return raw.counts[self._store.region]
+
         metered_s = meter_exposure(
-            lambda exposure_s: self._store.camera.expose(self._flat, exposure_s).raw.counts[self._store.region],
+            take,
             exposure_ladder(self._camera.shortest_exposure_s, self._camera.longest_exposure_s),
             self._store.full_scale_dn,
             self._camera.black_level_dn,
@@ -224,6 +312,8 @@ class _Recorder:
             tell=lambda text: self._progress(0, 1, text),
         )
         raw = self._store.camera.expose(self._flat, metered_s).raw
+        metered = self._store.rates(raw.counts, raw.exposure_s)
+        self._store.require_as_metered(self._flat, raw, rates[0] if rates else metered)
         saturation_s = saturation_exposures_s(raw.counts[self._store.region], raw.exposure_s, self._camera)
         levels_s = level_exposures_s(saturation_s, self._plan, self._camera)
         half_s = min(levels_s, key=lambda t: abs(t - 0.5 * min(saturation_s.values())))
@@ -231,6 +321,7 @@ class _Recorder:
         return {
             "flats_s": [*_up_and_down(levels_s, self._plan.frames_per_level), *[half_s] * self._plan.repeats],
             "extra_darks_s": [longest_s] * (self._plan.frames_per_level if longest_s not in levels_s else 0),
+            "rates_dn_per_s": metered,
             "notes": level_notes(saturation_s, self._plan, self._camera),
         }
 
@@ -239,7 +330,7 @@ class _Recorder:
         missing = self._store.missing(shots)
 
         def take(done: int, shot: Shot) -> None:
-            self._store.take(shot)
+            self._take(shot)
             self._progress(done, len(missing), f"{phase}: {shot.exposure_s:.3g} s")
 
         return deque(partial(take, done, shot) for done, shot in enumerate(missing, 1))
@@ -249,13 +340,18 @@ class _Recorder:
         self._journal.append("light lost", text=text)
 
 
+def _is_well_seen(rates: Rates, exposure_s: float, full_scale_dn: int) -> bool:
+    """Whether the brightest channel of a frame is neither dim nor near saturation."""
+    low, high = WELL_SEEN
+    return low * full_scale_dn < max(rates) * exposure_s < high * full_scale_dn
+
+
 def _up_and_down(levels_s: tuple[float, ...], times: int) -> Iterator[float]:
     """Yield every level `times` times, up and down in turn: a steady drift of the lamp cancels in each level's mean."""
     for turn in range(times):
         yield from levels_s if turn % 2 == 0 else reversed(levels_s)
 
 
-Counts = NDArray[np.uint16]
 # The last level lies this far beyond saturation, so that the variance is seen to fall.
 BEYOND_SATURATION = 1.15
 # Fewer levels than planned fit below saturation when the shortest exposure is already this bright.

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from hashlib import blake2b
 from typing import Final, Literal, TypeVar
 
 import numpy as np
@@ -168,7 +169,7 @@ class CheckedCamera:
         on_frame: Callable[[str, RawFrame, Step], None] = lambda label, raw, step: None,
     ) -> None:
         self._opened, self._settings, self._on_refusal, self._on_frame = opened, settings, on_refusal, on_frame
-        self._last: RawFrame | None = None
+        self._frames = NewFrames(opened.camera, settings.driver)
         self._slot_of_header: dict[str, int] = {}
         self._header_of_slot: dict[int, str] = {}
 
@@ -204,13 +205,12 @@ class CheckedCamera:
         if step.slot is not None and opened.wheel.position() != step.slot:
             opened.wheel.go_to(step.slot, WHEEL_DEADLINE_S)
         slot_before, lights_before = _require_slot(opened, step, "before"), _require_lights(opened, step.light)
-        raw = exposed(opened.camera, exposure_s, CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        raw = self._frames.expose(exposure_s, CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
         delivered_s = opened.clock.monotonic_s()
         slot_after, lights_after = _require_slot(opened, step, "after"), _require_lights(opened, step.light)
         self._require_as_asked(raw, step, exposure_s)
-        require_new(raw, self._last)
+        self._frames.require_new(raw)
         self._require_own_header(raw, step)
-        self._last = raw
         return CheckedFrame(raw, slot_before, slot_after, lights_before, lights_after, attempt, delivered_s)
 
     def _require_as_asked(self, raw: RawFrame, step: Step, exposure_s: float) -> None:
@@ -263,27 +263,99 @@ def _is_noisy(counts: NDArray[np.uint16]) -> bool:
     return bool(before.size) and float((before * after > 0).mean()) > NOISY_SHARE
 
 
-def require_new(raw: RawFrame, last: RawFrame | None) -> None:
-    """Refuse the frame that was delivered last time.
+def _digest(raw: RawFrame) -> bytes:
+    return blake2b(np.ascontiguousarray(raw.counts).data, digest_size=16).digest()
 
-    Raises
-    ------
-    BadFrameError
-        It has the number and time of the last one, or its payload: where there are none, and where noise would make
-        two frames differ, whatever their numbers.
+
+REPLAY_DRIVER: Final = "folder"
+CHANGED_SHARE: Final = 0.2
+"""By which the mean of two frames differs where a camera that is one frame late can be distinguished from another."""
+
+
+class NewFrames:
+    """The frames of a camera, none of which was delivered before.
+
+    A camera that delivers an earlier frame as a new one may be one frame late from then on. Each frame is then exposed
+    twice, with all else as it is, and the first one is thrown away, until one of those is seen to show what was asked
+    for: it resembles the frame after it, and that one differs from the frame before.
+
+    Parameters
+    ----------
+    camera, driver
+        The open camera, and its driver: a folder of images that is replayed has no image to throw away.
     """
-    if last is None:
-        return
-    is_numbered = raw.frame_id is not None or raw.device_time_s is not None
-    same = is_numbered and (raw.frame_id, raw.device_time_s) == (last.frame_id, last.device_time_s)
-    if not same and np.array_equal(raw.counts, last.counts):
+
+    def __init__(self, camera: Camera, driver: str) -> None:
+        self._camera, self._is_replay = camera, driver == REPLAY_DRIVER
+        self._last: RawFrame | None = None
+        self._delivered: set[bytes] = set()
+        self._may_be_late, self._calls = False, 0
+        self._thrown: RawFrame | None = None
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        """Take a frame; a camera that is late counts as lost, for its next exposure begins with a new connection.
+
+        Raises
+        ------
+        LostError
+            The camera is lost or late.
+        """
+        self._thrown, began = None, beginning()
+        self._calls += 1
+        if self._may_be_late:
+            self._thrown = self._exposed(exposure_s, deadline_s)
+            self._delivered.add(_digest(self._thrown))
+            lost_since(began)
+        return self._exposed(exposure_s, deadline_s)
+
+    def _exposed(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        try:
+            return self._camera.expose(exposure_s, deadline_s)
+        except TimedOutError as error:
+            raise LostError(str(error)) from error
+
+    def require_new(self, raw: RawFrame) -> None:
+        """Refuse a frame that was delivered before.
+
+        Raises
+        ------
+        BadFrameError
+            It has the number and time of the last one, or its payload: where there are none, and where noise would
+            make two frames differ, whatever their numbers; or the payload of any noisy frame before.
+        """
+        digest = _digest(raw)
+        if self._was_last(raw) or (digest in self._delivered and _is_noisy(raw.counts)):
+            self._may_be_late = not self._is_replay
+            raise BadFrameError(
+                "camera: delivered the same frame twice; its stream has stopped or is late, or a still picture is "
+                "served in place of the camera; until it is seen to be in time, each exposure is made twice"
+            )
+        # after a call that failed, a late camera shows what that one asked for
+        if self._last is not None and self._calls == 1 and self._is_in_time(raw, self._last):
+            self._may_be_late = False
+        self._calls = 0
+        if not self._is_replay:
+            self._delivered.add(digest)
+        self._last = raw
+
+    def _was_last(self, raw: RawFrame) -> bool:
+        """Whether it is the last frame once more."""
+        if (last := self._last) is None:
+            return False
+        is_numbered = raw.frame_id is not None or raw.device_time_s is not None
+        if is_numbered and (raw.frame_id, raw.device_time_s) == (last.frame_id, last.device_time_s):
+            return True
         # two frames of one value each may well be equal, in the dark but for a few bright pixels, or without any noise
-        same = _is_noisy(raw.counts) if is_numbered else raw.counts.min() < raw.counts.max()
-    if same:
-        raise BadFrameError(
-            "camera: delivered the same frame twice; its stream has stopped, or a still picture is served in place "
-            "of the camera"
-        )
+        is_told = _is_noisy(raw.counts) if is_numbered else raw.counts.min() < raw.counts.max()
+        return bool(is_told) and np.array_equal(raw.counts, last.counts)
+
+    def _is_in_time(self, raw: RawFrame, last: RawFrame) -> bool:
+        """Whether the frame that was thrown away shows what was asked for, and not what was before."""
+        if self._thrown is None:
+            return False
+        now, before, thrown = (float(one.counts.mean()) for one in (raw, last, self._thrown))
+        is_other = abs(now - before) > CHANGED_SHARE * max(now, before)
+        return is_other and abs(thrown - now) < 0.25 * abs(now - before)
 
 
 def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
@@ -324,20 +396,6 @@ RETAKEN: Final = (BadFrameError, FrameSizeError, LostError, WrongPositionError, 
 """What another attempt may mend. A device that is late again is stuck."""
 ATTEMPTS: Final = 4
 """Exposures before a frame that is refused every time ends the capture."""
-
-
-def exposed(camera: Camera, exposure_s: float, deadline_s: float) -> RawFrame:
-    """Take one frame; a camera that is late counts as lost, for its next exposure begins with a new connection.
-
-    Raises
-    ------
-    LostError
-        The camera is lost or late.
-    """
-    try:
-        return camera.expose(exposure_s, deadline_s)
-    except TimedOutError as error:
-        raise LostError(str(error)) from error
 
 
 def within_attempts(once: Callable[[int], T], on_refusal: Callable[[str], None], what: str) -> tuple[T, int]:
@@ -396,9 +454,8 @@ class TactileCamera:
     def __init__(
         self, camera: Camera, settings: CameraSettings, one_exposure: bool, on_refusal: Callable[[str], None]
     ) -> None:
-        self._camera, self._settings, self._one_exposure = camera, settings, one_exposure
+        self._frames, self._settings, self._one_exposure = NewFrames(camera, settings.driver), settings, one_exposure
         self._on_refusal = on_refusal
-        self._last: RawFrame | None = None
 
     def expose(self, exposure_s: float) -> tuple[RawFrame, int]:
         """Return a frame and how many attempts it took, four at most.
@@ -414,7 +471,7 @@ class TactileCamera:
 
     def _once(self, exposure_s: float) -> RawFrame:
         """Take one frame and check it."""
-        raw = exposed(self._camera, exposure_s, DEADLINE_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
+        raw = self._frames.expose(exposure_s, DEADLINE_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S)
         if not math.isfinite(raw.exposure_s):
             if not self._one_exposure:
                 raise RefusedError(
@@ -428,8 +485,7 @@ class TactileCamera:
                 "limits of the rig"
             )
         self._require_images(raw)
-        require_new(raw, self._last)
-        self._last = raw
+        self._frames.require_new(raw)
         return raw
 
     def _require_images(self, raw: RawFrame) -> None:

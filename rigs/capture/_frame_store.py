@@ -5,26 +5,36 @@ Fluorescent paint bleaches with laser light: every frame tells the energy on the
 
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Final
 
-from data_schemas import CaptureError, Frame, RegionOfInterest, RigFile
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import CaptureError, Frame, RegionOfInterest, RigFile, SignalChangedError
 from data_schemas.storage import write_frame
 from rigs import Clock, OpenRig, RawFrame
 from rigs.capture._exposure import CheckedCamera, CheckedFrame, saturated_fraction
+from rigs.capture._filter_proof import LEAST_SIGNAL_FRACTION
 from rigs.capture._journal import DISK_WITHIN_S, Journal, disk_hangs
 from rigs.capture._plan import Step
-from rigs.capture._resume import Interrupted, set_aside
+from rigs.capture._resume import PROVEN_EVENT, Interrupted, is_compared, set_aside
 from rigs.capture._session_folder import SessionWatch
 
 BYTES_PER_PIXEL = 2
 SPACE_FACTOR = 1.1  # of the frames: room for TIFF headers, journal and record
 MOST_WAITING = 4  # frames in memory that are not on the disk yet
+LARGEST_CHANGE = 1.25
+"""Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
 WRITE_WITHIN_S = 2.0 * DISK_WITHIN_S  # a frame, then its line of the journal
+
+
+Rates = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +91,8 @@ class FrameStore:
         self.dose = LaserDose(rig.laser.power_mw, opened.clock, 0.0 if interrupted is None else interrupted.dose_j)
         self._frame_bytes = BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px
         self._frames = {} if interrupted is None else dict(interrupted.frames)
+        self._unproven: set[int] = set()
+        self._black_dn = rig.camera.black_level_dn
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="frame-writer")
         self._waiting: list[Future[None]] = []
 
@@ -94,8 +106,66 @@ class FrameStore:
         self._wait(0)
         count = len(self._frames)
         self._frames.clear()
+        self._unproven.clear()
         set_aside(self._out, set())
         return count
+
+    @property
+    def has_unproven(self) -> bool:
+        """Whether frames that nothing is compared with have not been followed by one that is: dark ones, room light."""
+        return bool(self._unproven)
+
+    def prove(self) -> None:
+        """Note that a lit frame was as metered: what was taken before it counts."""
+        self._unproven.clear()
+        self._journal.append(PROVEN_EVENT)
+
+    def take_back(self) -> set[int]:
+        """Move the frames that are not proven out of the way; return their numbers, to be taken again."""
+        self._wait(0)
+        taken_back, self._unproven = self._unproven, set()
+        for number in taken_back:
+            self._frames.pop(number, None)
+        set_aside(self._out, {frame.file for frame in self._frames.values()})
+        return taken_back
+
+    def rates(self, counts: NDArray[np.uint16], exposure_s: float) -> Rates:
+        """Return the mean rates of the region above the black level (DN/s), red, green, blue."""
+        rows, columns = self.region
+        rows, columns = slice(rows.start & ~1, rows.stop), slice(columns.start & ~1, columns.stop)
+        part = counts[rows, columns].astype(np.float64) - self._black_dn
+        green = 0.5 * (part[0::2, 1::2].mean() + part[1::2, 0::2].mean())
+        red, blue = part[0::2, 0::2].mean(), part[1::2, 1::2].mean()
+        return float(red) / exposure_s, float(green) / exposure_s, float(blue) / exposure_s
+
+    def visible_dn_per_s(self, exposure_s: float) -> float:
+        """Return the rate that is clearly seen in a frame (DN/s)."""
+        return float(LEAST_SIGNAL_FRACTION * self.full_scale_dn / exposure_s)
+
+    def require_as_metered(self, step: Step, raw: RawFrame, metered: Rates | None) -> None:
+        """Refuse a frame whose signal is not that of its step's metering (DN/s), or is light in the dark.
+
+        Raises
+        ------
+        SignalChangedError
+            It is not.
+        """
+        now = self.rates(raw.counts, raw.exposure_s)
+        visible_dn_per_s = self.visible_dn_per_s(raw.exposure_s)
+        if metered is None:
+            if max(now) > visible_dn_per_s:
+                raise SignalChangedError(f"camera: {step.label} gives {max(now):.3g} DN/s with all lights off")
+            return
+        for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
+            is_alike = before > 0.0 and 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE
+            # a channel that was too dim for a ratio is compared by its difference
+            if not is_alike if before > visible_dn_per_s else rate - before > visible_dn_per_s:
+                raise SignalChangedError(
+                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at "
+                    f"metering (a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light "
+                    "changed or something moved; put it right, then continue or resume: all steps are "
+                    "metered again"
+                )
 
     def missing(self, shots: Iterable[Shot]) -> list[Shot]:
         """Return the shots that are still to be taken, after checking that the disk can hold them.
@@ -125,6 +195,10 @@ class FrameStore:
         dose_j = self.dose.energy_j(self._opened.clock.monotonic_s() - middle_s)
         self._wait(MOST_WAITING - 1)
         self._waiting.append(self._writer.submit(self._write, shot, checked, middle_s, dose_j))
+        if is_compared(shot.step.light):
+            self._unproven.clear()
+        else:
+            self._unproven.add(shot.sequence)
 
     def _write(self, shot: Shot, checked: CheckedFrame, middle_s: float, dose_j: float) -> None:
         """Write a frame, then its line of the journal."""
@@ -217,6 +291,45 @@ def _frame_file(number: int, step: Step, exposure_s: float) -> str:
     words = (step.frame_type, step.filter_name or "none")
     kind, filter_name = (re.sub(r"[^A-Za-z0-9.-]+", "-", word) for word in words)
     return f"frames/{number:04d}_{kind}_{filter_name}_{round(exposure_s * 1e6)}us.tiff"
+
+
+WELL_SEEN: Final = (0.1, 0.6)
+"""Of full scale: mean signal of a frame that shows by itself whether it was exposed as asked."""
+
+
+def checks_in_light(
+    steps: Iterable[Step], beside: Step, metered: Mapping[Step, Rates], exposures_s: Iterable[float], full_scale_dn: int
+) -> list[tuple[Step, float]]:
+    """Return lit steps and exposures (s) that show whether the camera still is as it was metered: shortest and longest.
+
+    They are steps with the target that is in place; under the lamp if it gives a good signal, for a laser bleaches.
+
+    Parameters
+    ----------
+    steps
+        The steps of the session.
+    beside
+        The step whose target is in place.
+    metered
+        Rates of the steps (DN/s).
+    exposures_s
+        Exposures that may be taken (s).
+    full_scale_dn
+        Largest count of the camera (DN).
+    """
+    low_dn, high_dn = (share * full_scale_dn for share in WELL_SEEN)
+    here = [s for s in steps if (s.target, s.tilt_deg) == (beside.target, beside.tilt_deg) and s.slot is not None]
+    for light in ("lamp", "laser"):
+        seen = [
+            (exposure_s, step)
+            for exposure_s in sorted(exposures_s)
+            for step in here
+            if step.light == light and low_dn < exposure_s * max(metered[step]) < high_dn
+        ]
+        if seen:
+            ends = dict((seen[0], seen[-1]))
+            return [(step, exposure_s) for exposure_s, step in ends.items()]
+    return []
 
 
 class LaserDose:

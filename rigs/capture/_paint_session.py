@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from data_schemas import (
     BandPassFilter,
     CaptureSession,
-    DeviceIdentity,
     FilterProof,
     LightState,
     PaintPlan,
@@ -31,6 +30,7 @@ from data_schemas import (
 from data_schemas.storage import write_manifest
 from rigs import OpenRig, RawFrame, open_rig, rig_locked
 from rigs.capture._exposure import (
+    REPLAY_DRIVER,
     WHEEL_DEADLINE_S,
     exposure_ladder,
     meter_exposure,
@@ -39,14 +39,21 @@ from rigs.capture._exposure import (
     under_light,
 )
 from rigs.capture._filter_proof import (
-    LEAST_SIGNAL_FRACTION,
     LaserLine,
     compare_with_last,
     judge_filters,
     predicted_rates,
     signal_floor,
 )
-from rigs.capture._frame_store import BYTES_PER_PIXEL, FrameStore, Shot, colour_notes, numbered
+from rigs.capture._frame_store import (
+    BYTES_PER_PIXEL,
+    FrameStore,
+    Rates,
+    Shot,
+    checks_in_light,
+    colour_notes,
+    numbered,
+)
 from rigs.capture._journal import Journal, fault_notes, faults_noted, healing_s
 from rigs.capture._plan import Step, paint_steps, with_repeat
 from rigs.capture._resume import (
@@ -54,7 +61,7 @@ from rigs.capture._resume import (
     CHANGED_EVENT,
     SET_ASIDE_EVENT,
     Interrupted,
-    require_same_camera,
+    as_before,
     require_same_inputs,
     resume_notes,
     rig_as_it_is,
@@ -73,18 +80,18 @@ from rigs.capture._session_folder import (
 from rigs.light_guard import LightLostError, is_hazardous, require_outside_layer
 
 T = TypeVar("T")
-Rates = tuple[float, float, float]
-
 Mend = Callable[[str], bool]
 """Tells somebody what is to be mended; returns, when it is, whether to go on."""
 MOST_REPAIRS = 5
 
 MOST_OLD_FRAMES = 1
 """In a session, delivered as new ones: a second one tells of a camera that is late for good."""
-LARGEST_CHANGE = 1.25
-"""Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
 SAME_SHARE = 0.05
 """By which a light differs that was put right: less than the change that ends a session, more than a warm lamp's."""
+UNPROVEN_NOTE = (
+    "no lamp or laser step gives a good signal at the exposures of the session, so nothing after the last dark frames "
+    "shows that the camera was still exposing as asked"
+)
 DARK_SHARE = 1e-3  # of full scale: by as much the black level of a rig file is off
 
 
@@ -115,6 +122,7 @@ class PaintRecorder:
         self._before = {} if interrupted is None else interrupted.metered
         self._in_doubt = interrupted is not None and interrupted.doubt != ""
         self.proof: FilterProof | None = None
+        self.notes = opened.notes
         self._healed = 0
 
     def record(self, steps: tuple[Step, ...], last_good: CaptureSession | None, mend: Mend) -> None:
@@ -155,6 +163,7 @@ class PaintRecorder:
         A frame contradicted its metering, and either may have been taken under the fault. What the rig gives now
         decides: frames stay only where metering before the repair and every lit frame agree with it.
         """
+        self._store.take_back()
         unlike = self._unlike_before(steps)
         if unlike is None:
             self._remember(steps)
@@ -183,7 +192,7 @@ class PaintRecorder:
             place = places.get((kind, frame.filter_name, frame.tilt_deg))
             if place is None:
                 continue
-            stored = self._rate(read_frame_of(self._out, frame), frame.exposure_s)
+            stored = self._store.rates(read_frame_of(self._out, frame), frame.exposure_s)
             if not self._are_same(self._rates[place], stored, frame.exposure_s):
                 return f"{frame.file} does not agree with {place.label} as it is now"
         return None
@@ -213,6 +222,38 @@ class PaintRecorder:
         ):
             shots = [shot for shot in missing if first <= shot.sequence < last]
             self._walk([(shot.step, shot) for shot in shots], phase, self._take)
+        if self._store.has_unproven and self._rig.camera.driver != REPLAY_DRIVER:
+            self._prove_in_light(
+                missing, checks_in_light(self._rates, steps[-1], self._rates, used_s, self._store.full_scale_dn)
+            )
+
+    def _prove_in_light(self, missing: Sequence[Shot], checks: Sequence[tuple[Step, float]]) -> None:
+        """See by lit frames that are not stored whether the camera was as metered in the dark; once more where not.
+
+        No frame in the dark tells that it was exposed for half of the time that was asked for.
+        """
+        if not checks:
+            self.notes = (*self.notes, UNPROVEN_NOTE)
+            return
+        told: list[str] = []
+
+        def look(check: tuple[Step, float]) -> None:
+            try:
+                self._require_as_metered(check[0], self._store.camera.expose(*check).raw)
+            except SignalChangedError as error:
+                told.append(str(error))
+
+        for is_last in (False, True):
+            told.clear()
+            self._walk([(check[0], check) for check in checks], "check of the dark frames in light", look)
+            if not told:
+                self._store.prove()
+                return
+            again = self._store.take_back()
+            self._journal.append("refused", text=f"{told[0]}; {len(again)} frames in the dark before it do not count")
+            if is_last:
+                raise SignalChangedError(f"{told[0]}; the dark frames before it do not count")
+            self._walk([(s.step, s) for s in missing if s.sequence in again], "dark frames once more", self._take)
 
     def _meter_and_prove(self, steps: tuple[Step, ...], last_good: CaptureSession | None, mend: Mend) -> None:
         """Meter and prove the filters; where somebody mends what the frames contradict, do both again."""
@@ -303,7 +344,7 @@ class PaintRecorder:
 
         def take(exposure_s: float) -> NDArray[np.uint16]:
             raw = self._store.camera.expose(step, exposure_s).raw
-            rates[exposure_s] = self._rate(raw.counts, raw.exposure_s)
+            rates[exposure_s] = self._store.rates(raw.counts, raw.exposure_s)
             return raw.counts[region]
 
         metered_s = meter_exposure(
@@ -351,45 +392,17 @@ class PaintRecorder:
         leaks: list[bool] = []
 
         def look(raw: RawFrame) -> None:
-            leaks.append(max(self._rate(raw.counts, raw.exposure_s)) > self._visible_dn_per_s(raw))
+            leaks.append(
+                max(self._store.rates(raw.counts, raw.exposure_s)) > self._store.visible_dn_per_s(raw.exposure_s)
+            )
 
         self._store.take(shot, look)
         return leaks[-1]
 
-    def _visible_dn_per_s(self, raw: RawFrame) -> float:
-        """Return the rate that is clearly seen in a frame (DN/s)."""
-        return float(LEAST_SIGNAL_FRACTION * self._store.full_scale_dn / raw.exposure_s)
-
     def _require_as_metered(self, step: Step, raw: RawFrame) -> None:
         """Refuse a frame whose signal is not that of its step's metering."""
-        if step.light == "room":
-            return
-        now = self._rate(raw.counts, raw.exposure_s)
-        visible_dn_per_s = self._visible_dn_per_s(raw)
-        if step.light == "off":
-            if max(now) > visible_dn_per_s:
-                raise SignalChangedError(f"camera: {step.label} gives {max(now):.3g} DN/s with all lights off")
-            return
-        metered = self._rates[step]
-        for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
-            is_alike = before > 0.0 and 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE
-            # a channel that was too dim for a ratio is compared by its difference
-            if not is_alike if before > visible_dn_per_s else rate - before > visible_dn_per_s:
-                raise SignalChangedError(
-                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at "
-                    f"metering (a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light "
-                    "changed or something moved; put it right, then continue or resume: all steps are "
-                    "metered again"
-                )
-
-    def _rate(self, counts: NDArray[np.uint16], exposure_s: float) -> Rates:
-        """Return the mean rates of the region above the black level (DN/s), red, green, blue."""
-        rows, columns = self._store.region
-        rows, columns = slice(rows.start & ~1, rows.stop), slice(columns.start & ~1, columns.stop)
-        part = counts[rows, columns].astype(np.float64) - self._rig.camera.black_level_dn
-        green = 0.5 * (part[0::2, 1::2].mean() + part[1::2, 0::2].mean())
-        red, blue = part[0::2, 0::2].mean(), part[1::2, 1::2].mean()
-        return float(red) / exposure_s, float(green) / exposure_s, float(blue) / exposure_s
+        if step.light != "room":
+            self._store.require_as_metered(step, raw, None if step.light == "off" else self._rates[step])
 
     def _prove(self, steps: tuple[Step, ...], last_good: CaptureSession | None) -> None:
         """Judge from the metered rates whether the wheel holds the filters that the rig file names."""
@@ -463,7 +476,7 @@ class PaintRecorder:
         dark, exposure_s = replace(lit, frame_type="dark", light="off"), self._exposures_s[lit][0]
         with shine(self._opened, "off"):
             raw = self._store.camera.expose(dark, exposure_s).raw
-        return self._rate(raw.counts, raw.exposure_s)
+        return self._store.rates(raw.counts, raw.exposure_s)
 
 
 def capture_paint_session(
@@ -548,7 +561,7 @@ def capture_with(
     camera = opened.camera.identity()
     if interrupted is not None:
         require_same_inputs(interrupted, inputs)
-        opened = _as_before(opened, rig, camera, interrupted)
+        opened = as_before(opened, rig, camera, interrupted)
     out.mkdir(parents=True, exist_ok=True)
     with Journal(out, opened.clock, resumed=interrupted is not None, told=request.watch.noted) as journal:
         if interrupted is None:
@@ -571,7 +584,7 @@ def capture_with(
             devices=opened.identities(),
             filter_proof=recorder.proof,
             white_rates_dn_per_s=recorder.white_rates(),
-            notes=(*opened.notes, *colour_notes(store.frames), *resume_notes(interrupted), *fault_notes(out)),
+            notes=(*recorder.notes, *colour_notes(store.frames), *resume_notes(interrupted), *fault_notes(out)),
         )
         noted = dict(request.sources) or ({} if interrupted is None else interrupted.sources)
         write_session(session, out, {**noted, **inputs}, request.command, journal)
@@ -585,28 +598,9 @@ def _go_on(journal: Journal, out: Path, interrupted: Interrupted) -> None:
     journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
 
 
-def _as_before(opened: OpenRig, rig: RigFile, camera: DeviceIdentity, interrupted: Interrupted) -> OpenRig:
-    """Return the rig with the clock of an interrupted session, after asking for a laser that was lost in it."""
-    require_same_camera(interrupted, camera)
-    _require_permission(interrupted, rig, opened)
-    return replace(opened, clock=interrupted.clock_after(opened.clock))
-
-
-def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig) -> None:
-    """Ask before a laser that harms eyes is lit again in a session in which it was lost."""
-    question = (
-        "The laser was lost when this session ended. Is the box closed, does everybody wear goggles, and may the laser "
-        "be lit again?"
-    )
-    if interrupted.laser_was_lost and is_hazardous(rig.laser) and not opened.operator.allows(question):
-        raise LightLostError(
-            "laser: was lost in this session, and is not lit again unless a person at the terminal says that the box "
-            "is closed; find out why, close the box, then run the same command in a terminal"
-        )
-
-
 WHEEL_MOVE_S = 1.0  # to a neighbouring slot: the slowest of the usual wheels
 METERING_FRAMES = 4  # a step, typically
+CHECKS_IN_LIGHT = 2
 LIT_SESSION_EXPOSURE_S = 0.5  # typical mean exposure; what it really is only metering tells
 
 
@@ -654,7 +648,7 @@ def forecast(plan: PaintPlan, rig: RigFile, steps: Sequence[Step]) -> Forecast:
     lit = (len(steps) + 1) * len(plan.bracket)
     darks = 2 * ((plan.darks_per_exposure + 1) // 2) * min(rungs, lit)
     moves = 2 * sum(a.slot != b.slot for a, b in pairwise(steps))
-    frames, metering = lit + darks, METERING_FRAMES * len(steps)
+    frames, metering = lit + darks, METERING_FRAMES * len(steps) + CHECKS_IN_LIGHT
     typical_s = moves * WHEEL_MOVE_S + (frames + metering) * LIT_SESSION_EXPOSURE_S
     return Forecast(
         steps=len(steps),

@@ -4,18 +4,29 @@ Curve files and camera must be as they were when the session began.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
 from pydantic import ValidationError
 
-from data_schemas import CaptureError, DeviceIdentity, Frame, Record, RecordError, RigFile, digest_of_input, explain
+from data_schemas import (
+    CaptureError,
+    DeviceIdentity,
+    Frame,
+    LightState,
+    Record,
+    RecordError,
+    RigFile,
+    digest_of_input,
+    explain,
+)
 from data_schemas.storage import migrate, read_toml, read_toml_tables, sha256_of
-from rigs import Clock
+from rigs import Clock, OpenRig
 from rigs.capture._journal import JOURNAL_NAME, read_journal
 from rigs.capture._session_folder import SESSION_NAME, clear_session
+from rigs.light_guard import LightLostError, is_hazardous
 
 ORPHANS = "set-aside"
 CHANGED_EVENT: Final = "signal changed"
@@ -24,6 +35,8 @@ AS_BEFORE_EVENT: Final = "as before"
 """Of the line that says that all is metered again, and agrees with what was metered and stored before."""
 SET_ASIDE_EVENT: Final = "set aside"
 """Of the line that says that the frames so far do not count, for the rig was another one when they were taken."""
+PROVEN_EVENT: Final = "frames proven"
+"""Of the line that says that a lit frame after the dark ones was as metered."""
 P = TypeVar("P", bound=Record)
 
 
@@ -175,7 +188,7 @@ def _replayed(folder: Path, start: dict[str, Any], lines: list[dict[str, Any]]) 
             line["label"]: ([float(t) for t in line["exposures_s"]], _rates(line["rates_dn_per_s"])) for line in steps
         },
         dose_j=max(doses_j),
-        levels=next((line for line in lines if line["event"] == "levels"), None),
+        levels=_levels(lines),
         ended_s=float(lines[-1]["monotonic_s"]),
         ended_utc=datetime.fromisoformat(lines[-1]["utc"]).astimezone(UTC).isoformat(),
         lines=len(lines),
@@ -184,17 +197,23 @@ def _replayed(folder: Path, start: dict[str, Any], lines: list[dict[str, Any]]) 
     )
 
 
+def is_compared(light: LightState | None) -> bool:
+    """Whether a frame in this light is compared with its metering: in the dark and in room light none is."""
+    return light in ("lamp", "laser")
+
+
 def _in_force(lines: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]], str]:
     """Return the lines of metered steps and of frames that still count, and what was said against them since.
 
     Once the frames have contradicted the filters somebody looks into the wheel: what was metered and stored before is
     of the wheel as it was, and is taken again. Once a frame has contradicted its metering either may be wrong: what was
-    metered before and after the repair is compared, and only then is it known what counts.
+    metered before and after the repair is compared, and only then is it known what counts. Frames in the dark and in
+    room light count when a later lit one was as metered: a camera that halves exposures unsaid is seen in light only.
     """
     steps: dict[str, dict[str, Any]] = {}
     again: dict[str, dict[str, Any]] = {}
     stored: list[dict[str, Any]] = []
-    doubt = ""
+    doubt, proven = "", 0
     for line in lines:
         event = line["event"]
         if _contradicts(line):
@@ -211,7 +230,18 @@ def _in_force(lines: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[d
             (again if doubt else steps)[line["label"]] = line
         elif event == "frame":
             stored.append(line)
-    return list(steps.values()), stored, doubt
+        if event == PROVEN_EVENT or (event == "frame" and is_compared(line.get("light"))):
+            proven = len(stored)
+    lit = [line for line in stored[proven:] if is_compared(line.get("light"))]
+    return list(steps.values()), [*stored[:proven], *lit], doubt
+
+
+def _levels(lines: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Return what a camera session decided after metering, where its frames were not set aside since."""
+    for line in reversed(lines):
+        if line["event"] in ("levels", SET_ASIDE_EVENT):
+            return line if line["event"] == "levels" else None
+    return None
 
 
 def _laser_was_lost(lines: list[dict[str, Any]]) -> bool:
@@ -379,3 +409,23 @@ def _named(camera: Any) -> str:
     """Return a camera in words; a new firmware does not make it another."""
     said = camera if isinstance(camera, dict) else {}
     return f"{said.get('vendor', '')} {said.get('model', '')} (serial '{said.get('serial', '')}')".strip()
+
+
+def as_before(opened: OpenRig, rig: RigFile, camera: DeviceIdentity, interrupted: Interrupted) -> OpenRig:
+    """Return the rig with the clock of an interrupted session, after asking for a laser that was lost in it."""
+    require_same_camera(interrupted, camera)
+    _require_permission(interrupted, rig, opened)
+    return replace(opened, clock=interrupted.clock_after(opened.clock))
+
+
+def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig) -> None:
+    """Ask before a laser that harms eyes is lit again in a session in which it was lost."""
+    question = (
+        "The laser was lost when this session ended. Is the box closed, does everybody wear goggles, and may the laser "
+        "be lit again?"
+    )
+    if interrupted.laser_was_lost and is_hazardous(rig.laser) and not opened.operator.allows(question):
+        raise LightLostError(
+            "laser: was lost in this session, and is not lit again unless a person at the terminal says that the box "
+            "is closed; find out why, close the box, then run the same command in a terminal"
+        )

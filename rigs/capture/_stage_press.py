@@ -18,6 +18,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -57,6 +58,8 @@ STEPS_OF_A_TARE: Final = 10
 LEAST_STEP_MM: Final = 0.005
 STEP_MARGIN: Final = 1.5
 """Forces that are left free for one more step, for a pad that becomes stiffer."""
+SECOND_STEP_MARGIN: Final = 2.5
+"""The same where only one step tells the stiffness: of a pad whose force grows with the square of the depth."""
 SIDEWAYS_SHARE: Final = 0.2
 """Of the force limit, on ways along the pad: a zero may have moved by a tenth of it."""
 MOST_LOST_BITS: Final = 3
@@ -364,7 +367,8 @@ class StagePress:
     def _push(self, touched: _Touched, limit_n: float, been_mm: float) -> None:
         """Press step by step to the depth or force that is asked for.
 
-        The first step leads no deeper than the search of the touch, or by one short step; the next one needs room.
+        The first step leads no deeper than the search of the touch, or by one short step. Each of the others goes where
+        nothing has been since the touch, and needs room: a pad may become stiffer.
         """
         stage, press, watch = self._settings, touched.press, self.guard(limit_n)
         first_mm = at_mm = touched.points[0][0]
@@ -382,8 +386,8 @@ class StagePress:
                 step_mm = min(step_mm, max((press.until_force_n - force.mean_n) / stiffness, LEAST_STEP_MM))
             if step_mm < 0.5 * LEAST_STEP_MM:
                 break
-            if len(touched.points) == 2:
-                self._require_room(touched, step_mm, limit_n)
+            if len(touched.points) > 1:
+                step_mm = self._with_room(touched, step_mm, limit_n)
             at_mm = next(self.steps(at_mm, step_mm))
             self.press_to(at_mm, watch)
             touched.points.append((at_mm, self.gauge.mean(watch=watch)))
@@ -397,16 +401,26 @@ class StagePress:
             )
         self._require_same_touch(touched, first_mm)
 
-    def _require_room(self, touched: _Touched, step_mm: float, limit_n: float) -> None:
-        """Refuse a step that would lead beyond the limit by the stiffness of the one before, and half as much again."""
-        (before_mm, before), (at_mm, now) = touched.points[-2:]
-        rise_n = max(now.mean_n - before.mean_n, 0.0) / abs(at_mm - before_mm) * step_mm
-        if now.mean_n + STEP_MARGIN * rise_n > limit_n:
+    def _with_room(self, touched: _Touched, step_mm: float, limit_n: float) -> float:
+        """Return the step (mm), shortened where it might lead beyond the limit by a pad that becomes stiffer.
+
+        Raises
+        ------
+        RefusedError
+            It would lead beyond the limit by the stiffness alone, or a step has no room.
+        """
+        at_mm, now = touched.points[-1]
+        stiffness = _next_stiffness_n_per_mm(touched.points[-3:], step_mm)
+        margin = STEP_MARGIN if len(touched.points) > 2 else SECOND_STEP_MARGIN
+        room_n = limit_n - now.mean_n
+        most_mm = room_n / (margin * stiffness) if stiffness > 0.0 else math.inf
+        if stiffness * step_mm > room_n or min(most_mm, step_mm) < 0.5 * LEAST_STEP_MM:
             raise RefusedError(
-                f"stage: after its first step it feels {now.mean_n:.3g} N, and the next one of {step_mm:.2g} mm adds "
-                f"{rise_n:.3g} N, which leaves no room below the limit of {limit_n:g} N; shorten step_mm of the rig "
-                f"file, or {PRESS_LESS}"
+                f"stage: after {abs(at_mm - touched.points[0][0]):.2g} mm of steps it feels {now.mean_n:.3g} N, and "
+                f"the next one of {step_mm:.2g} mm adds {stiffness * step_mm:.3g} N, which leaves no room below the "
+                f"limit of {limit_n:g} N; shorten step_mm of the rig file, or {PRESS_LESS}"
             )
+        return min(step_mm, most_mm)
 
     def _place_touch(self, touched: _Touched) -> None:
         r"""Place the touch within the last short step, evenly likely.
@@ -521,6 +535,28 @@ class StagePress:
                 f"load cell: its zero moved by {shift.mean_n:+.3g} N during contact {contact} "
                 f"({ZERO_MOVED_SHARE * self.limit_n:.3g} N are allowed); let it warm up, fasten it, then resume"
             )
+
+
+def _next_stiffness_n_per_mm(points: list[tuple[float, Force]], step_mm: float) -> float:
+    """Return the stiffness of the next step: that of the last one, and what it grew by where that is more than noise.
+
+    Parameters
+    ----------
+    points
+        The last places (mm) and forces, two or three.
+    step_mm
+        Length of the next step.
+    """
+    steps = [(abs(z - a), f.mean_n - e.mean_n, math.hypot(f.noise_n, e.noise_n)) for (a, e), (z, f) in pairwise(points)]
+    way_mm, rise_n, noise_n = steps[-1]
+    stiffness = max(rise_n, 0.0) / way_mm
+    if len(steps) == 1:
+        return stiffness
+    before_mm, before_n, before_noise_n = steps[0]
+    grown = stiffness - before_n / before_mm
+    if grown <= 3.0 * math.hypot(noise_n / way_mm, before_noise_n / before_mm):
+        return stiffness
+    return stiffness + grown * (way_mm + step_mm) / (before_mm + way_mm)
 
 
 @contextmanager

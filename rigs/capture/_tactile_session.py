@@ -4,13 +4,14 @@ A person presses, or a stage with a load cell does by itself (:mod:`rigs.capture
 tactile capture of each contact; an interrupted session is replayed from its journal.
 """
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Final
+from typing import Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from data_schemas import (
     MeasuredPress,
     PlannedPress,
     RecordError,
+    SignalChangedError,
     TactileCapture,
     TactileFrame,
     TactilePlan,
@@ -32,13 +34,14 @@ from data_schemas import (
     provenance,
 )
 from data_schemas.storage import read_frame, sha256_of, write_frame, write_manifest, write_record
-from rigs import driver_notes
+from rigs import RawFrame, driver_notes
 from rigs.capture._exposure import (
     CAMERA_DEADLINE_MARGIN_S,
     DEADLINE_EXPOSURES,
     TactileCamera,
     saturated_fraction,
 )
+from rigs.capture._filter_proof import LEAST_SIGNAL_FRACTION
 from rigs.capture._force_gauge import (
     SETTLING_READINGS,
     ZERO_MOVED_SHARE,
@@ -47,7 +50,7 @@ from rigs.capture._force_gauge import (
     open_tactile_rig,
     read_cell_calibration,
 )
-from rigs.capture._frame_store import BYTES_PER_PIXEL, require_space
+from rigs.capture._frame_store import BYTES_PER_PIXEL, LARGEST_CHANGE, require_space
 from rigs.capture._journal import (
     JOURNAL_NAME,
     Journal,
@@ -58,7 +61,7 @@ from rigs.capture._journal import (
     read_journal,
 )
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
-from rigs.capture._resume import ORPHANS, begun_with
+from rigs.capture._resume import CHANGED_EVENT, ORPHANS, begun_with
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
 from rigs.capture._stage_press import EXCHANGE_S, HOMING_WITHIN_S, StagePress, contact_times, replayed_presses
 
@@ -276,11 +279,15 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
             f"{folder}: replays a folder of images, and a replay would begin again with the first image; capture it "
             f"again into another folder"
         )
-    good = {}
+    good, unproven = dict[int, TactileFrame](), list[int]()
     for line in lines:
+        if line["event"] == CHANGED_EVENT:  # the contact before it may be of another light or exposure
+            for number in unproven:
+                good.pop(number, None)
         frame = _frame(line) if line["event"] == "frame" else None
         if frame is not None and _is_unchanged(folder, frame):
             good[frame.sequence] = frame
+            unproven = [] if frame.frame_type == "no contact" else [*unproven, frame.sequence]
     shots = tactile_shots(plan, rig.camera, len(presses))
     wanted = Counter(shot.group for shot in shots)
     there = Counter(shot.group for shot in shots if shot.sequence in good)
@@ -387,6 +394,7 @@ def capture_tactile_session(
             else:
                 take_over(out, interrupted, device)
                 recorder.frames.update(interrupted.frames)
+                recorder.take_levels()
                 recorder.continue_from(interrupted.measured)
                 journal.append("resume", frames=len(interrupted.frames))
             with faults_noted(journal, out, stated_times(rig, plan, presses).healing_s):
@@ -550,6 +558,7 @@ class _Recorder:
             camera, rig.camera, one_exposure, lambda text: journal.append("refused", text=text)
         )
         self._stage = None if calibration is None else StagePress(opened, rig, calibration, journal.append)
+        self._levels_dn: dict[float, float] = {}
         self.frames: dict[int, TactileFrame] = {}
         self.measured: dict[int, MeasuredPress] = {} if self._stage is None else self._stage.measured
 
@@ -589,9 +598,47 @@ class _Recorder:
         else:
             self._stage.leave()
 
+    def take_levels(self) -> None:
+        """Take over how bright the pad was at first, at each exposure, from the stored images of no contact."""
+        for _, frame in sorted(self.frames.items()):
+            is_compared = frame.frame_type == "no contact" and frame.exposure_s is not None
+            if is_compared and frame.exposure_requested_s not in self._levels_dn:
+                self._is_changed(frame.exposure_requested_s, read_frame(self._out / frame.file, frame.sha256))
+
+    def _level_dn(self, counts: NDArray[np.uint16]) -> float:
+        """Return the mean above the black level (DN)."""
+        return float(counts.mean()) - self._rig.camera.black_level_dn
+
+    def _is_changed(self, exposure_s: float, counts: NDArray[np.uint16]) -> bool:
+        """Whether an image of no contact is not as bright as the first one at its exposure, where that is bright."""
+        now_dn = self._level_dn(counts)
+        first_dn = self._levels_dn.setdefault(exposure_s, now_dn)
+        if max(first_dn, now_dn) < LEAST_SIGNAL_FRACTION * 2**self._rig.camera.bit_depth:
+            return False
+        return not first_dn / LARGEST_CHANGE < now_dn < first_dn * LARGEST_CHANGE
+
+    def _refuse(self, shot: TactileShot, raw: RawFrame) -> NoReturn:
+        """End a session whose images of no contact changed: the contact before it does not count."""
+        text = (
+            f"camera: {shot.label} gives {self._level_dn(raw.counts):.4g} DN on average, but the first image of no "
+            f"contact gave {self._levels_dn[shot.exposure_s]:.4g} DN at the same exposure (a factor of "
+            f"{LARGEST_CHANGE:g} is allowed): the light, the camera's exposure or the room changed, or something still "
+            "touches; restart the camera, check the light, then resume: the contact before it is made again. Where the "
+            "first images are the wrong ones, capture into another folder"
+        )
+        self._journal.append(CHANGED_EVENT, text=text)
+        raise SignalChangedError(text)
+
     def _take(self, shot: TactileShot) -> None:
         """Take a frame, write it, then its line of the journal."""
         raw, attempts = self._camera.expose(shot.exposure_s)
+        # a camera that does not say how long it exposes may choose it by itself
+        is_compared = shot.frame_type == "no contact" and math.isfinite(raw.exposure_s)
+        if is_compared and self._is_changed(shot.exposure_s, raw.counts):
+            self._journal.append("refused", text=f"{shot.label}: not as bright as the first one; one more was taken")
+            raw, attempts = self._camera.expose(shot.exposure_s)
+            if self._is_changed(shot.exposure_s, raw.counts):
+                self._refuse(shot, raw)
         self._watch.frame(shot.label, raw)
         captured_s = self._clock.monotonic_s()
         kind = shot.frame_type.replace(" ", "-")

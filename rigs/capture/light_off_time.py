@@ -7,6 +7,7 @@ and the laser goes off, when its standard input closes (whoever started it is go
 """
 
 import os
+import resource
 import select
 import signal
 import subprocess
@@ -194,9 +195,8 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
                 break
         else:
             raise CaptureError(
-                f"laser at {laser.address}: its three processes could not be stopped within {1e3 * _AT_ONCE_S:g} ms of "
-                f"each other in {_MOST_TRIES} tries, so one of them may switch off before the dead-man does; close "
-                f"other programs and run the check again"
+                f"laser at {laser.address}: its three processes could not be stopped at once in {_MOST_TRIES} tries, "
+                f"so one of them may switch off before the dead-man does; close other programs and run the check again"
             )
         if latest is not None:
             earliest_s.append(earliest)
@@ -218,14 +218,16 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
 
 
 _AT_ONCE_S = 1e-4
-"""One of them that runs in between needs about as long to see that another was stopped and to say "off"."""
-_MOST_TRIES = 5
+"""Where they cannot be kept on one core. One that runs in between needs about as long to see that another was stopped
+and to say "off"."""
+_MOST_TRIES = 10
 
 
 def _kill(holder: Holder, layer: LightLayer) -> bool:
     """Kill the holder; for the dead-man all three, stopped first so that none can switch off in another's place.
 
-    Return whether they were stopped so close to each other that none could.
+    Return whether none of them can have run between the first stop and the last. On one core with this process that is
+    known: this process was never taken off it, however long it took.
 
     Raises
     ------
@@ -237,38 +239,57 @@ def _kill(holder: Holder, layer: LightLayer) -> bool:
         holder.process.kill()
         return True
     try:
-        with _on_one_core(pids):
-            began_s = time.monotonic()
+        with _on_one_core(pids) as are_together:
+            began_s, switches = time.monotonic(), _switches()
             for pid in pids:
                 os.kill(pid, signal.SIGSTOP)
-            stopped_s = time.monotonic()
+            switched, took_s = _switches() - switches, time.monotonic() - began_s
             for pid in pids:
                 os.kill(pid, signal.SIGKILL)
     except ProcessLookupError:
         raise CaptureError("laser: its guard or watch ended by itself before it was killed; find out why") from None
-    return stopped_s - began_s < _AT_ONCE_S
+    return switched == 0 if are_together else took_s < _AT_ONCE_S
+
+
+def _switches() -> int:
+    """Return how often this thread was taken off its core, or left it, so far."""
+    usage = resource.getrusage(resource.RUSAGE_THREAD if sys.platform == "linux" else resource.RUSAGE_SELF)
+    return usage.ru_nvcsw + usage.ru_nivcsw
+
+
+def _threads(pid: int) -> list[str]:
+    """Return the threads of a process, by their numbers."""
+    try:
+        return os.listdir(f"/proc/{pid}/task")
+    except FileNotFoundError:
+        raise ProcessLookupError from None
 
 
 @contextmanager
-def _on_one_core(pids: Sequence[int]) -> Iterator[None]:
+def _on_one_core(pids: Sequence[int]) -> Iterator[bool]:
     """Keep the processes on one core with this one for a ``with`` block, so that none runs while this one does.
 
-    Where the system does not let us, only the time that stopping them takes tells.
+    Yield whether the system lets us. They are made to wait for their turn when they wake (SCHED_BATCH): a stop wakes
+    them, and would let them take the core at once.
     """
     if not hasattr(os, "sched_setaffinity"):
-        yield
+        yield False
         return
     ours = os.sched_getaffinity(0)
+    core = {min(ours)}
     try:
-        for pid in (*pids, 0):
+        for thread in (*(int(thread) for pid in pids for thread in _threads(pid)), 0):
             try:
-                os.sched_setaffinity(pid, {min(ours)})
+                os.sched_setaffinity(thread, core)
+                if thread:
+                    os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
             except ProcessLookupError:
                 raise
             except OSError:
                 continue
         time.sleep(ASK_EVERY_S)  # whoever has rested is not interrupted at once
-        yield
+        now = [int(thread) for pid in pids for thread in _threads(pid)]
+        yield all(os.sched_getaffinity(thread) == core for thread in (*now, 0))
     finally:
         os.sched_setaffinity(0, ours)
 

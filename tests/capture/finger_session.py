@@ -1,5 +1,6 @@
 """A tactile session on the picamera2 stand-in: plan, rig, operator and what the sensor sees."""
 
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,10 @@ bit_depth = 10
 """
 
 
+SEEDS = count(1)
+"""A camera of the same noise twice is one that delivers an old frame."""
+
+
 class Hands:
     """An operator who notes what is asked and does something at it."""
 
@@ -78,7 +83,7 @@ def capture(folder: Path, plan: TactilePlan, rig: TactileRig, hands: Hands, **as
 def scene(sensor, contact: bool):
     """Light proportional to the exposure above the black level; a contact brightens the middle by half."""
     width, height = sensor.size
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(next(SEEDS))
 
     def counts(exposure_s: float) -> np.ndarray:
         light = np.full((height, width), 2e4)

@@ -147,7 +147,7 @@ def test_session_reads_back_with_its_checksums(captured: Captured) -> None:
     }
     assert all(sha256_of(out / name) == digest for name, digest in manifest.items())
     events = Counter(json.loads(line)["event"] for line in (out / "journal.jsonl").read_text().splitlines())
-    once = dict.fromkeys(("start", "levels", "session", "stop"), 1)
+    once = dict.fromkeys(("start", "levels", "frames proven", "session", "stop"), 1)
     assert events == once | {"frame": len(session.frames), "note": len(session.notes)}
     assert {text.split(":")[0] for _, _, text in calls} == {"flat frames", "dark frames"}
     assert len(calls) == len(session.frames)

@@ -191,7 +191,7 @@ def test_journal_tells_start_steps_frames_and_stop(captured: Captured) -> None:
     events = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
     count = Counter(e["event"] for e in events)
     switches = {"laser on": 4, "laser off": 4}  # tile and sample, metered and captured
-    once = dict.fromkeys(("start", "filter proof", "session", "stop"), 1)
+    once = dict.fromkeys(("start", "filter proof", "frames proven", "session", "stop"), 1)
     assert count == once | {"step": 26, "frame": len(session.frames)} | switches
     assert events[0]["event"] == "start"
     assert (events[-1]["event"], events[-1]["outcome"]) == ("stop", "done")
@@ -203,7 +203,13 @@ def test_progress_counts_up_within_each_phase(captured: Captured) -> None:
     _, _, calls = captured
     # long exposures are told beside them, as "metering fluorescence (sample, laser) through filter 450: 4 s"
     phases = {text.split(":")[0] for _, _, text in calls if "through filter" not in text.split(":")[0]}
-    assert phases == {"metering", "dark frames before", "frames", "dark frames after"}
+    assert phases == {
+        "metering",
+        "dark frames before",
+        "frames",
+        "dark frames after",
+        "check of the dark frames in light",
+    }
     for phase in phases:
         counts = [(done, total) for done, total, text in calls if text.startswith(f"{phase}:")]
         assert counts == [(n + 1, len(counts)) for n in range(len(counts))]

@@ -28,7 +28,7 @@ from data_schemas import (
 )
 from data_schemas.storage import read_record, read_toml, write_record
 from rigs import CellReading, ForceLimitError, RawFrame, SystemClock, write_tactile_rig
-from rigs.capture import SessionRequest, capture_tactile_session, read_journal
+from rigs.capture import SessionRequest, StagePress, capture_tactile_session, open_tactile_rig, read_journal
 from rigs.simulated import SimulatedLoadCell
 from tests.capture.drivers.press_bench import N_PER_COUNT, PressBench, press_bench
 from tests.command_line.running import finray
@@ -70,6 +70,11 @@ def events(folder: Path, name: str) -> list[dict[str, object]]:
     return [line for line in read_journal(folder / "s") if line["event"] == name]
 
 
+def only_the_stop_is_left(monkeypatch) -> None:
+    """No step asks for room: a pad may become stiffer at once."""
+    monkeypatch.setattr(StagePress, "_with_room", lambda presser, touched, step_mm, limit_n: step_mm)
+
+
 FILTER, LATE = 4, 2
 
 
@@ -85,6 +90,7 @@ def test_a_last_step_that_leads_beyond_the_limit_ends_the_press(practice, monkey
         return CellReading(round(sum(one.counts for one in shown) / len(shown)), shown[-1].at_s)
 
     monkeypatch.setattr(SimulatedLoadCell, "read", read)
+    only_the_stop_is_left(monkeypatch)
     changed(
         practice, "rig-presses.toml", ("until_force_n = 1.0 ", "# "), ("force_limit_n = 2.0", "force_limit_n = 4.0")
     )
@@ -119,7 +125,8 @@ def test_session_runs_by_itself(practice):
     assert finray(f"verify {practice}/s").status == 0
 
 
-def test_force_limit_stops_the_stage_and_it_leaves(practice):
+def test_force_limit_stops_the_stage_and_it_leaves(practice, monkeypatch):
+    only_the_stop_is_left(monkeypatch)
     changed(
         practice, "rig-presses.toml", ("until_force_n = 1.0 ", "# "), ("force_limit_n = 2.0", "force_limit_n = 0.8")
     )
@@ -265,8 +272,6 @@ def test_calibration_of_a_cell_is_refused(practice):
 
 def drawn_presses(count: int) -> list[tuple[float, float, float, float]]:
     """Touch error (mm) and force error (N) of random fingers, each with its standard uncertainty."""
-    from rigs.capture import StagePress, open_tactile_rig
-
     rng, found = np.random.default_rng(5), []
     for seed in range(count):
         rig = random_finger(rng, seed)
@@ -544,8 +549,6 @@ def test_calibration_of_another_cell_is_refused_or_told(practice):
 
 def test_contact_without_its_zero_is_pressed_again(practice, monkeypatch):
     """A session that ended between the images and the zero used to lose the zero's part of the uncertainty."""
-    from rigs.capture import StagePress
-
     faulty(practice, "drifting cell, 0.5 mN/s")
     leave, ended = StagePress.leave, []
 
@@ -565,8 +568,6 @@ def test_contact_without_its_zero_is_pressed_again(practice, monkeypatch):
 
 
 def test_finger_that_moved_before_a_session_went_on_is_found(practice, monkeypatch):
-    from rigs.capture import StagePress
-
     changed(practice, "rig-presses.toml", ("led_current_ma", "repeats = 2\nled_current_ma"))
     press, moved = StagePress.press, []
 
@@ -631,8 +632,6 @@ def test_stage_that_is_not_seen_to_stop_is_what_the_person_is_told(bench, tmp_pa
 
 
 def test_second_interruption_waits_until_the_pad_is_left(bench, tmp_path, monkeypatch):
-    from rigs.capture import StagePress
-
     flee, expose = StagePress._flee, FlatCamera.expose  # noqa: SLF001 the flight itself is disturbed
 
     def interrupted(camera: FlatCamera, exposure_s: float, deadline_s: float) -> RawFrame:
@@ -664,8 +663,6 @@ def stiff(stiffness_n_per_mm: float, **stage: object) -> TactileRig:
 
 def pressed(rig: TactileRig, limit_n: float) -> tuple[str, list[float]]:
     """Press with a limit; return why it ended ("" where it did not), and the forces of its places (N)."""
-    from rigs.capture import StagePress, open_tactile_rig
-
     forces: list[float] = []
     with open_tactile_rig(rig, Path()) as opened:
         presser = StagePress(opened, rig, exact_calibration(rig), lambda event, **what: None, limit_n)
@@ -697,11 +694,23 @@ def test_a_session_asks_for_room_before_its_first_whole_step():
     assert max(forces) == pytest.approx(0.45, abs=0.05)
 
 
+@pytest.mark.parametrize("stiffening_n_per_mm2", [1.0, 12.0])
+def test_every_step_asks_for_room(stiffening_n_per_mm2):
+    """A pad that becomes stiffer exceeded the limit by its third step: only the second one was asked."""
+    rig = stiff(1.5, step_mm=0.1)
+    pad = rig.simulated.model_copy(update={"stiffening_n_per_mm2": stiffening_n_per_mm2})
+    why, forces = pressed(rig.model_copy(update={"simulated": pad}), 0.7)
+    assert max(forces) < 0.7
+    if stiffening_n_per_mm2 > 10.0:
+        assert "which leaves no room below the limit of 0.7 N" in why
+        assert max(forces) > 0.35  # it went as far as there was room
+    else:
+        assert why == ""
+
+
 @pytest.mark.parametrize("force_n", [0.15, 0.35])
 def test_what_is_met_beside_the_pad_stops_the_way_along_it(force_n):
     """Nothing should touch there: a fifth of the limit ends it, not all of it."""
-    from rigs.capture import StagePress, open_tactile_rig
-
     rig = stiff(1.5)
     with open_tactile_rig(rig, Path()) as opened:
         presser = StagePress(opened, rig, exact_calibration(rig), lambda event, **what: None, 1.0)

@@ -59,10 +59,37 @@ def test_four_refused_frames_end_the_capture():
     "same", [{}, {"frame_id": 7}, {"device_time_s": 1.5}], ids=["payload", "frame number", "device time"]
 )
 def test_same_frame_twice_is_refused(same):
-    with checked(frame(**same), frame(**same), frame(10, frame_id=8)) as (camera, refused):
+    with checked(frame(**same), frame(**same), frame(10, frame_id=8), frame(11, frame_id=9)) as (camera, refused):
         camera.expose(0.01)
-        assert camera.expose(0.01)[1] == 2
+        raw, attempts = camera.expose(0.01)
+        assert attempts == 2
+        assert raw.frame_id == 9  # the one before it may be of the request before
     assert "the same frame twice" in refused[0]
+
+
+def noisy(seed: int, level: int = 100) -> RawFrame:
+    counts = np.random.default_rng(seed).integers(level - 9, level + 9, (HEIGHT_PX, WIDTH_PX), dtype=np.uint16)
+    return frame(counts=counts, frame_id=seed)
+
+
+def test_a_frame_of_some_time_ago_is_refused_whatever_its_number():
+    old = replace(noisy(1), frame_id=3)
+    with checked(noisy(1), noisy(2), old, noisy(4), noisy(5)) as (camera, refused):
+        assert [camera.expose(0.01)[0].frame_id for _ in range(3)] == [1, 2, 5]
+    assert len(refused) == 1
+
+
+def test_each_exposure_is_made_twice_until_the_camera_is_seen_to_be_in_time():
+    late = [noisy(3, 200), noisy(4, 200)]  # the light has changed: the first one shows so, too
+    with checked(noisy(1), noisy(1), noisy(2), noisy(7), *late, noisy(5)) as (camera, _):
+        assert [camera.expose(0.01)[0].frame_id for _ in range(4)] == [1, 7, 4, 5]
+    # the frame that was refused brought a late camera up to date: that one looks in time proves nothing
+    with checked(noisy(1), noisy(1), noisy(2, 200), noisy(7, 200), noisy(3), noisy(4)) as (camera, _):
+        assert [camera.expose(0.01)[0].frame_id for _ in range(3)] == [1, 7, 4]
+    # a camera that is late shows in the first one what was before
+    late = [noisy(3), noisy(4, 200)]
+    with checked(noisy(1), noisy(1), noisy(2), noisy(7), *late, noisy(5, 200), noisy(6, 200)) as (camera, _):
+        assert [camera.expose(0.01)[0].frame_id for _ in range(4)] == [1, 7, 4, 6]
 
 
 def test_frame_of_another_size_is_taken_again_and_refused_at_last():
