@@ -241,7 +241,8 @@ def verdict(row: Row) -> str:
 
 
 def by_subject(text: str, headings: tuple[str, ...] = ("## ",)) -> dict[str, list[Row]]:
-    """Return heading -> the rows below it that have a verdict."""
+    """Return heading -> the rows below it that have a verdict, without the summary of them all."""
+    text = re.sub(f"{SUMMARY_BEGIN}.*{SUMMARY_END}", "", text, flags=re.DOTALL)
     lines = text.split("\n")
     subjects: dict[str, list[Row]] = {}
     for row in rows(text):
@@ -253,8 +254,7 @@ def by_subject(text: str, headings: tuple[str, ...] = ("## ",)) -> dict[str, lis
 
 def summary(text: str) -> str:
     """Return a table of how many rows of each section met their bar, and a list of those that did not."""
-    outside = re.sub(f"{SUMMARY_BEGIN}.*{SUMMARY_END}", "", text, flags=re.DOTALL)
-    sections = by_subject(outside, ("## ", "### "))
+    sections = by_subject(text, ("## ", "### "))
     table = [f"| section | {' | '.join(VERDICTS)} |", f"|---{'|---' * len(VERDICTS)}|"]
     total = dict.fromkeys(VERDICTS, 0)
     lists = []
