@@ -105,7 +105,8 @@ ASSESS_DESCRIPTION = """\
 Find what a designer needs to know first about a finger:
 
   light angle  sweeps at five places of the pad, and the decision on them by the error of the sensed normal
-  tolerances   of the finger with that light: how far it may vary before the error has grown by a tenth
+  tolerances   of the finger with that light, over contacts of their own along the pad: how far it may vary before
+               the error has grown by a tenth
   stiffness    against forces at tip and pad and a twist, also with each assumed dimension changed by 20 %
 
 --pad gives the pad another size: mirror and camera follow it, panels, tip and backing move with its length.
