@@ -377,7 +377,11 @@ def _assessed_numbers(
     times = f"over {tolerances.box_factor:.2g}" if factor is None else f"{factor:.2g}"
     return (
         KeyNumber("Light angle", f"{decision.angle_deg:.0f} deg", around),
-        KeyNumber("All half-ranges times", times, "95 % of fingers have at most a tenth more error"),
+        KeyNumber(
+            "Build tolerances",
+            f"{times} times",
+            "the given half-ranges, for all numbers together: then 95 % of fingers have at most a tenth more error",
+        ),
         KeyNumber("Stiffness under the pad", rows[2][1], rows[2][2]),
     )
 
