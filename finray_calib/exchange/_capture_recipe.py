@@ -160,6 +160,7 @@ class RecipeScale(Model):
 
 
 LengthUnit = Literal["mm", "cm", "m", "um"]
+_Size = Literal["diameter_mm", "depth_mm", "position_mm"]
 
 
 class RecipeIndenter(Model):
@@ -177,7 +178,7 @@ class RecipeIndenter(Model):
     depth_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the depth")
     position_mm: PlaceOfPress | None = Field(default=None, description="place along the pad, from its base")
     position_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the position")
-    columns_in: LengthUnit | dict[Literal["diameter_mm", "depth_mm", "position_mm"], LengthUnit] = Field(
+    columns_in: LengthUnit | dict[_Size, LengthUnit] = Field(
         default="mm",
         description="unit of the columns and arrays that hold diameter, depth and position; where it is not the same "
         'for all of them, that of each: { depth_mm = "m" }',
@@ -208,11 +209,12 @@ class RecipeIndenter(Model):
 
     def column_unit_mm(self, name: str) -> float:
         """Millimetres in a unit of the column of "diameter_mm", "depth_mm" or "position_mm"."""
-        of_all = self.columns_in
-        return _COLUMN_UNITS_MM[of_all if isinstance(of_all, str) else of_all.get(name, "mm")]
+        given = self.columns_in
+        units = dict.fromkeys(_SIZES, given) if isinstance(given, str) else given
+        return next((_COLUMN_UNITS_MM[unit] for size, unit in units.items() if size == name), 1.0)
 
 
-_SIZES: Final = ("diameter_mm", "depth_mm", "position_mm")
+_SIZES: Final[tuple[_Size, ...]] = ("diameter_mm", "depth_mm", "position_mm")
 _COLUMN_UNITS_MM: Final = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 
 
