@@ -46,12 +46,12 @@ def drawn_paint(
     """Draw a paint and measure it.
 
     Every filter is off its stated centre, width and blocking within its uncertainty; calibration, channel response and
-    stray light are off as the rig states them; 0.2 % noise.
+    stray light are off as the rig states them, and so is the lamp's temperature; 0.2 % noise.
     """
     nominal = nominal_optics()
     count = len(nominal.filters)
     imperfections = rng.standard_normal((4, count))  # calibration, blocking, centre, width
-    weights = rig_emission_weights(_real(nominal, imperfections), CHANNEL_WEIGHTS)
+    weights = rig_emission_weights(_real(nominal, imperfections, rng.standard_normal()), CHANNEL_WEIGHTS)
     joint = prior.of(family, with_blocking=True)
     theta = joint.draw(1, rng)[0]
     signed = _with_discrepancy(family, theta, discrepancy, rng) * (weights.laser_nm <= WAVELENGTH_NM)
@@ -77,8 +77,8 @@ def drawn_paint(
     return DrawnPaint(theta, np.maximum(signed, 0.0), imperfections.ravel(), bands)
 
 
-def _real(nominal: Optics, imperfections: np.ndarray) -> Optics:
-    """Return the rig as it is."""
+def _real(nominal: Optics, imperfections: np.ndarray, hotter: float) -> Optics:
+    """Return the rig as it is, its lamp hotter by that many of its standard uncertainties."""
 
     def off(band: BandPassFilter, z: np.ndarray) -> BandPassFilter:
         change = {
@@ -89,7 +89,8 @@ def _real(nominal: Optics, imperfections: np.ndarray) -> Optics:
         return band.model_copy(update=change)
 
     filters = (off(band, z) for band, z in zip(nominal.filters, imperfections.T, strict=True))
-    return nominal.model_copy(update={"filters": tuple(filters)})
+    lamp = halogen_lamp(nominal.lamp_temperature_k + hotter * nominal.lamp_temperature_uncertainty_k)
+    return nominal.model_copy(update={"filters": tuple(filters), "lamp": lamp})
 
 
 def _with_discrepancy(

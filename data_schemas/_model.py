@@ -292,6 +292,10 @@ class Estimate(Model):
     def __float__(self) -> float:
         return self.estimate
 
+    def to_numpy(self) -> Floats:
+        """Return the median as an array of no dimension, as `float` does: plots ask for it."""
+        return np.asarray(float(self))
+
 
 class Quantity(Estimate):
     """An estimate with its unit: ``598.1 [586.5, 603.5] nm``.

@@ -138,12 +138,12 @@ def formatted_interval(numbers: tuple[float, float, float], form: str, unit: str
     """Return an estimate with its interval in a format such as ``.1f``, ``>30`` or ``>30.1f``.
 
     The sign, the decimals and their kind are those of each number; the width is that of the whole text, `plain` where
-    no number is formatted.
+    no number is formatted. Per cent are of a ratio: "50 % [48 %, 52 %]".
 
     Raises
     ------
     ValueError
-        It is another format.
+        It is another format, or per cent of what has a unit.
     """
     parts = _FORMAT.fullmatch(form)
     if parts is None:
@@ -153,7 +153,14 @@ def formatted_interval(numbers: tuple[float, float, float], form: str, unit: str
         )
     text, of_number = plain, parts["sign"] + parts["number"]
     if of_number:
-        estimate, low, high = (format(number, of_number) for number in numbers)
+        if of_number.endswith("%"):
+            if unit not in ("", "1"):
+                raise ValueError(
+                    f"{form!r} writes a ratio in per cent, and this number is in {unit}; give decimals such as '.1f', "
+                    "or divide its median, .estimate, by what it is a share of"
+                )
+            unit = ""
+        estimate, low, high = (format(number, of_number).replace("%", " %") for number in numbers)
         text = f"{estimate} [{low}, {high}] {unit}".strip()
     return format(text, parts["place"] + parts["width"])
 

@@ -2,7 +2,8 @@ r"""Acceptance of a rig: from what its devices did to a verdict for each check.
 
 Limits are judged with guard bands (JCGM 106): a value y with standard uncertainty u passes an upper limit T when
 :math:`y + 1.645 u \le T`, fails it when :math:`y - 1.645 u > T`, and is undecided between the two. What could not be
-measured has a result too. Consumer's and producer's risk of inspecting many items are here as well.
+measured has a result too. `global_risks` is for who makes sensors in numbers and chooses a guard band: the shares of
+good ones that are turned away and of bad ones that are let through. No command needs it.
 """
 
 from typing import TYPE_CHECKING

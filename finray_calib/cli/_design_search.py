@@ -104,8 +104,10 @@ ASSESS_HELP = "light angle, tolerances and stiffness of a finger, also one with 
 ASSESS_DESCRIPTION = """\
 Find what a designer needs to know first about a finger:
 
-  light angle  sweeps at five places of the pad, and the decision on them by the error of the sensed normal
-  tolerances   of the finger with that light: how far it may vary before the error has grown by a tenth
+  light angle  the decision by the error of the sensed normal at six places along the pad, with the brightness around
+               contacts at five places beside it
+  tolerances   of the finger with that light, over contacts of their own along the pad: how far it may vary before
+               the error has grown by a tenth
   stiffness    against forces at tip and pad and a twist, also with each assumed dimension changed by 20 %
 
 --pad gives the pad another size: mirror and camera follow it, panels, tip and backing move with its length.
@@ -586,7 +588,7 @@ def _swept(
     paints: "Mapping[str, Path]",
     parts: _AssessedParts,
 ) -> "list[LightAngleSweep]":
-    """Sweep the light's angle at five places of the pad."""
+    """Sweep the light's angle around contacts at five places; the first tells the error of the normal over the pad."""
     from data_schemas import LightAngleSweep
 
     return [

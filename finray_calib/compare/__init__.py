@@ -9,6 +9,9 @@ nothing. Noise of render and camera is taken out of the squares, and every numbe
 camera, pose and light leave open. Images that do not belong together are refused before anything is compared. Every
 metric of ours is a field of `ErrorRow`, computed for one candidate in one region by `_candidate_errors.py`; a package
 outside the tree may bring others (`Metric`).
+
+`structural_similarity` and `multi_scale_similarity` are for beside numbers that others publish: comparisons hold them
+of images as a display shows them.
 """
 
 from typing import TYPE_CHECKING

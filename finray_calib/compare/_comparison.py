@@ -53,31 +53,9 @@ def channel_weights(no_contact: NDArray[np.float64], mask: NDArray[np.bool_]) ->
     if (mean <= 0).any():
         raise CompareError(
             f"Channel {int(np.argmin(mean))} of the no-contact image has mean {mean.min():.3g} over the region; "
-            "relative weights need a positive mean. Check the black level or pass channel weights."
+            "relative weights need a positive mean. Check the black level."
         )
     return np.asarray(1 / mean**2)
-
-
-def checked_weights(
-    weights: NDArray[np.float64] | None, no_contact: NDArray[np.float64], mask: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Return the channel weights to use: the given ones after a check, else those of the no-contact image.
-
-    Raises
-    ------
-    CompareError
-        If the given weights are not one finite, non-negative number per channel with a positive sum.
-    """
-    if weights is None:
-        return channel_weights(no_contact, mask)
-    given = np.asarray(weights, dtype=np.float64)
-    valid = given.shape == no_contact.shape[2:] and np.isfinite(given).all() and (given >= 0).all()
-    if not (valid and given.sum() > 0):
-        raise CompareError(
-            f"Channel weights must be {no_contact.shape[2]} numbers >= 0, not all zero, got {given.tolist()}. "
-            "Pass ones for the plain pooled score."
-        )
-    return given
 
 
 Floats = NDArray[np.float64]

@@ -305,7 +305,7 @@ def error_variance(layers: RenderLayers, captured: Captured, exposure_k: float) 
     variance = captured.variance(np.nan_to_num(captured.contact)) + exposure_k**2 * layers.contact_variance
     if layers.rest_noise is None:
         return variance
-    return variance + layers.rest_noise * captured.variance(np.nan_to_num(captured.no_contact))
+    return variance + exposure_k**2 * layers.rest_noise * captured.variance(np.nan_to_num(captured.no_contact))
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,7 +362,7 @@ def image_sums(
     contact, no_contact = (pixels_within(image, used) for image in (captured.contact, captured.no_contact))
     repeat = None if captured.repeat is None else pixels_within(captured.repeat, used)
     v_d, v_b = captured.variance(contact), captured.variance(no_contact)
-    of_rest = 0.0 if layers.rest_noise is None else pixels_within(layers.rest_noise, used)
+    of_rest = 0.0 if layers.rest_noise is None else exposure_k**2 * pixels_within(layers.rest_noise, used)
     values = _PixelValues(
         contact=contact,
         no_contact=no_contact,
@@ -391,10 +391,11 @@ def gradient_sums(
     b, v_b = captured.no_contact, captured.variance(captured.no_contact)
     signal = image_gradient(captured.contact - b)
     repeat = None if captured.repeat is None else image_gradient(captured.repeat - b)
-    v_d, of_rest = captured.variance(captured.contact), layers.rest_noise
+    v_d = captured.variance(captured.contact)
     variance = gradient_variance(v_d + v_b)
     of_error, of_both = (variance, variance)
-    if of_rest is not None:  # the noise of b is in the contact image of both sides
+    if layers.rest_noise is not None:  # the noise of b is in the contact image of both sides
+        of_rest = exposure_k**2 * layers.rest_noise
         of_error, of_both = gradient_variance(v_d + of_rest * v_b), gradient_variance(v_d + np.sqrt(of_rest) * v_b)
     of_repeat = None if captured.repeat is None else gradient_variance(captured.variance(captured.repeat) + v_b)
     of_render = exposure_k**2 * gradient_variance(layers.contact_variance + layers.no_contact_variance)

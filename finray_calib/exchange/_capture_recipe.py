@@ -161,6 +161,10 @@ class RecipeScale(Model):
         return self.mm_per_px if self.mm_per_px is not None else 1.0 / (self.px_per_mm or 1.0)
 
 
+LengthUnit = Literal["mm", "cm", "m", "um"]
+_Size = Literal["diameter_mm", "depth_mm", "position_mm"]
+
+
 class RecipeIndenter(Model):
     """What was pressed in; sizes are numbers, or columns of the table (of this or, without one, of the contact's)."""
 
@@ -176,8 +180,10 @@ class RecipeIndenter(Model):
     depth_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the depth")
     position_mm: PlaceOfPress | None = Field(default=None, description="place along the pad, from its base")
     position_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the position")
-    columns_in: Literal["mm", "cm", "m", "um"] = Field(
-        default="mm", description="unit of the columns and arrays that hold diameter, depth and position"
+    columns_in: LengthUnit | dict[_Size, LengthUnit] = Field(
+        default="mm",
+        description="unit of the columns and arrays that hold diameter, depth and position; where it is not the same "
+        'for all of them, that of each: { depth_mm = "m" }',
     )
     extruded_mm: Positive | None = Field(
         default=None,
@@ -190,19 +196,27 @@ class RecipeIndenter(Model):
         for name in ("depth", "position"):
             if getattr(self, f"{name}_uncertainty_mm") is not None and getattr(self, f"{name}_mm") is None:
                 raise ValueError(f"{name}_uncertainty_mm needs {name}_mm; give it too, or leave the uncertainty out")
-        sizes = (self.diameter_mm, self.depth_mm, self.position_mm)
-        if self.columns_in != "mm" and not any(isinstance(size, str) for size in sizes):
+        columns = [name for name in _SIZES if isinstance(getattr(self, name), str)]
+        if self.columns_in != "mm" and not columns:
             raise ValueError("columns_in belongs to columns, and the indenter names none; give its numbers in mm")
+        for name in self.columns_in if isinstance(self.columns_in, dict) else ():
+            if name not in columns:
+                raise ValueError(
+                    f"columns_in gives a unit for {name}, which is no column here; allowed are {', '.join(columns)}; "
+                    "numbers of the recipe itself are in mm"
+                )
         if self.extruded_mm is not None and self.shape != "mesh":
             raise ValueError(f'extruded_mm belongs to shape = "mesh", not to a {self.shape}; leave it out')
         return self
 
-    @property
-    def column_unit_mm(self) -> float:
-        """Millimetres in a unit of the columns."""
-        return _COLUMN_UNITS_MM[self.columns_in]
+    def column_unit_mm(self, name: str) -> float:
+        """Millimetres in a unit of the column of "diameter_mm", "depth_mm" or "position_mm"."""
+        given = self.columns_in
+        units = dict.fromkeys(_SIZES, given) if isinstance(given, str) else given
+        return next((_COLUMN_UNITS_MM[unit] for size, unit in units.items() if size == name), 1.0)
 
 
+_SIZES: Final[tuple[_Size, ...]] = ("diameter_mm", "depth_mm", "position_mm")
 _COLUMN_UNITS_MM: Final = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 
 
@@ -545,6 +559,9 @@ def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, fl
         ratio = middle_mm / 1.0
         why = f"and {_DEPTHS_MM[0]:g} to {_DEPTHS_MM[1]:g} mm are allowed"
     unit = next((name for factor, name in _UNITS.items() if 1 / 3 < ratio / factor < 3), '"m", "cm" or "um"')
+    others = [n for n in _SIZES if n != "depth_mm" and isinstance(getattr(recipe.indenter, n), str)]
+    if others:  # their columns may be in mm all the same
+        unit = f"{{ depth_mm = {unit} }}"
     raise ImportFormatError(
         f"recipe '{recipe.name}', indenter.depth_mm: the median depth of {len(depths)} presses is {middle_mm:.3g} mm, "
         f"{why}. If the column is in another unit, say columns_in = {unit} below [indenter]; else correct the depths, "

@@ -473,7 +473,7 @@ class _Folder:
         file, press = indenter.file, indenter.press
         if file is None and contact is not None:
             file, press = contact.file, contact.press
-        return self._quantity(name, file, press, value) * indenter.column_unit_mm
+        return self._quantity(name, file, press, value) * indenter.column_unit_mm(what)
 
     def _placed(self, name: str, capture: TactileCapture) -> TactileCapture:
         """Return the capture with its contact."""

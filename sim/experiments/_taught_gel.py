@@ -57,8 +57,9 @@ _MODEL_ERROR, _LEAST_ERROR, _INDEPENDENT = 0.05, 0.003, 50
 _STRIDE_PX, _LEAST_SEEN = 4, 0.2
 _MOST_EVALUATIONS: Final = 200
 _COVERAGE: Final = 0.95
-#: Places along a strip of light, as shares of its half-length, and their weights: the mean to the ninth power.
-_ALONG, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+#: Places along a strip of light and their weights, as shares of half the angle under which it is seen: so also a strip
+#: many times as long as it is far away is met where its light comes from.
+_ALONG, _WEIGHTS = np.polynomial.legendre.leggauss(9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +272,7 @@ class _Lights:
             self.azimuth, self.distance, self.height, self.half_length, strict=True
         ):
             along, across, given = np.cos(azimuth), np.sin(azimuth), np.zeros(())
-            for place, weight in zip(half * _ALONG, _WEIGHTS / _WEIGHTS.sum(), strict=True):
+            for place, weight in zip(*_strip(half, np.hypot(distance, height)), strict=True):
                 to = distance * along - place * across - at[0], distance * across + place * along - at[1], height - sunk
                 square = to[0] ** 2 + to[1] ** 2 + to[2] ** 2
                 facing = (to[2] - slopes[0] * to[0] - slopes[1] * to[1]) / (steep * np.sqrt(square))
@@ -286,6 +287,14 @@ class _Lights:
 
 
 _NORMAL: Final = 1.0 / np.sqrt(2.0 * np.pi)
+
+
+def _strip(half_length: float, away: float) -> tuple[Floats, Floats]:
+    """Return places along a strip of light that is so far away, from its middle, and weights, whose sum is one."""
+    widest = np.arctan2(half_length, away)
+    angles = widest * _ALONG
+    weights = 0.5 * _WEIGHTS * widest * away / (half_length * np.cos(angles) ** 2)
+    return away * np.tan(angles), weights / weights.sum()
 
 
 def _cap(circle_rel: float) -> float:

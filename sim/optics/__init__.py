@@ -6,9 +6,9 @@ render. Level a is the paper's emitter, b bakes what the painted walls re-emit, 
 
 `choose_variant` and `open_renderer` find a renderer that runs here; `paint_bands` makes bands of paints; `render_press`
 renders a finger without and with contact; `sweep_light_angle` measures probe points over the light angle and
-`probe_gradient` differentiates them; `pixel_maps` and `camera_view` show what each pixel sees; `render_plain_sensor`
-renders a classic sensor. Radiance is relative to the light panel's, lengths are in mm, and each render states its
-noise.
+`probe_gradient` differentiates them, for a search of your own (`finray design optimise` learns from values alone);
+`pixel_maps` and `camera_view` show what each pixel sees; `render_plain_sensor` renders a classic sensor. Radiance is
+relative to the light panel's, lengths are in mm, and each render states its noise.
 """
 
 from typing import TYPE_CHECKING

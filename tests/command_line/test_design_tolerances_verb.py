@@ -98,6 +98,8 @@ def test_one_command_gives_light_tolerances_and_stiffness_of_a_new_pad(
     assert said.endswith(f"look at: {out}/assessment.html\n")
     page = " ".join(unescape((out / "assessment.html").read_text()).split())
     assert f"Light at {decision.angle_deg:.0f} deg" in page
+    assert "Build tolerances" in page
+    assert "moved most by" not in page  # in a quick assessment no dimension is changed
     assert tolerances.sentence in page
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import CompareError
-from finray_calib.compare._comparison import checked_weights
+from finray_calib.compare._comparison import channel_weights
 from finray_calib.compare._regions import pixels_within, usable_pixels
 
 
@@ -75,7 +75,7 @@ def skill_score(
     """
     simulation, capture, background = (np.asarray(i, dtype=np.float64) for i in (simulated, captured, no_contact))
     used = usable_pixels(mask, simulation, capture, background)
-    channel_weight = checked_weights(weights, background, used)
+    channel_weight = channel_weights(background, used) if weights is None else weights
     real = pixels_within(capture, used)
     residual, change = exposure_k * pixels_within(simulation, used) - real, pixels_within(background, used) - real
     error, signal = (np.einsum("pc,pc->c", image, image) for image in (residual, change))

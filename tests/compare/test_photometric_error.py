@@ -1,5 +1,7 @@
 """One comparison from layers to draws of every region."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,24 @@ def test_the_best_values_give_the_plain_skill_of_the_picture(scene, relative_wei
             plain = skill_score(image, captured.contact, captured.no_contact, region.mask, weights)
             assert result.images.skill(name, weights)[0] == pytest.approx(plain.skill, abs=SINGLE)
             assert result.images.channel_skill(name)[0] == pytest.approx(plain.per_channel_skill, abs=SINGLE)
+
+
+def test_noise_of_the_rest_that_a_render_begins_from_is_exposed_with_it(scene):
+    """A render 1.6 times as dim, brightened by 1.6, holds the same noise of the image without contact."""
+    layers, captured = scene
+    noise = CaptureNoise(np.full(3, 200.0), np.full(3, 0.5))
+    captured, rest_noise = replace(captured, noise=noise), np.full((*SHAPE, 3), 0.8)
+    dimmer = replace(layers_of(layers.contact / 1.6, layers.no_contact / 1.6), rest_noise=rest_noise / 1.6**2)
+    dim = compare(dimmer, captured, fit_exposure=True)
+    one = compare(replace(layers, rest_noise=rest_noise), captured, fit_exposure=True)
+    assert dim.best_exposure / one.best_exposure == pytest.approx(1.6, rel=1e-3)
+    weights = np.ones(3)
+    for found, expected in zip(best(dim), best(one), strict=True):
+        for name in ("images", "gradients"):
+            pair = [getattr(result, name).skill("simulation", weights)[0] for result in (found, expected)]
+            assert pair[0] == pytest.approx(pair[1], abs=1e-4)
+    bare = best(compare(layers, captured, fit_exposure=True))[0].images.skill("simulation", weights)[0]
+    assert abs(bare - best(one)[0].images.skill("simulation", weights)[0]) > 0.005  # the noise matters here
 
 
 def test_one_exposure_factor_serves_all_regions_and_not_the_do_nothing_row(scene):

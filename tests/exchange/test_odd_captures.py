@@ -121,6 +121,17 @@ def test_columns_may_be_in_other_units(tmp_path, unit, value):
     assert found.captures["p0"].indenter.radius_mm == 4.6  # a number of the recipe itself is in mm
 
 
+def test_depth_and_diameter_may_be_in_different_units(tmp_path):
+    folder = write_lab(tmp_path / "f", columns={"depth": 0.00045, "d": 9.2})
+    text = BALLS.replace("diameter_mm = 9.2\n", 'diameter_mm = "d"\ndepth_mm = "depth"\n')
+    with pytest.raises(ImportFormatError, match=r'say columns_in = \{ depth_mm = "m" \} below'):
+        read(folder, text)
+    pose = read(folder, f'{text}columns_in = {{ depth_mm = "m" }}\n').captures["p0"].indenter
+    assert (pose.depth_mm, pose.radius_mm) == pytest.approx((0.45, 4.6))
+    with pytest.raises(ValueError, match="unit for position_mm, which is no column here; allowed are diameter"):
+        read(folder, f'{text}columns_in = {{ position_mm = "m" }}\n')
+
+
 def test_depths_without_a_circle_are_held_against_what_gels_can_be(tmp_path):
     text = BALLS.split("[contact]")[0] + '[indenter]\nshape = "cuboid"\ndepth_mm = "depth"\nfile = "labels.csv"\n'
     text += 'press = "image"\n'

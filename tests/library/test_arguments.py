@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import finray_calib as finray
 from data_schemas import (
@@ -114,6 +115,22 @@ def test_a_number_with_a_unit_becomes_no_plain_number_and_arrays_mix_no_units(pa
             np.array(numbers, float)
     assert np.array([q.estimate for q in (in_nm, in_um)]) == pytest.approx(in_nm.estimate * np.array([1.0, 1e-3]))
     assert float(paint.reflectance_at_laser) == paint.reflectance_at_laser.estimate
+
+
+def test_per_cent_are_of_a_ratio_and_stand_after_a_space(paint):
+    ratio = paint.reflectance_at_laser
+    shown = [f"{100.0 * number:.1f} %" for number in (ratio.estimate, ratio.low95, ratio.high95)]
+    assert f"{ratio:.1%}" == f"{shown[0]} [{shown[1]}, {shown[2]}]"
+    with pytest.raises(ValueError, match=r"'\.0%' writes a ratio in per cent, and this number is in nm; give decimals"):
+        format(paint.mode_nm, ".0%")
+
+
+def test_a_plot_takes_a_pure_number_and_refuses_one_with_a_unit(paint):
+    axes = Figure().subplots()
+    (line,) = axes.plot([1.0], [paint.reflectance_at_laser], "o")
+    assert line.get_ydata(orig=False) == pytest.approx([paint.reflectance_at_laser.estimate])
+    with pytest.raises(TypeError, match=r"nm: as a plain number it would lose its unit, nm, .* write \.estimate"):
+        axes.plot([1.0], [paint.mode_nm], "o")
 
 
 def test_a_number_with_its_uncertainty_is_no_number_of_a_design(paint):

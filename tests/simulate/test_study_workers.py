@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import dask
 import pytest
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, get_worker
 
 from data_schemas import SimulateError, code_digest, provenance
 from data_schemas import _provenance as provenance_module
@@ -221,6 +221,30 @@ def cluster():
 
 def waits(seconds, job):
     time.sleep(seconds)
+
+
+def marks_who(folder, point):
+    """Add the worker to the file of a point; the worker named in the folder takes forty times as long."""
+    worker = get_worker().address
+    with (Path(folder) / f"{point.number}").open("a") as file:
+        file.write(f"{worker}\n")
+    time.sleep(8.0 if worker == (Path(folder) / "slow").read_text() else 0.2)
+
+
+@pytest.mark.timeout(300)
+def test_a_slow_worker_delays_its_own_points_only(cluster, tmp_path):
+    """Others do not wait for it, what it is given is computed once, and it is not taken for one that left."""
+    with Client(cluster, set_as_default=False) as client:
+        slow = min(client.nthreads())
+    (tmp_path / "slow").write_text(slow)
+    points = jobs(24)
+    ended = list(each_computed(marks_who, str(tmp_path), points, "point ", (None, cluster.scheduler_address)))
+    assert sorted(point.number for point, _ in ended) == [point.number for point in points]
+    assert {failure for _, failure in ended} == {None}
+    by = [(tmp_path / f"{point.number}").read_text().split() for point in points]
+    assert {len(workers) for workers in by} == {1}
+    # at most what it computes and what waits beside it, twice: half of them would be 12
+    assert 1 <= sum(workers == [slow] for workers in by) <= 4
 
 
 def test_a_point_for_a_worker_that_left_goes_to_another(cluster):

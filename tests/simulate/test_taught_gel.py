@@ -5,6 +5,7 @@ import pytest
 
 from data_schemas import ContactCircle, IndenterPose, SimulateError, TactileCapture
 from sim.experiments import fit_gel, predict_on_gel
+from sim.experiments._taught_gel import _Lights
 
 RADIUS_MM, MM_PER_PX, SHAPE = 6.0, 0.1, (120, 160)
 EXPONENT, DIRECTIONS_DEG, LEVEL = 0.45, (-160.0, -30.0, 85.0), 55.0
@@ -123,6 +124,23 @@ def test_strips_of_light_are_told_from_points():
     assert length.low95 < 16.0 / 20.0 < length.high95
     # a model of points of light loses 0.013 to 0.018
     assert max(lost_by(gel, (20, 21, 22), **STRIPS)) < 0.01
+
+
+@pytest.mark.parametrize("half_length", [0.3, 1.5, 4.0, 8.0])
+def test_a_strip_of_any_length_gives_the_light_of_its_integral(half_length):
+    """The integral of the cosine over the square along a straight strip, in closed form."""
+    away, height, x, y, slope = 1.6, 0.9, np.array([0.0, 0.8, -0.8]), np.array([0.0, 0.5, -0.5]), -0.2
+    half = half_length * away
+    lights = _Lights(
+        np.zeros(1), np.array([away]), np.array([height]), np.eye(1), np.zeros(1), 1.0, 1.0, 1.0,
+        np.array([half]), 1e-3, np.zeros(2), 2.0, 0.3,
+    )  # fmt: skip
+    square = (away - x) ** 2 + height**2
+    part = (half - y) / np.hypot(half - y, np.sqrt(square)) + (half + y) / np.hypot(half + y, np.sqrt(square))
+    expected = (height - slope * (away - x)) / np.hypot(1.0, slope) * part / (2.0 * half * square)
+    found = lights._light((x, y), (slope, 0.0), 0.0)[:, 0]  # noqa: SLF001
+    # the light of the middle of the picture is divided by: a factor on all places alike shows nowhere
+    assert found / found[0] == pytest.approx(expected / expected[0], rel=0.01)
 
 
 def test_what_taught_is_not_predicted(gel):
