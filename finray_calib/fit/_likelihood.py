@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import FitError
-from finray_calib.fit._band_data import LEAST_BANDS, BandData, Reference, decisive_leaks
+from finray_calib.fit._band_data import LEAST_BANDS, BandData, Reference, band_values, decisive_leaks
 from finray_calib.fit._prior import NO_DISCREPANCY, Discrepancy, EmissionPrior
 from finray_calib.fit.posterior_kernel import (
     COVARIANCE,
@@ -146,8 +146,10 @@ class LogPosterior:
 
     def refined(self, theta: FloatArray) -> tuple["LogPosterior", FloatArray]:
         """Return the posterior whose tolerances act at `theta` (D,), and the maximum that it reaches from there."""
-        reference = self.reference_at(theta)
-        posterior = LogPosterior(self.data, self.family, self._paints, self.discrepancy, reference)
+        reference, weights = self.reference_at(theta), self.data.weights
+        reflected = np.array([reference.reflected_laser])
+        data = self.data.at(band_values(reference.curve[None], reflected, weights, reference.leak[None])[0])
+        posterior = LogPosterior(data, self.family, self._paints, self.discrepancy, reference)
         return posterior, posterior.climb(posterior.carried(theta[None], self.prior.names)[0])
 
     def carried(self, theta: FloatArray, names: Sequence[str]) -> FloatArray:

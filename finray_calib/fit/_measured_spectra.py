@@ -21,7 +21,7 @@ curve can be read back.
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -285,6 +285,14 @@ class _Rig:
         more = self.leak_factor * self.data.leak_mean - 1
         return more, 1 + more * self.data.weights.leaked_white
 
+    def at(self, curve: Floats, reflectance: float) -> "_Rig":
+        """Return the rig whose errors common to all values are shares of those of this paint."""
+        more, white = self._mean_leak()
+        w = self.data.weights
+        nominal = w.emission @ curve + reflectance * w.reflected_laser
+        leaked = w.leaked_emission @ curve + reflectance * w.leaked_laser
+        return replace(self, data=self.data.at((nominal + more * leaked) / white))
+
     @property
     def laser_alone(self) -> float:
         """Reflectance at the laser if the paint did not emit: of the bands that pass it, else of the prior."""
@@ -418,6 +426,7 @@ def scored_components(data: BandData, spectra: MeasuredSpectra, ln_blocking_sd: 
     best = first.chosen[np.argsort(-first.weight)[:_KEPT]]
     curve = (first.weight * np.maximum(first.height[:, 0], 0.0)) @ parts.curves[first.chosen]
     reflectance = max(float(first.weight @ first.height[:, 1]), 1e-3)
+    rig = rig.at(curve, reflectance)
     columns = rig.columns(curve, reflectance)
     second = _second_pass(rig, parts, bands, best, columns, first)
     return ScoredSpectra(rig, parts, bands, second, columns)
@@ -486,8 +495,9 @@ def band_errors(
     rng
         Source of all randomness.
     """
-    columns = _Rig(data, float(np.exp(ln_blocking_sd**2 / 2)), ln_blocking_sd).columns(curve, reflectance)
-    noise = np.linalg.cholesky(data.covariance[np.ix_(data.kept, data.kept)])
+    rig = _Rig(data, float(np.exp(ln_blocking_sd**2 / 2)), ln_blocking_sd).at(curve, reflectance)
+    columns = rig.columns(curve, reflectance)
+    noise = np.linalg.cholesky(rig.data.covariance[np.ix_(data.kept, data.kept)])
     drawn = columns @ rng.standard_normal(columns.shape[1]) + noise @ rng.standard_normal(len(noise))
     return np.asarray(drawn)
 

@@ -201,7 +201,9 @@ def budget_sources(bands: BandSignals, data: BandData, fitted: ScoredSpectra) ->
     beside = data.covariance[np.ix_(kept, kept)] - usual  # channel response, ends of curves, stray light: diagonal
     most = 1 / float(y @ np.linalg.solve(usual, y))  # more of y y^T would leave no positive semidefinite covariance
     tile = min(data.tile_uncertainty_rel**2, most) * np.outer(y, y)
+    level = fitted.rig.data.level[kept]
     common = most * np.outer(y, y) - tile
+    white_at_fit = min(data.tile_uncertainty_rel, most**0.5) * level[:, None]
     relative = np.hypot(stated.response_rel, EXTRAPOLATION_UNCERTAINTY_REL * extrapolated_shares(optics)).ravel()[kept]
     response = np.minimum((relative * y) ** 2, np.diag(beside))
     count, lamp = data.weights.bands, data.lamp_response_rel is not None
@@ -220,7 +222,7 @@ def budget_sources(bands: BandSignals, data: BandData, fitted: ScoredSpectra) ->
         UncertaintySource("noise of the frames", f"{100 * noise:.1f} % of a value (median)", "A",
                           _root(usual - tile - common)),
         UncertaintySource(SHARED_BY_ALL, f"{100 * shared:.1f} %", "A", _root(common)),
-        UncertaintySource("white reference", f"{100 * white:.1f} %", "B", _root(tile)),
+        UncertaintySource("white reference", f"{100 * white:.1f} %", "B", white_at_fit),
         UncertaintySource("calibration of each filter", percent(data.band_calibration_rel), "B", calibration),
         UncertaintySource("centres of the filters", f"at most {largest('center_uncertainty_nm'):g} nm", "B", centre),
         UncertaintySource("widths of the filters", f"at most {largest('fwhm_uncertainty_nm'):g} nm", "B", width),

@@ -5,6 +5,7 @@ import pytest
 
 from data_schemas import CurveError, LampSettings, RigFile
 from data_schemas.storage import halogen_lamp, lamp_curve, planck_relative, read_toml
+from finray_calib.fit import band_data
 from finray_calib.spectra import lamp_response, rig_emission_weights
 from rigs import simulated_rig, write_rig
 from rigs.simulated import Bench
@@ -45,6 +46,29 @@ def test_a_lamp_is_named_by_temperature_or_file(tmp_path):
     assert lamp_curve(LampSettings(spectrum="planck-2700K"), tmp_path)(450.0) < lamp_curve(LampSettings(), tmp_path)(
         450.0
     )
+
+
+def test_errors_common_to_all_values_do_not_pull_the_level_down(red_bands):
+    """Peelle's puzzle: a white reference known to 10 %, a lamp to 50 K, filters to 1 % and values to 0.5 %."""
+    mu, rng, levels = red_bands.fluorescence.ravel(), np.random.default_rng(4), []
+    white = red_bands.optics.white_reference.model_copy(update={"uncertainty_rel": 0.1})
+    optics = red_bands.optics.model_copy(update={"white_reference": white})
+    for _ in range(100):
+        y = mu * (1 + 0.005 * rng.standard_normal(mu.size)) * (1 + 0.01 * rng.standard_normal(8).repeat(3))
+        covariance = np.diag((0.005 * y) ** 2) + 0.1**2 * np.outer(y, y)
+        drawn = {"optics": optics, "fluorescence": y.reshape(-1, 3), "fluorescence_covariance": covariance}
+        data = band_data(red_bands.model_copy(update=drawn))
+        levels.append([estimated_level(found, y, mu) for found in (data, data.at(mu))])
+    measured, fitted = np.mean(levels, axis=0)
+    assert measured < 0.97  # what the fit would do without a reference
+    assert fitted == pytest.approx(1.0, abs=4 * np.std(levels, axis=0)[1] / 10)
+
+
+def estimated_level(data, y, mu):
+    """Return the least-squares factor of the known values of a paint."""
+    columns, kept = data.imperfections(), data.kept
+    weight = np.linalg.solve(data.covariance[np.ix_(kept, kept)] + columns @ columns.T, mu[kept])
+    return weight @ y[kept] / (weight @ mu[kept])
 
 
 @pytest.mark.parametrize("spectrum", ["led", "planck-900K", "planck-0900K", "planck-2856"])
