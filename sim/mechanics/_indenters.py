@@ -200,8 +200,11 @@ class PackagedBody:
         if not callable(getattr(body, "distances", None)):
             raise plug_in.refusal(f"returns a {type(body).__name__} as its body, which lacks distances(points_mm)")
         rays = np.random.default_rng(0).standard_normal((_CHECKED_RAYS, 3))
-        self._check(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        self._check(rays)
         self.surface, self.surface_off_mm = self._facets()
+        places = self._radii_mm(rays)[:, None] * rays
+        self.least_radius_mm = self._least_radius_mm(places) if self.surface_off_mm <= CHORD_MM else 0.0
 
     def distances(self, points_mm: FloatArray) -> Distances:
         """Return distance and gradient; the second derivative, which no press uses, is given as zero."""
@@ -217,11 +220,15 @@ class PackagedBody:
         return distance, numbers_of(self._plug_in, "gradients", given[1], (count, 3), "indenter: ")
 
     def local_radius_mm(self, place_mm: FloatArray) -> float:
-        """Return the least radius of curvature at a place (3,) on the surface, by differences of the normal."""
+        """Return the least radius of curvature at a place (3,) on the surface."""
+        return self._least_radius_mm(place_mm[None])
+
+    def _least_radius_mm(self, places_mm: FloatArray) -> float:
+        """Return the least radius of curvature at places (m, 3) on the surface, by differences of the normal."""
         steps = _NEAR_SHARE * np.eye(3)
-        ahead, behind = self._given(place_mm + steps)[1], self._given(place_mm - steps)[1]
-        bend = float(np.abs(np.linalg.eigvals((ahead - behind) / (2.0 * _NEAR_SHARE))).max())
-        return 1.0 / max(bend, 1e-12)
+        ahead, behind = (self._given((places_mm[:, None] + way * steps).reshape(-1, 3))[1] for way in (1.0, -1.0))
+        bends = np.linalg.eigvals((ahead - behind).reshape(-1, 3, 3) / (2.0 * _NEAR_SHARE))
+        return 1.0 / max(float(np.abs(bends).max()), 1e-12)
 
     def _radii_mm(self, rays: FloatArray) -> FloatArray:
         """Return how far from the origin rays (m, 3) leave the body, by halving."""

@@ -248,12 +248,12 @@ _FEATURE = np.array([0, 4, 5, 3, 6, 2, 1, 0])
 
 
 def least_radius_mm(body: Body) -> float:
-    """Return the radius of a body's sharpest edge; 0 of facets, and of bodies that do not tell it."""
+    """Return the radius of a body's sharpest edge; 0 of facets, and of packaged bodies with sharp edges."""
     if isinstance(body, RoundedBox):
         return body.edge_radius_mm
     if isinstance(body, Cylinder):
         return body.radius_mm if body.half_length_mm == math.inf else body.edge_radius_mm
-    return body.radius_mm if isinstance(body, Sphere) else 0.0
+    return body.radius_mm if isinstance(body, Sphere) else float(getattr(body, "least_radius_mm", 0.0))
 
 
 def _feature_normals(surface: TriangleMesh) -> FloatArray:

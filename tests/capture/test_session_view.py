@@ -338,7 +338,7 @@ def test_what_pages_may_not_ask_of_a_session(small, short, command):
 
 @pytest.mark.parametrize(
     ("words", "reason"),
-    [("", "give the --rig"), ("--plan plan.toml", "give the --rig on which"),
+    [("", "give --rig to see"), ("--plan plan.toml", "give the --rig on which"),
      ("--rig r --out o", "belong to a session"),
      ("--resume s --plan plan.toml", "leave out the others"), ("--plan p --rig r --terminal", "is not a terminal")],
 )  # fmt: skip
