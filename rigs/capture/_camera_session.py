@@ -17,14 +17,15 @@ from data_schemas import (
     CameraSession,
     CameraSettings,
     CaptureError,
+    RefusedError,
     RegionOfInterest,
     RigFile,
     SignalChangedError,
 )
 from data_schemas.storage import write_manifest
 from rigs import OpenRig, RawFrame, open_rig, rig_locked
-from rigs.capture._exposure import REPLAY_DRIVER, exposure_ladder, meter_exposure, under_light
-from rigs.capture._frame_store import WELL_SEEN, FrameStore, Rates, Shot, numbered
+from rigs.capture._exposure import REPLAY_DRIVER, brightest_dn, exposure_ladder, meter_exposure, under_light
+from rigs.capture._frame_store import LARGEST_CHANGE, WELL_SEEN, FrameStore, Rates, Shot, numbered
 from rigs.capture._journal import Journal, StatedTimes, fault_notes, faults_noted, healing_s
 from rigs.capture._plan import Step, require_named, require_region_inside
 from rigs.capture._resume import (
@@ -293,13 +294,16 @@ class _Recorder:
     def _meter(self) -> dict[str, Any]:
         """Return the exposures (s) of the flat frames, those of further dark frames, and what the user should know."""
         rates: list[Rates] = []
+        first_s = self._camera.shortest_exposure_s
 
         def take(exposure_s: float) -> Counts:
+            nonlocal first_s
             raw = self._store.camera.expose(self._flat, exposure_s).raw
             now = self._store.rates(raw.counts, raw.exposure_s)
             if _is_well_seen(now, raw.exposure_s, self._store.full_scale_dn):
+                first_s = first_s if rates else exposure_s
                 rates.append(now)
-                self._store.require_as_metered(self._flat, raw, rates[0])
+                self._require_in_proportion(raw, first_s, rates[0])
             return raw.counts[self._store.region]
 
         metered_s = meter_exposure(
@@ -313,7 +317,10 @@ class _Recorder:
         )
         raw = self._store.camera.expose(self._flat, metered_s).raw
         metered = self._store.rates(raw.counts, raw.exposure_s)
-        self._store.require_as_metered(self._flat, raw, rates[0] if rates else metered)
+        self._require_in_proportion(raw, first_s, rates[0] if rates else metered)
+        if (shorter_s := 0.5 * raw.exposure_requested_s) >= self._camera.shortest_exposure_s:
+            shorter = self._store.camera.expose(self._flat, shorter_s).raw
+            self._require_in_proportion(raw, shorter_s, self._store.rates(shorter.counts, shorter.exposure_s))
         saturation_s = saturation_exposures_s(raw.counts[self._store.region], raw.exposure_s, self._camera)
         levels_s = level_exposures_s(saturation_s, self._plan, self._camera)
         half_s = min(levels_s, key=lambda t: abs(t - 0.5 * min(saturation_s.values())))
@@ -324,6 +331,32 @@ class _Recorder:
             "rates_dn_per_s": metered,
             "notes": level_notes(saturation_s, self._plan, self._camera),
         }
+
+    def _require_in_proportion(self, raw: RawFrame, first_s: float, first: Rates) -> None:
+        """Refuse a frame of metering that is not as bright as the first one (s, DN/s) says.
+
+        Raises
+        ------
+        RefusedError
+            The longer exposure is too dim, again and again, beside the first one as before: the camera stops there.
+        SignalChangedError
+            The light or the camera changed.
+        """
+        try:
+            self._store.require_as_metered(self._flat, raw, first)
+        except SignalChangedError as changed:
+            if raw.exposure_requested_s <= first_s:
+                raise
+            self._store.require_as_metered(self._flat, self._store.camera.expose(self._flat, first_s).raw, first)
+            again = self._store.camera.expose(self._flat, raw.exposure_requested_s).raw
+            now = self._store.rates(again.counts, again.exposure_s)
+            if max(now) > max(first) / LARGEST_CHANGE:
+                raise
+            full_dn, top_dn = self._store.full_scale_dn, brightest_dn(again.counts[self._store.region])
+            raise RefusedError(
+                f"camera: stops at {top_dn:.0f} DN of {full_dn} DN: {again.exposure_s:.3g} s give no more, though "
+                f"{first_s:.3g} s give as much as before; check bit_depth, or raise the gain"
+            ) from changed
 
     def _takes(self, shots: list[Shot], phase: str) -> deque[Callable[[], None]]:
         """Return what takes and stores the frames that are still missing."""

@@ -169,7 +169,7 @@ class CheckedCamera:
         on_frame: Callable[[str, RawFrame, Step], None] = lambda label, raw, step: None,
     ) -> None:
         self._opened, self._settings, self._on_refusal, self._on_frame = opened, settings, on_refusal, on_frame
-        self._frames = NewFrames(opened.camera, settings.driver)
+        self._frames = NewFrames(opened.camera, settings)
         self._slot_of_header: dict[str, int] = {}
         self._header_of_slot: dict[int, str] = {}
 
@@ -269,7 +269,9 @@ def _digest(raw: RawFrame) -> bytes:
 
 REPLAY_DRIVER: Final = "folder"
 CHANGED_SHARE: Final = 0.2
-"""By which the mean of two frames differs where a camera that is one frame late can be distinguished from another."""
+"""By which the mean signals of two frames differ where a camera that is one frame late can be distinguished."""
+CHANGED_OF_FULL_SCALE: Final = 0.002
+"""By which they differ at least: 2 DN of 10 bits, by which a check of the rig lets its dark level drift."""
 
 
 class NewFrames:
@@ -281,12 +283,15 @@ class NewFrames:
 
     Parameters
     ----------
-    camera, driver
-        The open camera, and its driver: a folder of images that is replayed has no image to throw away.
+    camera, settings
+        The open camera, and what the rig file says about it: a folder of images that is replayed has no image to throw
+        away.
     """
 
-    def __init__(self, camera: Camera, driver: str) -> None:
-        self._camera, self._is_replay = camera, driver == REPLAY_DRIVER
+    def __init__(self, camera: Camera, settings: CameraSettings) -> None:
+        self._camera, self._is_replay = camera, settings.driver == REPLAY_DRIVER
+        self._black_dn = settings.black_level_dn
+        self._least_change_dn = CHANGED_OF_FULL_SCALE * (2**settings.bit_depth - 1)
         self._last: RawFrame | None = None
         self._delivered: set[bytes] = set()
         self._may_be_late, self._calls = False, 0
@@ -300,12 +305,11 @@ class NewFrames:
         LostError
             The camera is lost or late.
         """
-        self._thrown, began = None, beginning()
+        self._thrown = None
         self._calls += 1
         if self._may_be_late:
             self._thrown = self._exposed(exposure_s, deadline_s)
             self._delivered.add(_digest(self._thrown))
-            lost_since(began)
         return self._exposed(exposure_s, deadline_s)
 
     def _exposed(self, exposure_s: float, deadline_s: float) -> RawFrame:
@@ -346,15 +350,16 @@ class NewFrames:
         if is_numbered and (raw.frame_id, raw.device_time_s) == (last.frame_id, last.device_time_s):
             return True
         # two frames of one value each may well be equal, in the dark but for a few bright pixels, or without any noise
-        is_told = _is_noisy(raw.counts) if is_numbered else raw.counts.min() < raw.counts.max()
-        return bool(is_told) and np.array_equal(raw.counts, last.counts)
+        return np.array_equal(raw.counts, last.counts) and (
+            _is_noisy(raw.counts) if is_numbered else bool(raw.counts.min() < raw.counts.max())
+        )
 
     def _is_in_time(self, raw: RawFrame, last: RawFrame) -> bool:
         """Whether the frame that was thrown away shows what was asked for, and not what was before."""
         if self._thrown is None:
             return False
-        now, before, thrown = (float(one.counts.mean()) for one in (raw, last, self._thrown))
-        is_other = abs(now - before) > CHANGED_SHARE * max(now, before)
+        now, before, thrown = (float(one.counts.mean()) - self._black_dn for one in (raw, last, self._thrown))
+        is_other = abs(now - before) > max(CHANGED_SHARE * max(now, before), self._least_change_dn)
         return is_other and abs(thrown - now) < 0.25 * abs(now - before)
 
 
@@ -454,7 +459,7 @@ class TactileCamera:
     def __init__(
         self, camera: Camera, settings: CameraSettings, one_exposure: bool, on_refusal: Callable[[str], None]
     ) -> None:
-        self._frames, self._settings, self._one_exposure = NewFrames(camera, settings.driver), settings, one_exposure
+        self._frames, self._settings, self._one_exposure = NewFrames(camera, settings), settings, one_exposure
         self._on_refusal = on_refusal
 
     def expose(self, exposure_s: float) -> tuple[RawFrame, int]:

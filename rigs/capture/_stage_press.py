@@ -404,13 +404,18 @@ class StagePress:
     def _with_room(self, touched: _Touched, step_mm: float, limit_n: float) -> float:
         """Return the step (mm), shortened where it might lead beyond the limit by a pad that becomes stiffer.
 
+        One to a force leads no farther than that by the stiffness of the next step. To a depth that the same stiffness
+        puts beyond the limit, shorter steps would only lead nearer to the limit before they end.
+
         Raises
         ------
         RefusedError
             It would lead beyond the limit by the stiffness alone, or a step has no room.
         """
         at_mm, now = touched.points[-1]
-        stiffness = _next_stiffness_n_per_mm(touched.points[-3:], step_mm)
+        stiffness, until_n = _next_stiffness_n_per_mm(touched.points[-3:], step_mm), touched.press.until_force_n
+        if until_n is not None and stiffness > 0.0:
+            step_mm = min(step_mm, max((until_n - now.mean_n) / stiffness, LEAST_STEP_MM))
         margin = STEP_MARGIN if len(touched.points) > 2 else SECOND_STEP_MARGIN
         room_n = limit_n - now.mean_n
         most_mm = room_n / (margin * stiffness) if stiffness > 0.0 else math.inf

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Final, NamedTuple
 
 from data_schemas import (
@@ -241,11 +241,17 @@ def _kill(holder: Holder, layer: LightLayer) -> bool:
     try:
         with _on_one_core(pids) as are_together:
             began_s, switches = time.monotonic(), _switches()
-            for pid in pids:
-                os.kill(pid, signal.SIGSTOP)
-            switched, took_s = _switches() - switches, time.monotonic() - began_s
-            for pid in pids:
-                os.kill(pid, signal.SIGKILL)
+            try:
+                for pid in pids:
+                    os.kill(pid, signal.SIGSTOP)
+                switched, took_s = _switches() - switches, time.monotonic() - began_s
+                for pid in pids:
+                    os.kill(pid, signal.SIGKILL)
+            except BaseException:  # one left stopped could not switch off, and would hold the port
+                for pid in pids:
+                    with suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGKILL)
+                raise
     except ProcessLookupError:
         raise CaptureError("laser: its guard or watch ended by itself before it was killed; find out why") from None
     return switched == 0 if are_together else took_s < _AT_ONCE_S

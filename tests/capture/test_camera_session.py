@@ -94,6 +94,49 @@ def test_every_flat_exposure_has_its_darks_and_one_level_is_repeated(captured: C
     assert all(f.slot_before == f.slot_after == 4 for f in session.frames)
 
 
+@pytest.mark.parametrize("share", [0.3, 0.4, 0.5])
+def test_a_sensor_that_stops_below_full_scale_is_told_from_light_that_changed(
+    tmp_path: Path, monkeypatch, share
+) -> None:
+    """It was refused for a wheel that slipped; a lamp that dims by half is refused as before."""
+    rig = simulated_rig("red", width_px=320, height_px=256)
+    monkeypatch.setattr("rigs._open_rig.FULL_WELL_MARGIN", share)
+    with pytest.raises(CaptureError, match=r"stops at \d+ DN of 1023 DN: .*check bit_depth, or raise the gain") as told:
+        capture_camera_session(rig, PLAN, SessionRequest(tmp_path / "s", "pytest"))
+    stops_dn = int(str(told.value).partition("stops at ")[2].partition(" ")[0])
+    assert stops_dn == pytest.approx(share * 1024 + rig.camera.black_level_dn, rel=0.1)
+
+
+def test_a_lamp_that_dims_during_metering_is_no_sensor_that_stops(tmp_path: Path) -> None:
+    rig = simulated_rig("red", width_px=320, height_px=256)
+
+    @dataclass
+    class Dimming:
+        camera: Camera
+        seen: bool = False
+
+        def identity(self) -> DeviceIdentity:
+            return self.camera.identity()
+
+        def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+            raw = self.camera.expose(exposure_s, deadline_s)
+            black_dn = rig.camera.black_level_dn
+            signal = raw.counts.astype(float) - black_dn
+            if self.seen:
+                return replace(raw, counts=np.round(0.5 * signal + black_dn).clip(0).astype(np.uint16))
+            self.seen = bool(signal.mean() > 0.1 * 1023)
+            return raw
+
+    with open_rig(rig, Path()) as opened, pytest.raises(CaptureError, match="the wheel slipped, the light changed"):
+        capture_camera_with(
+            replace(opened, camera=Dimming(opened.camera)),
+            rig,
+            PLAN,
+            camera_step(PLAN, rig),
+            SessionRequest(tmp_path / "s", "pytest"),
+        )
+
+
 def test_levels_go_up_and_down_so_that_lamp_drift_cancels(captured: Captured) -> None:
     _, session, _ = captured
     flats = [f.exposure_s for f in session.frames if f.frame_type == "white"][: -PLAN.repeats]

@@ -488,6 +488,26 @@ def test_a_process_that_was_taken_off_its_core_meanwhile_does_not_count(monkeypa
         assert not _kill(Holder(held[0], held[1].pid, held[2].pid), "dead-man")
 
 
+def test_a_guard_that_ends_between_the_stops_leaves_no_process_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A watch that stays stopped never switches off, and holds the laser's port."""
+    send = os.kill
+    with ExitStack() as stack:
+        held = [stack.enter_context(subprocess.Popen([sys.executable, "-c", POLLING])) for _ in range(3)]
+        stack.callback(lambda: [one.kill() for one in held])
+        holder, watch, guard = held
+
+        def ending(pid: int, number: int) -> None:
+            send(pid, number)
+            if pid == watch.pid and number == signal.SIGSTOP:
+                guard.kill()
+                guard.wait(5.0)
+
+        monkeypatch.setattr("rigs.capture.light_off_time.os.kill", ending)
+        with pytest.raises(CaptureError, match="its guard or watch ended by itself"):
+            _kill(Holder(holder, watch.pid, guard.pid), "dead-man")
+        assert [watch.wait(5.0), holder.wait(5.0)] == [-signal.SIGKILL] * 2
+
+
 @pytest.mark.rigs
 class TestKilled:
     """Layers that act when processes are killed: the real firmware in QEMU, and INDI's light panel."""

@@ -1,5 +1,6 @@
 """Frames that are refused and taken again, a bounded number of times."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -8,8 +9,9 @@ import numpy as np
 import pytest
 
 from data_schemas import BadFrameError, DeviceIdentity, LostError, RefusedError, RigFile, TimedOutError
-from rigs import Camera, OpenRig, RawFrame, open_rig
-from rigs.capture._exposure import ATTEMPTS, CheckedCamera
+from rigs import Camera, OpenRig, RawFrame, SystemClock, open_rig
+from rigs.capture._exposure import ATTEMPTS, CheckedCamera, NewFrames, within_attempts
+from rigs.capture._journal import Journal, faults_noted
 from rigs.capture._plan import Step
 
 DARK = Step("dark", "white", "off", "450", 2)
@@ -170,3 +172,63 @@ def test_exposure_that_is_not_read_back_is_refused(rig: RigFile) -> None:
 
     with open_rig(rig, Path()) as opened, pytest.raises(RefusedError, match=r"it reads back nan s"):
         over(rig, opened, silent).camera.expose(DARK, 0.01)
+
+
+@dataclass
+class Noisy:
+    """A camera of 64 DN black level with noise and numbers, that delivers one frame twice."""
+
+    signal_dn_per_s: float
+    repeats: int
+    pause_s: float = 0.0
+    taken: int = 0
+    last: RawFrame | None = None
+
+    def identity(self) -> DeviceIdentity:
+        raise NotImplementedError
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        self.taken += 1
+        time.sleep(self.pause_s)
+        if self.taken != self.repeats or self.last is None:
+            mean_dn = 64.0 + self.signal_dn_per_s * exposure_s
+            counts = np.random.default_rng(self.taken).normal(mean_dn, 3.0, (64, 64)).round().astype(np.uint16)
+            self.last = RawFrame(counts, exposure_s, exposure_s, "2026-01-01T00:00:00Z", frame_id=self.taken)
+        return self.last
+
+
+def all_new(rig: RigFile, camera: Noisy, exposures_s: list[float]) -> int:
+    """Take frames, each until it is new; return how many were exposed since the one that came twice."""
+    frames = NewFrames(camera, rig.camera.model_copy(update={"black_level_dn": 64.0, "bit_depth": 12}))
+    for exposure_s in exposures_s:
+        within_attempts(lambda attempt, t=exposure_s: frames.require_new(frames.expose(t, 9.0)), lambda text: None, "x")
+    return camera.taken
+
+
+def test_the_doubling_ends_by_dim_frames_that_change(rig: RigFile) -> None:
+    """Their signals of 20 to 40 DN differ by half, but with a black level of 64 DN they looked alike for ever."""
+    exposures_s = [0.5, 1.0] * 6
+    # the repeat, and two exposures each until the next brightness proves it
+    assert all_new(rig, Noisy(40.0, repeats=4), exposures_s) <= len(exposures_s) + 5
+    # in the dark nothing tells
+    assert all_new(rig, Noisy(0.0, repeats=4), exposures_s) > 2 * len(exposures_s) - 5
+
+
+def test_a_frame_that_is_thrown_away_is_no_time_lost(rig: RigFile, tmp_path: Path) -> None:
+    """One repeat ended a session of long dark frames: each exposure after it counted as a fault's."""
+    with Journal(tmp_path, SystemClock()) as journal, faults_noted(journal, tmp_path, 0.5):
+        journal.append("start")
+        assert all_new(rig, Noisy(0.0, repeats=4, pause_s=0.1), [0.5] * 12) > 18
+
+
+def test_noise_is_looked_for_only_in_frames_that_are_equal(rig: RigFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes 0.4 s at 20 megapixels, in the light of a laser."""
+    looked: list[int] = []
+
+    def noisy(counts: np.ndarray) -> bool:
+        looked.append(counts.size)
+        return True
+
+    monkeypatch.setattr("rigs.capture._exposure._is_noisy", noisy)
+    all_new(rig, Noisy(40.0, repeats=99), [0.5] * 5)
+    assert looked == []

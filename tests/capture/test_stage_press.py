@@ -29,7 +29,8 @@ from data_schemas import (
 from data_schemas.storage import read_record, read_toml, write_record
 from rigs import CellReading, ForceLimitError, RawFrame, SystemClock, write_tactile_rig
 from rigs.capture import SessionRequest, StagePress, capture_tactile_session, open_tactile_rig, read_journal
-from rigs.simulated import SimulatedLoadCell
+from rigs.simulated import FingerState, SimulatedLoadCell
+from rigs.simulated._finger import BRAKING_MM_PER_S2, DEAF_S
 from tests.capture.drivers.press_bench import N_PER_COUNT, PressBench, press_bench
 from tests.command_line.running import finray
 
@@ -661,8 +662,9 @@ def stiff(stiffness_n_per_mm: float, **stage: object) -> TactileRig:
     return TactileRig.model_validate(rig)
 
 
-def pressed(rig: TactileRig, limit_n: float) -> tuple[str, list[float]]:
+def pressed(rig: TactileRig, limit_n: float, **press: object) -> tuple[str, list[float]]:
     """Press with a limit; return why it ended ("" where it did not), and the forces of its places (N)."""
+    planned = TactilePlan.model_validate_json(PRESS_JSON).presses[0].model_copy(update=press)
     forces: list[float] = []
     with open_tactile_rig(rig, Path()) as opened:
         presser = StagePress(opened, rig, exact_calibration(rig), lambda event, **what: None, limit_n)
@@ -678,7 +680,7 @@ def pressed(rig: TactileRig, limit_n: float) -> tuple[str, list[float]]:
 
         presser._stage = Watched()  # noqa: SLF001
         try:
-            presser.press(TactilePlan.model_validate_json(PRESS_JSON).presses[0], 1)
+            presser.press(planned, 1)
         except CaptureError as error:
             return str(error), forces
     return "", forces
@@ -706,6 +708,42 @@ def test_every_step_asks_for_room(stiffening_n_per_mm2):
         assert max(forces) > 0.35  # it went as far as there was room
     else:
         assert why == ""
+
+
+@pytest.mark.parametrize(
+    ("pad", "until_force_n"),
+    [
+        # stiffness (N/mm), its growth (N/mm^2), share that relaxes, noise, seed
+        ((0.3, 10.0, 0.2, 400, 1), 3.0),
+        ((0.487, 12.726, 0.0, 300, 1), 3.4),
+    ],
+)
+def test_a_press_to_a_force_below_the_limit_takes_shorter_steps(pad, until_force_n):
+    """The step to the force by the stiffness so far led beyond the limit, and was refused at half of the force."""
+    names = ("stiffness_n_per_mm", "stiffening_n_per_mm2", "relaxing_share", "noise_counts", "seed")
+    rig = stiff(1.0, step_mm=0.2, touch_step_mm=0.02)
+    rig = rig.model_copy(update={"simulated": rig.simulated.model_copy(update=dict(zip(names, pad, strict=True)))})
+    why, forces = pressed(rig, 4.0, depth_mm=3.0, until_force_n=until_force_n, force_limit_n=None)
+    assert why == ""
+    assert 0.98 * until_force_n <= max(forces) < 4.0
+
+
+@pytest.mark.parametrize("wall_mm", [0.25, 0.5, 0.8])
+def test_a_press_to_a_force_ends_at_something_hard(monkeypatch, wall_mm):
+    """Behind some depth, a part of 60 N/mm: beyond the limit it goes as far as the stage cannot be stopped."""
+    soft_n, felt_n = FingerState.force_n, list[float]()
+
+    def force_n(state: FingerState) -> float:
+        felt_n.append(soft_n(state) + 60.0 * max(state.indentation_mm - wall_mm, 0.0))
+        return felt_n[-1]
+
+    monkeypatch.setattr(FingerState, "force_n", force_n)
+    rig = stiff(1.5, step_mm=0.1)
+    why, _ = pressed(rig, 2.0, depth_mm=3.0, until_force_n=1.8, force_limit_n=None)
+    assert "beyond the limit of 2 N" in why
+    speed = rig.stage.press_speed_mm_per_s
+    beyond_mm = speed * (1.0 / rig.load_cell.rate_hz + DEAF_S) + speed**2 / (2.0 * BRAKING_MM_PER_S2)
+    assert max(felt_n) < 2.0 + (60.0 + 1.5) * beyond_mm
 
 
 @pytest.mark.parametrize("force_n", [0.15, 0.35])
