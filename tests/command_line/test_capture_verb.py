@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -84,7 +85,7 @@ def test_signal_ends_the_capture_cleanly_and_resume_finishes_it(lab: Path, tmp_p
         [*run, "--rig", str(lab / "rig.toml"), "--out", str(out)], stderr=subprocess.PIPE, text=True
     )
     end_s = time.monotonic() + 600
-    while len(list((out / "frames").glob("*.tiff"))) < 5:
+    while sum("_dark_" not in path.name for path in (out / "frames").glob("*.tiff")) < 5:
         assert time.monotonic() < end_s
         time.sleep(0.01)
     os.kill(process.pid, number)
@@ -93,8 +94,11 @@ def test_signal_ends_the_capture_cleanly_and_resume_finishes_it(lab: Path, tmp_p
     assert f"finray capture --resume {out}" in said
     assert '"outcome": "KeyboardInterrupt' in (out / "journal.jsonl").read_text().splitlines()[-1]
     before = {path.name: path.stat().st_mtime_ns for path in (out / "frames").iterdir()}
-    assert "frames are there and unchanged" in succeed(f"capture --resume {out}")
-    assert all((out / "frames" / name).stat().st_mtime_ns == time_ns for name, time_ns in before.items())
+    kept = re.search(r"(\d+) frames are there and unchanged", succeed(f"capture --resume {out}"))
+    unchanged = [name for name, time_ns in before.items() if (out / "frames" / name).stat().st_mtime_ns == time_ns]
+    assert kept is not None
+    assert int(kept[1]) == len(unchanged) >= 5
+    assert all("_dark_" in name for name in before if name not in unchanged)  # no lit frame had followed them
     assert len(read_session(out).frames) == len(read_session(lab / "session").frames)
 
 
