@@ -75,9 +75,9 @@ def test_the_sources_are_those_of_the_likelihood(bands):
     sources = budget_sources(bands, data, fitted)
     total = sum(source.root @ source.root.T for source in sources)
     assert total == pytest.approx(fitted.noise, rel=1e-9, abs=1e-12 * fitted.noise.max())
-    y = data.y.ravel()[data.kept]
+    level = fitted.rig.data.level[data.kept]
     white = next(source.root for source in sources if source.name == "white reference")
-    assert white @ white.T == pytest.approx(0.03**2 * np.outer(y, y), rel=1e-6)
+    assert white @ white.T == pytest.approx(0.03**2 * np.outer(level, level), rel=1e-6)
 
 
 def drawn_quantities(data, draws, seed):
