@@ -404,9 +404,9 @@ def sensitivity_threshold_e(gain_e_per_dn: Estimate, read_noise_dn: Estimate) ->
 
 
 def _fixed_pattern(levels: ChannelLevels, usable: Bools) -> _FixedPattern:
-    """Return PRNU and DSNU from the stacks with most frames, the brightest of them for PRNU."""
+    """Return PRNU and DSNU: from the lit stack with the least shot noise, and the dark stack with most frames."""
     signal_dn = levels.signal_dn
-    level = max(np.flatnonzero(usable), key=lambda i: (levels.lit[i].frames, signal_dn[i]))
+    level = max(np.flatnonzero(usable), key=lambda i: levels.lit[i].frames * signal_dn[i])
     lit, dark = levels.lit[level], levels.dark[level]
     pixel, flat = nonuniformity(lit, dark, "pixel_to_pixel"), nonuniformity(lit, dark, "spatial")
     darkest = max(levels.all_dark, key=lambda s: s.frames)

@@ -25,7 +25,7 @@ from data_schemas import (
 from data_schemas.storage import write_manifest
 from rigs import OpenRig, RawFrame, open_rig, rig_locked
 from rigs.capture._exposure import REPLAY_DRIVER, brightest_dn, exposure_ladder, meter_exposure, under_light
-from rigs.capture._frame_store import LARGEST_CHANGE, WELL_SEEN, FrameStore, Rates, Shot, numbered
+from rigs.capture._frame_store import LARGEST_CHANGE, WELL_SEEN, FrameStore, Metered, Rates, Shot, numbered
 from rigs.capture._journal import Journal, StatedTimes, fault_notes, faults_noted, healing_s
 from rigs.capture._plan import Step, require_named, require_region_inside
 from rigs.capture._resume import (
@@ -198,7 +198,7 @@ class _Recorder:
         self._opened, self._camera, self._plan, self._flat = opened, rig.camera, plan, flat
         self._store, self._journal, self._progress, self._watch = store, journal, request.tell, request.watch
         self.notes: tuple[str, ...] = ()
-        self._metered: Rates | None = None
+        self._metered: Metered | None = None
 
     def record(self, levels: Mapping[str, Any] | None) -> None:
         """Meter, store the flat frames with the lamp on throughout, then the dark frames.
@@ -220,7 +220,9 @@ class _Recorder:
                 self._journal.append("levels", **found)
             if "rates_dn_per_s" in found:
                 red, green, blue = (float(rate) for rate in found["rates_dn_per_s"])
-                self._metered = red, green, blue
+                # an older version did not note the exposure, which is at most that of the brightest frames
+                rates_s = float(found.get("rates_s", min(found["flats_s"])))
+                self._metered = Metered((red, green, blue), rates_s)
             both_s = [*found["flats_s"], *found["flats_s"], *found["extra_darks_s"]]
             missing = self._store.missing(numbered((self._flat, exposure_s) for exposure_s in both_s))
             flats, name = len(found["flats_s"]), self._flat.filter_name
@@ -275,10 +277,11 @@ class _Recorder:
         sites = (part[0::2, 0::2], np.stack([part[0::2, 1::2], part[1::2, 0::2]]), part[1::2, 1::2])
         red, green, blue = (
             there if (site >= full_dn).mean() > SATURATED_SHARE or min(rate, there) > WELL_SEEN[1] * most else rate
-            for rate, there, site in zip(self._metered, now, sites, strict=True)
+            for rate, there, site in zip(self._metered.rates, now, sites, strict=True)
             for most in (full_dn / raw.exposure_s,)
         )
-        self._store.require_as_metered(step, raw, None if step.light == "off" else (red, green, blue))
+        expected = Metered((red, green, blue), self._metered.exposure_s)
+        self._store.require_as_metered(step, raw, None if step.light == "off" else expected)
 
     def _take(self, shot: Shot) -> None:
         """Take and store a frame that is as metered; one more where it is not. Light that stays in the dark counts."""
@@ -293,17 +296,15 @@ class _Recorder:
 
     def _meter(self) -> dict[str, Any]:
         """Return the exposures (s) of the flat frames, those of further dark frames, and what the user should know."""
-        rates: list[Rates] = []
-        first_s = self._camera.shortest_exposure_s
+        first: Metered | None = None
 
         def take(exposure_s: float) -> Counts:
-            nonlocal first_s
+            nonlocal first
             raw = self._store.camera.expose(self._flat, exposure_s).raw
             now = self._store.rates(raw.counts, raw.exposure_s)
             if _is_well_seen(now, raw.exposure_s, self._store.full_scale_dn):
-                first_s = first_s if rates else exposure_s
-                rates.append(now)
-                self._require_in_proportion(raw, first_s, rates[0])
+                first = Metered(now, exposure_s) if first is None else first
+                self._require_in_proportion(raw, first)
             return raw.counts[self._store.region]
 
         metered_s = meter_exposure(
@@ -317,10 +318,12 @@ class _Recorder:
         )
         raw = self._store.camera.expose(self._flat, metered_s).raw
         metered = self._store.rates(raw.counts, raw.exposure_s)
-        self._require_in_proportion(raw, first_s, rates[0] if rates else metered)
+        if first is not None:
+            self._require_in_proportion(raw, first)
         if (shorter_s := 0.5 * raw.exposure_requested_s) >= self._camera.shortest_exposure_s:
             shorter = self._store.camera.expose(self._flat, shorter_s).raw
-            self._require_in_proportion(raw, shorter_s, self._store.rates(shorter.counts, shorter.exposure_s))
+            rates = self._store.rates(shorter.counts, shorter.exposure_s)
+            self._require_in_proportion(raw, Metered(rates, shorter_s))
         saturation_s = saturation_exposures_s(raw.counts[self._store.region], raw.exposure_s, self._camera)
         levels_s = level_exposures_s(saturation_s, self._plan, self._camera)
         half_s = min(levels_s, key=lambda t: abs(t - 0.5 * min(saturation_s.values())))
@@ -329,11 +332,12 @@ class _Recorder:
             "flats_s": [*_up_and_down(levels_s, self._plan.frames_per_level), *[half_s] * self._plan.repeats],
             "extra_darks_s": [longest_s] * (self._plan.frames_per_level if longest_s not in levels_s else 0),
             "rates_dn_per_s": metered,
+            "rates_s": raw.exposure_s,
             "notes": level_notes(saturation_s, self._plan, self._camera),
         }
 
-    def _require_in_proportion(self, raw: RawFrame, first_s: float, first: Rates) -> None:
-        """Refuse a frame of metering that is not as bright as the first one (s, DN/s) says.
+    def _require_in_proportion(self, raw: RawFrame, first: Metered) -> None:
+        """Refuse a frame of metering that is not as bright as the first one says.
 
         Raises
         ------
@@ -345,17 +349,18 @@ class _Recorder:
         try:
             self._store.require_as_metered(self._flat, raw, first)
         except SignalChangedError as changed:
-            if raw.exposure_requested_s <= first_s:
+            if raw.exposure_requested_s <= first.exposure_s:
                 raise
-            self._store.require_as_metered(self._flat, self._store.camera.expose(self._flat, first_s).raw, first)
+            as_before = self._store.camera.expose(self._flat, first.exposure_s).raw
+            self._store.require_as_metered(self._flat, as_before, first)
             again = self._store.camera.expose(self._flat, raw.exposure_requested_s).raw
             now = self._store.rates(again.counts, again.exposure_s)
-            if max(now) > max(first) / LARGEST_CHANGE:
+            if max(now) > max(first.rates) / LARGEST_CHANGE:
                 raise
             full_dn, top_dn = self._store.full_scale_dn, brightest_dn(again.counts[self._store.region])
             raise RefusedError(
                 f"camera: stops at {top_dn:.0f} DN of {full_dn} DN: {again.exposure_s:.3g} s give no more, though "
-                f"{first_s:.3g} s give as much as before; check bit_depth, or raise the gain"
+                f"{first.exposure_s:.3g} s give as much as before; check bit_depth, or raise the gain"
             ) from changed
 
     def _takes(self, shots: list[Shot], phase: str) -> deque[Callable[[], None]]:

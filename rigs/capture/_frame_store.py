@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,13 @@ WRITE_WITHIN_S = 2.0 * DISK_WITHIN_S  # a frame, then its line of the journal
 
 
 Rates = tuple[float, float, float]
+
+
+class Metered(NamedTuple):
+    """The rates (DN/s) that a step's metering found, and the exposure (s) that they come from."""
+
+    rates: Rates
+    exposure_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,8 +149,10 @@ class FrameStore:
         """Return the rate that is clearly seen in a frame (DN/s)."""
         return float(LEAST_SIGNAL_FRACTION * self.full_scale_dn / exposure_s)
 
-    def require_as_metered(self, step: Step, raw: RawFrame, metered: Rates | None) -> None:
-        """Refuse a frame whose signal is not that of its step's metering (DN/s), or is light in the dark.
+    def require_as_metered(self, step: Step, raw: RawFrame, metered: Metered | None) -> None:
+        """Refuse a frame whose signal is not that of its step's metering, or is light in the dark.
+
+        A rate is as uncertain as the black level over the exposure: the shorter one limits what is seen.
 
         Raises
         ------
@@ -151,12 +160,12 @@ class FrameStore:
             It is not.
         """
         now = self.rates(raw.counts, raw.exposure_s)
-        visible_dn_per_s = self.visible_dn_per_s(raw.exposure_s)
         if metered is None:
-            if max(now) > visible_dn_per_s:
+            if max(now) > self.visible_dn_per_s(raw.exposure_s):
                 raise SignalChangedError(f"camera: {step.label} gives {max(now):.3g} DN/s with all lights off")
             return
-        for name, rate, before in zip(("red", "green", "blue"), now, metered, strict=True):
+        visible_dn_per_s = self.visible_dn_per_s(min(raw.exposure_s, metered.exposure_s))
+        for name, rate, before in zip(("red", "green", "blue"), now, metered.rates, strict=True):
             is_alike = before > 0.0 and 1 / LARGEST_CHANGE < rate / before < LARGEST_CHANGE
             # a channel that was too dim for a ratio is compared by its difference
             if not is_alike if before > visible_dn_per_s else rate - before > visible_dn_per_s:

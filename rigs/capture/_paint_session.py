@@ -48,6 +48,7 @@ from rigs.capture._filter_proof import (
 from rigs.capture._frame_store import (
     BYTES_PER_PIXEL,
     FrameStore,
+    Metered,
     Rates,
     Shot,
     checks_in_light,
@@ -401,8 +402,11 @@ class PaintRecorder:
 
     def _require_as_metered(self, step: Step, raw: RawFrame) -> None:
         """Refuse a frame whose signal is not that of its step's metering."""
-        if step.light != "room":
-            self._store.require_as_metered(step, raw, None if step.light == "off" else self._rates[step])
+        if step.light == "off":
+            self._store.require_as_metered(step, raw, None)
+        elif step.light != "room":
+            metered_s = self._exposures_s[step][0] / max(self._plan.bracket)
+            self._store.require_as_metered(step, raw, Metered(self._rates[step], metered_s))
 
     def _prove(self, steps: tuple[Step, ...], last_good: CaptureSession | None) -> None:
         """Judge from the metered rates whether the wheel holds the filters that the rig file names."""
