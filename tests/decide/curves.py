@@ -246,6 +246,73 @@ UNSEEN = (shares, refracted, two_tops)
 """The same, by formulas of light: no constant of the prior was chosen by them."""
 
 
+def occluded(rng: np.random.Generator) -> Pair:
+    """A lobe, and an edge that hides the panel along a straight line; in the finger it stands elsewhere."""
+    top_deg, at_deg, width_deg, depth = (
+        rng.uniform(10, 70),
+        rng.uniform(20, 80),
+        rng.uniform(6, 20),
+        rng.uniform(0.2, 0.7),
+    )
+    side = rng.choice([-1, 1])
+
+    def curve(at_deg: float, width_deg: float, depth: float) -> Floats:
+        hidden = depth * np.clip(0.5 + side * (FINE_DEG - at_deg) / width_deg, 0, 1)
+        return np.asarray((0.15 + np.cos(np.radians(FINE_DEG - top_deg)) ** 2) * (1 - hidden))
+
+    other_depth = np.clip(depth + rng.normal(0, 0.08), 0, 0.9)
+    moved_deg, other_width_deg = at_deg + rng.normal(0, 5), width_deg * np.exp(rng.normal(0, 0.2))
+    return curve(at_deg, width_deg, depth), curve(moved_deg, other_width_deg, other_depth)
+
+
+def sawtooth(rng: np.random.Generator) -> Pair:
+    """Teeth of 18 to 40 deg on a slope, which the finger has some degrees elsewhere and of another height."""
+    period_deg, height, slope = rng.uniform(18, 40), rng.uniform(0.03, 0.2), rng.normal(0, 0.15)
+    first_deg = rng.uniform(0, period_deg)
+
+    def curve(first_deg: float, height: float, slope: float) -> Floats:
+        teeth = ((FINE_DEG + first_deg) / period_deg) % 1 - 0.5
+        return np.asarray(1 + slope * (FINE_DEG - 45) / 45 + height * teeth)
+
+    other = first_deg + rng.normal(0, 3), height * np.exp(rng.normal(0, 0.2)), slope + rng.normal(0, 0.03)
+    return curve(first_deg, height, slope), curve(*other)
+
+
+def stepped_plateau(rng: np.random.Generator) -> Pair:
+    """A flat top with a step of some percent on it, which the finger has elsewhere and of another height."""
+    low_deg, high_deg = np.sort(rng.uniform(10, 80, 2))
+    high_deg = max(high_deg, low_deg + 20)
+    flanks = 0.2 + 1 / ((1 + np.exp(-(FINE_DEG - low_deg) / 3)) * (1 + np.exp((FINE_DEG - high_deg) / 3)))
+    at_deg, step = rng.uniform(low_deg, high_deg), rng.normal(0, 0.04)
+    moved_deg, other_step = at_deg + rng.normal(0, 6), step + rng.normal(0, 0.03)
+    return flanks * (1 + step * (at_deg < FINE_DEG)), flanks * (1 + other_step * (moved_deg < FINE_DEG))
+
+
+def small_bump(rng: np.random.Generator) -> Pair:
+    """Flat but for a bump of 1 to 6 %, 4 to 10 deg wide, which the finger has some degrees elsewhere."""
+    at_deg, width_deg, height = rng.uniform(5, 85), rng.uniform(4, 10), rng.uniform(0.01, 0.06)
+
+    def curve(at_deg: float, height: float) -> Floats:
+        return np.asarray(1 + height * np.exp(-0.5 * ((FINE_DEG - at_deg) / width_deg) ** 2))
+
+    return curve(at_deg, height), curve(at_deg + rng.normal(0, 6), height * np.exp(rng.normal(0, 0.4)))
+
+
+def cusp(rng: np.random.Generator) -> Pair:
+    """A top where the slope is infinite, most of which lies between two angles of the sweep."""
+    top_deg, falls = rng.uniform(15, 75), rng.uniform(0.2, 0.6, 2)
+
+    def curve(top_deg: float, falls: Floats) -> Floats:
+        fall = np.where(top_deg > FINE_DEG, falls[0], falls[1])
+        return np.maximum(1 - fall * np.sqrt(np.abs(FINE_DEG - top_deg) / 60), 0.05)
+
+    return curve(top_deg, falls), curve(top_deg + rng.normal(0, 3), falls * np.exp(rng.normal(0, 0.1, 2)))
+
+
+AUDIT = (occluded, sawtooth, stepped_plateau, small_bump, cusp)
+"""Sharper curves, written after the prior was fixed; claims are known to fail on the last."""
+
+
 def _lobe(rng: np.random.Generator) -> Floats:
     return np.asarray(0.2 + np.cos(np.radians(FINE_DEG - rng.uniform(15, 60))) ** rng.uniform(1, 6))
 
