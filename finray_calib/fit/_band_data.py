@@ -2,15 +2,21 @@ r"""Normalised band values of one region, ready to fit, and the directions in wh
 
 .. math:: y = \mu(\theta) + U k + e, \quad k \sim N(0, I), \quad e \sim N(0, S)
 
-One column of U per band for each of: its calibration, its blocking, its filter's centre and its filter's width; and one
-for the temperature of the lamp, which moves all bands together. The imperfections
-k are integrated out analytically, :math:`y \sim N(\mu, S + U U^T)`.
+One column of U per band for each of: its calibration, its blocking, its filter's centre and its filter's width. The
+imperfections k are integrated out analytically, :math:`y \sim N(\mu, S + U U^T)`.
 
 U is fixed before sampling: the calibration columns from the measured values, the others at a reference fit, of which
-the errors of lamp and white reference are shares too, see :meth:`BandData.at`. Were U to move with the model, a model
+the error of the white reference is a share too, see :meth:`BandData.at`. Were U to move with the model, a model
 that cannot follow the data could buy likelihood by predicting too much, because relative errors of a large prediction
 forgive everything; an orange ink came out at four times its true yield. For errors of 1 % that are common to the three
 channels of a band the bias of taking them at the data is 3e-4.
+
+The temperature of the lamp moves all bands together, by 6 % in the red for 50 K. At a fixed curve its column would pull
+yields down by a tenth of their uncertainty, so the family's posterior takes it as a share of what each theta predicts:
+
+.. math:: y \sim N\bigl(\mu, S + U U^T + (g \mu)(g \mu)^T\bigr)
+
+with g the relative change of each value for one standard uncertainty of the lamp; one direction forgives little.
 
 A filter's own leak is log-normal, and where it decides what the fit believes, no fixed column can stand for it: such
 leaks are sampled beside the shape, and their columns are empty.
@@ -270,6 +276,11 @@ class BandData:
         return np.zeros(self.y.size) if self.tolerances is None else self.tolerances.blocking_sd
 
     @property
+    def lamp_rel(self) -> FloatArray:
+        """Relative change of each value for one standard uncertainty of the lamp, (N,): 0 of a perfectly known one."""
+        return np.zeros(self.y.size) if self.lamp_response_rel is None else self.lamp_response_rel
+
+    @property
     def leak_mean(self) -> FloatArray:
         """Mean over median of each row's own leak, (N,): a log-normal's mean lies above its median."""
         return np.asarray(np.exp(self.leak_sd**2 / 2))
@@ -310,7 +321,7 @@ class BandData:
         return covariance - self.tile_uncertainty_rel**2 * np.outer(level, level)
 
     def imperfections(self, reference: Reference | None = None) -> FloatArray:
-        """Return the imperfection columns U of the usable rows, (K, M).
+        """Return the imperfection columns U of the usable rows, (K, M), without the lamp's.
 
         Parameters
         ----------
@@ -321,8 +332,6 @@ class BandData:
         columns = [calibration_columns(y, self.weights, self.band_calibration_rel)]
         if reference is not None and self.tolerances is not None:
             columns.append(tolerance_columns(reference, self.weights, self.tolerances))
-        if self.lamp_response_rel is not None:
-            columns.append((self.lamp_response_rel * self.level)[:, None])
         return np.concatenate(columns, axis=1)[self.kept]
 
 

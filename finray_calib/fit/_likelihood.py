@@ -222,7 +222,7 @@ def _problem(posterior: LogPosterior) -> Problem:
         weights.reflected_laser[kept],
     )
     rows["leaked_laser"], rows["leaked_white"] = weights.leaked_laser[kept], weights.leaked_white[kept]
-    rows["leak_mean"], rows["leak_sd"] = data.leak_mean[kept], data.leak_sd[kept]
+    rows["leak_mean"], rows["leak_sd"], rows["lamp"] = data.leak_mean[kept], data.leak_sd[kept], data.lamp_rel[kept]
     rows["leak_at"] = [posterior.own_leaks.get(band, 0) for band in rows["band"]]
     for name in NORMAL.names or ():
         normals[name] = getattr(prior, name)

@@ -306,6 +306,8 @@ class _Rig:
         data, w, kept = self.data, self.data.weights, self.data.kept
         more, white = self._mean_leak()
         found = [data.imperfections()]
+        if data.lamp_response_rel is not None:
+            found.append((data.lamp_response_rel * data.level)[kept, None])
         mu = (w.emission @ curve + reflectance * w.reflected_laser) / white
         if data.tolerances is not None:
             leak = more + 1

@@ -1,5 +1,7 @@
 """Small simulation-based calibration: paints from the prior, measured with the default model, fitted, ranked."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binom, kstest
@@ -13,8 +15,9 @@ from finray_calib.fit import (
     SamplerSettings,
     fit_emission,
 )
+from finray_calib.fit._emission import REFERENCE_ROUNDS
 from finray_calib.spectra import curve_quantities
-from tests.fit.synthetic_bands import LOG_NORMAL, simulate
+from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
 
 PAINTS = 64
 # of a false alarm in each of the five tests of ranks and the five of coverage
@@ -48,3 +51,43 @@ def test_intervals_hold_the_truth_as_often_as_they_say(ranks, name):
     inside = int(((ranks[name] > 0.025) & (ranks[name] < 0.975)).sum())
     low, high = binom(PAINTS, 0.95).ppf([ERROR_RATE / 2, 1 - ERROR_RATE / 2])
     assert low <= inside <= high
+
+
+LEVELS, PAIRS = np.linspace(-1.2, 1.2, 97), 100  # of ln(peak) around the truth: seven standard deviations
+
+
+def test_a_lamp_that_is_off_leaves_the_level_in_the_middle_of_its_posterior(weights):
+    """The peak alone is unknown, and the lamp moves the reddest band by 15 %: three times the usual uncertainty.
+
+    As a share of measured or fitted values the lamp's error would leave the truth too high. Each peak is measured
+    twice with opposite errors, so that few paints show a small bias.
+    """
+    rng, ranks = np.random.default_rng(20261129), []
+    data, _ = simulate(orange(), weights, rng)
+    for ln_peak in np.log(0.003) + 1.2 * rng.standard_normal(PAIRS):  # the prior
+        theta = orange()
+        theta[2] = ln_peak
+        z, noise = rng.standard_normal(), rng.standard_normal(24)
+        ranks.append([level_rank(data, theta, sign * z, sign * noise) for sign in (1, -1)])
+    pairs = np.mean(ranks, axis=1)
+    # four standard errors of the mean
+    assert pairs.mean() == pytest.approx(0.5, abs=4 * pairs.std() / np.sqrt(PAIRS))
+
+
+def level_rank(data, theta, z, noise):
+    """Return the posterior probability that the peak lies below the truth; all else is known."""
+    lamp = 0.15 * np.repeat(np.linspace(-0.2, 1.0, 8), 3)
+    plain = LogPosterior(data, LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
+    mu = plain.predict_usable(theta[None])[0]
+    plain = LogPosterior(replace(data, y=mu.reshape(8, 3)), LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
+    y = mu * (1 + lamp * z) + np.linalg.cholesky(plain.covariances(theta[None])[0]) @ noise
+    seen = replace(data, y=y.reshape(8, 3), lamp_response_rel=lamp)
+    posterior = LogPosterior(seen, LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
+    best = posterior.climb(theta)
+    for _ in range(REFERENCE_ROUNDS):
+        posterior, best = posterior.refined(best)
+    rows = np.tile(theta, (LEVELS.size, 1))
+    rows[:, 2] += LEVELS
+    density = posterior(rows)
+    share = np.exp(density - density.max())
+    return share[LEVELS < 0].sum() / share.sum() + 0.5 * share[LEVELS.size // 2] / share.sum()

@@ -19,7 +19,8 @@ SMALL = replace(PAINT_DISCREPANCY, amplitude_rel=0.05, floor_rel=0.0)
 @pytest.fixture(scope="module")
 def posterior(weights):
     data, _ = simulate(orange(), weights, np.random.default_rng(3), discrepancy=SMALL)
-    return LogPosterior(data, LOG_NORMAL, EmissionPrior(), SMALL)
+    lamp = np.linspace(-0.04, 0.12, 24)
+    return LogPosterior(replace(data, lamp_response_rel=lamp), LOG_NORMAL, EmissionPrior(), SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +42,11 @@ def normal(posterior):
     prior[:size, :size] = process[:size, :size]
     prior[size:, size:] = np.eye(errors)
     with_y = np.concatenate([process[:size, size:] @ member.T, u.T])
-    total = member @ process[size:, size:] @ member.T + u @ u.T + posterior.data.covariance
+    mu = posterior.predict_usable(theta[None])[0]
+    lamp = posterior.data.lamp_response_rel * mu
+    total = member @ process[size:, size:] @ member.T + u @ u.T + posterior.data.covariance + np.outer(lamp, lamp)
     gain = np.linalg.solve(total, with_y.T).T
-    mean = gain @ (posterior.problem.y - posterior.predict_usable(theta[None])[0])
+    mean = gain @ (posterior.problem.y - mu)
     mean[:size] += scale[:size]
     return mean, prior - gain @ with_y.T
 
@@ -68,7 +71,9 @@ def test_imperfections_are_the_calibration_errors_that_were_made(weights, poster
     """A band that is brighter than the others allow pulls its own calibration."""
     y = posterior.data.y.copy()
     y[5] *= 1.05
-    spoiled = LogPosterior(replace(posterior.data, y=y), LOG_NORMAL, EmissionPrior(), NO_DISCREPANCY)
+    spoiled = LogPosterior(
+        replace(posterior.data, y=y, lamp_response_rel=None), LOG_NORMAL, EmissionPrior(), NO_DISCREPANCY
+    )
     pulls = curve_draws(spoiled, np.tile(orange(), (500, 1)), np.random.default_rng(7)).imperfections
     assert pulls.shape == (500, 8)
     assert pulls[:, 5].mean() > 3.0  # 5 % are five standard uncertainties, some were there before

@@ -1,5 +1,7 @@
 """The compiled posterior against scipy's multivariate normal, with every term written out from its definition."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, truncnorm
@@ -44,6 +46,7 @@ def plain_log_posterior(theta, data, family, prior, discrepancy):
     same_band = data.weights.band_index[:, None] == data.weights.band_index
     y = np.nan_to_num(data.y.ravel())
     covariance = data.covariance + data.band_calibration_rel**2 * np.outer(y, y) * same_band
+    covariance = covariance + np.outer(data.lamp_response_rel * mu, data.lamp_response_rel * mu)
     if discrepancy.acts:
         covariance = covariance + discrepancy_covariance(
             theta, family, data.weights, discrepancy, *at_nodes(data.weights)
@@ -57,7 +60,7 @@ def plain_log_posterior(theta, data, family, prior, discrepancy):
 
 @pytest.fixture(scope="module")
 def correlated(weights):
-    """Band data with a full covariance, NaN where a value is lost, and 2 % calibration."""
+    """Band data with a full covariance, NaN where a value is lost, 2 % calibration, and a lamp off by up to 12 %."""
 
     def build(lost):
         rng = np.random.default_rng(8)
@@ -66,7 +69,8 @@ def correlated(weights):
         data, _ = simulate(orange(), weights, rng, usable=usable.reshape(8, 3))
         mix = np.eye(24) + 0.2 * rng.standard_normal((24, 24))
         y = np.where(data.usable, data.y, np.nan)
-        return BandData(y, mix @ data.covariance @ mix.T, data.usable, weights, 0.02)
+        lamp = np.linspace(-0.04, 0.12, 24)
+        return BandData(y, mix @ data.covariance @ mix.T, data.usable, weights, 0.02, lamp_response_rel=lamp)
 
     return build
 
@@ -104,10 +108,10 @@ def test_covariances_are_those_of_a_dense_gaussian_process_at_the_nodes(correlat
     posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), SHORT)
     theta = posterior.prior.draw(20, np.random.default_rng(4))
     u = posterior.imperfections
-    for row, got in zip(theta, posterior.covariances(theta), strict=True):
-        expected = (
-            data.covariance + u @ u.T + discrepancy_covariance(row, LOG_NORMAL, weights, SHORT, *at_nodes(weights))
-        )
+    lamps = data.lamp_response_rel * posterior.predict_usable(theta)
+    for row, lamp, got in zip(theta, lamps, posterior.covariances(theta), strict=True):
+        fixed = data.covariance + u @ u.T + np.outer(lamp, lamp)
+        expected = fixed + discrepancy_covariance(row, LOG_NORMAL, weights, SHORT, *at_nodes(weights))
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         # bands far apart are cut off: their outermost nodes, 4 nm or two lengths apart, share e^-2 of a hundredth each
         assert (np.abs(got - expected) < 5e-4 * scale).all()
@@ -147,7 +151,9 @@ def test_the_determinant_neither_underflows_nor_overflows(variance):
 
 def test_bands_four_lengths_apart_may_be_cut_off(correlated, weights):
     """What the cut leaves out of the default discrepancy is e^-8 of a correlation."""
-    posterior = LogPosterior(correlated(()), LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
+    posterior = LogPosterior(
+        replace(correlated(()), lamp_response_rel=None), LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY
+    )
     theta = orange()
     got = posterior.covariances(theta[None])[0] - posterior.problem.covariance
     expected = discrepancy_covariance(theta, LOG_NORMAL, weights, PAINT_DISCREPANCY, *at_nodes(weights))
