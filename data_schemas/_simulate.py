@@ -441,7 +441,7 @@ class PressMechanics(Record):
 class PressIncrement(Record):
     """The state of a finger at one increment of a press, from which the press can continue."""
 
-    schema_version: ClassVar[int] = 7
+    schema_version: ClassVar[int] = 8
     written_by: ClassVar[str] = "'finray simulate press'"
 
     preset: Preset
@@ -473,6 +473,16 @@ class PressIncrement(Record):
         default=None,
         description="push at the first increment where contact between parts of the finger acted beside the penalty of "
         "the indenter; None where there was none, or in increments of older versions",
+    )
+    points_per_side: Annotated[int, Field(gt=0)] | None = Field(
+        default=None,
+        description="points along a side of each face of the coat at which the penalty acts; None for the barrier, or "
+        "in increments of older versions, where it acted at 2",
+    )
+    points_on_border: bool | None = Field(
+        default=None,
+        description="whether some of these points lie on the border of the coat; None for the barrier, or in "
+        "increments of older versions, where none did",
     )
     design: FingerDesign
 

@@ -324,7 +324,9 @@ def _pressed_to_depth(
 
     folder, contact = arguments.design.parent, arguments.contact
     digest = origin.input_sha256.get((folder / (design.indenter.file or "")).as_posix())
-    before = None if resume is None else stored_press(read_record(resume, PressIncrement), design, contact, digest)
+    before = None
+    if resume is not None:
+        before = stored_press(read_record(resume, PressIncrement), design, contact, digest, folder)
 
     def store(pressed: "PressedFinger") -> None:
         record = increment_record(design, pressed, indenter_sha256=digest)

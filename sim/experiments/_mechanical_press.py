@@ -1,8 +1,11 @@
 """A finger pressed by finite elements: records of a press or a grasp, and the surfaces that the optics renders."""
 
+import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data_schemas import (
     ContactKind,
@@ -24,13 +27,18 @@ from sim.mechanics import (
     FingerMesh,
     Grasp,
     GraspTask,
+    PenaltyContact,
     PressedFinger,
+    RigidIndenter,
     chord_shortfall_rel,
     chosen_contact,
+    coat_points,
     contact_distance,
     contact_forces_n,
+    face_points,
     finger_mesh,
     frictionless_torque_n_mm,
+    rigid_indenter,
     slip_torque_n_mm,
     touch_areas_mm2,
 )
@@ -113,6 +121,8 @@ def increment_record(
     design: FingerDesign, pressed: PressedFinger, preset: Preset | None = None, indenter_sha256: str | None = None
 ) -> PressIncrement:
     """Return the last increment of a press as a record to continue from; with the digest of a mesh indenter's STL."""
+    by_points = pressed.kind == "penalty"
+    coat_mm = pressed.mesh.nodes_mm[pressed.mesh.surfaces["coat"]]
     return PressIncrement(
         preset=preset or design.mesh.preset,
         depth_mm=pressed.depth_mm,
@@ -128,6 +138,8 @@ def increment_record(
         modes_mm=np.concatenate([modes for modes in pressed.modes_mm if modes.shape[1]]),
         unstable=pressed.unstable,
         parts_touch_from_mm=pressed.parts_touch_from_mm,
+        points_per_side=math.isqrt(pressed.touch_mm.shape[1]) if by_points else None,
+        points_on_border=math.isclose(pressed.touch_mm[..., 2].max(), coat_mm[..., 2].max()) if by_points else None,
         design=design,
     )
 
@@ -137,10 +149,12 @@ def stored_press(
     design: FingerDesign,
     contact: ContactChoice = "auto",
     indenter_sha256: str | None = None,
+    folder: Path = Path(),
 ) -> PressedFinger:
     """Return a stored increment as a press of a design, which may push deeper, to continue from.
 
-    What an increment of an older version does not tell (its contact, the digest of the STL) is taken as the same.
+    What an increment of an older version does not tell (its contact, the digest of the STL) is taken as the same, but
+    for the points where the penalty acts.
 
     Parameters
     ----------
@@ -150,17 +164,23 @@ def stored_press(
         As they go into :func:`sim.mechanics.press_finger` now.
     indenter_sha256
         Digest of the STL of a mesh indenter, as it is now.
+    folder
+        Where the design stands: the STL of an indenter is relative to it.
 
     Raises
     ------
     SimulateError
-        When the design differs in more than the depth of its push, or its STL or the contact is another one.
+        When the design differs in more than the depth of its push, its STL or the contact is another one, or the
+        contact acted at other points of the coat and that changes the forces.
     """
     _check_same_design(record, design)
     # a press that took the barrier by itself goes on with it
     went_on = record.contact == "barrier" and contact == "auto"
     _check_same_contact(record, "barrier" if went_on else chosen_contact(contact), indenter_sha256)
-    return _as_press(record, _same_mesh(record, design))
+    mesh = _same_mesh(record, design)
+    if record.contact != "barrier":
+        _check_same_points(record, rigid_indenter(design, folder), mesh)
+    return _as_press(record, mesh)
 
 
 def _check_same_design(record: PressIncrement, design: FingerDesign) -> None:
@@ -204,6 +224,37 @@ def _same_mesh(record: PressIncrement, design: FingerDesign) -> FingerMesh:
             "the stored increment has another mesh of this design, which another version made; press from the start"
         )
     return replace(mesh, nodes_mm=record.nodes_mm)
+
+
+def _check_same_points(record: PressIncrement, indenter: RigidIndenter, mesh: FingerMesh) -> None:
+    """Check that the penalty acts at the points of an increment, as far as they touch.
+
+    Older versions took 2 x 2 Gauss points of each face for every indenter, none of them on the border of the coat.
+    """
+    nodes, coat, body = mesh.nodes_mm, mesh.surfaces["coat"], indenter.exact_body()
+    points = coat_points(nodes, coat, body)
+    had, has = record.points_per_side or 2, math.isqrt(points.places.shape[1])
+    at_border = np.flatnonzero((points.places != face_points(coat, has, to_border=False).places).any(axis=(1, 2)))
+    if had != has:
+        other = f"at {had} x {had} points of each face of the coat, and with this indenter it now acts at {has} x {has}"
+    elif not record.points_on_border and _touches(record, indenter, mesh, at_border):
+        other = "at no point of the coat's border, which touches the indenter here and now takes part"
+    else:
+        return
+    raise SimulateError(
+        f"the stored increment is of an older version, whose contact acted {other}: its forces and those that follow "
+        "would not belong together. Press from the start: leave out --resume, and give another --out"
+    )
+
+
+def _touches(record: PressIncrement, indenter: RigidIndenter, mesh: FingerMesh, faces: NDArray[np.int64]) -> bool:
+    """Return whether some of the coat's faces touch the indenter at an increment, at points of then or of now."""
+    coat, pose = mesh.surfaces["coat"], indenter.pose(float(record.depth_mm[-1]))
+    body = indenter.exact_body()
+    return any(
+        PenaltyContact(mesh.nodes_mm, points.of(faces), body, pose, 1.0).gaps_mm(record.displacement_mm).min() < 0.0
+        for points in (face_points(coat, to_border=False), coat_points(mesh.nodes_mm, coat, body))
+    )
 
 
 def _as_press(record: PressIncrement, mesh: FingerMesh) -> PressedFinger:

@@ -620,7 +620,7 @@ class SurrogateFinger:
             iterations=np.array([press.contact.rounds for press in presses], dtype=np.int64),
             modes_mm=(),
             pressure_mpa=last.contact.pressure_mpa * float(last.force_n[1] / last.contact.force_n[1]),
-            touch_mm=self.finger.touch_mm,
+            touch_mm=last.contact.touch_mm,
             unreached="",
             contact="contact on the finger condensed to its coat, frictionless; strains and bending learned from "
             "presses by the penalty",

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from sim.mechanics._indenter_path import IndenterPath, moved_pose, press_along, press_as_designed, read_path
     from sim.mechanics._indenters import (
         IndenterShape,
+        RigidIndenter,
         ShapeBody,
         check_indenter_shape,
         rigid_indenter,
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
         ContactMotion,
         PenaltyContact,
         SlidingContact,
+        coat_points,
         penalty_mpa_per_mm,
     )
     from sim.mechanics._press import (
@@ -126,6 +128,7 @@ __all__ = [
     "PressSettings",
     "PressedFinger",
     "PressedLayer",
+    "RigidIndenter",
     "RoundedBox",
     "ShapeBody",
     "SkeletonLayout",
@@ -139,6 +142,7 @@ __all__ = [
     "chord_shortfall_rel",
     "chosen_contact",
     "coat_of",
+    "coat_points",
     "compress_block",
     "condense_finger",
     "contact_distance",

@@ -95,9 +95,10 @@ class UpperBlocks:
         return matrix
 
     def times(self, vector: FloatArray) -> FloatArray:
-        """Return the whole symmetric matrix times a vector (3 n,)."""
-        out = np.zeros_like(vector)
-        _add_product(self.indptr, self.indices, self.values, np.ascontiguousarray(vector), out)
+        """Return the whole symmetric matrix times a vector (3 n,), in double precision whatever the vector's."""
+        taken = np.ascontiguousarray(vector, np.float64)
+        out = np.zeros_like(taken)
+        _add_product(self.indptr, self.indices, self.values, taken, out)
         return out
 
     def constrain(self, fixed: NDArray[np.bool_]) -> None:

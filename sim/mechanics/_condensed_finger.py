@@ -18,11 +18,12 @@ from sim.mechanics._assembly import Assembly, Elasticity
 from sim.mechanics._finger_mesh import STEPS, finger_materials, finger_mesh, finger_ties
 from sim.mechanics._indenters import RigidIndenter
 from sim.mechanics._linear_solver import linear_solver
-from sim.mechanics._mesh import FingerMesh, face_points, quad_shapes
+from sim.mechanics._mesh import FingerMesh
 from sim.mechanics._newton import Supports
 from sim.mechanics._penalty_contact import (
     PenaltyContact,
     TouchedPoints,
+    coat_points,
     penalty_mpa_per_mm,
 )
 from sim.mechanics._rigid_bodies import Pose
@@ -144,6 +145,8 @@ class CondensedContact:
         On the indenter (3,).
     pressure_mpa
         At the q sampling points of the coat's f faces, (f, q).
+    touch_mm
+        Where these lie in the undeformed pad, (f, q, 3).
     rounds
         Newton's steps.
     """
@@ -152,6 +155,7 @@ class CondensedContact:
     coat_mm: FloatArray
     force_n: FloatArray
     pressure_mpa: FloatArray
+    touch_mm: FloatArray
     rounds: int
 
 
@@ -169,8 +173,6 @@ class CondensedFinger:
     ----------
     mesh, coat
         The mesh, and the nodes of its coat (c,).
-    touch_mm
-        Where the q sampling points of the coat's f faces lie in the undeformed pad, (f, q, 3).
 
     Raises
     ------
@@ -192,9 +194,6 @@ class CondensedFinger:
         self._quads = np.searchsorted(self.coat, self.mesh.surfaces["coat"])
         self._rest = self.mesh.nodes_mm[self.coat]
         self._eps = penalty_mpa_per_mm(design, STEPS[preset].pad_mm)
-        self._points = face_points(self._quads)
-        corners, (shapes, _) = self._rest[self._quads], quad_shapes(self._points.places)
-        self.touch_mm: FloatArray = np.asarray(np.einsum("kqa,kai->kqi", shapes, corners))
 
     def press(self, indenter: RigidIndenter, depth_mm: float) -> CondensedContact:
         r"""Return the contact with an indenter at a push, by Newton's method on the forces of the coat.
@@ -222,10 +221,11 @@ class CondensedFinger:
                 "cuboid, or press by finite elements"
             )
         pose = indenter.pose(depth_mm)
-        whole = PenaltyContact(self._rest, self._points, indenter.body, pose, self._eps)
-        near = np.flatnonzero(whole.gaps_mm(np.zeros_like(self._rest)).min(axis=1) < _NEAR_MM)
+        points, still = coat_points(self._rest, self._quads, indenter.body), np.zeros_like(self._rest)
+        whole = PenaltyContact(self._rest, points, indenter.body, pose, self._eps)
+        near = np.flatnonzero(whole.gaps_mm(still).min(axis=1) < _NEAR_MM)
         while True:
-            contact = PenaltyContact(self._rest, self._points.of(near), indenter.body, pose, self._eps)
+            contact = PenaltyContact(self._rest, points.of(near), indenter.body, pose, self._eps)
             search = _Balance(self.condensed.compliance_mm_per_n, contact, len(self.coat))
             search.begin(indenter.pose(_FIRST_SHARE * depth_mm))
             rounds = search.solve()
@@ -235,7 +235,8 @@ class CondensedFinger:
             if np.isin(touching, near).all():
                 break
             near = np.union1d(near, touching)
-        return CondensedContact(search.forces.reshape(-1, 3), moved, whole.force_n(moved), pressure, rounds)
+        forces, touch_mm = search.forces.reshape(-1, 3), whole.points_mm(still)
+        return CondensedContact(forces, moved, whole.force_n(moved), pressure, touch_mm, rounds)
 
     def displacement_mm(self, contact: CondensedContact) -> FloatArray:
         """Return the displacement of all n nodes (n, 3): the coat's exact, the others' in the stored shapes."""

@@ -420,6 +420,9 @@ def test_scatter_sum_and_product():
     assert whole(pattern) == pytest.approx(dense, abs=1e-13)
     v = np.arange(12.0)
     assert pattern.times(v) == pytest.approx(dense @ v, abs=1e-11)
+    # a vector in single precision is not summed in it
+    v = np.linspace(0.1, 1.2, 12, dtype=np.float32)
+    assert pattern.times(v) == pytest.approx(dense @ v.astype(np.float64), abs=1e-11)
 
 
 def test_the_pattern_grows_where_a_term_needs_it():

@@ -171,6 +171,34 @@ def test_a_stored_increment_must_fit(halfway):
         press_finger(preset_design("original-60x22"), PressSettings("coarse", 2), resume=halfway)
 
 
+def test_an_increment_of_other_contact_points_is_not_continued(halfway):
+    record = increment_record(to_depth(1.0), halfway, "coarse")
+    assert (record.points_per_side, record.points_on_border) == (2, True)
+    # the cylinder lies across the whole pad: its border touches, where older versions had no points
+    older = {"points_per_side": None, "points_on_border": None}
+    with pytest.raises(SimulateError, match=r"no point of the coat's border, which touches .* Press from the start"):
+        stored_press(record.model_copy(update=older), to_depth(3.0))
+    # a blunt ball amid the pad touches inner faces alone, whose points have stayed
+    ball = SMALL.indenter.model_copy(update={"shape": "ball", "radius_mm": 6.0, "depth_mm": 0.4})
+    design = SMALL.model_copy(update={"indenter": ball})
+    pressed = press_finger(design, PressSettings("coarse", 1))
+    record = increment_record(design, pressed, "coarse")
+    deeper = design.model_copy(update={"indenter": ball.model_copy(update={"depth_mm": 0.6})})
+    before = stored_press(record.model_copy(update=older), deeper)
+    whole = press_finger(deeper, PressSettings("coarse", 3))
+    assert press_finger(deeper, PressSettings("coarse", 3), resume=before).force_n[-1] == pytest.approx(
+        whole.force_n[-1], abs=1e-5 * whole.force_n[-1, 1]
+    )
+    # the same ball, sharper than a face: 3 x 3 points now, 2 x 2 then
+    sharp = design.model_copy(update={"indenter": ball.model_copy(update={"radius_mm": 1.0})})
+    pressed = press_finger(sharp, PressSettings("coarse", 1))
+    record = increment_record(sharp, pressed, "coarse")
+    assert record.points_per_side == 3
+    assert stored_press(record, sharp).depth_mm == pytest.approx([0.4])
+    with pytest.raises(SimulateError, match=r"acted at 2 x 2 points of each face .* now acts at 3 x 3"):
+        stored_press(record.model_copy(update=older), sharp)
+
+
 def test_a_killed_press_goes_on(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "d.toml").write_text(PLAN + "depth_mm = 1.5\n")

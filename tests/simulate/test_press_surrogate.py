@@ -131,11 +131,13 @@ def test_a_small_push_on_the_condensed_finger_is_that_of_finite_elements(
     assert ((contact.pressure_mpa > 0.0) == (pressed.pressure_mpa > 0.0)).mean() > 0.99
 
 
-@pytest.mark.parametrize("shape", ["cylinder", "ball"])
+@pytest.mark.parametrize(
+    ("shape", "radius_mm", "per_side"), [("cylinder", 12.0, 2), ("ball", 12.0, 2), ("ball", 1.5, 3)]
+)
 def test_contact_and_condensed_finger_are_in_balance(
-    design: FingerDesign, finger: CondensedFinger, condensed: Condensation, shape: str
+    design: FingerDesign, finger: CondensedFinger, condensed: Condensation, shape: str, radius_mm: float, per_side: int
 ) -> None:
-    changed = {"shape": shape, "across_mm": 2.0, "rotation_deg": (0.0, 20.0, 0.0)}
+    changed = {"shape": shape, "radius_mm": radius_mm, "across_mm": 2.0, "rotation_deg": (0.0, 20.0, 0.0)}
     indenter = rigid_indenter(design.model_copy(update={"indenter": design.indenter.model_copy(update=changed)}))
     contact = finger.press(indenter, 2.0)
     moved = condensed.compliance_mm_per_n.astype(float) @ contact.coat_forces_n.ravel()
@@ -143,8 +145,9 @@ def test_contact_and_condensed_finger_are_in_balance(
     quads = np.searchsorted(finger.coat, finger.mesh.surfaces["coat"])
     assert indenter.body is not None
     penalty = penalty_mpa_per_mm(design, STEPS["coarse"].pad_mm)
-    nodes, points = finger.mesh.nodes_mm[finger.coat], face_points(quads)
+    nodes, points = finger.mesh.nodes_mm[finger.coat], face_points(quads, per_side)
     own = PenaltyContact(nodes, points, indenter.body, indenter.pose(2.0), penalty)
+    np.testing.assert_allclose(contact.touch_mm, own.points_mm(np.zeros_like(nodes)))
     off = own.gradient(contact.coat_mm) + contact.coat_forces_n
     # to which the search goes, and as much again for the single precision of the compliance
     assert np.linalg.norm(off) < 1e-3 * np.linalg.norm(contact.coat_forces_n)
