@@ -23,7 +23,7 @@ from rigs.capture._exposure import BRIGHTEST_PERCENTILE, exposure_ladder, rung_a
 from rigs.capture._frame_store import FrameStore, Metered
 from rigs.capture._journal import Journal
 
-SIZE_PX = 512
+SIZE_PX = 256
 SHARES = (0.002, 0.005, 0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.10, 0.15, 0.20, 0.30)
 DRIFT_REL, BRIGHT, SEEN_RATE = 0.05, 0.6, 0.95
 KINDS = (("white", "lamp"), ("sample", "lamp"), ("sample", "laser"))

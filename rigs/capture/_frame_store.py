@@ -256,9 +256,11 @@ class FrameStore:
             They do, by more than noise, dark level and linearity allow.
         """
         longer = raw.exposure_s > metered.exposure_s * (1.0 + SAME_EXPOSURE_REL)  # may be saturated
-        if longer or (step.light == "laser" and step.filter_name in self._passing_laser):
-            return
         rows, columns = self.region
+        # a hot pixel lifts the mean of a small region
+        is_clipped = saturated_fraction(raw.counts[self.region], self.full_scale_dn) > 0.0
+        if longer or is_clipped or (step.light == "laser" and step.filter_name in self._passing_laser):
+            return
         pixels = (rows.stop - rows.start) * (columns.stop - columns.start)
         now = Metered(self.rates(raw.counts, raw.exposure_s), raw.exposure_s)
         change, allowed = colour_change(now, metered, self._settings, pixels)
