@@ -80,17 +80,17 @@ def judge(facts: CheckFacts, plan: CheckPlan, rig: RigFile, notes: tuple[str, ..
     limits = plan.limits
     judged: dict[Section, tuple[CheckResult, ...]] = {
         "handshake": judge_handshakes(facts.handshakes, limits.handshake_s),
-        "wheel": judge_wheel(facts, plan),
+        "wheel": _seen_to_turn(judge_wheel(facts, plan), facts),
         "dark frames": judge_dark_frames(facts, plan, rig.camera),
         "filters": judge_filters(facts),
-        "revisits": (*judge_revisits(facts, plan), *judge_picture(facts, plan)),
+        "revisits": _seen_to_turn((*judge_revisits(facts, plan), *judge_picture(facts, plan)), facts),
         "exposures": (
             *judge_exposures(facts, plan),
             *judge_lamp(facts, plan),
             *judge_frames("exposures", facts.frame_overheads_s, limits.frame_overhead_s),
         ),
         "warm-up": judge_warm_up(facts, plan, rig.camera),
-        "stray light": judge_stray_light(facts, plan),
+        "stray light": judge_stray_light(facts, plan, rig.camera),
         "trigger latency": judge_latency(facts, plan),
         "light off": judge_light_off(facts, plan, rig.laser),
         "reconnect": judge_reconnect(facts, limits.reconnect_s),
@@ -130,6 +130,13 @@ def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     )  # fmt: skip
 
 
+def _seen_to_turn(results: tuple[CheckResult, ...], facts: CheckFacts) -> tuple[CheckResult, ...]:
+    """Let results on the wheel pass only where the frames show that it turns: its word proves no move."""
+    if facts.filter_proof is not None and facts.filter_proof.verdict == "confirmed":
+        return results
+    return tuple(not_proven(one, NOT_SEEN_TO_TURN) for one in results)
+
+
 def largest_failure_share(tries: int) -> float:
     """Return the share of failures that is ruled out with 95 % confidence when none of `tries` failed.
 
@@ -143,6 +150,14 @@ ROUNDING_DN2: Final = 1.0 / 12.0
 LEAST_NOISE_DN: Final = 0.4
 """Below it, rounding hides what the noise is."""
 MOST_AT_ZERO: Final = 1e-3  # share of counts at 0: beyond it, the noise is cut off
+NOT_SEEN_TO_TURN: Final = (
+    "nobody but the wheel says that it turned, because the frames do not show every filter in its slot (see there)"
+)
+LIT_IN_THE_DARK: Final = (
+    "the lamp was hardly seen beside the dark frames: it was off all the while, or on in the dark frames too"
+)
+SATURATED_SHARE: Final = 0.95
+"""Of full scale, mean of the region: from there on more light adds nothing."""
 _PROOF: Final[dict[str, CheckVerdict]] = {"confirmed": "PASS", "contradicted": "FAIL", "cannot tell": "UNDECIDED"}
 
 
@@ -375,11 +390,11 @@ def judge_warm_up(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings) ->
     span_s, most_dn = warm.times_s[-1], plan.limits.black_level_dn
     evidence = f"{before.size} dark frames before and {after.size} after {span_s:.3g} s of light"
     change_dn = float(after.mean() - before.mean())
-    limits = ToleranceInterval(-most_dn, most_dn)
-    return (
-        _settling(warm, plan, camera, (*settles, limit)),
-        measured("warm-up", *dark, change_dn, sd, "DN", evidence, limits=limits),
-    )
+    stays = measured("warm-up", *dark, change_dn, sd, "DN", evidence, limits=ToleranceInterval(-most_dn, most_dn))
+    darkest_dn = max(before.mean(), after.mean()) - camera.black_level_dn
+    if np.mean(warm.white_dn) - darkest_dn < LEAST_WHITE_SHARE * (2**camera.bit_depth - 1):
+        stays = not_proven(stays, LIT_IN_THE_DARK)
+    return _settling(warm, plan, camera, (*settles, limit)), stays
 
 
 def _settling(warm: WarmUp, plan: CheckPlan, camera: CameraSettings, words: tuple[str, str, str]) -> CheckResult:
@@ -440,7 +455,7 @@ def _settled_s(times_s: Floats, away: Floats, allowed: float) -> float:
     return float(times_s[last : last + 2].mean())
 
 
-def judge_stray_light(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
+def judge_stray_light(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings) -> tuple[CheckResult, ...]:
     """Return how much laser light comes through the filters that block it, or past them: the worst verdict of all.
 
     Each mean may be off by rounding. Less light than in the dark frames, beyond the limit, is a fault too.
@@ -463,6 +478,8 @@ def judge_stray_light(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, 
         reason = "dark frames have counts of 0, which hide faint light: raise the black level"
     elif passed <= 3.0 * passed_sd:
         reason = f"the laser is not seen behind filter {stray.passed.filter_name} either; check tile, box and laser"
+    elif max(dn for one in stray.blocked for dn in one.level.dark_dn) > SATURATED_SHARE * (2**camera.bit_depth - 1):
+        reason = "the frames with the laser off are saturated, so more light adds nothing to them; find what is lit"
     if reason is not None:
         return (unmeasured("stray light", name, what, "UNDECIDED", reason, words),)
 

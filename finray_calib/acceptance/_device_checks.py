@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Final
 
 from data_schemas import (
@@ -152,6 +153,16 @@ LEAST_BACK_SHARE: Final = 0.5
 NO_PULSES: Final = (
     "the photodiode's firmware looks for 0.1 ms in each 10 ms only, so a pulsed laser may look off; flash version 1.1"
 )
+UNSEEN_LASER: Final = (
+    "nobody saw the laser go off: behind the filter that passes it, the camera saw no difference between on and off, "
+    "or more than dark when it was reported off (see stray light); let a camera or photodiode see it"
+)
+DARK_SD: Final = 6.0
+"""Standard deviations of the mean of a dark frame: by noise one is beyond once in 10^9."""
+LEAST_ABOVE_DN: Final = 0.25
+"""Of the mean of a region: rounding and a wandering dark level move it by less."""
+LEAST_SEEN: Final = 10.0
+"""Of that margin: a laser that is seen by less is no proof."""
 OTHER_DARK: Final = (
     "the witness read another level with the laser off than where it learned what dark is, so other light changed or "
     "the laser is only dimmed; keep the box shut and the room as it is, and check again"
@@ -210,7 +221,32 @@ def _light_off(layer: LightOff, plan: CheckPlan, facts: CheckFacts, laser: Laser
     found = measured("light off", name, what, value_s, sd_s, "s", evidence, limits=ToleranceInterval(None, limit_s))
     if layer.witness == "a photodiode":
         return _by_photodiode(found, facts.diode, laser)
-    return _by_camera(found, facts.sight, laser) if layer.witness == "the camera" else found
+    return _by_camera(found, facts.sight, laser) if layer.witness == "the camera" else _by_report(found, facts, laser)
+
+
+def _by_report(found: CheckResult, facts: CheckFacts, laser: LaserSettings) -> CheckResult:
+    """Let a controller's word pass where the camera saw the laser go off whenever it said so: in the stray light part.
+
+    Behind the filter that passes the laser, every frame with the laser off must be as dark as those behind a filter
+    that blocks it, by the line through the shortest dark frames.
+    """
+    stray = facts.stray_light
+    if stray is None or stray.passed is None or not stray.blocked or not facts.darks:
+        return not_proven(found, UNSEEN_LASER)
+    passed = stray.passed.level
+    blocked = min((one.level for one in stray.blocked), key=lambda level: sum(level.dark_dn) / len(level.dark_dn))
+    longer_dn, first = sum(blocked.dark_dn) / len(blocked.dark_dn), facts.darks[0]
+    shortest_dn = min(sum(first.means_dn) / len(first.means_dn), longer_dn)
+    dark_dn = shortest_dn + (longer_dn - shortest_dn) * min(passed.exposure_s / blocked.exposure_s, 1.0)
+    middle_dn = median(passed.dark_dn)
+    # by the median distance: a single lit frame must not widen what counts as dark
+    scatter_dn = 1.4826 * median(abs(dn - middle_dn) for dn in passed.dark_dn)
+    margin_dn = max(DARK_SD * scatter_dn, LEAST_ABOVE_DN)
+    seen_dn = sum(passed.white_dn) / len(passed.white_dn) - dark_dn
+    if seen_dn < LEAST_SEEN * margin_dn or max(passed.dark_dn) > dark_dn + margin_dn:
+        return not_proven(found, UNSEEN_LASER)
+    dark = f"before, the camera saw it dark behind filter {stray.passed.filter_name} whenever it was reported off"
+    return _with_unseen(found, margin_dn / seen_dn, dark, laser)
 
 
 def _by_photodiode(found: CheckResult, diode: DiodeLevels | None, laser: LaserSettings) -> CheckResult:

@@ -55,6 +55,10 @@ from rigs.capture.light_off_time import ConnectionWatch, after_exception, after_
 from rigs.light_guard import GuardedLight, LightLostError, is_hazardous, open_photodiode
 
 Counts = NDArray[np.uint16]
+CLOCKED_S: Final = 0.2
+"""From here on the clock tells whether a frame was exposed for as long as it says: overheads are much less."""
+LEAST_TAKEN: Final = 0.8
+"""Of an exposure, until its frame is there: a camera that runs freely may have begun a little before."""
 
 
 class CheckFrames:
@@ -256,7 +260,15 @@ class CheckFrames:
         """Take the dark frames of one exposure."""
         frames, read_back_s = [], exposure_s
         for _ in range(self._plan.darks_per_exposure):
+            asked_s = self._opened.clock.monotonic_s()
             raw = self._camera.expose(step, exposure_s).raw
+            took_s = self._opened.clock.monotonic_s() - asked_s
+            if raw.exposure_s >= CLOCKED_S and took_s < LEAST_TAKEN * raw.exposure_s:
+                raise CaptureError(
+                    f"camera: reads back an exposure of {raw.exposure_s:g} s, but its frame was there {took_s:.3g} s "
+                    "after it was asked for: it exposes for less than it says, or delivers a frame from before; "
+                    "switch it off and on, then check its driver and trigger mode"
+                )
             frames.append(raw.counts[self._region].astype(np.int32))
             read_back_s = raw.exposure_s
         variance = [np.var(second - first) / 2.0 for first, second in zip(frames[0::2], frames[1::2], strict=False)]

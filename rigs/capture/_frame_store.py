@@ -3,12 +3,14 @@
 Fluorescent paint bleaches with laser light: every frame tells the energy on the sample up to it.
 """
 
+import math
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from types import TracebackType
 from typing import Final, NamedTuple
@@ -16,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import CaptureError, Frame, RegionOfInterest, RigFile, SignalChangedError
+from data_schemas import CameraSettings, CaptureError, Frame, RegionOfInterest, RigFile, SignalChangedError
 from data_schemas.storage import write_frame
 from rigs import Clock, OpenRig, RawFrame
 from rigs.capture._exposure import CheckedCamera, CheckedFrame, saturated_fraction
@@ -27,12 +29,26 @@ from rigs.capture._resume import PROVEN_EVENT, Interrupted, is_compared, set_asi
 from rigs.capture._session_folder import SessionWatch
 
 BYTES_PER_PIXEL = 2
+DARK_SHARE = 1e-3  # of full scale: by as much the black level of a rig file is off
 SPACE_FACTOR = 1.1  # of the frames: room for TIFF headers, journal and record
 MOST_WAITING = 4  # frames in memory that are not on the disk yet
 LARGEST_CHANGE = 1.25
 """Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
 WRITE_WITHIN_S = 2.0 * DISK_WITHIN_S  # a frame, then its line of the journal
 
+
+LINE_WIDTHS: Final = 2.0
+"""Widths (FWHM) of a filter from its centre within which the laser's line may be seen through it."""
+SAME_EXPOSURE_REL: Final = 1e-3
+SAME_RATIO_REL: Final = 0.002
+"""By which a ratio of two channels may change at one exposure: light that dims by 5 % on a curve of 1 % moves it by
+less."""
+LINEARITY_REL: Final = 0.01
+"""The same at another exposure: by so much a check of the rig lets a camera's response be curved."""
+COLOUR_SD: Final = 5.0
+"""Standard deviations by noise: 300 ratios of a session are beyond it by chance once in 5,000 sessions."""
+WANDER_SHARE, LEAST_WANDER_DN = 2e-4, 0.25
+"""Of full scale, and at least: by so much the dark level wanders, or rounding hides a dim channel's mean."""
 
 Rates = tuple[float, float, float]
 
@@ -42,6 +58,53 @@ class Metered(NamedTuple):
 
     rates: Rates
     exposure_s: float
+
+
+def colour_change(now: Metered, before: Metered, camera: CameraSettings, pixels: int) -> tuple[float, float]:
+    r"""Return by how much the ratio of two channels changed, relative to what is allowed the most, and what is allowed.
+
+    .. math:: y = |\ln(r_a / m_a) - \ln(r_b / m_b)|, \quad
+              y_\text{max} = y_0 + \sum_{c = a, b} \frac{d_c}{m_c}
+              + 5 \sqrt{\sum_{c = a, b} \frac{u^2(r_c)}{r_c^2} + \frac{u^2(m_c)}{m_c^2}}
+
+    with the rates r now and m at metering, their photon and read noise u, what the dark level may be off d, and
+    linearity y0. A channel that is not above all of that is left out.
+
+    Parameters
+    ----------
+    now, before
+        Rates of red, green and blue, and their exposures.
+    camera
+        Gain, read noise and full scale.
+    pixels
+        Of the region: a quarter of them are red, half green, a quarter blue.
+
+    Returns
+    -------
+    tuple of float
+        Change and what is allowed, relative (1).
+    """
+    full_dn = 2**camera.bit_depth - 1
+    wander_dn = max(WANDER_SHARE * full_dn, LEAST_WANDER_DN)
+    level = DARK_SHARE * full_dn * abs(1.0 / now.exposure_s - 1.0 / before.exposure_s)
+    dark = level + wander_dn / min(now.exposure_s, before.exposure_s)
+    is_same = abs(now.exposure_s / before.exposure_s - 1.0) <= SAME_EXPOSURE_REL
+    channels: list[tuple[float, float, float]] = []
+    for share, rate, rate_before in zip((0.25, 0.5, 0.25), now.rates, before.rates, strict=True):
+        variance = sum(
+            (max(r * t, 0.0) / camera.gain_e_per_dn + (camera.read_noise_e / camera.gain_e_per_dn) ** 2 + 1 / 12)
+            / (share * pixels * max(r * t, 1e-9) ** 2)
+            for r, t in ((rate, now.exposure_s), (rate_before, before.exposure_s))
+        )
+        if min(rate, rate_before) > dark and COLOUR_SD * math.sqrt(variance) < 1.0:
+            channels.append((math.log(rate / rate_before), dark / min(rate, rate_before), variance))
+    worst = (0.0, math.inf)
+    for (a, dark_a, var_a), (b, dark_b, var_b) in combinations(channels, 2):
+        allowed = (SAME_RATIO_REL if is_same else LINEARITY_REL) + dark_a + dark_b
+        allowed += COLOUR_SD * math.sqrt(var_a + var_b)
+        if abs(a - b) / allowed >= worst[0] / worst[1]:
+            worst = abs(a - b), allowed
+    return worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +162,12 @@ class FrameStore:
         self._frame_bytes = BYTES_PER_PIXEL * rig.camera.width_px * rig.camera.height_px
         self._frames = {} if interrupted is None else dict(interrupted.frames)
         self._unproven: set[int] = set()
-        self._black_dn = rig.camera.black_level_dn
+        self._black_dn, self._settings = rig.camera.black_level_dn, rig.camera
+        self._passing_laser = frozenset(
+            band.name
+            for band in rig.filter_wheel.filters
+            if abs(band.center_nm - rig.laser.wavelength_nm) <= LINE_WIDTHS * band.fwhm_nm
+        )
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="frame-writer")
         self._waiting: list[Future[None]] = []
 
@@ -175,6 +243,34 @@ class FrameStore:
                     "changed or something moved; put it right, then continue or resume: all steps are "
                     "metered again"
                 )
+
+    def require_same_colour(self, step: Step, raw: RawFrame, metered: Metered) -> None:
+        """Refuse a frame whose channels stand in another ratio than at its step's metering.
+
+        Light that only dims keeps the ratios; a part of another filter in the beam changes them. Where the laser itself
+        passes the filter nothing is compared: its wavelength drifts, and the ratios with it.
+
+        Raises
+        ------
+        SignalChangedError
+            They do, by more than noise, dark level and linearity allow.
+        """
+        longer = raw.exposure_s > metered.exposure_s * (1.0 + SAME_EXPOSURE_REL)  # may be saturated
+        rows, columns = self.region
+        # a hot pixel lifts the mean of a small region
+        is_clipped = saturated_fraction(raw.counts[self.region], self.full_scale_dn) > 0.0
+        if longer or is_clipped or (step.light == "laser" and step.filter_name in self._passing_laser):
+            return
+        pixels = (rows.stop - rows.start) * (columns.stop - columns.start)
+        now = Metered(self.rates(raw.counts, raw.exposure_s), raw.exposure_s)
+        change, allowed = colour_change(now, metered, self._settings, pixels)
+        if change > allowed:
+            raise SignalChangedError(
+                f"camera: {step.label} shows another colour than at metering: two of its channels stand in a ratio "
+                f"that changed by {100 * change:.2g} % ({100 * allowed:.2g} % is allowed), which no light that only "
+                "dims does: the wheel stopped between two filters, or other light came in; home the wheel, close the "
+                "box, then continue or resume: all steps are metered again"
+            )
 
     def missing(self, shots: Iterable[Shot]) -> list[Shot]:
         """Return the shots that are still to be taken, after checking that the disk can hold them.

@@ -47,6 +47,7 @@ from rigs.capture._filter_proof import (
 )
 from rigs.capture._frame_store import (
     BYTES_PER_PIXEL,
+    DARK_SHARE,
     FrameStore,
     Metered,
     Rates,
@@ -93,7 +94,6 @@ UNPROVEN_NOTE = (
     "no lamp or laser step gives a good signal at the exposures of the session, so nothing after the last dark frames "
     "shows that the camera was still exposing as asked"
 )
-DARK_SHARE = 1e-3  # of full scale: by as much the black level of a rig file is off
 
 
 class PaintRecorder:
@@ -406,7 +406,9 @@ class PaintRecorder:
             self._store.require_as_metered(step, raw, None)
         elif step.light != "room":
             metered_s = self._exposures_s[step][0] / max(self._plan.bracket)
-            self._store.require_as_metered(step, raw, Metered(self._rates[step], metered_s))
+            metered = Metered(self._rates[step], metered_s)
+            self._store.require_as_metered(step, raw, metered)
+            self._store.require_same_colour(step, raw, metered)
 
     def _prove(self, steps: tuple[Step, ...], last_good: CaptureSession | None) -> None:
         """Judge from the metered rates whether the wheel holds the filters that the rig file names."""

@@ -60,6 +60,10 @@ STEP_MARGIN: Final = 1.5
 """Forces that are left free for one more step, for a pad that becomes stiffer."""
 SECOND_STEP_MARGIN: Final = 2.5
 """The same where only one step tells the stiffness: of a pad whose force grows with the square of the depth."""
+SEARCH_SHARE: Final = 0.25
+"""Of the force limit, in the search of the touch: noise and a moved zero stay below a fifth of it."""
+SEARCH_SD: Final = 12.0
+"""Of a reading: what stops the search is more than what counts as a touch, also where a press has a small limit."""
 SIDEWAYS_SHARE: Final = 0.2
 """Of the force limit, on ways along the pad: a zero may have moved by a tenth of it."""
 MOST_LOST_BITS: Final = 3
@@ -319,14 +323,8 @@ class StagePress:
         With it the place that the long steps had led to.
         """
         stage, watch = self._settings, self.guard(limit_n)
-        self.gauge.tare()
-        for number, at_mm in enumerate(self.steps(stage.clear_mm, stage.step_mm), 1):
-            self.step_to(at_mm, watch)
-            if abs(self.gauge.reading_n()) > COARSE_SD * self.gauge.noise_n and self._is_touched():
-                break
-            if number % STEPS_OF_A_TARE == 0:
-                self.gauge.tare()
-        been_mm, back_mm = at_mm, self._step_back(at_mm, watch)
+        been_mm = self._search_by_long_steps(limit_n)
+        back_mm = self._step_back(been_mm, watch)
         self.gauge.tare()
         for at_mm in self.steps(back_mm, stage.touch_step_mm):
             self.press_to(at_mm, watch)
@@ -340,6 +338,41 @@ class StagePress:
                 return at_mm, force, been_mm
             self.gauge.follow(force)
         raise AssertionError("the steps end with an error")
+
+    def _search_by_long_steps(self, limit_n: float) -> float:
+        """Return the place (mm) where long steps meet the pad; a share of the force limit ends the last one early.
+
+        How stiff the pad is nobody knows yet: a whole step into a stiff one would lead beyond the limit.
+
+        Raises
+        ------
+        ForceLimitError
+            One step led beyond the limit all the same, before the stage could stop.
+        """
+        stage = self._settings
+        self.gauge.tare()
+        careful = self.guard(min(max(SEARCH_SHARE * limit_n, SEARCH_SD * self.gauge.noise_n), limit_n))
+        for number, at_mm in enumerate(self.steps(stage.clear_mm, stage.step_mm), 1):
+            try:
+                self.step_to(at_mm, careful)
+            except ForceLimitError as error:
+                places, strongest_n = self._stage.places_mm(), abs(self.gauge.mean().mean_n)
+                if places is None or error.limit_n is None:
+                    raise
+                if strongest_n > limit_n:
+                    raise ForceLimitError(
+                        f"stage: the search of the touch met {strongest_n:.3g} N, beyond the limit of {limit_n:g} N, "
+                        f"by one step of {stage.step_mm:g} mm; shorten step_mm or lower press_speed_mm_per_s of the "
+                        "rig file",
+                        strongest_n,
+                        limit_n,
+                    ) from error
+                return float(places[stage.press_axis])
+            if abs(self.gauge.reading_n()) > COARSE_SD * self.gauge.noise_n and self._is_touched():
+                break
+            if number % STEPS_OF_A_TARE == 0:
+                self.gauge.tare()
+        return at_mm
 
     def _step_back(self, at_mm: float, watch: Callable[[], None]) -> float:
         """Go back some long steps until that changes the force no more, and return where the stage is then."""

@@ -8,6 +8,7 @@ import random
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from data_schemas import CaptureError, CaptureSession, DeviceIdentity
@@ -153,3 +154,60 @@ def test_a_disk_that_was_full_and_is_free_again_loses_nothing(tmp_path: Path, mo
     assert wrong(session) == []
     assert len(resumes) == 1
     assert "No space left on device" in resumes[0]
+
+
+SHARE, SLOT, NEIGHBOUR, BLACK_DN = 0.1, 6, 5, 16.0
+
+
+@dataclass
+class LeakingCamera:
+    """Behind one filter, a tenth of the beam passes the neighbouring one: at the sample, so many times from a frame on.
+
+    It stands for a wheel that stops between two slots and reports one of them.
+    """
+
+    opened: OpenRig
+    times: int
+    leaks: int = 0
+    taken: int = 0
+
+    def identity(self) -> DeviceIdentity:
+        return self.opened.camera.identity()
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        self.taken += 1
+        raw, state = self.opened.camera.expose(exposure_s, deadline_s), self.opened.camera.state
+        is_there = state.slot == SLOT and state.target == "sample" and (state.lamp or state.laser)
+        if self.taken < METERED or not is_there or self.leaks == self.times:
+            return replace(raw, settings={**raw.settings, "leaks": 0.0})
+        self.leaks += 1
+        state.slot = NEIGHBOUR
+        beside = self.opened.camera.expose(exposure_s, deadline_s)
+        state.slot = SLOT
+        mixed = BLACK_DN + (1 - SHARE) * (raw.counts - BLACK_DN) + SHARE * (beside.counts - BLACK_DN)
+        settings = {**raw.settings, "leaks": 1.0}
+        return replace(raw, counts=np.rint(np.maximum(mixed, 0.0)).astype(np.uint16), settings=settings)
+
+
+@pytest.mark.parametrize(("times", "resumes"), [(1, 0), (1000, 1)])
+def test_a_wheel_that_stops_between_two_slots_leaves_no_frame(tmp_path: Path, times: int, resumes: int) -> None:
+    """Its level lies within the factor that is allowed of a lamp; the ratio of its channels does not."""
+    rig = simulated_rig("red", width_px=256, height_px=256)
+    plan = paint_plan("red", rig.camera).model_copy(
+        update={"filters": ("450", "560", "600", "630"), "bracket": (1.0,), "darks_per_exposure": 2}
+    )
+    interrupted, why = None, list[str]()
+    for attempt in range(2):
+        with open_rig(rig, Path()) as opened:
+            leaking = replace(opened, camera=LeakingCamera(opened, 0 if attempt else times))
+            request = SessionRequest(tmp_path / "s", "pytest")
+            try:
+                session = capture_with(leaking, rig, plan, paint_steps(plan, rig), request, interrupted=interrupted)
+                break
+            except CaptureError as error:
+                why.append(str(error))
+                interrupted = read_interrupted(tmp_path / "s")
+    assert [frame.sequence for frame in session.frames if frame.settings["leaks"]] == []
+    assert len(why) == resumes
+    assert all("shows another colour than at metering" in text for text in why)
+    assert times > 1 or leaking.camera.leaks == 1  # it did leak, and the frame was taken again

@@ -686,6 +686,29 @@ def pressed(rig: TactileRig, limit_n: float, **press: object) -> tuple[str, list
     return "", forces
 
 
+@pytest.mark.parametrize("stiffness_n_per_mm", [5.0, 13.6, 20.0, 40.0, 60.0, 400.0])
+def test_the_search_of_the_touch_stays_below_the_limit(monkeypatch, stiffness_n_per_mm):
+    """Long steps of 0.3 mm led to 4.08 N into a pad of 13.6 N/mm, and ended the session before it had begun."""
+    soft_n, felt_n = FingerState.force_n, list[float]()
+
+    def force_n(state: FingerState) -> float:
+        felt_n.append(soft_n(state))
+        return felt_n[-1]
+
+    monkeypatch.setattr(FingerState, "force_n", force_n)
+    rig = stiff(stiffness_n_per_mm, step_mm=0.3)
+    why, _ = pressed(rig, 4.0, depth_mm=0.02, force_limit_n=None)
+    speed = rig.stage.press_speed_mm_per_s
+    beyond_mm = speed * (1.0 / rig.load_cell.rate_hz + DEAF_S) + speed**2 / (2.0 * BRAKING_MM_PER_S2)
+    if stiffness_n_per_mm < 100.0:
+        assert why == ""
+        assert max(felt_n) < 4.0
+    else:  # nothing can stop the stage in time: what to do is said
+        assert "search of the touch met" in why
+        assert "shorten step_mm or lower press_speed_mm_per_s" in why
+        assert max(felt_n) < 1.0 + stiffness_n_per_mm * beyond_mm
+
+
 def test_a_session_asks_for_room_before_its_first_whole_step():
     """The first step goes where the search of the touch has been; a pad of 18 N/mm adds 0.9 N by the next."""
     why, forces = pressed(stiff(18.0), 1.5)

@@ -1,0 +1,150 @@
+"""A check of a rig beside devices that answer correctly and lie: no row that a lie could falsify passes.
+
+Rows that it cannot falsify (identity, the devices' own times) are left out. The rows of an honest rig do pass, so that
+a row which is left UNDECIDED is so because of the lie.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from data_schemas import CheckPlan
+from finray_calib.acceptance import judge
+from rigs import OpenRig, RawFrame, open_rig, paint_plan, simulated_rig
+from rigs.capture import _check_session as check_session
+from rigs.capture import record_facts
+from tests.capture.test_check_session import Device
+
+Change = Callable[[OpenRig], OpenRig]
+RIG = simulated_rig("red", width_px=64, height_px=64)
+PLAN = CheckPlan(
+    check_name="lab", region=paint_plan("red", RIG.camera).region, wheel_moves=8, revisits=6, warm_up_s=4.0
+)
+
+DARK = ("dark level", "dark rate", "read noise")
+WHEEL = ("wheel arrives", "wheel moves in time", "wheel repeats optically", "filters in their slots")
+RATIOS = ("exposure ratio 2 : 1", "exposure ratio 4 : 1")
+LIT = (*RATIOS, "lamp is steady")
+
+
+def wheel(kind: str) -> Change:
+    """Return a wheel that says that it is at the slot that was asked for: it is absent, or one slot farther."""
+
+    def change(opened: OpenRig) -> OpenRig:
+        said: list[int] = []
+
+        def go_to(slot: int, deadline_s: float) -> None:
+            said[:] = [slot]
+            if kind != "absent":
+                opened.wheel.go_to(slot % 8 + 1, deadline_s)
+
+        def position() -> int | None:
+            here = opened.wheel.position()
+            return here if here is None or not said else said[0]
+
+        return replace(opened, wheel=Device(opened.wheel, {"go_to": go_to, "position": position}))
+
+    return change
+
+
+def light(name: str, kind: str) -> Change:
+    """Return a light that says of itself what was asked for: it stays on, is on from the beginning, or never."""
+
+    def change(opened: OpenRig) -> OpenRig:
+        said, state = [False], opened.camera.state  # type: ignore[attr-defined]
+
+        @contextmanager
+        def lit() -> Iterator[None]:
+            said[0] = True
+            setattr(state, name, kind != "never on")
+            try:
+                yield
+            finally:
+                said[0] = False
+
+        setattr(state, name, kind == "always on")
+        return replace(opened, **{name: Device(getattr(opened, name), {"lit": lit, "state": lambda: said[0]})})
+
+    return change
+
+
+def camera(kind: str) -> Change:
+    """Return a camera that numbers its frames anew and delivers old ones, or exposes for half of what it says."""
+
+    def change(opened: OpenRig) -> OpenRig:
+        taken: list[RawFrame] = []
+
+        def expose(exposure_s: float, deadline_s: float) -> RawFrame:
+            is_dark = not (opened.lamp.state() or opened.laser.state())
+            halved = kind == "halves all" or (kind == "halves in the dark" and is_dark)
+            raw = opened.camera.expose(0.5 * exposure_s if halved else exposure_s, deadline_s)
+            number = len(taken)
+            now = replace(
+                raw, exposure_requested_s=exposure_s, exposure_s=exposure_s, frame_id=number, device_time_s=number
+            )
+            taken.append(now)
+            if number and (kind == "always the first frame" or (kind == "every other frame is old" and number % 2)):
+                return replace(now, counts=taken[0 if kind == "always the first frame" else -2].counts)
+            return now
+
+        return replace(opened, camera=Device(opened.camera, {"expose": expose}))
+
+    return change
+
+
+def verdicts(change: Change, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Return the verdicts of a check by the names of its rows."""
+
+    @contextmanager
+    def changed(*given: Any) -> Iterator[OpenRig]:
+        with open_rig(*given) as opened:
+            yield change(opened)
+
+    monkeypatch.setattr(check_session, "open_rig", changed)
+    facts, notes = record_facts(RIG, PLAN, Path())
+    return {one.name: one.verdict for one in judge(facts, PLAN, RIG, notes).results}
+
+
+CASES: dict[str, tuple[Change, tuple[str, ...]]] = {
+    "wheel absent": (wheel("absent"), (*WHEEL, "stray light", "laser off after an exception")),
+    "wheel one slot farther": (wheel("farther"), (*WHEEL, "stray light")),
+    "lamp stays on": (light("lamp", "stays on"), (*WHEEL, *LIT, "dark level stays", "stray light")),
+    "lamp always on": (
+        light("lamp", "always on"),
+        ("dark level", "dark rate", *WHEEL, *LIT, "dark level stays", "stray light"),
+    ),
+    "lamp never on": (light("lamp", "never on"), (*WHEEL, *LIT, "dark level stays")),
+    "laser stays on": (light("laser", "stays on"), ("stray light", "laser off after an exception")),
+    "laser always on": (light("laser", "always on"), ("stray light", "laser off after an exception", *RATIOS)),
+    "laser never on": (light("laser", "never on"), ("stray light", "laser off after an exception")),
+    "camera halves all": (camera("halves all"), DARK),
+    "camera halves in the dark": (camera("halves in the dark"), DARK),
+    "camera always the first frame": (
+        camera("always the first frame"),
+        (*DARK, *WHEEL, *LIT, "dark level stays", "stray light", "laser off after an exception"),
+    ),
+    "camera every other frame is old": (
+        camera("every other frame is old"),
+        (*DARK, *WHEEL, *LIT, "dark level stays", "stray light", "laser off after an exception"),
+    ),
+}
+
+
+def test_every_row_that_a_lie_may_falsify_passes_on_an_honest_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = verdicts(lambda opened: opened, monkeypatch)
+    # few moves and frames leave some rows of numbers undecided; none fails
+    assert {name for name, verdict in found.items() if verdict in ("FAIL", "ERROR")} == set()
+    assert [found[name] for name in ("wheel arrives", "dark rate", "stray light", "laser off after an exception")] == (
+        ["PASS"] * 4
+    )
+
+
+@pytest.mark.parametrize("lie", CASES)
+def test_no_row_that_a_lie_falsifies_passes(monkeypatch: pytest.MonkeyPatch, lie: str) -> None:
+    change, rows = CASES[lie]
+    found = verdicts(change, monkeypatch)
+    assert [row for row in rows if found.get(row) == "PASS"] == []
