@@ -1,6 +1,5 @@
 """What a record and its numbers say of themselves on a screen: a few lines, without arrays."""
 
-import functools
 import math
 import re
 from collections.abc import Iterator
@@ -78,7 +77,10 @@ def _rows(record: "Record") -> Iterator[Row]:
 
 def _inner(record: "Record", name: str) -> Any:
     """Return a field, or with dots in its name the field of an inner model; None where there is none."""
-    return functools.reduce(lambda part, field: getattr(part, field, None), name.split("."), record)
+    part: Any = record
+    for field in name.split("."):
+        part = getattr(part, field, None)
+    return part
 
 
 def _value(value: Any) -> str:

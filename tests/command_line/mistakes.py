@@ -130,6 +130,12 @@ CASES = (
     Case(
         "plan is a folder", "capture {lab} --rig {lab}/rig.toml", r"lab\S*: is a folder; give the path of a paint plan"
     ),
+    Case("folder for a rig", "rig show {lab}", r": is a folder; give the path of a rig file \(TOML\)"),
+    Case("folder for a finger", "simulate press {lab}", r": is a folder; give the path of a finger design \(TOML\)"),
+    Case("no session to resume", "capture --resume {tmp}", r"holds no interrupted session .*; give the folder"),
+    Case("file for band images", "import bands {lab}/rig.toml", r"rig\.toml: is a file; give the folder of the images"),
+    Case("half a record", "fit {tmp}/half.json", r"edited or cut off: restore it", file("half.json", "{")),
+    Case("list for a record", "fit {tmp}/list.json", r"list\.json: .*; give one that fin", file("list.json", "[]")),
     Case("plan is no TOML", BAD_PLAN, r"plan\.toml: cannot be read as TOML \(.* line 1", file("plan.toml", "{}")),
     Case(
         "plan and rig exchanged",
@@ -1001,22 +1007,5 @@ USAGE = (
     Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
     Case("no seed", "decide {lab}/sweep.json --seed", r"--seed: a value must follow it; 'finray decide --help' expl"),
-    Case(
-        "folder for a rig", "capture {lab}/plan.toml --rig {lab}", r": is a folder; give the path of a rig file \(TOML"
-    ),
-    Case("folder for a finger", "simulate press {lab}", r": is a folder; give the path of a finger design \(TOML\)"),
-    Case(
-        "no session to resume", "capture --resume {tmp}", r"holds no interrupted session \(journal\.jsonl\); give the f"
-    ),
-    Case("file for band images", "import bands {lab}/rig.toml", r"rig\.toml: is a file; give the folder of the images"),
-    Case(
-        "half a record", "fit {tmp}/half.json", r"it was edited or cut off: restore it, or", file("half.json", '{"a": ')
-    ),
-    Case(
-        "list for a record",
-        "fit {tmp}/list.json",
-        r"list\.json: .*; give one that finray wrote",
-        file("list.json", "[]"),
-    ),
     Case("unknown format", "import taxidermy {lab}", r"invalid choice: 'taxidermy' \(choose from '?captures"),
 )
