@@ -110,9 +110,9 @@ def write_record(record: Record, path: PathLike) -> Path:
         no valid record.
     """
     if not isinstance(record, Record):
-        at = f"{path}: " if isinstance(path, str | os.PathLike) else ""
         raise RecordError(
-            f"{at}the first argument is the record, such as fit_paint returns, and the second its path; the first is "
+            f"{f'{path}: ' if isinstance(path, str | os.PathLike) else ''}"
+            f"the first argument is the record, such as fit_paint returns, and the second its path; the first is "
             f"of type {type(record).__name__}"
         )
     try:
