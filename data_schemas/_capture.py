@@ -158,6 +158,7 @@ class CaptureSession(Record):
 
     schema_version: ClassVar[int] = 7
     written_by: ClassVar[str] = "'finray capture'"
+    shown: ClassVar[tuple[str, ...]] = ("plan.paint_name", "plan.excitation_filter", "rig.name")
 
     plan: PaintPlan
     rig: RigFile

@@ -59,6 +59,9 @@ class FingerDesign(Record):
     """Everything the simulation needs to know of a finger apart from the paints."""
 
     schema_version: ClassVar[int] = 4
+    shown: ClassVar[tuple[str, ...]] = (
+        "pad.length_mm", "pad.width_mm", "pad.thickness_mm", "light.angle_deg", "indenter.shape", "indenter.depth_mm",
+    )  # fmt: skip
 
     name: str = "fin-ray-70x35"
     pad: GelPad = GelPad(film=Film())

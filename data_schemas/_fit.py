@@ -331,7 +331,7 @@ class PaintCalibration(Record):
     written_by: ClassVar[str] = "'finray fit'"
     other_kinds: ClassVar[Mapping[str, str]] = {"PaintWithoutEmission": NO_SPECTRUM}
     shown: ClassVar[tuple[str, ...]] = (
-        "family_title", "mode_nm", "fwhm_nm", "energy_yield", "reflectance_at_laser", "stokes_shift_nm",
+        "spectrum_source", "mode_nm", "fwhm_nm", "energy_yield", "reflectance_at_laser", "stokes_shift_nm",
         "between_sessions_level_rel", "between_sessions_filter_rel",
     )  # fmt: skip
 
@@ -397,6 +397,11 @@ class PaintCalibration(Record):
     )
     diagnostics: Diagnostics
     warnings: tuple[str, ...] = ()
+
+    @property
+    def spectrum_source(self) -> str:
+        """Origin of the reported spectrum: the prior learned from measured spectra, or a family of curves."""
+        return self.spectrum_from or self.family_title
 
     @property
     def mostly_prior(self) -> tuple[str, ...]:

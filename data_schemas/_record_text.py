@@ -60,8 +60,8 @@ def _title(record: "Record") -> str:
 
 def _rows(record: "Record") -> Iterator[Row]:
     """Yield label and text of each line."""
-    shown = [(name, _value(getattr(record, name, None))) for name in record.shown or type(record).model_fields]
-    told = [(name, text) for name, text in shown if text and not (name == "name" or name.endswith("_name"))]
+    shown = [(name, _value(_inner(record, name))) for name in record.shown or type(record).model_fields]
+    told = [(name, text) for name, text in shown if text and not re.fullmatch(r"(\w+_)?name", name)]
     yield from told if record.shown else told[:MOST_VALUES]
     values = {name: getattr(record, name, None) for name in type(record).model_fields if name != "provenance"}
     arrays = [f"{n} {' x '.join(map(str, v.shape))}" for n, v in values.items() if isinstance(v, np.ndarray)]
@@ -73,6 +73,14 @@ def _rows(record: "Record") -> Iterator[Row]:
     if record.provenance is not None:
         origin = record.provenance
         yield "made", f"{origin.created_utc}, finray-calib {_plain(origin.package_version)}: {_plain(origin.command)}"
+
+
+def _inner(record: "Record", name: str) -> Any:
+    """Return a field, or with dots in its name the field of an inner model; None where there is none."""
+    part: Any = record
+    for field in name.split("."):
+        part = getattr(part, field, None)
+    return part
 
 
 def _value(value: Any) -> str:

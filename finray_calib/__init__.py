@@ -8,8 +8,19 @@
 >>> report = finray.compare_press(press, "capture.json")
 >>> finray.write_record(report, "report.json")
 
-Functions take records or the paths of stored ones, and return records; the command line calls the same code. The
-packages below (`fit`, `compare`, `reports` ...) hold what each stage does. Names are loaded when they are asked for.
+Functions take records or the paths of stored ones, and return records; the command line calls the same code.
+
+    capture     open_rig, capture_session
+    radiometry  reduce_session, reduce_pixels, import_bands
+    fit         fit_paint, map_paint
+    simulate    finger_design, press_finger, render_press, render_images, recolour_press, sweep_light_angle
+                render_sensor, fit_sensor
+    compare     compare_press, compare_force
+    decide      decide_light_angle
+    any stage   read_record, write_record, trace_record
+
+``help(finray.fit_paint)`` explains one function; printing a record shows its main numbers. The packages below (`fit`,
+`compare`, `reports` ...) hold what each stage does. Names are loaded when they are asked for.
 """
 
 from importlib.util import find_spec

@@ -13,7 +13,7 @@ from operator import index
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from data_schemas import FinrayError, Record, RecordError, needed_kind, provenance
+from data_schemas import FinrayError, Record, RecordError, kind_in_words, needed_kind, provenance
 from data_schemas import naming as naming_files
 from data_schemas.storage import digest_as_read, given_path
 from data_schemas.storage import read_record as read_stored
@@ -38,9 +38,15 @@ def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
         path = given_path(what, kind.__name__)
         return read_stored(path, kind), [path]
     raise RecordError(
-        f"{needed_kind(kind.__name__)}, as a {kind.__name__} or the path of a stored one; a {type(what).__name__} was "
-        "given"
+        f"{needed_kind(kind.__name__)}, as a {kind.__name__} or the path of a stored one; {_in_words(what)} was given"
     )
+
+
+def _in_words(what: object) -> str:
+    """Return what a user gave, in words, such as "a paint calibration" or "a value of type int"."""
+    if isinstance(what, Record):
+        return kind_in_words(type(what).__name__)
+    return "a single path" if isinstance(what, os.PathLike) else f"a value of type {type(what).__name__}"
 
 
 def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
@@ -52,9 +58,11 @@ def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
         It is no list, such as a record or a path alone, a dict or a set.
     """
     if isinstance(what, (Record, os.PathLike, *NOT_IN_ORDER)) or not isinstance(what, Iterable):
+        if isinstance(what, Record) and not isinstance(what, kind):
+            raise RecordError(f"{argument}: {needed_kind(kind.__name__)}; {_in_words(what)} was given")
         raise RecordError(
-            f"{argument}: a list is needed, each a {kind.__name__} or the path of a stored one; a "
-            f"{type(what).__name__} was given"
+            f"{argument}: a list is needed, each a {kind.__name__} or the path of a stored one; {_in_words(what)} was "
+            "given"
         )
     return list(what)
 

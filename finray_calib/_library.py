@@ -81,7 +81,10 @@ def read_record(path: PathLike) -> Record:
     from rigs.capture import SESSION_NAME
 
     file = given_path(path, "path")
-    file = file / SESSION_NAME if file.is_dir() else file
+    if file.is_dir():
+        if not (file / SESSION_NAME).exists():
+            raise RecordError(f"{file}: this folder holds no session ({SESSION_NAME}); give the path of {A_RECORD}")
+        file = file / SESSION_NAME
     if file.suffix == ".toml":
         raise RecordError(f"{file}: is a TOML file, not a stored record; read a finger's design with finger_design")
     envelope = read_json(file, A_RECORD)
@@ -108,7 +111,9 @@ def write_record(record: Record, path: PathLike) -> Path:
     """
     if not isinstance(record, Record):
         raise RecordError(
-            f"{path}: a record is stored here, such as fit_paint returns; a {type(record).__name__} was given"
+            f"{f'{path}: ' if isinstance(path, str | os.PathLike) else ''}"
+            f"the first argument is the record, such as fit_paint returns, and the second its path; the first is "
+            f"of type {type(record).__name__}"
         )
     try:
         type(record).model_validate(record.__dict__)  # model_copy(update=...) takes anything

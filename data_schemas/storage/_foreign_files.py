@@ -384,7 +384,11 @@ def parse_json(
     except (ValueError, RecursionError) as fault:
         is_json = content.lstrip()[:1] in (b"{", b"[")
         give = f"; give the path of {what}" if what else ""
-        mend = "was it edited or cut off?" if is_json else f"it does not begin with {{ or [{give}"
+        mend = (
+            "it was edited or cut off: restore it, or make it again"
+            if is_json
+            else f"it does not begin with {{ or [{give}"
+        )
         raise error(f"{where}: cannot be read as JSON ({fault}); {mend}") from None
     return parsed
 

@@ -200,7 +200,9 @@ def _load_json(path: Path) -> dict[str, Any]:
     """Read a JSON object."""
     loaded = read_json(path, A_RECORD)
     if not isinstance(loaded, dict):
-        raise RecordError(f"{path}: is not a stored record (a JSON object with 'kind' and 'record')")
+        raise RecordError(
+            f"{path}: is not a stored record (a JSON object with 'kind' and 'record'); give one that finray wrote"
+        )
     return loaded
 
 
@@ -288,7 +290,7 @@ def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
     NewerSchemaError
         The file is of a newer version.
     """
-    loaded = read_toml_tables(path)
+    loaded = read_toml_tables(path, f"{kind_in_words(record_type.__name__)} (TOML)")
     version = _required_version(path, loaded.pop("schema_version", record_type.schema_version))
     unknown = loaded.keys() - record_type.model_fields.keys()
     lacks = any(field.is_required() and name not in loaded for name, field in record_type.model_fields.items())

@@ -259,7 +259,7 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
     """Tell the numbers and how far they can be trusted."""
     from finray_calib.reports import pareto_text
 
-    wrote(out, f"emission of '{paint.paint_name}' ({paint.spectrum_from or paint.family_title})")
+    wrote(out, f"emission of '{paint.paint_name}' ({paint.spectrum_source})")
     _give_result(paint, budget)
     suggest_command("finray export", out, "--format csv")
     for name, label, unit in (

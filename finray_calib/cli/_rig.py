@@ -427,9 +427,7 @@ def run_live(arguments: argparse.Namespace) -> None:
         _run_session(arguments)
         return
     if arguments.rig is None:
-        raise CaptureError(
-            "live: give --rig to see its camera's picture, --rig and --plan to run a session, or --resume"
-        )
+        raise CaptureError("give --rig to see its camera's picture, --rig and --plan to run a session, or --resume")
     if arguments.out is not None or arguments.like is not None:
         raise CaptureError("live: --out and --like belong to a session; give its --plan too, or leave them out")
     rig = read_toml(arguments.rig, RigFile)

@@ -223,6 +223,8 @@ def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
     RadiometryError
         The images cannot be reduced: saturated bands, missing darks, an empty region.
     """
+    if folder.is_file():
+        raise ImportFormatError(f"{folder}: is a file; give the folder of the images, which holds {DESCRIPTION_NAME}")
     if not (folder / DESCRIPTION_NAME).exists():
         raise ImportFormatError(
             f"{folder}: holds no {DESCRIPTION_NAME}, which says which image shows what; write it as "

@@ -134,7 +134,7 @@ def uncertainty_budget(bands: BandSignals, paint: PaintCalibration, seed: int = 
     """
     if paint.spectrum_from != MEASURED_SPECTRA_TITLE:
         raise FitError(
-            f"'{paint.paint_name}': its spectrum comes from {paint.spectrum_from or paint.family_title}, and a "
+            f"'{paint.paint_name}': its spectrum comes from {paint.spectrum_source}, and a "
             f"budget needs the prior learned from measured spectra; fit it without --family and --no-discrepancy"
         )
     with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small

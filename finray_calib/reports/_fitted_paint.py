@@ -168,7 +168,7 @@ def fit_summary(paint: FittedPaint) -> Json:
     return {
         "paint_name": fit.paint_name,
         **_truth(paint),
-        "spectrum_from": fit.spectrum_from or fit.family_title,
+        "spectrum_from": fit.spectrum_source,
         "prior_shares": {name: share.model_dump(mode="json") for name, share in fit.prior_shares.items()},
         "between_sessions": None if fit.between_sessions is None else fit.between_sessions.model_dump(mode="json"),
         "family": fit.family,

@@ -314,7 +314,12 @@ def linked_lines(folder: Path) -> list[LinkedLine]:
         There is no journal.
     """
     path = folder / JOURNAL_NAME
-    content = read_bytes(path, f"{JOURNAL_NAME} of an interrupted 'finray capture'", CaptureError, LARGEST_TEXT_BYTES)
+    if not path.exists():
+        raise CaptureError(
+            f"{folder}: holds no interrupted session ({JOURNAL_NAME}); give the folder that 'finray capture' was "
+            "writing"
+        )
+    content = read_bytes(path, "the journal of a session", CaptureError, LARGEST_TEXT_BYTES)
     lines: list[LinkedLine] = []
     before = b""
     for number, text in enumerate(content.split(b"\n"), 1):

@@ -281,7 +281,9 @@ def _session_file(folder: Path) -> Path:
             f"{folder}: the capture was not finished ({SESSION_NAME} is missing); the last line of {JOURNAL_NAME} says "
             f"why; continue with: finray capture --resume {folder}"
         )
-    raise RecordError(f"{folder}: holds no capture session ({SESSION_NAME}); give the folder 'finray capture' wrote")
+    raise RecordError(
+        f"{folder}: holds no capture session ({SESSION_NAME}); give the folder that 'finray capture' wrote"
+    )
 
 
 def read_frame_of(folder: Path, frame: Frame) -> NDArray[np.uint16]:

@@ -159,7 +159,7 @@ def test_finished_session_is_not_resumed(rig: RigFile, small: PaintPlan, stopped
 
 
 def test_folder_without_a_beginning_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"journal\.jsonl: no such file; .*interrupted 'finray capture'"):
+    with pytest.raises(CaptureError, match=r"holds no interrupted session \(journal\.jsonl\); give the folder"):
         read_interrupted(tmp_path)
     (tmp_path / "journal.jsonl").write_text('{"event": "start", "utc": "", "monotonic_s": 0}\n')
     with pytest.raises(CaptureError, match=r"lacks the line with which a session begins"):

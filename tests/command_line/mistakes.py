@@ -128,8 +128,14 @@ CASES = (
     ),
     Case("no rig", "capture {lab}/plan.toml --rig {tmp}/rig.toml", r"rig\.toml: no such file; give the path of a TOML"),
     Case(
-        "plan is a folder", "capture {lab} --rig {lab}/rig.toml", r"lab\S*: is a folder; give the path of a TOML file"
+        "plan is a folder", "capture {lab} --rig {lab}/rig.toml", r"lab\S*: is a folder; give the path of a paint plan"
     ),
+    Case("folder for a rig", "rig show {lab}", r": is a folder; give the path of a rig file \(TOML\)"),
+    Case("folder for a finger", "simulate press {lab}", r": is a folder; give the path of a finger design \(TOML\)"),
+    Case("no session to resume", "capture --resume {tmp}", r"holds no interrupted session .*; give the folder"),
+    Case("file for band images", "import bands {lab}/rig.toml", r"rig\.toml: is a file; give the folder of the images"),
+    Case("half a record", "fit {tmp}/half.json", r"edited or cut off: restore it", file("half.json", "{")),
+    Case("list for a record", "fit {tmp}/list.json", r"list\.json: .*; give one that fin", file("list.json", "[]")),
     Case("plan is no TOML", BAD_PLAN, r"plan\.toml: cannot be read as TOML \(.* line 1", file("plan.toml", "{}")),
     Case(
         "plan and rig exchanged",
@@ -428,7 +434,7 @@ CASES = (
     Case(
         "frames of what is no session",
         "export ome-tiff {lab} --out {tmp}/a.ome.tiff",
-        r"holds no capture session \(session\.json\); give the folder 'finray capture' wrote",
+        r"holds no capture session \(session\.json\); give the folder that 'finray capture' wrote",
     ),
     Case(
         "frames as a plain picture",
@@ -1000,5 +1006,6 @@ USAGE = (
     Case("no samples", BOTH + " --samples 0", "'0' must be an even whole number from 2 to 1000000"),
     Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
+    Case("no seed", "decide {lab}/sweep.json --seed", r"--seed: a value must follow it; 'finray decide --help' expl"),
     Case("unknown format", "import taxidermy {lab}", r"invalid choice: 'taxidermy' \(choose from '?captures"),
 )

@@ -93,7 +93,8 @@ def test_interrupted_capture_leaves_whole_files(lab: Path, tmp_path: Path) -> No
     assert "Recovery from faults may add up to" in said
     assert "frames of" not in said
     way_on = f"{out}: holds what was captured so far; continue with: finray capture --resume {out}\n"
-    assert complaint == f"{way_on}finray capture: interrupted; files already written are complete\n"
+    # a busy machine takes long enough for a line of progress before it
+    assert complaint.endswith(f"{way_on}finray capture: interrupted; files already written are complete\n")
     assert not list(out.rglob("*.part"))
     assert not (out / "session.json").exists()
     events = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import PaintCalibration, PhotometricErrorReport
+from data_schemas import LightAngleDecision, PaintCalibration, PhotometricErrorReport
 from data_schemas.storage import read_record
 from finray_calib.cli.main import build_parser
 from tests.command_line.running import edit, finray
@@ -125,6 +125,8 @@ def test_a_light_is_decided_on_with_its_doubts(followed):
     decision = (followed / "light-angle-decision.json").read_text(encoding="utf-8")
     # with the few paths of this test the renders may be too noisy to choose at all
     assert re.search(r'"verdict": "(needs captures|undecided)"', decision)
+    checked = read_record(followed / "checked.json", LightAngleDecision)
+    assert "error.json" in checked.provenance.input_sha256
 
 
 @pytest.mark.parametrize("followed", ["rig-on-the-practice-bench.md"], indirect=True)

@@ -1,5 +1,6 @@
 """The face of the library: light to import, complete, and in nobody's way."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -49,6 +50,8 @@ def test_every_function_explains_itself():
     functions = [getattr(finray, name) for name in finray.__all__ if name[0].islower() and not name.startswith("_")]
     assert 15 <= len(functions) <= 21
     assert all(function.__doc__ and len(function.__doc__) > 60 for function in functions)
+    listed = re.findall(r"\w+", "".join(re.findall(r"^ {4}\w[\w ]*  .*|^ {16}.*", finray.__doc__, re.MULTILINE)))
+    assert {function.__name__ for function in functions} <= set(listed)  # on the first screen of help(finray)
 
 
 def test_another_package_of_the_same_name_is_named(tmp_path, monkeypatch):

@@ -168,7 +168,7 @@ def test_presses_are_compared_and_captures_decide(lab):
         finray.compare_press(lab / "capture.json", lab / "press.json")
     with pytest.raises(
         RecordError,
-        match="a simulated press is needed, as a SimulatedPress or the path of a stored one; a int was given",
+        match="a simulated press is needed, as a SimulatedPress or the path of a stored one; a value of type int was ",
     ):
         finray.compare_press(7, lab / "capture.json")
 
@@ -240,12 +240,12 @@ def test_a_seed_of_numpy_is_a_seed(lab):
 
 
 def test_what_is_no_list_of_records_is_refused_by_its_own_name(lab, paint, tmp_path):
-    for wrong in (None, 7, paint, np.nan):
+    for wrong in (None, 7, np.nan):
         with pytest.raises(RecordError, match="bands: a list is needed, each a BandSignals or the path"):
             finray.fit_paint(wrong)
-    with pytest.raises(RecordError, match=r"other_lights: a list is needed, .*; a PosixPath was given"):
+    with pytest.raises(RecordError, match=r"other_lights: a list is needed, .*; a single path was given"):
         finray.fit_paint(lab / "bands.json", other_lights=lab / "bands.json")
-    with pytest.raises(RecordError, match=r"sweeps: a list is needed, .*; a PaintCalibration was given"):
+    with pytest.raises(RecordError, match=r"sweeps: a light angle sweep is needed; a paint calibration was given"):
         finray.decide_light_angle(paint)
     with pytest.raises(RecordError, match="reports: a list is needed"):
         finray.decide_light_angle(lab / "sweep.json", lab / "report.json")
@@ -253,8 +253,12 @@ def test_what_is_no_list_of_records_is_refused_by_its_own_name(lab, paint, tmp_p
         finray.fit_sensor(lab / "finger.toml", lab / "capture.json")
     with pytest.raises(FitError, match="no band signals are given"):
         finray.fit_paint([])
-    with pytest.raises(RecordError, match=r"x\.json: a record is stored here, .* a ndarray was given"):
+    with pytest.raises(RecordError, match=r"x\.json: the first argument is the record, .* of type ndarray"):
         finray.write_record(np.zeros(3), tmp_path / "x.json")
+    with pytest.raises(RecordError, match=r"^the first argument is the record, .* is of type str$"):
+        finray.write_record("x.json", paint)
+    with pytest.raises(RecordError, match=r"this folder holds no session \(session\.json\); give the path of"):
+        finray.read_record(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -78,7 +78,7 @@ def test_the_text_of_a_paint_holds_its_numbers_and_sizes(example):
 
 
 def test_html_is_escaped_and_text_keeps_the_terminal_whole(example):
-    named = example.model_copy(update={"paint_name": "<script>alert(1)</script>\x1b[31m\nred", "family_title": "a<b"})
+    named = example.model_copy(update={"paint_name": "<script>alert(1)</script>\x1b[31m\nred", "spectrum_from": "a<b"})
     html = named._repr_html_()
     assert "<script>" not in html
     assert "a&lt;b" in html

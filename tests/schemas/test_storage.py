@@ -293,7 +293,7 @@ class TestFilesPeopleWrite:
             read_toml(path, RigFile)
 
     def test_file_without_end(self):
-        with pytest.raises(RecordError, match="/dev/zero: is a device; give the path of a TOML file"):
+        with pytest.raises(RecordError, match="/dev/zero: is a device; give the path of a rig file"):
             read_toml(Path("/dev/zero"), RigFile)
 
     def test_filter_named_twice(self, tmp_path):
