@@ -30,3 +30,21 @@ def test_a_number_of_the_mirror_alone_is_drawn() -> None:
     assert "calibration of the finger as drawn" in tolerance_page(alone, "", {})
     assert limit_text(row.less, "mm") == "24.9 mm"
     assert limit_text(row.more, "mm") == "over 32 mm"
+
+
+def test_a_page_is_not_good_by_an_emulator_that_is_not_or_against_fingers_that_contradict_it() -> None:
+    found = read_record(EXAMPLE, FingerTolerances)
+    known = found.model_copy(
+        update={"within_given_share": 0.99, "q2": 0.97, "checked_within": 60, "checked_fingers": 64}
+    )
+    for changes, light, words in (
+        ({}, "good", "as many as chance explains"),
+        ({"q2": 0.81}, "with care", "by an emulator that explains 81 % of its variance: give more runs"),
+        # of 64 fingers of which 95 % stay, 55 or fewer do so in 0.3 %
+        ({"checked_within": 55}, "with care", "fingers evaluated again contradict it"),
+        ({"within_given_share": 0.3}, "not good", "in 30 % of fingers"),
+    ):
+        page = tolerance_page(known.model_copy(update=changes), "", {})
+        heading = " ".join(page[page.index('<h2 id="verdict">') :][:500].split())
+        assert f"</i> {light}</b>" in heading
+        assert words in " ".join(page.split())
