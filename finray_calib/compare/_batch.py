@@ -375,9 +375,9 @@ def skill_over_presses(pairs: Sequence[ComparedPair]) -> SkillOverPresses | None
     press of which there are three; lower ones are summed in it. Few presses may be alike by chance: their interval is
     at least as wide as with a weak prior of how much presses differ. Where the noise that was taken out leaves a unit
     no error, the jackknife is formed on E itself, and the interval ends at 1 or at the estimate, whichever is higher.
-    Of log-normal 1 - E whose logarithm has a standard deviation of 0.5 to 0.8 (0.4 to 0.7 in real sets) it holds the
-    truth in 0.90 to 0.97, from three units on; of more even presses in up to 1. A long tail of bad presses (gamma of
-    shape 4 in the logarithm) is held in 0.86 to 0.98.
+    Of log-normal 1 - E whose logarithm has a standard deviation of 0.45 to 0.8 (0.4 to 0.7 in real sets) it holds the
+    truth in 0.90 to 0.98, from three units on; of more even presses in up to 1. With a long tail of bad presses (a
+    gamma of shape 4 in the logarithm) it holds it in 0.85 to 0.98.
 
     Parameters
     ----------

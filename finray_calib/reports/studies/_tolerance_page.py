@@ -11,6 +11,7 @@ from scipy.stats import binom
 from data_schemas import FingerDesign, FingerTolerances, ToleranceRow, ToleranceSide, package_version
 from finray_calib.reports import (
     BLUE,
+    ENOUGH_Q2,
     INK,
     MUTED,
     NO_VALUE,
@@ -56,7 +57,7 @@ _WORDS: Final = {
 _LABEL_ROW_MM: Final = 17.0
 _MARGIN_MM: Final = 20.0
 _WIDTH_IN: Final = 9.5
-_CONFIDENCE, _ENOUGH_Q2 = 0.95, 0.9
+_CONFIDENCE: Final = 0.95
 _RARE: Final = 0.025  # one side of a 95 % interval
 
 
@@ -98,7 +99,7 @@ def tolerance_page(found: FingerTolerances, command: str, digests: Mapping[str, 
 
 def _light(found: FingerTolerances) -> Light:
     """Return how good the given tolerances are; never good by an emulator that is not, or that fingers contradict."""
-    is_known = found.q2 >= _ENOUGH_Q2 and not _is_contradicted(found)
+    is_known = found.q2 >= ENOUGH_Q2 and not _is_contradicted(found)
     return light_of(found.within_given_share >= _CONFIDENCE and is_known, is_bad=found.within_given_share < 0.5)
 
 
@@ -111,7 +112,7 @@ def _verdict(found: FingerTolerances) -> str:
     """Return the conclusion."""
     share, allowed = percent(found.within_given_share), percent(found.allowed_rel)
     told = f"The expected error grows by at most {allowed} in {share} of fingers that vary as given"
-    if found.q2 < _ENOUGH_Q2:
+    if found.q2 < ENOUGH_Q2:
         return f"{told}, by an emulator that explains {percent(found.q2)} of its variance: give more runs (--runs)"
     return f"{told}; fingers evaluated again contradict it" if _is_contradicted(found) else told
 
@@ -125,7 +126,7 @@ def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
         if found.together_factor is not None
         else ""
     )
-    good = light_of(found.q2 >= _ENOUGH_Q2)
+    good = light_of(found.q2 >= ENOUGH_Q2)
     return (
         KeyNumber("All half-ranges times", f"{factor}{value:.2g}", f"{interval}95 % of fingers stay within"),
         KeyNumber(
@@ -137,7 +138,7 @@ def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
             "fewer than chance explains" if _is_contradicted(found) else "as many as chance explains",
         ),
         KeyNumber("The emulator predicts", percent(found.q2), "of the variance of runs left out (Q2)", good,
-                  f"{'at least' if good == 'good' else 'less than'} {percent(_ENOUGH_Q2)}"),
+                  f"{'at least' if good == 'good' else 'less than'} {percent(ENOUGH_Q2)}"),
     )  # fmt: skip
 
 
