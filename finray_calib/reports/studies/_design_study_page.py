@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from textwrap import fill
 
 import cv2
 import numpy as np
@@ -50,7 +49,6 @@ MOST_PICTURES = 60
 """Points whose pictures the page shows; the records hold all."""
 
 _LARGEST_SIDE_PX, _WEBP_QUALITY = 200, 85
-_CAPTION_LETTERS = 40  # a line of it is no wider than its picture
 _PANELS_IN_A_ROW, _PICTURES_IN_A_ROW, _MOST_IN_A_ROW = 2, 4, 6
 _WHITE_PERCENTILE = 97.0  # of what is lit: brighter are the base and, at some angles, the panel itself
 _CHANGE_SHOWN_REL, _DARK_REL, _CHANGE_BLUR_PX = 0.5, 0.02, 1.0
@@ -380,7 +378,7 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
     columns = _pictures_in_a_row(shown)
     rows, views = -(-len(shown) // columns), len(_VIEWS)
     with styled():
-        figure = new_figure(2.6 * columns, 7.6 * rows)
+        figure = new_figure(2.5 * columns, 5.4 * rows)
         for k, (point, pictures) in enumerate(zip(shown, _all_views(shown), strict=True)):
             row, column = divmod(k, columns)
             for below, image in enumerate(pictures):
@@ -388,11 +386,11 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
                 axes.imshow(image, interpolation="bicubic")
                 axes.set_axis_off()
                 if below == views - 1:
-                    words = "\n".join(fill(part, _CAPTION_LETTERS) for part in _caption(point).split("; "))
-                    axes.text(0.0, -0.04, words, fontsize=8, va="top", color=INK, transform=axes.transAxes)
+                    words = _caption(point).replace("; ", "\n")
+                    axes.text(0.0, -0.04, words, fontsize=6, va="top", color=INK, transform=axes.transAxes)
                 elif not below:
-                    axes.set_title(_names(point), fontsize=9, loc="left", color=INK)
-        figure.suptitle(f"From above: {', '.join(_VIEWS)}", fontsize=9, x=0.01, ha="left", color=MUTED)
+                    axes.set_title(_names(point), fontsize=8, loc="left", color=INK)
+        figure.suptitle(f"From above: {', '.join(_VIEWS)}", fontsize=8, x=0.01, ha="left", color=MUTED)
         png = png_bytes(figure)
     picture = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR))
     return bytes(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])[1])
