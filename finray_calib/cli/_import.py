@@ -278,9 +278,10 @@ def _report_left_out(lines: Sequence[str]) -> None:
 
 RENDER = """\
 Import what a simulator rendered as the simulated side of a comparison: a folder with contact and no_contact
-(PNG, OpenEXR or npy), depth.npy (mm, positive into the gel) or contact_mask.png, and render.json (simulator,
-encoding, channels, contact_circle), or a folder of such folders, one for each press. With --capture the
-contact is where the circle of the capture is, so that both sides are scored over one region."""
+(PNG, JPEG, OpenEXR or npy), depth.npy (mm, positive into the gel) or contact_mask.png, and render.json (simulator,
+encoding, channels, contact_circle), or a folder of such folders, one for each press, where no_contact beside
+the folders stands for all of them. With --capture the contact is where the circle of the capture is, so that
+both sides are scored over one region."""
 
 
 def add_render_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -355,6 +355,26 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
             f"{press.name} holds encoded values, {capture.name} linear light: encoded values cannot be converted to "
             f"linear light without loss; give the simulation in linear light"
         )
+    if press.encoding == "unknown" and capture.encoding == "unknown":
+        _require_one_scale(press, capture)
+
+
+#: Means of two encoded images without contact that differ by this factor are on two scales: 12 bits are 16 times 8,
+#: and a camera whose exposure is off by less still has picture left.
+_OTHER_SCALE = 8.0
+
+
+def _require_one_scale(press: SimulatedPress, capture: TactileCapture) -> None:
+    """Refuse encoded values whose full scales differ, such as 0 to 1 or 255 beside 0 to 65535."""
+    # as stored: clipped pixels, which count as missing, are as large as the scale is
+    rendered = float(np.nanmean(press.no_contact))
+    captured = float(capture.no_contact.mean()) - capture.black_level_dn
+    if not captured / _OTHER_SCALE <= rendered <= captured * _OTHER_SCALE:
+        raise CompareError(
+            f"without contact {press.name} has a mean of {rendered:.3g}, {capture.name} of {captured:.3g}; the two may "
+            f"differ by at most {_OTHER_SCALE:g} times: write the render on the scale of the capture, whose pixels "
+            f"have {capture.bit_depth} bits ('finray import render' with --capture refuses another one)"
+        )
 
 
 #: Angles are set by hand: this near, they are meant to be one.

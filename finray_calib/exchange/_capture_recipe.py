@@ -9,6 +9,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Final, Literal
 from unicodedata import normalize
@@ -27,6 +28,7 @@ Floats = NDArray[np.float64]
 
 RECIPES: Final = Path(__file__).parent / "recipes"
 PRESS: Final = "{press}"
+GROUP: Final = "{group}"
 
 Pattern = Annotated[str, Field(min_length=1, max_length=300)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
@@ -58,6 +60,9 @@ class RecipePicture(Model):
     full_scale: Positive | None = Field(
         default=None, description="value of an OpenEXR image that is mapped to 65535, the largest stored value"
     )
+    bit_depth: Literal[10, 12, 14, 16] | None = Field(
+        default=None, description="bits of the camera's counts where files of 16 bits hold fewer, such as 12"
+    )
     corners_px: tuple[Corner, Corner, Corner, Corner] | None = Field(
         default=None, description="corners of the gel: top left, top right, bottom left, bottom right (column, row)"
     )
@@ -76,7 +81,9 @@ class RecipeNoContact(Model):
     """Where the image without contact comes from: exactly one of these."""
 
     file: Pattern | None = Field(
-        default=None, description="path within the folder; holds {press} where each press has a file of its own"
+        default=None,
+        description="path within the folder; holds {press} where each press has a file of its own, {group} where the "
+        "presses of a folder share one: the folders in the name of the press, ball of ball/3",
     )
     repeat_file: Pattern | None = Field(default=None, description="a second image without contact")
     frames_before: Annotated[int, Field(ge=2, le=1000)] | None = Field(
@@ -359,6 +366,7 @@ class LabelTable:
         for table, keys in (
             (self.by_path, (name, name + path.suffix)),
             (self.by_last, (composed(path.name), PurePosixPath(name).name)),
+            (self.by_last, (composed(path.stem),)),
         ):
             rows = next((table[key] for key in keys if key in table), [])
             if len(rows) > 1:
@@ -418,6 +426,7 @@ def label_entry(path: Path, value: str) -> float:
 
 MOST_FILES = 200_000
 _FORMS: Final = ("NFC", "NFD")
+_FILES_SHOWN: Final = 4
 
 
 _LEAVE_OUT: Final = "presses.leave_out"
@@ -457,11 +466,22 @@ def press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
             found[match[1]] = path
+    if not found:
+        raise ImportFormatError(
+            f"{folder}: no file in it matches presses.files of the recipe '{recipe.name}' ({pattern}); give the folder "
+            f"above, or correct presses.files, whose letters are matched small or large as written{_seen(folder)}"
+        )
     ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
     if len(ordered) > MOST_PRESSES:
         raise ImportFormatError(f"{folder}: holds {len(ordered)} presses; give a folder of at most {MOST_PRESSES}")
     for name in ordered:
         yield name, found[name]
+
+
+def _seen(folder: Path) -> str:
+    """Return some names of a folder's files."""
+    names = [path.relative_to(folder).as_posix() for path in islice(files_below(folder), _FILES_SHOWN)]
+    return f"; the folder holds, for example, {', '.join(sorted(names))}" if names else "; the folder holds no file"
 
 
 def _require_inside(pattern: str) -> None:
@@ -474,7 +494,7 @@ def _require_inside(pattern: str) -> None:
 def named_file(folder: Path, pattern: str, press: str) -> Path:
     """Return the path of a press; a link that leads out of the folder is refused."""
     _require_inside(pattern)
-    inner = pattern.replace(PRESS, press)
+    inner = pattern.replace(PRESS, press).replace(GROUP, PurePosixPath(press).parent.as_posix())
     # macOS stores letters such as an umlaut in two parts, other systems in one
     path = next((found for form in _FORMS if has_file(found := folder / normalize(form, inner))), folder / inner)
     if not path.resolve().is_relative_to(folder.resolve()):

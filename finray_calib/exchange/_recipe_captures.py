@@ -51,6 +51,7 @@ from finray_calib.exchange._capture_recipe import (
     small_frame,
 )
 from finray_calib.exchange._render_files import (
+    CONVERT_VIDEO,
     exr_steps,
     frame_of,
     in_colour,
@@ -198,11 +199,6 @@ class _Folder:
     def __post_init__(self) -> None:
         require_possible_scale(self.recipe)
         self.files = dict(press_files(self.folder, self.recipe))
-        if not self.files:
-            raise ImportFormatError(
-                f"{self.folder}: no file in it matches presses.files of the recipe '{self.recipe.name}' "
-                f"({self.recipe.presses.files}); give the folder above, or correct presses.files"
-            )
         for name in self.circles:
             if name not in self.files:
                 raise ImportFormatError(f"--circles: {name} is not a press of {self.folder}; correct the line")
@@ -223,8 +219,8 @@ class _Folder:
             if self.recipe.no_contact.frames_before is not None:
                 raise ImportFormatError(
                     f"recipe '{self.recipe.name}': no_contact.frames_before is for Motion-JPEG videos (.avi), and "
-                    f"{self.files[name].name} is none; convert a video of another kind, or name the image without "
-                    "contact of a picture as no_contact.file"
+                    f"{self.files[name].name} is none; {CONVERT_VIDEO}; or name the image without contact of a "
+                    "picture as no_contact.file"
                 )
             self._pictures.clear()
             images = [self._picture(self.files[name]), *self._without_contact(name)]
@@ -257,7 +253,7 @@ class _Folder:
             repeat_no_contact=images[2] if len(images) > 2 else None,
             layout="RGB",
             encoding=recipe.picture.encoding,
-            bit_depth=16 if self._is_deep(name) else 8,
+            bit_depth=(recipe.picture.bit_depth or 16) if self._is_deep(name) else 8,
             black_level_dn=0.0,
             exposure_s=None,
             light_angle_deg=None,
@@ -340,6 +336,11 @@ class _Folder:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}': picture.full_scale belongs to OpenEXR images, and {path.name} is none; "
                 "leave it out"
+            )
+        if path.suffix.lower() == ".npy" and "channels" not in self.recipe.picture.model_fields_set:
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': {path.name} does not state the order of its channels; write "
+                'channels = "RGB" or "BGR" (as OpenCV reads pictures) below [picture]'
             )
         self._pictures[path] = pixels_of(path)
         return self._arranged(in_colour(self._pictures[path]))

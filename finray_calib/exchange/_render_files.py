@@ -1,11 +1,11 @@
 """Renders as files: the optics of a press for image programs, and what any other simulator rendered.
 
 Out go OpenEXR for numbers, PNG for raw frames and pictures. In come folders of images, as the simulated side of a
-comparison. One folder holds one press: ``contact`` and ``no_contact`` (PNG, OpenEXR or npy), where the contact is
+comparison. One folder holds one press: ``contact`` and ``no_contact`` (PNG, JPEG, OpenEXR or npy), where the contact is
 (``depth.npy``, how deep each pixel of the gel is pressed in, in mm; or a mask, ``contact_mask.png``; or a circle),
 and ``render.json``, which says what the values are. A folder of such folders holds several presses. What cannot be
-known from the files is asked for: PNG is encoded and OpenEXR linear light unless render.json says otherwise, npy says
-nothing by itself.
+known from the files is asked for: PNG and JPEG are encoded and OpenEXR linear light unless render.json says otherwise,
+npy says nothing by itself.
 """
 
 import json
@@ -189,7 +189,7 @@ NO_CONTACT: Final = "no_contact"
 DESCRIPTION: Final = "render.json"
 DEPTH: Final = "depth.npy"
 MASK: Final = "contact_mask.png"
-IMAGE_ENDINGS: Final = (".exr", ".npy", ".png")
+IMAGE_ENDINGS: Final = (".exr", ".npy", ".png", ".jpg", ".jpeg")
 #: A gel that is pressed in by less than this share of the greatest depth is taken for one that is not touched.
 LEAST_DEPTH_SHARE: Final = 0.01
 
@@ -245,40 +245,58 @@ def read_renders(folder: Path, captures: Mapping[str, TactileCapture] | None = N
             f"{folder}: neither it nor a folder in it holds a file {CONTACT} ({endings}); put the image with contact "
             f"there, and {NO_CONTACT} beside it"
         )
-    known = captures or {}
-    return {inner.resolve().name: _press(inner, known.get(inner.resolve().name)) for inner in folders}
+    known, common = captures or {}, None if folders == [folder] else _image_file(folder, NO_CONTACT)
+    unknown = [inner.resolve().name for inner in folders if inner.resolve().name not in known]
+    if known and len(unknown) == len(folders):
+        raise ImportFormatError(
+            f"{folder}: there is no capture of the name of {unknown[0]}, nor of any other press in it; name the "
+            f"folders as the captures are named: {', '.join(list(known)[:3])}{', ...' if len(known) > 3 else ''}"
+        )
+    return {inner.resolve().name: _press(inner, known.get(inner.resolve().name), common) for inner in folders}
 
 
 def _image_file(folder: Path, stem: str) -> Path | None:
-    """Return the image of a name."""
-    return next((folder / f"{stem}{e}" for e in IMAGE_ENDINGS if (folder / f"{stem}{e}").is_file()), None)
+    """Return the image of a name, its ending in small or large letters."""
+    endings = [e for small in IMAGE_ENDINGS for e in (small, small.upper())]
+    return next((folder / f"{stem}{e}" for e in endings if (folder / f"{stem}{e}").is_file()), None)
 
 
-def _press(folder: Path, capture: TactileCapture | None) -> SimulatedPress:
-    """Return one press."""
+def _press(folder: Path, capture: TactileCapture | None, common: Path | None) -> SimulatedPress:
+    """Return one press; `common` is the image without contact of all presses, where there is one."""
     said = _description(folder / DESCRIPTION)
-    files = {stem: _image_file(folder, stem) for stem in (CONTACT, NO_CONTACT)}
-    contact_file, rest_file = files[CONTACT], files[NO_CONTACT]
+    contact_file, rest_file = _image_file(folder, CONTACT), _image_file(folder, NO_CONTACT) or common
     if contact_file is None or rest_file is None:
         raise ImportFormatError(
             f"{folder}: there is no {NO_CONTACT} ({', '.join(IMAGE_ENDINGS)}) beside {CONTACT}; render the untouched "
             "gel with the same settings, with a height of zero"
         )
-    if contact_file.suffix != rest_file.suffix:
+    ending = contact_file.suffix.lower()
+    if ending != rest_file.suffix.lower():
         raise ImportFormatError(
             f"{folder}: {contact_file.name} and {rest_file.name} have different formats; write both in the same format"
         )
-    encoding = said.encoding or {".exr": "linear", ".png": "encoded"}.get(contact_file.suffix)
+    encoding = said.encoding or {".exr": "linear", ".npy": None}.get(ending, "encoded")
     if encoding is None:
         raise ImportFormatError(
             f'{folder}: npy files do not state what they hold; write "encoding": "linear" (proportional to '
             f'light) or "encoded" (values of an 8-bit image) into {DESCRIPTION}'
         )
-    contact, no_contact = (_image(file, said.channels) for file in (contact_file, rest_file))
+    depth = None if capture is None or capture.encoding == "linear" else capture.bit_depth
+    contact, no_contact = (_image(file, said.channels, depth) for file in (contact_file, rest_file))
     if contact.shape != no_contact.shape:
         raise ImportFormatError(
             f"{folder}: {contact_file.name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_file.name} "
             f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
+        )
+    if capture is not None and contact.shape[:2] != capture.contact.shape[:2]:
+        sizes = [f"{shape[1]} x {shape[0]} px" for shape in (contact.shape, capture.contact.shape)]
+        raise ImportFormatError(
+            f"{folder}: its images are {sizes[0]}, those of the capture {capture.name} {sizes[1]}; render as the "
+            "camera sees it, with the same number of pixels and the same side up"
+        )
+    if capture is not None and _is_grey(contact) and not _is_grey(capture.contact):
+        raise ImportFormatError(
+            f"{folder}: {contact_file.name} is grey, and the capture {capture.name} has colours; render in colour"
         )
     distance, how = _distance(folder, contact.shape[:2], capture, said.contact_circle)
     notes = [f"imported from a folder of images, by {said.simulator}; its contact: {how}"]
@@ -301,6 +319,11 @@ def _press(folder: Path, capture: TactileCapture | None) -> SimulatedPress:
     )
 
 
+def _is_grey(image: NDArray[Any]) -> bool:
+    """Return whether all channels of an image (H, W, C) are equal."""
+    return bool((image == image[..., :1]).all())
+
+
 def _description(path: Path) -> RenderDescription:
     """Return what render.json says; nothing where it is not there."""
     if not path.is_file():
@@ -312,17 +335,19 @@ def _description(path: Path) -> RenderDescription:
         raise ImportFormatError(f"{path}: {explain(error, RenderDescription)}") from None
 
 
-def _image(path: Path, channels: str | None) -> Floats:
-    """Return an image (H, W, 3) in RGB order."""
-    if path.suffix == ".png":
-        picture = read_picture(path, "a PNG image", ImportFormatError)
-        if picture.ndim != 3 or picture.shape[2] not in (3, 4) or picture.dtype != np.uint8:
+def _image(path: Path, channels: str | None, captured_bits: int | None) -> Floats:
+    """Return an image (H, W, 3) in RGB order; a picture in the steps of a capture of so many bits, else of 8 bits."""
+    if path.suffix.lower() not in (".exr", ".npy"):
+        picture = in_colour(pixels_of(path))
+        if picture.dtype == np.uint16 and captured_bits in (None, 8):
+            return np.asarray(picture / 257.0)  # 65535 is full scale, as 255 is
+        if picture.dtype == np.uint8 and captured_bits not in (None, 8):
             raise ImportFormatError(
-                f"{path}: expected an 8-bit colour image, got {picture.dtype} of shape {picture.shape}; write light as "
-                "npy or OpenEXR"
+                f"{path}: has 8 bits, and the capture has {captured_bits}; write pictures of 16 bits on the scale of "
+                "the capture's own image without contact"
             )
-        return np.asarray(picture[..., 2::-1], dtype=np.float64)
-    if path.suffix == ".exr":
+        return picture.astype(np.float64)
+    if path.suffix.lower() == ".exr":
         return exr_rgb(path)
     array = read_npy(path, "an image (npy)", ImportFormatError).astype(np.float64)
     if array.ndim != 3 or array.shape[2] != 3 or not np.isfinite(array).all() or array.min(initial=0.0) < 0.0:
@@ -434,7 +459,7 @@ LARGEST_VIDEO_BYTES = 512 << 20
 MOST_FRAMES = 20_000
 _HEADER_BYTES = 8
 _DEEPEST_LIST = 6
-_CONVERT = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
+CONVERT_VIDEO: Final = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
 
 
 def motion_jpeg_frames(path: Path) -> list[bytes]:
@@ -447,7 +472,7 @@ def motion_jpeg_frames(path: Path) -> list[bytes]:
     """
     content = read_bytes(path, "a Motion-JPEG video (AVI)", ImportFormatError, LARGEST_VIDEO_BYTES)
     if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
-        raise ImportFormatError(f"{path}: is not an AVI video; {_CONVERT}")
+        raise ImportFormatError(f"{path}: is not an AVI video; {CONVERT_VIDEO}")
     frames: list[bytes] = []
     for part in _video_parts(content, 0, len(content), 0):
         # a frame without content is one that was dropped: the one before it is shown again
@@ -455,7 +480,7 @@ def motion_jpeg_frames(path: Path) -> list[bytes]:
     if not frames or len(frames) > MOST_FRAMES:
         raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
     if not all(frame.startswith(b"\xff\xd8") for frame in frames):
-        raise ImportFormatError(f"{path}: its frames are not JPEG pictures (Motion JPEG); {_CONVERT}")
+        raise ImportFormatError(f"{path}: its frames are not JPEG pictures (Motion JPEG); {CONVERT_VIDEO}")
     return frames
 
 
@@ -472,7 +497,7 @@ def _video_parts(content: bytes, at: int, end: int, depth: int) -> Iterator[byte
 
 
 _BITS: Final = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
-_PICTURE: Final = "a picture (PNG, JPEG) or OpenEXR image"
+_PICTURE: Final = "a picture (PNG, JPEG, npy) or OpenEXR image"
 _UPRIGHT = 1
 _ORIENTATION_TAG = 0x0112
 #: More pixels of an OpenEXR image above full scale than these are no highlight, and fewer steps below it no picture.
@@ -480,7 +505,7 @@ _MOST_ABOVE_FULL, _LEAST_STEPS = 0.01, 256
 
 
 def pixels_of(path: Path) -> NDArray[Any]:
-    """Return a picture as stored, (H, W, 3) in RGB order, or (H, W, 1) where it is grey.
+    """Return a picture as stored, (H, W, 3) in RGB order, or (H, W, 1) where it is grey; npy in its own order.
 
     Raises
     ------
@@ -489,7 +514,15 @@ def pixels_of(path: Path) -> NDArray[Any]:
     """
     if not has_file(path):
         raise ImportFormatError(f"{path}: no such file; the folder must hold it")
+    if path.suffix.lower() == ".npy":
+        return _counts_array(path)
     content = read_bytes(path, _PICTURE, ImportFormatError)
+    if not content.startswith((b"\x89PNG", b"\xff\xd8")):
+        raise ImportFormatError(
+            f"{path}: is neither PNG nor JPEG, and neither its name nor its content is that of another kind that is "
+            "read (npy, OpenEXR); convert all pictures without loss, such as with 'mogrify -format png *.tif', and "
+            "name these"
+        )
     if (turned := orientation(content)) != _UPRIGHT:
         raise ImportFormatError(
             f"{path}: carries the mark of a camera that it is to be shown turned or mirrored (EXIF orientation "
@@ -497,6 +530,17 @@ def pixels_of(path: Path) -> NDArray[Any]:
             "stand. Turn all pictures for good, as 'mogrify -auto-orient' does, and label these"
         )
     return _in_rgb(decoded_picture(content, path, ImportFormatError), path)
+
+
+def _counts_array(path: Path) -> NDArray[Any]:
+    """Return an array of counts, (H, W, 3), or (H, W, 1) where it is grey."""
+    array = read_npy(path, _PICTURE, ImportFormatError)
+    if array.dtype not in _BITS or array.ndim not in (2, 3) or array.shape[2:] not in ((), (1,), (3,)):
+        raise ImportFormatError(
+            f"{path}: holds {array.dtype} of shape {array.shape}; uint8 or uint16 of shape (rows, columns, 3), or "
+            "(rows, columns) for grey, are read: save each picture as the counts of the camera"
+        )
+    return array[..., None] if array.ndim == 2 else array
 
 
 def frame_of(content: bytes, path: Path) -> NDArray[Any]:

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
         verdict_sentence,
         verdict_words,
     )
-    from finray_calib.reports._finger_page import assessment_page, finger_page, stiffness_rows
+    from finray_calib.reports._finger_page import ENOUGH_Q2, assessment_page, finger_page, stiffness_rows
     from finray_calib.reports._finger_pictures import (
         finger_page_png,
         indenter_path_png,
@@ -158,6 +158,7 @@ else:
 __all__ = [
     "BLUE",
     "CHANNELS",
+    "ENOUGH_Q2",
     "HAIRLINE",
     "INK",
     "MUTED",

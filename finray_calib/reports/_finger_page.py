@@ -26,12 +26,13 @@ from finray_calib.reports._page import (
     ReportTable,
     TableGroup,
     files_table,
+    light_of,
     limits_section,
     one_group,
     render_page,
     report_html,
 )
-from finray_calib.reports._plain_text import NO_VALUE
+from finray_calib.reports._plain_text import NO_VALUE, percent
 from finray_calib.reports._style import BLUE, GREEN, INK, MUTED, SKY, VERMILLION
 from sim.mechanics import SkeletonLayout, pad_mesh, rigid_indenter, skeleton_layout, skeleton_mesh
 from sim.optics import camera_pose, panel_frame
@@ -368,6 +369,10 @@ def stiffness_rows(study: FingerStiffness) -> tuple[tuple[str, str, str, str], .
     return tuple(rows)
 
 
+#: Share of the variance of runs left out (Q2) that an emulator of tolerances must explain to be relied on.
+ENOUGH_Q2: Final = 0.9
+
+
 def _assessed_numbers(
     decision: LightAngleDecision, tolerances: FingerTolerances, rows: Sequence[tuple[str, ...]]
 ) -> tuple[KeyNumber, ...]:
@@ -381,6 +386,8 @@ def _assessed_numbers(
             "Build tolerances",
             f"{times} times",
             "the given half-ranges, for all numbers together: then 95 % of fingers have at most a tenth more error",
+            light_of(tolerances.q2 >= ENOUGH_Q2),
+            f"by an emulator that explains {percent(tolerances.q2)} of the variance of runs left out",
         ),
         KeyNumber("Stiffness under the pad", rows[2][1], rows[2][2]),
     )

@@ -80,6 +80,7 @@ _AXES: Final = {"x": 0, "y": 1, "z": 2}
 _TRIED: Final = (1.0, 4.0, 8.0, 16.0)
 _REFINED: Final = 2  # further steps within the bracket
 _CLOSE_REL: Final = 0.1  # of what is allowed: near enough to it
+_EDGE_REL: Final = 0.05  # of a bracket: a further step stays so far from its ends
 #: The narrowest number may leave its limit at the ends of the box: there all together exceed what is allowed.
 _BOX_OVER_NARROWEST: Final = 1.25
 #: A box of which a finger cannot be built is made smaller by this, down to this share of the given half-ranges.
@@ -453,12 +454,28 @@ def _search(growth: _Growth, number: int, sign: float, allowed: float) -> _Side:
         if losses[-1] > allowed:
             break
     for _ in range(_REFINED):
-        limit = limit_of_curve(steps, losses, allowed, 0.0).value if steps else None
-        if limit is None or min(abs(loss - allowed) for loss in losses) < _CLOSE_REL * allowed:
+        if max(losses, default=0.0) <= allowed or min(abs(loss - allowed) for loss in losses) < _CLOSE_REL * allowed:
             break
-        losses.append(growth.alone(number, sign * limit))
-        steps.append(limit)
+        step = _between(steps, losses, allowed)
+        losses.append(growth.alone(number, sign * step))
+        steps.append(step)
     return _Side(number, sign, tuple(steps), tuple(losses), ended_by)
+
+
+def _between(steps: Sequence[float], losses: Sequence[float], allowed: float) -> float:
+    """Return the step to try next: on the power law through both ends of the bracket.
+
+    Near the best value of a number a loss grows with the square of the step, and a line through the ends would state a
+    limit far too narrow. A square is also assumed where the lower end is no step or has no loss above zero.
+    """
+    order = np.argsort(steps)
+    above = int(np.flatnonzero(np.asarray(losses)[order] > allowed)[0])
+    high, high_loss = steps[order[above]], losses[order[above]]
+    low, low_loss = (steps[order[above - 1]], losses[order[above - 1]]) if above else (0.0, 0.0)
+    power = np.log(high_loss / low_loss) / np.log(high / low) if low > 0.0 and low_loss > 0.0 else 2.0
+    wanted = high * (allowed / high_loss) ** (1.0 / power)
+    edge = _EDGE_REL * (high - low)
+    return float(np.clip(wanted, low + edge, high - edge))
 
 
 def _checked(check: _Growth, side: _Side, allowed: float) -> float | None:

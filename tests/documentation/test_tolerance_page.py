@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data_schemas import FingerTolerances
+from data_schemas import FingerTolerances, LightAngleDecision
 from data_schemas.storage import read_record
+from finray_calib.reports._finger_page import _assessed_numbers
 from finray_calib.reports.studies import limit_text, tolerance_page
 
 EXAMPLE = Path(__file__).parents[1] / "schemas" / "frozen" / "FingerTolerances" / "v1" / "example.json"
@@ -30,3 +31,30 @@ def test_a_number_of_the_mirror_alone_is_drawn() -> None:
     assert "calibration of the finger as drawn" in tolerance_page(alone, "", {})
     assert limit_text(row.less, "mm") == "24.9 mm"
     assert limit_text(row.more, "mm") == "over 32 mm"
+
+
+def test_a_page_is_not_good_by_an_emulator_that_is_not_or_against_fingers_that_contradict_it() -> None:
+    found = read_record(EXAMPLE, FingerTolerances)
+    known = found.model_copy(
+        update={"within_given_share": 0.99, "q2": 0.97, "checked_within": 60, "checked_fingers": 64}
+    )
+    for changes, light, words in (
+        ({}, "good", "as many as chance explains"),
+        ({"q2": 0.81}, "with care", "by an emulator that explains 81 % of its variance: give more runs"),
+        # of 64 fingers of which 95 % stay, 55 or fewer do so in 0.3 %
+        ({"checked_within": 55}, "with care", "fingers evaluated again contradict it"),
+        ({"within_given_share": 0.3}, "not good", "in 30 % of fingers"),
+    ):
+        page = tolerance_page(known.model_copy(update=changes), "", {})
+        heading = " ".join(page[page.index('<h2 id="verdict">') :][:500].split())
+        assert f"</i> {light}</b>" in heading
+        assert words in " ".join(page.split())
+
+
+def test_an_assessment_says_how_much_its_emulator_of_tolerances_explains() -> None:
+    folder = sorted((EXAMPLE.parents[2] / "LightAngleDecision").glob("v*"))[-1]
+    decision = read_record(folder / "example.json", LightAngleDecision)
+    found = read_record(EXAMPLE, FingerTolerances)
+    for q2, light in ((0.97, "good"), (0.81, "care")):
+        numbers = _assessed_numbers(decision, found.model_copy(update={"q2": q2}), [("pad", "1 N/mm", "")] * 3)
+        assert (numbers[1].light, numbers[1].reason.split()[-9]) == (light, f"{100 * q2:.0f}")

@@ -129,10 +129,6 @@ def _spoil(folder, what):
         np.save(folder / "contact.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     elif what == "unknown word":
         (folder / "render.json").write_text('{"encoding": "gamma"}')
-    elif what == "deep colour":
-        for name in ("contact", "no_contact"):
-            (folder / f"{name}.npy").unlink()
-            cv2.imwrite(str(folder / f"{name}.png"), np.zeros((*SHAPE, 3), np.uint16))
 
 
 @pytest.mark.parametrize(
@@ -148,7 +144,6 @@ def _spoil(folder, what):
         ("flat", r"expected finite depths in mm of 120 x 160"),
         ("pickled", r"pickled files are refused"),
         ("unknown word", r"render\.json: .*encoding"),
-        ("deep colour", r"expected an 8-bit colour image, got uint16"),
     ],
 )
 def test_what_is_wrong_is_said(tmp_path, what, message):

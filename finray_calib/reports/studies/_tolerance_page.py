@@ -6,16 +6,19 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from data_schemas import FingerDesign, FingerTolerances, ToleranceRow, ToleranceSide, package_version
 from finray_calib.reports import (
     BLUE,
+    ENOUGH_Q2,
     INK,
     MUTED,
     NO_VALUE,
     SKY,
     Content,
     KeyNumber,
+    Light,
     Part,
     PartLabel,
     ReportPage,
@@ -54,7 +57,8 @@ _WORDS: Final = {
 _LABEL_ROW_MM: Final = 17.0
 _MARGIN_MM: Final = 20.0
 _WIDTH_IN: Final = 9.5
-_ENOUGH_Q2: Final = 0.9
+_CONFIDENCE: Final = 0.95
+_RARE: Final = 0.025  # one side of a 95 % interval
 
 
 def tolerance_page(found: FingerTolerances, command: str, digests: Mapping[str, str]) -> str:
@@ -76,7 +80,7 @@ def tolerance_page(found: FingerTolerances, command: str, digests: Mapping[str, 
             lead=f"How far this finger may vary before the expected error of its sensed normals grows by "
             f"{percent(found.allowed_rel)}.",
             verdict=_verdict(found),
-            light=light_of(found.within_given_share >= 0.95, is_bad=found.within_given_share < 0.5),
+            light=_light(found),
             sentence=found.sentence,
             picture=drawing(
                 tolerance_drawing(found),
@@ -93,10 +97,24 @@ def tolerance_page(found: FingerTolerances, command: str, digests: Mapping[str, 
     )
 
 
+def _light(found: FingerTolerances) -> Light:
+    """Return how good the given tolerances are; never good by an emulator that is not, or that fingers contradict."""
+    is_known = found.q2 >= ENOUGH_Q2 and not _is_contradicted(found)
+    return light_of(found.within_given_share >= _CONFIDENCE and is_known, is_bad=found.within_given_share < 0.5)
+
+
+def _is_contradicted(found: FingerTolerances) -> bool:
+    """Return whether fewer fingers stayed within what is allowed, at the joint limit, than chance lets one expect."""
+    return float(binom.cdf(found.checked_within, found.checked_fingers, _CONFIDENCE)) < _RARE
+
+
 def _verdict(found: FingerTolerances) -> str:
     """Return the conclusion."""
     share, allowed = percent(found.within_given_share), percent(found.allowed_rel)
-    return f"The expected error grows by at most {allowed} in {share} of fingers that vary as given"
+    told = f"The expected error grows by at most {allowed} in {share} of fingers that vary as given"
+    if found.q2 < ENOUGH_Q2:
+        return f"{told}, by an emulator that explains {percent(found.q2)} of its variance: give more runs (--runs)"
+    return f"{told}; fingers evaluated again contradict it" if _is_contradicted(found) else told
 
 
 def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
@@ -108,16 +126,19 @@ def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
         if found.together_factor is not None
         else ""
     )
-    good = light_of(found.q2 >= _ENOUGH_Q2)
+    good = light_of(found.q2 >= ENOUGH_Q2)
     return (
         KeyNumber("All half-ranges times", f"{factor}{value:.2g}", f"{interval}95 % of fingers stay within"),
         KeyNumber(
             "Evaluated again at these limits",
             f"{found.checked_within} of {found.checked_fingers}",
-            "fingers within the allowed growth, with other paths, paint draws and noise",
+            f"fingers within the allowed growth, with other paths, paint draws and noise (expected: "
+            f"{percent(_CONFIDENCE)})",
+            light_of(not _is_contradicted(found)),
+            "fewer than chance explains" if _is_contradicted(found) else "as many as chance explains",
         ),
         KeyNumber("The emulator predicts", percent(found.q2), "of the variance of runs left out (Q2)", good,
-                  f"{'at least' if good == 'good' else 'less than'} {percent(_ENOUGH_Q2)}"),
+                  f"{'at least' if good == 'good' else 'less than'} {percent(ENOUGH_Q2)}"),
     )  # fmt: skip
 
 

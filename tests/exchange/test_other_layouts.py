@@ -1,0 +1,162 @@
+"""Sets and renders as laboratories store them: each is read, or refused in words that tell what to do."""
+
+import cv2
+import numpy as np
+import pytest
+
+from data_schemas import CompareError, ImportFormatError
+from finray_calib.compare import compare_press
+from finray_calib.exchange import Recipe, read_by_recipe, read_renders
+from tests.exchange.ball_press_folders import eight_bits
+from tests.exchange.recipe_folders import CONTACT_PX, PLACES, dome, flat
+
+PRESSES, UNTOUCHED = [eight_bits(dome(*place)) for place in PLACES], eight_bits(flat())
+SIXTEEN = np.uint16(257)
+
+
+def same(image):
+    return image
+
+
+def twelve_bits(image):
+    return image.astype(np.uint16) * np.uint16(16)
+
+
+def opaque(image):
+    return np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])
+
+
+def put(path, image):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".npy":
+        np.save(path, image)
+    else:
+        order = [2, 1, 0, 3][: image.shape[2]] if image.ndim == 3 else slice(None)
+        assert cv2.imwrite(str(path), np.ascontiguousarray(image[..., order] if image.ndim == 3 else image))
+
+
+def set_of(folder, files, rest, change=same, rest_change=None):
+    """A folder whose presses and images without contact have these names, and labels by the stem of their files."""
+    lines = ["file,x,y,r"]
+    for k, (image, (row, column)) in enumerate(zip(PRESSES, PLACES, strict=True), start=1):
+        name = files.format(k)
+        put(folder / name, change(image))
+        put(folder / rest.format(k), (rest_change or change)(UNTOUCHED))
+        lines.append(f"{name.rsplit('/', 1)[-1].rsplit('.', 1)[0]},{column},{row},{CONTACT_PX}")
+    (folder / "labels.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def recipe_of(files, rest, **picture):
+    circle = {"column_px": "x", "row_px": "y", "radius_px": "r"}
+    return Recipe.model_validate(
+        {
+            "name": "t", "what": "t", "presses": {"files": files}, "no_contact": {"file": rest}, "picture": picture,
+            "contact": {"file": "labels.csv", "press": "file", "circle": circle}, "indenter": {"shape": "ball"},
+        }
+    )  # fmt: skip
+
+
+def assert_same_picture(found, image, name):
+    """Equal to the last count; JPEG blurs the colours at edges, and a picture in another order would be 30 off."""
+    if name.lower().endswith(".jpg"):
+        assert np.abs(found.astype(float) - image).mean() < 2.0
+    else:
+        np.testing.assert_allclose(found, image, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("files", "rest", "change", "picture", "names", "bits"),
+    [
+        ("press {}.JPG", "no contact.JPG", same, {}, "press {press}.JPG", 8),
+        ("p{}.png", "rest.png", same, {}, "p{press}.png", 8),
+        ("p{}.png", "rest.png", opaque, {}, "p{press}.png", 8),
+        ("p{}.png", "rest.png", twelve_bits, {"bit_depth": 12}, "p{press}.png", 12),
+        ("p{}.npy", "rest.npy", same, {"channels": "RGB"}, "p{press}.npy", 8),
+        ("a ball/p{}.png", "a ball/rest.png", same, {}, "{press}.png", 8),
+    ],
+)
+def test_layouts_that_are_read(tmp_path, files, rest, change, picture, names, bits):
+    folder = set_of(tmp_path / "set", files, rest, change)
+    rest_pattern = "{group}/rest.png" if rest.startswith("a ball/") else rest
+    recipe = recipe_of(names, rest_pattern, **picture)
+    if names == "{press}.png":
+        recipe = recipe.model_copy(
+            update={"presses": recipe.presses.model_copy(update={"leave_out": ("a ball/rest",)})}
+        )
+    found = read_by_recipe(folder, recipe).captures
+    assert len(found) == 5
+    for capture, image, (row, column) in zip(found.values(), PRESSES, PLACES, strict=True):
+        circle = capture.contact_circle
+        assert (circle.row_px, circle.column_px, capture.bit_depth) == (row, column, bits)
+        assert_same_picture(capture.contact, change(image)[..., :3], files)
+
+
+@pytest.mark.parametrize(
+    ("files", "names", "rest", "message"),
+    [
+        (
+            "p{}.PNG",
+            "p{press}.png",
+            "rest.PNG",
+            r"small or large as written; the folder holds, for example, .*p[1-5]\.PNG",
+        ),
+        ("p{}.tif", "p{press}.tif", "rest.tif", r"convert all pictures without loss, such as with 'mogrify"),
+        ("p{}.npy", "p{press}.npy", "rest.npy", r'does not state the order of its channels; write channels = "RGB"'),
+    ],
+)
+def test_layouts_that_are_refused(tmp_path, files, names, rest, message):
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(set_of(tmp_path / "set", files, rest), recipe_of(names, rest))
+
+
+@pytest.fixture
+def captures(tmp_path):
+    return dict(read_by_recipe(set_of(tmp_path / "set", "{}.png", "rest.png"), recipe_of("{press}.png", "rest.png",
+                )).captures)  # fmt: skip
+
+
+def renders_of(folder, ending=".png", change=same, common=False):
+    for k, image in enumerate(PRESSES, start=1):
+        put(folder / f"{k}" / f"contact{ending}", change(image))
+        put(folder / ("" if common else f"{k}") / f"no_contact{ending}", change(UNTOUCHED))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("change", "common", "ending"),
+    [(same, True, ".png"), (same, False, ".PNG"), (same, False, ".jpg"), (opaque, False, ".png"),
+     (lambda image: image * SIXTEEN, False, ".png")],
+)  # fmt: skip
+def test_renders_that_are_read(tmp_path, captures, change, common, ending):
+    found = read_renders(renders_of(tmp_path / "r", ending, change, common), captures)
+    assert found.keys() == {"1", "2", "3", "4", "5"}
+    for image, press in zip(PRESSES, found.values(), strict=True):
+        assert_same_picture(press.contact, image, ending)
+        assert_same_picture(press.no_contact, UNTOUCHED, ending)
+
+
+def test_renders_that_do_not_fit_their_captures_are_refused_with_what_to_do(tmp_path, captures):
+    deep = {name: c.model_copy(update={"bit_depth": 16}) for name, c in captures.items()}
+    for change, of, message in (
+        (lambda image: image[::2, ::2], captures, r"its images are 80 x 60 px, those of the capture 1 160 x 120 px"),
+        (lambda image: image[..., 1], captures, r"is grey, and the capture 1 has colours; render in colour"),
+        (same, deep, r"has 8 bits, and the capture has 16; write pictures of 16 bits"),
+        (same, {f"press {k}": c for k, c in captures.items()}, r"no capture of the name of 1.*: press 1, press 2, "),
+    ):
+        folder = renders_of(tmp_path / message[:9], change=change)
+        with pytest.raises(ImportFormatError, match=message):
+            read_renders(folder, of)
+
+
+def test_encoded_values_on_two_scales_are_not_compared(tmp_path, captures):
+    """A perfect render of 8 bits had a skill of -43 beside its capture of 16 bits, without a word."""
+    press = read_renders(renders_of(tmp_path / "r"), captures)["1"]
+    deep = captures["1"].model_copy(
+        update={
+            "contact": captures["1"].contact * SIXTEEN, "no_contact": captures["1"].no_contact * SIXTEEN,
+            "bit_depth": 16,
+        }
+    )  # fmt: skip
+    with pytest.raises(CompareError, match=r"write the render on the scale of the capture, whose pixels have 16 bits"):
+        compare_press(press, deep, seed=1)
