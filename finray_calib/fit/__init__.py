@@ -1,14 +1,15 @@
 r"""Fit a paint: from band signals to the posterior of its emission, reflectance and absorption.
 
-.. math:: p(\theta | y) \propto p(\theta)\, N\bigl(y;\; \mu(\theta),\; S + U U^T + D(\theta)\bigr)
+.. math:: p(\theta | y) \propto p(\theta)\, N\bigl(y;\; \mu(\theta),\; S + U U^T + L L^T + D(\theta)\bigr), \quad
+    L_i = g_i \mu_i(\theta)
 
-with the measurement covariance S, the imperfections U of the rig and the discrepancy D of the paint from its family of
-curves. `calibrate_paint` runs the whole path and returns the stored record, `map_paint` fits every pixel,
-`detect_emission` decides whether there is anything to fit. `combine_sessions` makes one of several sessions of a paint,
-with what differs between them. Draws come from importance sampling that diagnoses itself; where it is not good enough,
-Markov steps move the draws further, and emcee is the independent check. `uncertainty_budget` states how much each
-source contributes to an interval, `design_filters` which filters would make it smaller. No devices, and no files but
-the prototypes of spectra that the package ships.
+with the measurement covariance S, the imperfections U of the rig, the share g that its lamp may be off in each band, and
+the discrepancy D of the paint from its family of curves. `calibrate_paint` runs the whole path and returns the stored
+record, `map_paint` fits every pixel, `detect_emission` decides whether there is anything to fit. `combine_sessions`
+makes one of several sessions of a paint, with what differs between them. Draws come from importance sampling that
+diagnoses itself; where it is not good enough, Markov steps move the draws further, and emcee is the independent check.
+`uncertainty_budget` states how much each source contributes to an interval, `design_filters` which filters would make
+it smaller. No devices, and no files but the prototypes of spectra that the package ships.
 """
 
 from typing import TYPE_CHECKING

@@ -288,6 +288,9 @@ class BandData:
     def at(self, level: FloatArray) -> "BandData":
         """Return the data with errors that are common to all values as shares of `level` (N,), which a fit predicts.
 
+        The white reference's error goes by it; the lamp's does only in the learned prior, as a family's fit takes the
+        lamp at each of its curves.
+
         As shares of the measured values, whose own errors they then follow, they pull the fitted level down (Peelle's
         puzzle): by 4 % for a white reference known to 10 %, a lamp to 50 K, filters to 1 % and values to 0.5 %.
 

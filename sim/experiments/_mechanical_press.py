@@ -121,7 +121,7 @@ def increment_record(
     design: FingerDesign, pressed: PressedFinger, preset: Preset | None = None, indenter_sha256: str | None = None
 ) -> PressIncrement:
     """Return the last increment of a press as a record to continue from; with the digest of a mesh indenter's STL."""
-    by_points = pressed.kind == "penalty"
+    by_points = pressed.kind == "penalty" and pressed.touch_mm.size > 0
     coat_mm = pressed.mesh.nodes_mm[pressed.mesh.surfaces["coat"]]
     return PressIncrement(
         preset=preset or design.mesh.preset,
@@ -242,8 +242,8 @@ def _check_same_points(record: PressIncrement, indenter: RigidIndenter, mesh: Fi
     else:
         return
     raise SimulateError(
-        f"the stored increment is of an older version, whose contact acted {other}: its forces and those that follow "
-        "would not belong together. Press from the start: leave out --resume, and give another --out"
+        f"the stored increment is of an older version, whose contact may have acted {other}: its forces and those "
+        "that follow would not belong together. Press from the start: leave out --resume, and give another --out"
     )
 
 
