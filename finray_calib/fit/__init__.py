@@ -3,7 +3,7 @@ r"""Fit a paint: from band signals to the posterior of its emission, reflectance
 .. math:: p(\theta | y) \propto p(\theta)\, N\bigl(y;\; \mu(\theta),\; S + U U^T + L L^T + D(\theta)\bigr), \quad
     L_i = g_i \mu_i(\theta)
 
-with the measurement covariance S, the imperfections U of the rig, the share g that its lamp may be off in each band, and
+with the measurement covariance S, the imperfections U of the rig, its lamp's share of error g in each band, and
 the discrepancy D of the paint from its family of curves. `calibrate_paint` runs the whole path and returns the stored
 record, `map_paint` fits every pixel, `detect_emission` decides whether there is anything to fit. `combine_sessions`
 makes one of several sessions of a paint, with what differs between them. Draws come from importance sampling that
