@@ -22,7 +22,7 @@ from pydantic import Field, ValidationError
 from data_schemas import ContactCircle, ImportFormatError, Model, Provenance, SimulatedPress, TactileCapture, explain
 from data_schemas.storage import ProductSet, has_file, read_bytes, read_json, read_npy, refuse_existing
 from finray_calib.exchange._paint_reradiation import exr_pixels
-from finray_calib.sensing import contact_distance, outline_distance
+from finray_calib.sensing import contact_distance, outline_distance, rgb_image
 from rigs.cameras import decoded_picture, read_picture
 from sim.experiments import OpticsProducts
 from sim.optics import BAND_NAMES, PixelMaps, exr_image
@@ -288,8 +288,10 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
             f"{folder}: {contact_file.name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_file.name} "
             f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
         )
-    if capture is not None and contact.shape[:2] != capture.contact.shape[:2]:
-        sizes = [f"{shape[1]} x {shape[0]} px" for shape in (contact.shape, capture.contact.shape)]
+    # a capture of Bayer counts is compared as a picture of half the side
+    wanted = contact.shape if capture is None else rgb_image(capture.contact, capture).shape
+    if capture is not None and contact.shape[:2] != wanted[:2]:
+        sizes = [f"{shape[1]} x {shape[0]} px" for shape in (contact.shape, wanted)]
         raise ImportFormatError(
             f"{folder}: its images are {sizes[0]}, those of the capture {capture.name} {sizes[1]}; render as the "
             "camera sees it, with the same number of pixels and the same side up"

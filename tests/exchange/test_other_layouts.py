@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas import CompareError, ImportFormatError
+from data_schemas import CompareError, ContactCircle, ImportFormatError
 from finray_calib.compare import compare_press
 from finray_calib.exchange import Recipe, read_by_recipe, read_renders
 from tests.exchange.ball_press_folders import eight_bits
@@ -147,6 +147,32 @@ def test_renders_that_do_not_fit_their_captures_are_refused_with_what_to_do(tmp_
         folder = renders_of(tmp_path / message[:9], change=change)
         with pytest.raises(ImportFormatError, match=message):
             read_renders(folder, of)
+
+
+def bayer(capture):
+    """The capture as a sensor of twice the side counts it, in linear light."""
+    planes = {}
+    for what in ("contact", "no_contact"):
+        image = getattr(capture, what)
+        planes[what] = np.zeros((2 * image.shape[0], 2 * image.shape[1], 1), np.uint16)
+        for (row, column), channel in {(0, 0): 0, (0, 1): 1, (1, 0): 1, (1, 1): 2}.items():
+            planes[what][row::2, column::2, 0] = image[..., channel]
+    circle = capture.contact_circle
+    larger = ContactCircle(
+        row_px=2 * circle.row_px + 0.5, column_px=2 * circle.column_px + 0.5, radius_px=2 * circle.radius_px
+    )
+    return capture.model_copy(update={**planes, "layout": "Bayer RGGB", "encoding": "linear", "contact_circle": larger})
+
+
+def test_a_render_has_the_size_in_which_a_capture_of_bayer_counts_is_compared(tmp_path, captures):
+    counted = {name: bayer(capture) for name, capture in captures.items()}
+    folder = renders_of(tmp_path / "r")
+    for k in counted:
+        (folder / k / "render.json").write_text('{"encoding": "linear"}')
+    found = read_renders(folder, counted)["1"]
+    assert compare_press(found, counted["1"], seed=1).headline_skill.estimate > 0.99
+    with pytest.raises(ImportFormatError, match=r"images are 320 x 240 px, those of the capture 1 160 x 120 px"):
+        read_renders(renders_of(tmp_path / "full", change=lambda image: image.repeat(2, 0).repeat(2, 1)), counted)
 
 
 def test_encoded_values_on_two_scales_are_not_compared(tmp_path, captures):
