@@ -175,14 +175,49 @@ def test_a_render_has_the_size_in_which_a_capture_of_bayer_counts_is_compared(tm
         read_renders(renders_of(tmp_path / "full", change=lambda image: image.repeat(2, 0).repeat(2, 1)), counted)
 
 
-def test_encoded_values_on_two_scales_are_not_compared(tmp_path, captures):
-    """A perfect render of 8 bits had a skill of -43 beside its capture of 16 bits, without a word."""
-    press = read_renders(renders_of(tmp_path / "r"), captures)["1"]
-    deep = captures["1"].model_copy(
-        update={
-            "contact": captures["1"].contact * SIXTEEN, "no_contact": captures["1"].no_contact * SIXTEEN,
-            "bit_depth": 16,
-        }
-    )  # fmt: skip
-    with pytest.raises(CompareError, match=r"write the render on the scale of the capture, whose pixels have 16 bits"):
-        compare_press(press, deep, seed=1)
+def times(images, factor, **fields):
+    """A render or capture whose values are so many times as large."""
+    kind = images.contact.dtype
+    scaled = {what: (getattr(images, what) * float(factor)).astype(kind) for what in ("contact", "no_contact")}
+    return images.model_copy(update={**scaled, **fields})
+
+
+@pytest.mark.parametrize(
+    ("of_render", "of_capture", "bits", "is_compared"),
+    [
+        (1, 1, 8, True),
+        (16, 16, 12, True),
+        # a render in the units of the capture, and dim: its brightest part is at 178 of 4095
+        (1, 5, 12, True),
+        # 9.8 times too bright is to be scored, and so is 9.8 times too dim
+        (1, 1 / 9.8, 8, True),
+        (1 / 9.8, 1, 8, True),
+        # a perfect render of 8 bits had a skill of -43 beside its capture of 16 bits, without a word
+        (1, 4, 10, False),
+        (1, 16, 12, False),
+        (1, 257, 16, False),
+        (257, 64, 14, False),
+        (257, 16, 12, False),
+        (257, 1, 8, False),
+        (1 / 255, 1, 8, False),
+        (1 / 255, 257, 16, False),
+    ],
+)
+def test_encoded_values_on_two_scales_are_not_compared(tmp_path, captures, of_render, of_capture, bits, is_compared):
+    press = times(read_renders(renders_of(tmp_path / "r"), captures)["1"], of_render)
+    capture = times(captures["1"], of_capture, bit_depth=bits)
+    if is_compared:
+        assert np.isfinite(compare_press(press, capture, seed=1).headline_skill.estimate)
+        return
+    with pytest.raises(CompareError, match=rf"at [\d.e+-]+, those of 1 at .*: write the render .* have {bits} bits"):
+        compare_press(press, capture, seed=1)
+
+
+def test_images_that_are_black_without_contact_are_compared(tmp_path, captures):
+    press, capture = read_renders(renders_of(tmp_path / "r"), captures)["1"], captures["1"]
+    change = np.maximum(press.contact - press.no_contact, 0.0)
+    dark = press.model_copy(update={"contact": change, "no_contact": np.zeros_like(change)})
+    seen = np.minimum(change + 2.0, 255.0).astype(np.uint16)
+    lit = capture.model_copy(update={"contact": seen, "no_contact": np.full_like(seen, 2)})
+    # the 2 DN that the render lacks are an error, and no other scale
+    assert 0.5 < compare_press(dark, lit, seed=1).headline_skill.estimate < 1.0
