@@ -358,6 +358,24 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
         )
     if press.encoding == "unknown" and capture.encoding == "unknown":
         _require_one_scale(press, capture)
+        _require_colours(press, capture)
+
+
+#: A capture has colours where channels of a hundredth of its blocks of pixels differ by more than this share of its
+#: mean: lights of several colours may add up to white where nothing touches, and noise of a white one has no blocks.
+_COLOURED, _COLOUR_BLOCK_PX = 0.1, 8
+
+
+def _require_colours(press: SimulatedPress, capture: TactileCapture) -> None:
+    """Refuse a grey render of encoded values beside a capture in colour."""
+    if (press.contact != press.contact[..., :1]).any():
+        return
+    seen = block_mean(rgb_image(capture.contact, capture), min(_COLOUR_BLOCK_PX, *press.contact.shape[:2]))
+    seen = seen[every_channel(np.isfinite(seen))]
+    if seen.size and float(np.percentile(np.ptp(seen, axis=-1), 99.0)) > _COLOURED * float(seen.mean()):
+        raise CompareError(
+            f"{press.name} is grey, and the capture {capture.name} has colours; render in colour, or capture in grey"
+        )
 
 
 #: Encoded values end at full scale; by more than a highlight only another scale does not.

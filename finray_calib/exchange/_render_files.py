@@ -296,10 +296,6 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
             f"{folder}: its images are {sizes[0]}, those of the capture {capture.name} {sizes[1]}; render as the "
             "camera sees it, with the same number of pixels and the same side up"
         )
-    if capture is not None and _is_grey(contact) and not _is_grey(capture.contact):
-        raise ImportFormatError(
-            f"{folder}: {contact_file.name} is grey, and the capture {capture.name} has colours; render in colour"
-        )
     distance, how = _distance(folder, contact.shape[:2], capture, said.contact_circle)
     notes = [f"imported from a folder of images, by {said.simulator}; its contact: {how}"]
     notes += [f"rendered by: {said.command}"] if said.command else []
@@ -319,11 +315,6 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
         design=None,
         notes=tuple(notes),
     )
-
-
-def _is_grey(image: NDArray[Any]) -> bool:
-    """Return whether all channels of an image (H, W, C) are equal."""
-    return bool((image == image[..., :1]).all())
 
 
 def _description(path: Path) -> RenderDescription:

@@ -140,7 +140,6 @@ def test_renders_that_do_not_fit_their_captures_are_refused_with_what_to_do(tmp_
     deep = {name: c.model_copy(update={"bit_depth": 16}) for name, c in captures.items()}
     for change, of, message in (
         (lambda image: image[::2, ::2], captures, r"its images are 80 x 60 px, those of the capture 1 160 x 120 px"),
-        (lambda image: image[..., 1], captures, r"is grey, and the capture 1 has colours; render in colour"),
         (same, deep, r"has 8 bits, and the capture has 16; write pictures of 16 bits"),
         (same, {f"press {k}": c for k, c in captures.items()}, r"no capture of the name of 1.*: press 1, press 2, "),
     ):
@@ -221,3 +220,19 @@ def test_images_that_are_black_without_contact_are_compared(tmp_path, captures):
     lit = capture.model_copy(update={"contact": seen, "no_contact": np.full_like(seen, 2)})
     # the 2 DN that the render lacks are an error, and no other scale
     assert 0.5 < compare_press(dark, lit, seed=1).headline_skill.estimate < 1.0
+
+
+def grey(image):
+    return image[..., 1]
+
+
+def test_a_grey_render_is_compared_with_light_that_is_white_up_to_noise_but_not_with_colours(tmp_path, captures):
+    found = read_renders(renders_of(tmp_path / "r", change=grey), captures)["1"]
+    with pytest.raises(CompareError, match=r"1 is grey, and the capture 1 has colours; render in colour"):
+        compare_press(found, captures["1"], seed=1)
+    rng = np.random.default_rng(1)
+    white = {}
+    for what in ("contact", "no_contact"):
+        image = getattr(captures["1"], what)[..., 1:2].astype(int)
+        white[what] = np.clip(image + rng.integers(-1, 2, (*image.shape[:2], 3)), 0, 255).astype(np.uint16)
+    assert compare_press(found, captures["1"].model_copy(update=white), seed=1).headline_skill.estimate > 0.9
