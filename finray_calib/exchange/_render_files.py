@@ -282,7 +282,7 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
             f'light) or "encoded" (values of an 8-bit image) into {DESCRIPTION}'
         )
     depth = None if capture is None or capture.encoding == "linear" else capture.bit_depth
-    contact, no_contact = (_image(file, said.channels, depth) for file in (contact_file, rest_file))
+    contact, no_contact = _images(contact_file, rest_file, said.channels, depth)
     if contact.shape != no_contact.shape:
         raise ImportFormatError(
             f"{folder}: {contact_file.name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_file.name} "
@@ -328,18 +328,29 @@ def _description(path: Path) -> RenderDescription:
         raise ImportFormatError(f"{path}: {explain(error, RenderDescription)}") from None
 
 
-def _image(path: Path, channels: str | None, captured_bits: int | None) -> Floats:
-    """Return an image (H, W, 3) in RGB order; a picture in the steps of a capture of so many bits, else of 8 bits."""
-    if path.suffix.lower() not in (".exr", ".npy"):
-        picture = in_colour(pixels_of(path))
-        if picture.dtype == np.uint16 and captured_bits in (None, 8):
-            return np.asarray(picture / 257.0)  # 65535 is full scale, as 255 is
-        if picture.dtype == np.uint8 and captured_bits not in (None, 8):
-            raise ImportFormatError(
-                f"{path}: has 8 bits, and the capture has {captured_bits}; write pictures of 16 bits on the scale of "
-                "the capture's own image without contact"
-            )
-        return picture.astype(np.float64)
+def _images(contact: Path, rest: Path, channels: str | None, captured_bits: int | None) -> list[Floats]:
+    """Return two images (H, W, 3) in RGB order; pictures in the steps of a capture of so many bits, else of 8 bits."""
+    if contact.suffix.lower() in (".exr", ".npy"):
+        return [_array(path, channels) for path in (contact, rest)]
+    pictures = {path: pixels_of(path) for path in (contact, rest)}
+    require_alike(pictures)
+    return [_in_steps(in_colour(picture), path, captured_bits) for path, picture in pictures.items()]
+
+
+def _in_steps(picture: NDArray[Any], path: Path, captured_bits: int | None) -> Floats:
+    """Return a picture in the steps of a capture of so many bits, or of 8 bits."""
+    if picture.dtype == np.uint16 and captured_bits in (None, 8):
+        return np.asarray(picture / 257.0)  # 65535 is full scale, as 255 is
+    if picture.dtype == np.uint8 and captured_bits not in (None, 8):
+        raise ImportFormatError(
+            f"{path}: has 8 bits, and the capture has {captured_bits}; write pictures of 16 bits on the scale of "
+            "the capture's own image without contact"
+        )
+    return picture.astype(np.float64)
+
+
+def _array(path: Path, channels: str | None) -> Floats:
+    """Return an OpenEXR or npy image (H, W, 3) in RGB order."""
     if path.suffix.lower() == ".exr":
         return exr_rgb(path)
     array = read_npy(path, "an image (npy)", ImportFormatError).astype(np.float64)

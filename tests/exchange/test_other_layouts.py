@@ -236,3 +236,13 @@ def test_a_grey_render_is_compared_with_light_that_is_white_up_to_noise_but_not_
         image = getattr(captures["1"], what)[..., 1:2].astype(int)
         white[what] = np.clip(image + rng.integers(-1, 2, (*image.shape[:2], 3)), 0, 255).astype(np.uint16)
     assert compare_press(found, captures["1"].model_copy(update=white), seed=1).headline_skill.estimate > 0.9
+
+
+@pytest.mark.parametrize(
+    ("rest_change", "kind"), [(grey, "8 bits, grey"), (twelve_bits, "16 bits, colour")], ids=["grey", "16 bits"]
+)
+def test_a_render_whose_two_images_differ_in_kind_is_refused(tmp_path, captures, rest_change, kind):
+    folder = renders_of(tmp_path / "r")
+    put(folder / "1" / "no_contact.png", rest_change(UNTOUCHED))
+    with pytest.raises(ImportFormatError, match=rf"contact.png has 8 bits, colour, .*no_contact.png has {kind}: value"):
+        read_renders(folder, captures)
