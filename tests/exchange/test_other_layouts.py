@@ -246,3 +246,40 @@ def test_a_render_whose_two_images_differ_in_kind_is_refused(tmp_path, captures,
     put(folder / "1" / "no_contact.png", rest_change(UNTOUCHED))
     with pytest.raises(ImportFormatError, match=rf"contact.png has 8 bits, colour, .*no_contact.png has {kind}: value"):
         read_renders(folder, captures)
+
+
+def test_a_line_that_calls_by_what_all_presses_have_in_common_names_none(tmp_path):
+    for k, image in enumerate(PRESSES, start=1):
+        put(tmp_path / f"{k}" / "image.png", image)
+    put(tmp_path / "rest.png", UNTOUCHED)
+    recipe = recipe_of("{press}/image.png", "rest.png")
+    for called in ("image", "image.png"):
+        (tmp_path / "labels.csv").write_text(f"file,x,y,r\n{called},80,60,20\n")
+        with pytest.raises(ImportFormatError, match=r"none of its 5 presses .*: no line of labels.csv names it"):
+            read_by_recipe(tmp_path, recipe)
+    (tmp_path / "labels.csv").write_text("file,x,y,r\n1/image.png,80,60,20\n/elsewhere/2,80,60,20\n")
+    assert list(read_by_recipe(tmp_path, recipe).captures) == ["1", "2"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (same, r"picture.bit_depth = 12 belongs to pictures of 16 bits, and p1.png is none; leave it"),
+        (
+            lambda image: image * SIXTEEN,
+            r"png: its largest value is \d{5}, and counts of .* = 12 end at 4095; .* by 16,",
+        ),
+    ],
+    ids=["8 bits", "left-aligned"],
+)
+def test_counts_that_are_not_of_the_stated_bits_are_refused(tmp_path, change, message):
+    folder = set_of(tmp_path, "p{}.png", "rest.png", change)
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(folder, recipe_of("p{press}.png", "rest.png", bit_depth=12))
+
+
+def test_two_files_of_one_press_are_refused(tmp_path):
+    folder = set_of(tmp_path, "p{}.png", "rest.png")
+    put(folder / "p1.jpg", PRESSES[1])
+    with pytest.raises(ImportFormatError, match=r"p1\.(png|jpg) and p1\.(png|jpg) are both press '1' by presses.files"):
+        read_by_recipe(folder, recipe_of("p{press}.*", "rest.png"))
