@@ -566,7 +566,7 @@ def _in_rgb(picture: NDArray[Any], path: Path) -> NDArray[Any]:
     if picture.shape[2] == 4 and (clear := picture[..., 3] < np.iinfo(picture.dtype).max).any():
         raise ImportFormatError(
             f"{path}: {100 * clear.mean():.2g} % of its pixels are transparent, and their colours are not those of the "
-            "camera; save it without transparency, as the camera took it"
+            "camera; save it without transparency, as the camera took it, or render it opaque"
         )
     return picture[..., 2::-1]
 
