@@ -324,7 +324,7 @@ class _Folder:
             return False
         return path.suffix.lower() == ".exr" or self._pictures[path].dtype == np.uint16
 
-    def _bits(self, name: str) -> int:
+    def _bits(self, name: str) -> Literal[8, 10, 12, 14, 16]:
         """Return the bits of a press's counts."""
         bits, path = self.recipe.picture.bit_depth, self.files[name]
         if bits is None:
