@@ -283,19 +283,7 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
         )
     depth = None if capture is None or capture.encoding == "linear" else capture.bit_depth
     contact, no_contact = _images(contact_file, rest_file, said.channels, depth)
-    if contact.shape != no_contact.shape:
-        raise ImportFormatError(
-            f"{folder}: {contact_file.name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_file.name} "
-            f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
-        )
-    # a capture of Bayer counts is compared as a picture of half the side
-    wanted = contact.shape if capture is None else rgb_image(capture.contact, capture).shape
-    if capture is not None and contact.shape[:2] != wanted[:2]:
-        sizes = [f"{shape[1]} x {shape[0]} px" for shape in (contact.shape, wanted)]
-        raise ImportFormatError(
-            f"{folder}: its images are {sizes[0]}, those of the capture {capture.name} {sizes[1]}; render as the "
-            "camera sees it, with the same number of pixels and the same side up"
-        )
+    _require_sizes(folder, {contact_file.name: contact, rest_file.name: no_contact}, capture)
     distance, how = _distance(folder, contact.shape[:2], capture, said.contact_circle)
     notes = [f"imported from a folder of images, by {said.simulator}; its contact: {how}"]
     notes += [f"rendered by: {said.command}"] if said.command else []
@@ -315,6 +303,24 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
         design=None,
         notes=tuple(notes),
     )
+
+
+def _require_sizes(folder: Path, images: Mapping[str, Floats], capture: TactileCapture | None) -> None:
+    """Refuse two images of different sizes, or of another one than their capture is compared in."""
+    (contact_name, contact), (rest_name, no_contact) = images.items()
+    if contact.shape != no_contact.shape:
+        raise ImportFormatError(
+            f"{folder}: {contact_name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_name} "
+            f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
+        )
+    # a capture of Bayer counts is compared as a picture of half the side
+    wanted = contact.shape if capture is None else rgb_image(capture.contact, capture).shape
+    if capture is not None and contact.shape[:2] != wanted[:2]:
+        sizes = [f"{shape[1]} x {shape[0]} px" for shape in (contact.shape, wanted)]
+        raise ImportFormatError(
+            f"{folder}: its images are {sizes[0]}, those of the capture {capture.name} {sizes[1]}; render as the "
+            "camera sees it, with the same number of pixels and the same side up"
+        )
 
 
 def _description(path: Path) -> RenderDescription:
