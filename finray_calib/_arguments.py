@@ -46,7 +46,7 @@ def _in_words(what: object) -> str:
     """Return what a user gave, in words, such as "a paint calibration" or "a value of type int"."""
     if isinstance(what, Record):
         return kind_in_words(type(what).__name__)
-    return "a single path" if isinstance(what, os.PathLike) else f"a value of type {type(what).__name__}"
+    return "a single path" if isinstance(what, str | os.PathLike) else f"a value of type {type(what).__name__}"
 
 
 def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:

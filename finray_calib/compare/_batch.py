@@ -422,7 +422,7 @@ def _interval_of_left_over(units: _Units, left: float) -> tuple[float | None, fl
         u, method = _jackknife_u(np.log(without)), "jackknife of log(1 - skill) with Student's t"
         half, least = t * u, _least_half_width(u, units.signals) if units.kind == "press" else 0.0
         if least > half:
-            half, method = least, f"{method}, widened because so few presses may be alike by chance"
+            half, method = least, f"{method}, widened by a weak prior, because presses are more alike than usual"
         return 1.0 - left * float(np.exp(half)), 1.0 - left * float(np.exp(-half)), method
     half = t * _jackknife_u(without)
     method = "jackknife of the skill with Student's t, because noise removal leaves some presses without error"

@@ -8,6 +8,7 @@ between the captures are taken out: both are nuisances that the images without c
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -357,24 +358,56 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
         )
     if press.encoding == "unknown" and capture.encoding == "unknown":
         _require_one_scale(press, capture)
+        _require_colours(press, capture)
 
 
-#: Means of two encoded images without contact that differ by this factor are on two scales: 12 bits are 16 times 8,
-#: and a camera whose exposure is off by less still has picture left.
-_OTHER_SCALE = 8.0
+#: A capture has colours where channels of a hundredth of its blocks of pixels differ by more than this share of its
+#: mean: lights of several colours may add up to white where nothing touches, and noise of a white one has no blocks.
+_COLOURED, _COLOUR_BLOCK_PX = 0.1, 8
+
+
+def _require_colours(press: SimulatedPress, capture: TactileCapture) -> None:
+    """Refuse a grey render of encoded values beside a capture in colour."""
+    if (press.contact != press.contact[..., :1]).any():
+        return
+    seen = block_mean(rgb_image(capture.contact, capture), min(_COLOUR_BLOCK_PX, *press.contact.shape[:2]))
+    seen = seen[every_channel(np.isfinite(seen))]
+    if seen.size and float(np.percentile(np.ptp(seen, axis=-1), 99.0)) > _COLOURED * float(seen.mean()):
+        raise CompareError(
+            f"{press.name} is grey, and the capture {capture.name} has colours; render in colour, or capture in grey"
+        )
+
+
+#: Encoded values end at full scale; by more than a highlight only another scale does not.
+_ABOVE_FULL = 1.25
+#: Largest values of the scales that pictures have when nobody asks for the capture's.
+_USUAL_SCALES = (1.0, 255.0)
 
 
 def _require_one_scale(press: SimulatedPress, capture: TactileCapture) -> None:
-    """Refuse encoded values whose full scales differ, such as 0 to 1 or 255 beside 0 to 65535."""
+    """Refuse encoded values whose full scales differ, such as 0 to 1 or 255 beside 0 to 65535.
+
+    Told by the brightest parts of both: images without contact may be black. A render within a smaller usual scale may
+    be on the capture's and dim; it is refused where it would be so by more than half of what the scales differ by.
+    """
     # as stored: clipped pixels, which count as missing, are as large as the scale is
-    rendered = float(np.nanmean(press.no_contact))
-    captured = float(capture.no_contact.mean()) - capture.black_level_dn
-    if not captured / _OTHER_SCALE <= rendered <= captured * _OTHER_SCALE:
+    rendered = max(_brightest(image) for image in (press.contact, press.no_contact))
+    captured = max(_brightest(image) for image in (capture.contact, capture.no_contact)) - capture.black_level_dn
+    full_dn = full_scale_dn(capture)
+    is_smaller = any(
+        0.0 < rendered <= scale < full_dn and captured > rendered * full_dn / scale / 2.0 for scale in _USUAL_SCALES
+    )
+    if is_smaller or rendered > _ABOVE_FULL * full_dn:
         raise CompareError(
-            f"without contact {press.name} has a mean of {rendered:.3g}, {capture.name} of {captured:.3g}; the two may "
-            f"differ by at most {_OTHER_SCALE:g} times: write the render on the scale of the capture, whose pixels "
-            f"have {capture.bit_depth} bits ('finray import render' with --capture refuses another one)"
+            f"the brightest parts of {press.name} are at {rendered:.3g}, those of {capture.name} at {captured:.3g} of "
+            f"{full_dn:.0f}: write the render on the scale of the capture, whose pixels have {capture.bit_depth} bits "
+            "('finray import render' with --capture does), and with its exposure"
         )
+
+
+def _brightest(image: NDArray[Any]) -> float:
+    """Return the value that 0.1 % of an image exceed: single pixels may be wrong."""
+    return float(np.nanpercentile(image, 99.9))
 
 
 #: Angles are set by hand: this near, they are meant to be one.

@@ -6,6 +6,7 @@ the same rules. Here are also the tables and arrays of labels that a recipe name
 """
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -355,25 +356,37 @@ class LabelTable:
     by_path: dict[str, list[dict[str, str]]]
     by_last: dict[str, list[dict[str, str]]]
 
-    def row(self, name: str, path: Path) -> dict[str, str] | None:
-        """Return the line that names a press or its file.
+    def row(self, name: str, file: Path, last_parts: Mapping[str, bool]) -> dict[str, str] | None:
+        """Return the line that names a press or its file in the folder, by last parts only where it alone has them.
 
         Raises
         ------
         LeftOutError
             Several lines that differ do.
         """
-        for table, keys in (
-            (self.by_path, (name, name + path.suffix)),
-            (self.by_last, (composed(path.name), PurePosixPath(name).name)),
-            (self.by_last, (composed(path.stem),)),
-        ):
+        sole = [part for part, is_sole in last_parts.items() if is_sole]
+        paths = (name, name + file.suffix, composed(file.as_posix()))
+        for table, keys in ((self.by_path, paths), (self.by_last, sole), (self.by_last, last_parts)):
             rows = next((table[key] for key in keys if key in table), [])
             if len(rows) > 1:
                 raise LeftOutError("several lines of the table name it, and they differ")
-            if rows:
+            if rows and keys is not last_parts:
                 return dict.fromkeys(self.columns, "") | rows[0]
         return None
+
+
+def last_parts_of(files: Mapping[str, Path]) -> dict[str, dict[str, bool]]:
+    """Return press -> what a line may call it without the folders before, and whether that is said of it alone.
+
+    That is its file, its name, and the stem of its file where the name is in it; of ``{press}/image.png`` all presses
+    would be called "image.png".
+    """
+    called: dict[str, tuple[str, ...]] = {}
+    for name, path in files.items():
+        last, stem = PurePosixPath(name).name, composed(path.stem)
+        called[name] = (composed(path.name), last, *((stem,) if last in stem else ()))
+    presses = Counter(part for parts in called.values() for part in enumerate(parts))
+    return {name: {part: presses[k, part] == 1 for k, part in enumerate(parts)} for name, parts in called.items()}
 
 
 def read_label_table(path: Path, press: str) -> LabelTable:
@@ -455,7 +468,7 @@ def press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
     parts = re.split(r"(\{press\}|\*)", pattern)
     words = {PRESS: "(.+)", "*": "[^/]*"}
     wanted = re.compile("".join(words.get(part, re.escape(composed(part))) for part in parts))
-    found = {}
+    found: dict[str, Path] = {}
     for number, path in enumerate(files_below(folder)):
         if number > MOST_FILES:
             raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a subfolder of it")
@@ -465,6 +478,11 @@ def press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
         if match is not None and fnmatchcase(match[1], recipe.presses.only):
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
+            if match[1] in found:
+                raise ImportFormatError(
+                    f"{found[match[1]]} and {path.relative_to(folder)} are both press '{match[1]}' by presses.files "
+                    f"of the recipe '{recipe.name}' ({pattern}); move one away, or put what differs into {PRESS}"
+                )
             found[match[1]] = path
     if not found:
         raise ImportFormatError(

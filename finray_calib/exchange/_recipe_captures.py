@@ -38,6 +38,7 @@ from finray_calib.exchange._capture_recipe import (
     label_array,
     label_column,
     label_entry,
+    last_parts_of,
     longest_hold,
     named_file,
     named_presses,
@@ -187,6 +188,7 @@ class _Folder:
     recipe: Recipe
     circles: dict[str, SourcedCircle]
     files: dict[str, Path] = field(init=False)
+    _last_parts: dict[str, dict[str, bool]] = field(init=False)
     _found: dict[str, dict[str, Any]] = field(init=False, default_factory=dict)
     _made_of: set[Path] = field(init=False, default_factory=set)
     _pictures: dict[Path, NDArray[Any]] = field(init=False, default_factory=dict)
@@ -199,6 +201,8 @@ class _Folder:
     def __post_init__(self) -> None:
         require_possible_scale(self.recipe)
         self.files = dict(press_files(self.folder, self.recipe))
+        read = {name: path for name, path in self.files.items() if name not in self.recipe.presses.leave_out}
+        self._last_parts = last_parts_of(read)
         for name in self.circles:
             if name not in self.files:
                 raise ImportFormatError(f"--circles: {name} is not a press of {self.folder}; correct the line")
@@ -253,7 +257,7 @@ class _Folder:
             repeat_no_contact=images[2] if len(images) > 2 else None,
             layout="RGB",
             encoding=recipe.picture.encoding,
-            bit_depth=(recipe.picture.bit_depth or 16) if self._is_deep(name) else 8,
+            bit_depth=self._bits(name),
             black_level_dn=0.0,
             exposure_s=None,
             light_angle_deg=None,
@@ -319,6 +323,25 @@ class _Folder:
         if path.suffix.lower() == VIDEO:
             return False
         return path.suffix.lower() == ".exr" or self._pictures[path].dtype == np.uint16
+
+    def _bits(self, name: str) -> Literal[8, 10, 12, 14, 16]:
+        """Return the bits of a press's counts."""
+        bits, path = self.recipe.picture.bit_depth, self.files[name]
+        if bits is None:
+            return 16 if self._is_deep(name) else 8
+        if path.suffix.lower() == ".exr" or not self._is_deep(name):
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': picture.bit_depth = {bits} belongs to pictures of 16 bits, and "
+                f"{path.name} is none; leave it out"
+            )
+        largest, file = max((int(picture.max()), file) for file, picture in self._pictures.items())
+        if largest >= 2**bits:
+            raise ImportFormatError(
+                f"{file}: its largest value is {largest}, and counts of picture.bit_depth = {bits} end at "
+                f"{2**bits - 1}; they must stand right-aligned: divide those of a left-aligned camera by "
+                f"{2 ** (16 - bits)}, or correct bit_depth"
+            )
+        return bits
 
     def _picture(self, path: Path) -> Counts:
         """Return a picture as counts (H, W, 3) in RGB order, stretched where the recipe says so."""
@@ -570,7 +593,7 @@ class _Folder:
         table = self._tables.get((path, press)) or read_label_table(path, press)
         self._tables[path, press] = table
         self._made_of.add(path)
-        row = table.row(name, self.files[name])
+        row = table.row(name, self.files[name].relative_to(self.folder), self._last_parts[name])
         if row is None:
             raise LeftOutError(f"no line of {path.name} names it")
         if value not in row:

@@ -22,7 +22,7 @@ from pydantic import Field, ValidationError
 from data_schemas import ContactCircle, ImportFormatError, Model, Provenance, SimulatedPress, TactileCapture, explain
 from data_schemas.storage import ProductSet, has_file, read_bytes, read_json, read_npy, refuse_existing
 from finray_calib.exchange._paint_reradiation import exr_pixels
-from finray_calib.sensing import contact_distance, outline_distance
+from finray_calib.sensing import contact_distance, outline_distance, rgb_image
 from rigs.cameras import decoded_picture, read_picture
 from sim.experiments import OpticsProducts
 from sim.optics import BAND_NAMES, PixelMaps, exr_image
@@ -282,22 +282,8 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
             f'light) or "encoded" (values of an 8-bit image) into {DESCRIPTION}'
         )
     depth = None if capture is None or capture.encoding == "linear" else capture.bit_depth
-    contact, no_contact = (_image(file, said.channels, depth) for file in (contact_file, rest_file))
-    if contact.shape != no_contact.shape:
-        raise ImportFormatError(
-            f"{folder}: {contact_file.name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_file.name} "
-            f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
-        )
-    if capture is not None and contact.shape[:2] != capture.contact.shape[:2]:
-        sizes = [f"{shape[1]} x {shape[0]} px" for shape in (contact.shape, capture.contact.shape)]
-        raise ImportFormatError(
-            f"{folder}: its images are {sizes[0]}, those of the capture {capture.name} {sizes[1]}; render as the "
-            "camera sees it, with the same number of pixels and the same side up"
-        )
-    if capture is not None and _is_grey(contact) and not _is_grey(capture.contact):
-        raise ImportFormatError(
-            f"{folder}: {contact_file.name} is grey, and the capture {capture.name} has colours; render in colour"
-        )
+    contact, no_contact = _images(contact_file, rest_file, said.channels, depth)
+    _require_sizes(folder, {contact_file.name: contact, rest_file.name: no_contact}, capture)
     distance, how = _distance(folder, contact.shape[:2], capture, said.contact_circle)
     notes = [f"imported from a folder of images, by {said.simulator}; its contact: {how}"]
     notes += [f"rendered by: {said.command}"] if said.command else []
@@ -319,9 +305,22 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
     )
 
 
-def _is_grey(image: NDArray[Any]) -> bool:
-    """Return whether all channels of an image (H, W, C) are equal."""
-    return bool((image == image[..., :1]).all())
+def _require_sizes(folder: Path, images: Mapping[str, Floats], capture: TactileCapture | None) -> None:
+    """Refuse two images of different sizes, or of another one than their capture is compared in."""
+    (contact_name, contact), (rest_name, no_contact) = images.items()
+    if contact.shape != no_contact.shape:
+        raise ImportFormatError(
+            f"{folder}: {contact_name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_name} "
+            f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
+        )
+    # a capture of Bayer counts is compared as a picture of half the side
+    wanted = contact.shape if capture is None else rgb_image(capture.contact, capture).shape
+    if capture is not None and contact.shape[:2] != wanted[:2]:
+        sizes = [f"{shape[1]} x {shape[0]} px" for shape in (contact.shape, wanted)]
+        raise ImportFormatError(
+            f"{folder}: its images are {sizes[0]}, those of the capture {capture.name} {sizes[1]}; render as the "
+            "camera sees it, with the same number of pixels and the same side up"
+        )
 
 
 def _description(path: Path) -> RenderDescription:
@@ -335,18 +334,29 @@ def _description(path: Path) -> RenderDescription:
         raise ImportFormatError(f"{path}: {explain(error, RenderDescription)}") from None
 
 
-def _image(path: Path, channels: str | None, captured_bits: int | None) -> Floats:
-    """Return an image (H, W, 3) in RGB order; a picture in the steps of a capture of so many bits, else of 8 bits."""
-    if path.suffix.lower() not in (".exr", ".npy"):
-        picture = in_colour(pixels_of(path))
-        if picture.dtype == np.uint16 and captured_bits in (None, 8):
-            return np.asarray(picture / 257.0)  # 65535 is full scale, as 255 is
-        if picture.dtype == np.uint8 and captured_bits not in (None, 8):
-            raise ImportFormatError(
-                f"{path}: has 8 bits, and the capture has {captured_bits}; write pictures of 16 bits on the scale of "
-                "the capture's own image without contact"
-            )
-        return picture.astype(np.float64)
+def _images(contact: Path, rest: Path, channels: str | None, captured_bits: int | None) -> list[Floats]:
+    """Return two images (H, W, 3) in RGB order; pictures in the steps of a capture of so many bits, else of 8 bits."""
+    if contact.suffix.lower() in (".exr", ".npy"):
+        return [_array(path, channels) for path in (contact, rest)]
+    pictures = {path: pixels_of(path) for path in (contact, rest)}
+    require_alike(pictures)
+    return [_in_steps(in_colour(picture), path, captured_bits) for path, picture in pictures.items()]
+
+
+def _in_steps(picture: NDArray[Any], path: Path, captured_bits: int | None) -> Floats:
+    """Return a picture in the steps of a capture of so many bits, or of 8 bits."""
+    if picture.dtype == np.uint16 and captured_bits in (None, 8):
+        return np.asarray(picture / 257.0)  # 65535 is full scale, as 255 is
+    if picture.dtype == np.uint8 and captured_bits not in (None, 8):
+        raise ImportFormatError(
+            f"{path}: has 8 bits, and the capture has {captured_bits}; write pictures of 16 bits on the scale of "
+            "the capture's own image without contact"
+        )
+    return picture.astype(np.float64)
+
+
+def _array(path: Path, channels: str | None) -> Floats:
+    """Return an OpenEXR or npy image (H, W, 3) in RGB order."""
     if path.suffix.lower() == ".exr":
         return exr_rgb(path)
     array = read_npy(path, "an image (npy)", ImportFormatError).astype(np.float64)
@@ -562,7 +572,7 @@ def _in_rgb(picture: NDArray[Any], path: Path) -> NDArray[Any]:
     if picture.shape[2] == 4 and (clear := picture[..., 3] < np.iinfo(picture.dtype).max).any():
         raise ImportFormatError(
             f"{path}: {100 * clear.mean():.2g} % of its pixels are transparent, and their colours are not those of the "
-            "camera; save it without transparency, as the camera took it"
+            "camera; save it without transparency, as the camera took it, or render it opaque"
         )
     return picture[..., 2::-1]
 

@@ -49,7 +49,13 @@ if TYPE_CHECKING:
         verdict_sentence,
         verdict_words,
     )
-    from finray_calib.reports._finger_page import ENOUGH_Q2, assessment_page, finger_page, stiffness_rows
+    from finray_calib.reports._finger_page import (
+        ENOUGH_Q2,
+        assessment_page,
+        finger_page,
+        is_contradicted,
+        stiffness_rows,
+    )
     from finray_calib.reports._finger_pictures import (
         finger_page_png,
         indenter_path_png,
@@ -231,6 +237,7 @@ __all__ = [
     "in_rows",
     "indenter_path_png",
     "interval_text",
+    "is_contradicted",
     "label_row",
     "legend_above",
     "level_a_sentence",

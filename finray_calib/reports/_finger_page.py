@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import bdtr
 
 from data_schemas import FingerDesign, FingerStiffness, FingerTolerances, LightAngleDecision, package_version
 from finray_calib.reports._decision_page import limits as decision_limits
@@ -371,6 +372,18 @@ def stiffness_rows(study: FingerStiffness) -> tuple[tuple[str, str, str, str], .
 
 #: Share of the variance of runs left out (Q2) that an emulator of tolerances must explain to be relied on.
 ENOUGH_Q2: Final = 0.9
+_WITHIN, _RARE = 0.95, 0.025  # share of fingers at the joint limit; one side of a 95 % interval
+
+
+def is_contradicted(found: FingerTolerances) -> bool:
+    """Return whether fewer fingers stayed within what is allowed, at the joint limit, than chance lets one expect.
+
+    Parameters
+    ----------
+    found
+        With fingers that were evaluated again at their joint limit.
+    """
+    return float(bdtr(found.checked_within, found.checked_fingers, _WITHIN)) < _RARE
 
 
 def _assessed_numbers(
@@ -386,8 +399,9 @@ def _assessed_numbers(
             "Build tolerances",
             f"{times} times",
             "the given half-ranges, for all numbers together: then 95 % of fingers have at most a tenth more error",
-            light_of(tolerances.q2 >= ENOUGH_Q2),
-            f"by an emulator that explains {percent(tolerances.q2)} of the variance of runs left out",
+            light_of(tolerances.q2 >= ENOUGH_Q2 and not is_contradicted(tolerances)),
+            f"by an emulator that explains {percent(tolerances.q2)} of the variance of runs left out"
+            + ("; fingers evaluated again contradict it" if is_contradicted(tolerances) else ""),
         ),
         KeyNumber("Stiffness under the pad", rows[2][1], rows[2][2]),
     )

@@ -1006,6 +1006,7 @@ USAGE = (
     Case("no samples", BOTH + " --samples 0", "'0' must be an even whole number from 2 to 1000000"),
     Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
-    Case("no seed", "decide {lab}/sweep.json --seed", r"--seed: a value must follow it; 'finray decide --help' expl"),
+    Case("no seed", "decide {lab}/sweep.json --seed", r"--seed: a value must follow it; .*; 'finray decide --help'"),
+    Case("angles below 0", SWEEP + " --angles -60:100:10", r"begins with '-' is joined by '=': --angles=-60"),
     Case("unknown format", "import taxidermy {lab}", r"invalid choice: 'taxidermy' \(choose from '?captures"),
 )

@@ -49,7 +49,7 @@ def test_the_folder_without_a_fault_is_read_and_its_rest_is_no_press(tmp_path):
         (deep, "rest.png", DEEP.format("rest.png")),
         (deep, "p2.png", "p2.png has 16 bits, colour, .*rest.png has 8 bits, colour"),
         (lambda image: image[..., 1], "p*.png", "p0.png has 8 bits, grey, .*rest.png has 8 bits, colour"),
-        (clear, "p*.png", "p0.png: 33 % of its pixels are transparent"),
+        (clear, "p*.png", "p0.png: 33 % of its pixels are transparent.*, or render it opaque"),
         (lambda image: image[::2, ::2], "rest.png", r"different sizes \(160 x 120, 80 x 60 px\)"),
     ],
 )

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas import CompareError, ImportFormatError
+from data_schemas import CompareError, ContactCircle, ImportFormatError
 from finray_calib.compare import compare_press
 from finray_calib.exchange import Recipe, read_by_recipe, read_renders
 from tests.exchange.ball_press_folders import eight_bits
@@ -140,7 +140,6 @@ def test_renders_that_do_not_fit_their_captures_are_refused_with_what_to_do(tmp_
     deep = {name: c.model_copy(update={"bit_depth": 16}) for name, c in captures.items()}
     for change, of, message in (
         (lambda image: image[::2, ::2], captures, r"its images are 80 x 60 px, those of the capture 1 160 x 120 px"),
-        (lambda image: image[..., 1], captures, r"is grey, and the capture 1 has colours; render in colour"),
         (same, deep, r"has 8 bits, and the capture has 16; write pictures of 16 bits"),
         (same, {f"press {k}": c for k, c in captures.items()}, r"no capture of the name of 1.*: press 1, press 2, "),
     ):
@@ -149,14 +148,138 @@ def test_renders_that_do_not_fit_their_captures_are_refused_with_what_to_do(tmp_
             read_renders(folder, of)
 
 
-def test_encoded_values_on_two_scales_are_not_compared(tmp_path, captures):
-    """A perfect render of 8 bits had a skill of -43 beside its capture of 16 bits, without a word."""
-    press = read_renders(renders_of(tmp_path / "r"), captures)["1"]
-    deep = captures["1"].model_copy(
-        update={
-            "contact": captures["1"].contact * SIXTEEN, "no_contact": captures["1"].no_contact * SIXTEEN,
-            "bit_depth": 16,
-        }
-    )  # fmt: skip
-    with pytest.raises(CompareError, match=r"write the render on the scale of the capture, whose pixels have 16 bits"):
-        compare_press(press, deep, seed=1)
+def bayer(capture):
+    """The capture as a sensor of twice the side counts it, in linear light."""
+    planes = {}
+    for what in ("contact", "no_contact"):
+        image = getattr(capture, what)
+        planes[what] = np.zeros((2 * image.shape[0], 2 * image.shape[1], 1), np.uint16)
+        for (row, column), channel in {(0, 0): 0, (0, 1): 1, (1, 0): 1, (1, 1): 2}.items():
+            planes[what][row::2, column::2, 0] = image[..., channel]
+    circle = capture.contact_circle
+    larger = ContactCircle(
+        row_px=2 * circle.row_px + 0.5, column_px=2 * circle.column_px + 0.5, radius_px=2 * circle.radius_px
+    )
+    return capture.model_copy(update={**planes, "layout": "Bayer RGGB", "encoding": "linear", "contact_circle": larger})
+
+
+def test_a_render_has_the_size_in_which_a_capture_of_bayer_counts_is_compared(tmp_path, captures):
+    counted = {name: bayer(capture) for name, capture in captures.items()}
+    folder = renders_of(tmp_path / "r")
+    for k in counted:
+        (folder / k / "render.json").write_text('{"encoding": "linear"}')
+    found = read_renders(folder, counted)["1"]
+    assert compare_press(found, counted["1"], seed=1).headline_skill.estimate > 0.99
+    with pytest.raises(ImportFormatError, match=r"images are 320 x 240 px, those of the capture 1 160 x 120 px"):
+        read_renders(renders_of(tmp_path / "full", change=lambda image: image.repeat(2, 0).repeat(2, 1)), counted)
+
+
+def times(images, factor, **fields):
+    """A render or capture whose values are so many times as large."""
+    kind = images.contact.dtype
+    scaled = {what: (getattr(images, what) * float(factor)).astype(kind) for what in ("contact", "no_contact")}
+    return images.model_copy(update={**scaled, **fields})
+
+
+@pytest.mark.parametrize(
+    ("of_render", "of_capture", "bits", "is_compared"),
+    [
+        (1, 1, 8, True),
+        (16, 16, 12, True),
+        # a render in the units of the capture, and dim: its brightest part is at 178 of 4095
+        (1, 5, 12, True),
+        # 9.8 times too bright is to be scored, and so is 9.8 times too dim
+        (1, 1 / 9.8, 8, True),
+        (1 / 9.8, 1, 8, True),
+        # a perfect render of 8 bits had a skill of -43 beside its capture of 16 bits, without a word
+        (1, 4, 10, False),
+        (1, 16, 12, False),
+        (1, 257, 16, False),
+        (257, 64, 14, False),
+        (257, 16, 12, False),
+        (257, 1, 8, False),
+        (1 / 255, 1, 8, False),
+        (1 / 255, 257, 16, False),
+    ],
+)
+def test_encoded_values_on_two_scales_are_not_compared(tmp_path, captures, of_render, of_capture, bits, is_compared):
+    press = times(read_renders(renders_of(tmp_path / "r"), captures)["1"], of_render)
+    capture = times(captures["1"], of_capture, bit_depth=bits)
+    if is_compared:
+        assert np.isfinite(compare_press(press, capture, seed=1).headline_skill.estimate)
+        return
+    with pytest.raises(CompareError, match=rf"at [\d.e+-]+, those of 1 at .*: write the render .* have {bits} bits"):
+        compare_press(press, capture, seed=1)
+
+
+def test_images_that_are_black_without_contact_are_compared(tmp_path, captures):
+    press, capture = read_renders(renders_of(tmp_path / "r"), captures)["1"], captures["1"]
+    change = np.maximum(press.contact - press.no_contact, 0.0)
+    dark = press.model_copy(update={"contact": change, "no_contact": np.zeros_like(change)})
+    seen = np.minimum(change + 2.0, 255.0).astype(np.uint16)
+    lit = capture.model_copy(update={"contact": seen, "no_contact": np.full_like(seen, 2)})
+    # the 2 DN that the render lacks are an error, and no other scale
+    assert 0.5 < compare_press(dark, lit, seed=1).headline_skill.estimate < 1.0
+
+
+def grey(image):
+    return image[..., 1]
+
+
+def test_a_grey_render_is_compared_with_light_that_is_white_up_to_noise_but_not_with_colours(tmp_path, captures):
+    found = read_renders(renders_of(tmp_path / "r", change=grey), captures)["1"]
+    with pytest.raises(CompareError, match=r"1 is grey, and the capture 1 has colours; render in colour"):
+        compare_press(found, captures["1"], seed=1)
+    rng = np.random.default_rng(1)
+    white = {}
+    for what in ("contact", "no_contact"):
+        image = getattr(captures["1"], what)[..., 1:2].astype(int)
+        white[what] = np.clip(image + rng.integers(-1, 2, (*image.shape[:2], 3)), 0, 255).astype(np.uint16)
+    assert compare_press(found, captures["1"].model_copy(update=white), seed=1).headline_skill.estimate > 0.9
+
+
+@pytest.mark.parametrize(
+    ("rest_change", "kind"), [(grey, "8 bits, grey"), (twelve_bits, "16 bits, colour")], ids=["grey", "16 bits"]
+)
+def test_a_render_whose_two_images_differ_in_kind_is_refused(tmp_path, captures, rest_change, kind):
+    folder = renders_of(tmp_path / "r")
+    put(folder / "1" / "no_contact.png", rest_change(UNTOUCHED))
+    with pytest.raises(ImportFormatError, match=rf"contact.png has 8 bits, colour, .*no_contact.png has {kind}: value"):
+        read_renders(folder, captures)
+
+
+def test_a_line_that_calls_by_what_all_presses_have_in_common_names_none(tmp_path):
+    for k, image in enumerate(PRESSES, start=1):
+        put(tmp_path / f"{k}" / "image.png", image)
+    put(tmp_path / "rest.png", UNTOUCHED)
+    recipe = recipe_of("{press}/image.png", "rest.png")
+    for called in ("image", "image.png"):
+        (tmp_path / "labels.csv").write_text(f"file,x,y,r\n{called},80,60,20\n")
+        with pytest.raises(ImportFormatError, match=r"none of its 5 presses .*: no line of labels.csv names it"):
+            read_by_recipe(tmp_path, recipe)
+    (tmp_path / "labels.csv").write_text("file,x,y,r\n1/image.png,80,60,20\n/elsewhere/2,80,60,20\n")
+    assert list(read_by_recipe(tmp_path, recipe).captures) == ["1", "2"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (same, r"picture.bit_depth = 12 belongs to pictures of 16 bits, and p1.png is none; leave it"),
+        (
+            lambda image: image * SIXTEEN,
+            r"png: its largest value is \d{5}, and counts of .* = 12 end at 4095; .* by 16,",
+        ),
+    ],
+    ids=["8 bits", "left-aligned"],
+)
+def test_counts_that_are_not_of_the_stated_bits_are_refused(tmp_path, change, message):
+    folder = set_of(tmp_path, "p{}.png", "rest.png", change)
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(folder, recipe_of("p{press}.png", "rest.png", bit_depth=12))
+
+
+def test_two_files_of_one_press_are_refused(tmp_path):
+    folder = set_of(tmp_path, "p{}.png", "rest.png")
+    put(folder / "p1.jpg", PRESSES[1])
+    with pytest.raises(ImportFormatError, match=r"p1\.(png|jpg) and p1\.(png|jpg) are both press '1' by presses.files"):
+        read_by_recipe(folder, recipe_of("p{press}.*", "rest.png"))

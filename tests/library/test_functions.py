@@ -243,8 +243,9 @@ def test_what_is_no_list_of_records_is_refused_by_its_own_name(lab, paint, tmp_p
     for wrong in (None, 7, np.nan):
         with pytest.raises(RecordError, match="bands: a list is needed, each a BandSignals or the path"):
             finray.fit_paint(wrong)
-    with pytest.raises(RecordError, match=r"other_lights: a list is needed, .*; a single path was given"):
-        finray.fit_paint(lab / "bands.json", other_lights=lab / "bands.json")
+    for path in (lab / "bands.json", str(lab / "bands.json")):
+        with pytest.raises(RecordError, match=r"other_lights: a list is needed, .*; a single path was given"):
+            finray.fit_paint(lab / "bands.json", other_lights=path)
     with pytest.raises(RecordError, match=r"sweeps: a light angle sweep is needed; a paint calibration was given"):
         finray.decide_light_angle(paint)
     with pytest.raises(RecordError, match="reports: a list is needed"):

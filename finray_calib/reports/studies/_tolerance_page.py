@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.stats import binom
 
 from data_schemas import FingerDesign, FingerTolerances, ToleranceRow, ToleranceSide, package_version
 from finray_calib.reports import (
@@ -28,6 +27,7 @@ from finray_calib.reports import (
     drawing,
     files_table,
     finger_outline,
+    is_contradicted,
     label_row,
     legend_above,
     light_of,
@@ -58,7 +58,6 @@ _LABEL_ROW_MM: Final = 17.0
 _MARGIN_MM: Final = 20.0
 _WIDTH_IN: Final = 9.5
 _CONFIDENCE: Final = 0.95
-_RARE: Final = 0.025  # one side of a 95 % interval
 
 
 def tolerance_page(found: FingerTolerances, command: str, digests: Mapping[str, str]) -> str:
@@ -99,13 +98,8 @@ def tolerance_page(found: FingerTolerances, command: str, digests: Mapping[str, 
 
 def _light(found: FingerTolerances) -> Light:
     """Return how good the given tolerances are; never good by an emulator that is not, or that fingers contradict."""
-    is_known = found.q2 >= ENOUGH_Q2 and not _is_contradicted(found)
+    is_known = found.q2 >= ENOUGH_Q2 and not is_contradicted(found)
     return light_of(found.within_given_share >= _CONFIDENCE and is_known, is_bad=found.within_given_share < 0.5)
-
-
-def _is_contradicted(found: FingerTolerances) -> bool:
-    """Return whether fewer fingers stayed within what is allowed, at the joint limit, than chance lets one expect."""
-    return float(binom.cdf(found.checked_within, found.checked_fingers, _CONFIDENCE)) < _RARE
 
 
 def _verdict(found: FingerTolerances) -> str:
@@ -114,7 +108,7 @@ def _verdict(found: FingerTolerances) -> str:
     told = f"The expected error grows by at most {allowed} in {share} of fingers that vary as given"
     if found.q2 < ENOUGH_Q2:
         return f"{told}, by an emulator that explains {percent(found.q2)} of its variance: give more runs (--runs)"
-    return f"{told}; fingers evaluated again contradict it" if _is_contradicted(found) else told
+    return f"{told}; fingers evaluated again contradict it" if is_contradicted(found) else told
 
 
 def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
@@ -134,8 +128,8 @@ def _key_numbers(found: FingerTolerances) -> tuple[KeyNumber, ...]:
             f"{found.checked_within} of {found.checked_fingers}",
             f"fingers within the allowed growth, with other paths, paint draws and noise (expected: "
             f"{percent(_CONFIDENCE)})",
-            light_of(not _is_contradicted(found)),
-            "fewer than chance explains" if _is_contradicted(found) else "as many as chance explains",
+            light_of(not is_contradicted(found)),
+            "fewer than chance explains" if is_contradicted(found) else "as many as chance explains",
         ),
         KeyNumber("The emulator predicts", percent(found.q2), "of the variance of runs left out (Q2)", good,
                   f"{'at least' if good == 'good' else 'less than'} {percent(ENOUGH_Q2)}"),
