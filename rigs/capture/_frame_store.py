@@ -34,6 +34,8 @@ SPACE_FACTOR = 1.1  # of the frames: room for TIFF headers, journal and record
 MOST_WAITING = 4  # frames in memory that are not on the disk yet
 LARGEST_CHANGE = 1.25
 """Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
+SAME_SHARE = 0.05
+"""By which a light differs that was put right: less than the change that ends a session, more than a warm lamp's."""
 WRITE_WITHIN_S = 2.0 * DISK_WITHIN_S  # a frame, then its line of the journal
 
 
@@ -217,6 +219,11 @@ class FrameStore:
         """Return the rate that is clearly seen in a frame (DN/s)."""
         return float(LEAST_SIGNAL_FRACTION * self.full_scale_dn / exposure_s)
 
+    def are_same(self, now: Rates, before: Rates, exposure_s: float) -> bool:
+        """Return whether two rates (DN/s) agree, but for light that repeats and a black level that is a little off."""
+        dark_dn_per_s = DARK_SHARE * self.full_scale_dn / exposure_s
+        return all(abs(a - b) <= SAME_SHARE * b + dark_dn_per_s for a, b in zip(now, before, strict=True))
+
     def require_as_metered(self, step: Step, raw: RawFrame, metered: Metered | None) -> None:
         """Refuse a frame whose signal is not that of its step's metering, or is light in the dark.
 
@@ -247,8 +254,7 @@ class FrameStore:
     def require_same_colour(self, step: Step, raw: RawFrame, metered: Metered) -> None:
         """Refuse a frame whose channels stand in another ratio than at its step's metering.
 
-        Light that only dims keeps the ratios; a part of another filter in the beam changes them. Where the laser itself
-        passes the filter nothing is compared: its wavelength drifts, and the ratios with it.
+        Light that only dims keeps the ratios; a part of another filter in the beam changes them.
 
         Raises
         ------
@@ -256,21 +262,31 @@ class FrameStore:
             They do, by more than noise, dark level and linearity allow.
         """
         longer = raw.exposure_s > metered.exposure_s * (1.0 + SAME_EXPOSURE_REL)  # may be saturated
-        rows, columns = self.region
         # a hot pixel lifts the mean of a small region
         is_clipped = saturated_fraction(raw.counts[self.region], self.full_scale_dn) > 0.0
-        if longer or is_clipped or (step.light == "laser" and step.filter_name in self._passing_laser):
+        if longer or is_clipped:
             return
-        pixels = (rows.stop - rows.start) * (columns.stop - columns.start)
         now = Metered(self.rates(raw.counts, raw.exposure_s), raw.exposure_s)
-        change, allowed = colour_change(now, metered, self._settings, pixels)
-        if change > allowed:
+        changed = self.other_colour(step, now, metered)
+        if changed is not None:
             raise SignalChangedError(
                 f"camera: {step.label} shows another colour than at metering: two of its channels stand in a ratio "
-                f"that changed by {100 * change:.2g} % ({100 * allowed:.2g} % is allowed), which no light that only "
+                f"that changed by {changed}, which no light that only "
                 "dims does: the wheel stopped between two filters, or other light came in; home the wheel, close the "
                 "box, then continue or resume: all steps are metered again"
             )
+
+    def other_colour(self, step: Step, now: Metered, before: Metered) -> str | None:
+        """Return by how much a ratio of two channels changed beyond what is allowed; None where none did.
+
+        Where the laser itself passes the filter nothing is compared: its wavelength drifts, and the ratios with it.
+        """
+        if step.light == "laser" and step.filter_name in self._passing_laser:
+            return None
+        rows, columns = self.region
+        pixels = (rows.stop - rows.start) * (columns.stop - columns.start)
+        change, allowed = colour_change(now, before, self._settings, pixels)
+        return f"{100 * change:.2g} % ({100 * allowed:.2g} % is allowed)" if change > allowed else None
 
     def missing(self, shots: Iterable[Shot]) -> list[Shot]:
         """Return the shots that are still to be taken, after checking that the disk can hold them.

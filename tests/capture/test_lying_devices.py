@@ -211,3 +211,51 @@ def test_a_wheel_that_stops_between_two_slots_leaves_no_frame(tmp_path: Path, ti
     assert len(why) == resumes
     assert all("shows another colour than at metering" in text for text in why)
     assert times > 1 or leaking.camera.leaks == 1  # it did leak, and the frame was taken again
+
+
+@dataclass
+class TintedCamera:
+    """Under the lamp, red rises by 2 % for good from a frame on: it is another lamp, but no other level."""
+
+    opened: OpenRig
+    begins: int
+    taken: int = 0
+
+    def identity(self) -> DeviceIdentity:
+        return self.opened.camera.identity()
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        self.taken += 1
+        raw, state = self.opened.camera.expose(exposure_s, deadline_s), self.opened.camera.state
+        tinted = state.lamp and self.taken >= self.begins
+        signal = raw.counts.astype(np.float64)
+        if tinted:
+            signal[0::2, 0::2] += 0.02 * (signal[0::2, 0::2] - BLACK_DN)
+        noise = np.random.default_rng(self.taken).random(signal.shape)  # rounding must not lose what was added
+        counts = np.floor(signal + noise * tinted).clip(0, 1023).astype(np.uint16)
+        return replace(raw, counts=counts, settings={**raw.settings, "tinted": float(tinted)})
+
+
+@pytest.mark.parametrize("is_mended", [False, True])
+def test_a_session_whose_lamp_changed_its_colour_for_good_is_finished(tmp_path: Path, is_mended: bool) -> None:
+    """What was metered before is another colour: the frames are taken again, and not compared with it for ever."""
+    rig = simulated_rig("red", width_px=256, height_px=256)
+    plan = paint_plan("red", rig.camera).model_copy(
+        update={"filters": ("450", "560", "600", "630"), "bracket": (1.0, 0.25), "darks_per_exposure": 2}
+    )
+    steps, request, interrupted = paint_steps(plan, rig), SessionRequest(tmp_path / "s", "pytest"), None
+    asked: list[str] = []
+
+    def mend(text: str) -> bool:
+        asked.append(text)
+        return is_mended
+
+    with open_rig(rig, Path()) as opened:
+        other = replace(opened, camera=TintedCamera(opened, METERED + 1))
+        if not is_mended:
+            with pytest.raises(CaptureError, match="shows another colour than at metering"):
+                capture_with(other, rig, plan, steps, request, mend=mend)
+            interrupted = read_interrupted(tmp_path / "s")
+        session = capture_with(other, rig, plan, steps, request, interrupted=interrupted, mend=mend)
+    assert len(asked) == 1
+    assert {frame.settings["tinted"] for frame in session.frames if frame.light == "lamp"} == {1.0}
