@@ -29,7 +29,7 @@ from rigs.capture._resume import PROVEN_EVENT, Interrupted, is_compared, set_asi
 from rigs.capture._session_folder import SessionWatch
 
 BYTES_PER_PIXEL = 2
-DARK_SHARE = 1e-3  # of full scale: by as much the black level of a rig file is off
+DARK_SHARE = 1e-3  # of full scale: by as much the black level of a rig file is off, and drifts in a session
 SPACE_FACTOR = 1.1  # of the frames: room for TIFF headers, journal and record
 MOST_WAITING = 4  # frames in memory that are not on the disk yet
 LARGEST_CHANGE = 1.25
@@ -49,8 +49,7 @@ LINEARITY_REL: Final = 0.01
 """The same at another exposure: by so much a check of the rig lets a camera's response be curved."""
 COLOUR_SD: Final = 5.0
 """Standard deviations by noise: 300 ratios of a session are beyond it by chance once in 5,000 sessions."""
-WANDER_SHARE, LEAST_WANDER_DN = 2e-4, 0.25
-"""Of full scale, and at least: by so much the dark level wanders, or rounding hides a dim channel's mean."""
+LEAST_WANDER_DN = 0.25  # rounding hides a dim channel's mean by so much
 
 Rates = tuple[float, float, float]
 
@@ -87,7 +86,7 @@ def colour_change(now: Metered, before: Metered, camera: CameraSettings, pixels:
         Change and what is allowed, relative (1).
     """
     full_dn = 2**camera.bit_depth - 1
-    wander_dn = max(WANDER_SHARE * full_dn, LEAST_WANDER_DN)
+    wander_dn = max(DARK_SHARE * full_dn, LEAST_WANDER_DN)
     level = DARK_SHARE * full_dn * abs(1.0 / now.exposure_s - 1.0 / before.exposure_s)
     dark = level + wander_dn / min(now.exposure_s, before.exposure_s)
     is_same = abs(now.exposure_s / before.exposure_s - 1.0) <= SAME_EXPOSURE_REL
@@ -272,8 +271,8 @@ class FrameStore:
             raise SignalChangedError(
                 f"camera: {step.label} shows another colour than at metering: two of its channels stand in a ratio "
                 f"that changed by {changed}, which no light that only "
-                "dims does: the wheel stopped between two filters, or other light came in; home the wheel, close the "
-                "box, then continue or resume: all steps are metered again"
+                "dims does: the wheel stopped between two filters, or other light came in, or the dark level drifted: home the wheel, "
+                "close the box, let the camera warm up, then continue or resume: all steps are metered again"
             )
 
     def other_colour(self, step: Step, now: Metered, before: Metered) -> str | None:

@@ -5,15 +5,18 @@ Each frame carries what was true while it was exposed: slot, lights, exposure. I
 
 import errno
 import random
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from data_schemas import CaptureError, CaptureSession, DeviceIdentity
+from data_schemas import CaptureError, CaptureSession, DeviceIdentity, SignalChangedError
 from rigs import OpenRig, RawFrame, open_rig, paint_plan, simulated_rig
-from rigs.capture import SessionRequest, _frame_store, paint_steps, read_interrupted
+from rigs.capture import SessionRequest, Step, _frame_store, paint_steps, read_interrupted
+from rigs.capture._frame_store import FrameStore, Metered
+from rigs.capture._journal import Journal
 from rigs.capture._paint_session import capture_with
 
 METERED = 35
@@ -259,3 +262,32 @@ def test_a_session_whose_lamp_changed_its_colour_for_good_is_finished(tmp_path: 
         session = capture_with(other, rig, plan, steps, request, interrupted=interrupted, mend=mend)
     assert len(asked) == 1
     assert {frame.settings["tinted"] for frame in session.frames if frame.light == "lamp"} == {1.0}
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[FrameStore]:
+    rig = simulated_rig("red", width_px=256, height_px=256)
+    region = paint_plan("red", rig.camera).region
+    with open_rig(rig, Path()) as opened, Journal(tmp_path, opened.clock, resumed=False) as journal:
+        yield FrameStore(opened, rig, region, tmp_path, journal)
+
+
+def even(red_dn: float, green_dn: float, blue_dn: float, read_back_s: float = 0.1) -> RawFrame:
+    """Return a frame of 0.1 s whose channels are even, above the black level."""
+    counts = np.full((256, 256), round(BLACK_DN + green_dn), dtype=np.uint16)
+    counts[0::2, 0::2], counts[1::2, 1::2] = round(BLACK_DN + red_dn), round(BLACK_DN + blue_dn)
+    return RawFrame(counts, 0.1, read_back_s, "")
+
+
+LAMP = Step("white", "white", "lamp", "560", 5)
+
+
+def metered_by(store: FrameStore, raw: RawFrame) -> Metered:
+    return Metered(store.rates(raw.counts, raw.exposure_s), raw.exposure_requested_s)
+
+
+def test_a_dark_level_that_drifts_by_one_count_is_no_other_colour(store: FrameStore) -> None:
+    """The check of a rig lets it drift by two; a dim channel changes by 2 % by it."""
+    store.require_same_colour(LAMP, even(401, 301, 51), metered_by(store, even(400, 300, 50)))
+    with pytest.raises(SignalChangedError, match=r"or the dark level drifted: .* let the camera warm up"):
+        store.require_same_colour(LAMP, even(400, 300, 55), metered_by(store, even(400, 300, 50)))
