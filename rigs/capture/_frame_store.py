@@ -45,6 +45,8 @@ SAME_EXPOSURE_REL: Final = 1e-3
 SAME_RATIO_REL: Final = 0.002
 """By which a ratio of two channels may change at one exposure: light that dims by 5 % on a curve of 1 % moves it by
 less."""
+MOST_CLIPPED: Final = 1e-4
+"""Of the region: so many hot pixels, even if all were red, lift the mean of red by less than DARK_SHARE."""
 LINEARITY_REL: Final = 0.01
 """The same at another exposure: by so much a check of the rig lets a camera's response be curved."""
 COLOUR_SD: Final = 5.0
@@ -260,19 +262,20 @@ class FrameStore:
         SignalChangedError
             They do, by more than noise, dark level and linearity allow.
         """
-        longer = raw.exposure_s > metered.exposure_s * (1.0 + SAME_EXPOSURE_REL)  # may be saturated
-        # a hot pixel lifts the mean of a small region
-        is_clipped = saturated_fraction(raw.counts[self.region], self.full_scale_dn) > 0.0
+        # by what was asked for: a camera that rounds exposures rounds those of the metering alike
+        asked_s = raw.exposure_requested_s
+        longer = asked_s > metered.exposure_s * (1.0 + SAME_EXPOSURE_REL)  # may be saturated
+        is_clipped = saturated_fraction(raw.counts[self.region], self.full_scale_dn) > MOST_CLIPPED
         if longer or is_clipped:
             return
-        now = Metered(self.rates(raw.counts, raw.exposure_s), raw.exposure_s)
+        now = Metered(self.rates(raw.counts, raw.exposure_s), asked_s)
         changed = self.other_colour(step, now, metered)
         if changed is not None:
             raise SignalChangedError(
                 f"camera: {step.label} shows another colour than at metering: two of its channels stand in a ratio "
-                f"that changed by {changed}, which no light that only "
-                "dims does: the wheel stopped between two filters, or other light came in, or the dark level drifted: home the wheel, "
-                "close the box, let the camera warm up, then continue or resume: all steps are metered again"
+                f"that changed by {changed}, which no light that only dims does: the wheel stopped between two "
+                "filters, or other light came in, or the dark level drifted: home the wheel, close the box, let the "
+                "camera warm up, then continue or resume: all steps are metered again"
             )
 
     def other_colour(self, step: Step, now: Metered, before: Metered) -> str | None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas import CaptureError, CaptureSession, DeviceIdentity, SignalChangedError
+from data_schemas import CaptureError, CaptureSession, DeviceIdentity, RegionOfInterest, SignalChangedError
 from rigs import OpenRig, RawFrame, open_rig, paint_plan, simulated_rig
 from rigs.capture import SessionRequest, Step, _frame_store, paint_steps, read_interrupted
 from rigs.capture._frame_store import FrameStore, Metered
@@ -267,7 +267,7 @@ def test_a_session_whose_lamp_changed_its_colour_for_good_is_finished(tmp_path: 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[FrameStore]:
     rig = simulated_rig("red", width_px=256, height_px=256)
-    region = paint_plan("red", rig.camera).region
+    region = RegionOfInterest(row_px=0, column_px=0, height_px=256, width_px=256)
     with open_rig(rig, Path()) as opened, Journal(tmp_path, opened.clock, resumed=False) as journal:
         yield FrameStore(opened, rig, region, tmp_path, journal)
 
@@ -291,3 +291,17 @@ def test_a_dark_level_that_drifts_by_one_count_is_no_other_colour(store: FrameSt
     store.require_same_colour(LAMP, even(401, 301, 51), metered_by(store, even(400, 300, 50)))
     with pytest.raises(SignalChangedError, match=r"or the dark level drifted: .* let the camera warm up"):
         store.require_same_colour(LAMP, even(400, 300, 55), metered_by(store, even(400, 300, 50)))
+
+
+@pytest.mark.parametrize("read_back_s", [0.0997, 0.1, 0.1003])
+@pytest.mark.parametrize("hot_pixels", [0, 1])
+def test_colour_is_compared_by_a_camera_that_rounds_exposures_or_has_a_hot_pixel(
+    store: FrameStore, read_back_s: float, hot_pixels: int
+) -> None:
+    """The limit stays that of one exposure: with 1 % for linearity, this change by 1.2 % would pass."""
+    metered, other = even(900, 800, 800, read_back_s), even(900, 800, 810, read_back_s)
+    for raw in (metered, other):
+        raw.counts[128, 128 : 128 + hot_pixels] = 1023
+    store.require_same_colour(LAMP, metered, metered_by(store, metered))
+    with pytest.raises(SignalChangedError, match="another colour"):
+        store.require_same_colour(LAMP, other, metered_by(store, metered))
