@@ -159,12 +159,12 @@ def test_a_disk_that_was_full_and_is_free_again_loses_nothing(tmp_path: Path, mo
     assert "No space left on device" in resumes[0]
 
 
-SHARE, SLOT, NEIGHBOUR, BLACK_DN = 0.1, 6, 5, 16.0
+SHARE, SLOT, NEIGHBOUR, BLACK_DN = 0.2, 6, 5, 16.0
 
 
 @dataclass
 class LeakingCamera:
-    """Behind one filter, a tenth of the beam passes the neighbouring one: at the sample, so many times from a frame on.
+    """Behind one filter, a fifth of the beam passes the neighbouring one: at the sample, so many times from a frame on.
 
     It stands for a wheel that stops between two slots and reports one of them.
     """
