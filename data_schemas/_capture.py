@@ -149,8 +149,16 @@ class Frame(Model):
 class FilterProof(Model):
     """Whether the frames themselves show the filters that the wheel claims."""
 
+    others_in_place: ClassVar[str] = "the others are where they should be"
+    """In the text of a proof that cannot distinguish some filters, where it does distinguish others."""
+
     verdict: Literal["confirmed", "contradicted", "cannot tell"]
     text: str
+
+    @property
+    def shows_turns(self) -> bool:
+        """Whether frames at two slots at least differ as their filters do: a wheel that stays shows no such frames."""
+        return self.verdict == "confirmed" or (self.verdict == "cannot tell" and self.others_in_place in self.text)
 
 
 class CaptureSession(Record):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from statistics import median
+from statistics import linear_regression, median
 from typing import Final
 
 from data_schemas import (
@@ -10,8 +10,10 @@ from data_schemas import (
     CheckFacts,
     CheckPlan,
     CheckResult,
+    DarkFrames,
     DeviceIdentity,
     DiodeLevels,
+    ExposureLevel,
     Handshake,
     LaserSettings,
     LightLayer,
@@ -160,7 +162,9 @@ UNSEEN_LASER: Final = (
 DARK_SD: Final = 6.0
 """Standard deviations of the mean of a dark frame: by noise one is beyond once in 10^9."""
 LEAST_ABOVE_DN: Final = 0.25
-"""Of the mean of a region: rounding and a wandering dark level move it by less."""
+"""Of the mean of a region: rounding moves it by less."""
+LEAST_ABOVE_SHARE: Final = 2e-4
+"""Of full scale: a dark level wanders by less within a part of the check."""
 LEAST_SEEN: Final = 10.0
 """Of that margin: a laser that is seen by less is no proof."""
 OTHER_DARK: Final = (
@@ -194,12 +198,12 @@ _LAYERS: Final[dict[LightLayer, tuple[str, str]]] = {
 }
 
 
-def judge_light_off(facts: CheckFacts, plan: CheckPlan, laser: LaserSettings) -> tuple[CheckResult, ...]:
+def judge_light_off(facts: CheckFacts, plan: CheckPlan, rig: RigFile) -> tuple[CheckResult, ...]:
     """Return one result for each safety layer of the laser."""
-    return tuple(_light_off(layer, plan, facts, laser) for layer in facts.light_off)
+    return tuple(_light_off(layer, plan, facts, rig) for layer in facts.light_off)
 
 
-def _light_off(layer: LightOff, plan: CheckPlan, facts: CheckFacts, laser: LaserSettings) -> CheckResult:
+def _light_off(layer: LightOff, plan: CheckPlan, facts: CheckFacts, rig: RigFile) -> CheckResult:
     """Judge one layer by its slowest mishap."""
     name, mishap = _LAYERS[layer.layer]
     what = f"time until the laser is off when {mishap}"
@@ -220,15 +224,15 @@ def _light_off(layer: LightOff, plan: CheckPlan, facts: CheckFacts, laser: Laser
     evidence = f"slowest of {len(layer.latest_s)} mishaps, {by}"
     found = measured("light off", name, what, value_s, sd_s, "s", evidence, limits=ToleranceInterval(None, limit_s))
     if layer.witness == "a photodiode":
-        return _by_photodiode(found, facts.diode, laser)
-    return _by_camera(found, facts.sight, laser) if layer.witness == "the camera" else _by_report(found, facts, laser)
+        return _by_photodiode(found, facts.diode, rig.laser)
+    return _by_camera(found, facts.sight, rig.laser) if layer.witness == "the camera" else _by_report(found, facts, rig)
 
 
-def _by_report(found: CheckResult, facts: CheckFacts, laser: LaserSettings) -> CheckResult:
+def _by_report(found: CheckResult, facts: CheckFacts, rig: RigFile) -> CheckResult:
     """Let a controller's word pass where the camera saw the laser go off whenever it said so: in the stray light part.
 
     Behind the filter that passes the laser, every frame with the laser off must be as dark as those behind a filter
-    that blocks it, by the line through the shortest dark frames.
+    that blocks it, by the line through the shortest dark frames, but for what the dark level drifted since those.
     """
     stray = facts.stray_light
     if stray is None or stray.passed is None or not stray.blocked or not facts.darks:
@@ -238,15 +242,23 @@ def _by_report(found: CheckResult, facts: CheckFacts, laser: LaserSettings) -> C
     longer_dn, first = sum(blocked.dark_dn) / len(blocked.dark_dn), facts.darks[0]
     shortest_dn = min(sum(first.means_dn) / len(first.means_dn), longer_dn)
     dark_dn = shortest_dn + (longer_dn - shortest_dn) * min(passed.exposure_s / blocked.exposure_s, 1.0)
-    middle_dn = median(passed.dark_dn)
     # by the median distance: a single lit frame must not widen what counts as dark
-    scatter_dn = 1.4826 * median(abs(dn - middle_dn) for dn in passed.dark_dn)
-    margin_dn = max(DARK_SD * scatter_dn, LEAST_ABOVE_DN)
+    apart_dn = [abs(dn - median(level.dark_dn)) for level in (passed, blocked) for dn in level.dark_dn]
+    least_dn = max(LEAST_ABOVE_DN, LEAST_ABOVE_SHARE * (2**rig.camera.bit_depth - 1))
+    margin_dn = max(DARK_SD * 1.4826 * median(apart_dn), least_dn) + _drift_dn(facts.darks, blocked)
     seen_dn = sum(passed.white_dn) / len(passed.white_dn) - dark_dn
     if seen_dn < LEAST_SEEN * margin_dn or max(passed.dark_dn) > dark_dn + margin_dn:
         return not_proven(found, UNSEEN_LASER)
     dark = f"before, the camera saw it dark behind filter {stray.passed.filter_name} whenever it was reported off"
-    return _with_unseen(found, margin_dn / seen_dn, dark, laser)
+    return _with_unseen(found, margin_dn / seen_dn, dark, rig.laser)
+
+
+def _drift_dn(darks: Sequence[DarkFrames], later: ExposureLevel) -> float:
+    """Return by how much the dark level of a later part differs from the line through the dark frames (DN)."""
+    exposures_s = [one.exposure_s for one in darks]
+    means_dn = [sum(one.means_dn) / len(one.means_dn) for one in darks]
+    rate, level_dn = (0.0, means_dn[0]) if len(set(exposures_s)) < 2 else linear_regression(exposures_s, means_dn)
+    return abs(sum(later.dark_dn) / len(later.dark_dn) - level_dn - rate * later.exposure_s)
 
 
 def _by_photodiode(found: CheckResult, diode: DiodeLevels | None, laser: LaserSettings) -> CheckResult:

@@ -130,10 +130,10 @@ def judge_filters(
         )
     unclear = [" and ".join(pair) for pair in unclear_pairs if frozenset(pair) not in apart]
     if unclear:
+        # a picture that is the same at every slot leaves all pairs unclear
+        others = f"; {FilterProof.others_in_place}" if 2 * len(unclear_pairs) < len(names) * (len(names) - 1) else ""
         return FilterProof(
-            verdict="cannot tell",
-            text="the frames cannot distinguish filters " + ", ".join(unclear) + "; the others are where they should "
-            "be",
+            verdict="cannot tell", text="the frames cannot distinguish filters " + ", ".join(unclear) + others
         )
     return FilterProof(verdict="confirmed", text="the frames show every filter in its slot")
 

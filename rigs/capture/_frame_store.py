@@ -29,26 +29,29 @@ from rigs.capture._resume import PROVEN_EVENT, Interrupted, is_compared, set_asi
 from rigs.capture._session_folder import SessionWatch
 
 BYTES_PER_PIXEL = 2
-DARK_SHARE = 1e-3  # of full scale: by as much the black level of a rig file is off
+DARK_SHARE = 1e-3  # of full scale: by as much the black level of a rig file is off, and drifts in a session
 SPACE_FACTOR = 1.1  # of the frames: room for TIFF headers, journal and record
 MOST_WAITING = 4  # frames in memory that are not on the disk yet
 LARGEST_CHANGE = 1.25
 """Factor by which the signal of a step may differ from its metering; lamps warm up by less, filters differ by more."""
+SAME_SHARE = 0.05
+"""By which a light differs that was put right: less than the change that ends a session, more than a warm lamp's."""
 WRITE_WITHIN_S = 2.0 * DISK_WITHIN_S  # a frame, then its line of the journal
 
 
 LINE_WIDTHS: Final = 2.0
 """Widths (FWHM) of a filter from its centre within which the laser's line may be seen through it."""
 SAME_EXPOSURE_REL: Final = 1e-3
-SAME_RATIO_REL: Final = 0.002
-"""By which a ratio of two channels may change at one exposure: light that dims by 5 % on a curve of 1 % moves it by
-less."""
+SAME_RATIO_REL: Final = 0.005
+"""By which a ratio of two channels may change at one exposure. A filter's centre moves with temperature by 0.02 nm/K,
+and 0.08 nm moved a ratio by more than 0.2 %; light that dims by 5 % on a response curved by 1 % moves it by less."""
+MOST_CLIPPED: Final = 1e-4
+"""Of the region: so many hot pixels, even if all were red, lift the mean of red by less than DARK_SHARE."""
 LINEARITY_REL: Final = 0.01
 """The same at another exposure: by so much a check of the rig lets a camera's response be curved."""
 COLOUR_SD: Final = 5.0
 """Standard deviations by noise: 300 ratios of a session are beyond it by chance once in 5,000 sessions."""
-WANDER_SHARE, LEAST_WANDER_DN = 2e-4, 0.25
-"""Of full scale, and at least: by so much the dark level wanders, or rounding hides a dim channel's mean."""
+LEAST_WANDER_DN = 0.25  # rounding hides a dim channel's mean by so much
 
 Rates = tuple[float, float, float]
 
@@ -85,7 +88,7 @@ def colour_change(now: Metered, before: Metered, camera: CameraSettings, pixels:
         Change and what is allowed, relative (1).
     """
     full_dn = 2**camera.bit_depth - 1
-    wander_dn = max(WANDER_SHARE * full_dn, LEAST_WANDER_DN)
+    wander_dn = max(DARK_SHARE * full_dn, LEAST_WANDER_DN)
     level = DARK_SHARE * full_dn * abs(1.0 / now.exposure_s - 1.0 / before.exposure_s)
     dark = level + wander_dn / min(now.exposure_s, before.exposure_s)
     is_same = abs(now.exposure_s / before.exposure_s - 1.0) <= SAME_EXPOSURE_REL
@@ -217,6 +220,11 @@ class FrameStore:
         """Return the rate that is clearly seen in a frame (DN/s)."""
         return float(LEAST_SIGNAL_FRACTION * self.full_scale_dn / exposure_s)
 
+    def are_same(self, now: Rates, before: Rates, exposure_s: float) -> bool:
+        """Return whether two rates (DN/s) agree, but for light that repeats and a black level that is a little off."""
+        dark_dn_per_s = DARK_SHARE * self.full_scale_dn / exposure_s
+        return all(abs(a - b) <= SAME_SHARE * b + dark_dn_per_s for a, b in zip(now, before, strict=True))
+
     def require_as_metered(self, step: Step, raw: RawFrame, metered: Metered | None) -> None:
         """Refuse a frame whose signal is not that of its step's metering, or is light in the dark.
 
@@ -247,30 +255,40 @@ class FrameStore:
     def require_same_colour(self, step: Step, raw: RawFrame, metered: Metered) -> None:
         """Refuse a frame whose channels stand in another ratio than at its step's metering.
 
-        Light that only dims keeps the ratios; a part of another filter in the beam changes them. Where the laser itself
-        passes the filter nothing is compared: its wavelength drifts, and the ratios with it.
+        Light that only dims keeps the ratios; a part of another filter in the beam changes them.
 
         Raises
         ------
         SignalChangedError
             They do, by more than noise, dark level and linearity allow.
         """
-        longer = raw.exposure_s > metered.exposure_s * (1.0 + SAME_EXPOSURE_REL)  # may be saturated
-        rows, columns = self.region
-        # a hot pixel lifts the mean of a small region
-        is_clipped = saturated_fraction(raw.counts[self.region], self.full_scale_dn) > 0.0
-        if longer or is_clipped or (step.light == "laser" and step.filter_name in self._passing_laser):
+        # by what was asked for: a camera that rounds exposures rounds those of the metering alike
+        asked_s = raw.exposure_requested_s
+        longer = asked_s > metered.exposure_s * (1.0 + SAME_EXPOSURE_REL)  # may be saturated
+        is_clipped = saturated_fraction(raw.counts[self.region], self.full_scale_dn) > MOST_CLIPPED
+        if longer or is_clipped:
             return
-        pixels = (rows.stop - rows.start) * (columns.stop - columns.start)
-        now = Metered(self.rates(raw.counts, raw.exposure_s), raw.exposure_s)
-        change, allowed = colour_change(now, metered, self._settings, pixels)
-        if change > allowed:
+        now = Metered(self.rates(raw.counts, raw.exposure_s), asked_s)
+        changed = self.other_colour(step, now, metered)
+        if changed is not None:
             raise SignalChangedError(
                 f"camera: {step.label} shows another colour than at metering: two of its channels stand in a ratio "
-                f"that changed by {100 * change:.2g} % ({100 * allowed:.2g} % is allowed), which no light that only "
-                "dims does: the wheel stopped between two filters, or other light came in; home the wheel, close the "
-                "box, then continue or resume: all steps are metered again"
+                f"that changed by {changed}, which no light that only dims does: the wheel stopped between two "
+                "filters, or other light came in, or the dark level drifted: home the wheel, close the box, let the "
+                "camera warm up, then continue or resume: all steps are metered again"
             )
+
+    def other_colour(self, step: Step, now: Metered, before: Metered) -> str | None:
+        """Return by how much a ratio of two channels changed beyond what is allowed; None where none did.
+
+        Where the laser itself passes the filter nothing is compared: its wavelength drifts, and the ratios with it.
+        """
+        if step.light == "laser" and step.filter_name in self._passing_laser:
+            return None
+        rows, columns = self.region
+        pixels = (rows.stop - rows.start) * (columns.stop - columns.start)
+        change, allowed = colour_change(now, before, self._settings, pixels)
+        return f"{100 * change:.2g} % ({100 * allowed:.2g} % is allowed)" if change > allowed else None
 
     def missing(self, shots: Iterable[Shot]) -> list[Shot]:
         """Return the shots that are still to be taken, after checking that the disk can hold them.

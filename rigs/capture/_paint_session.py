@@ -47,7 +47,7 @@ from rigs.capture._filter_proof import (
 )
 from rigs.capture._frame_store import (
     BYTES_PER_PIXEL,
-    DARK_SHARE,
+    SAME_SHARE,
     FrameStore,
     Metered,
     Rates,
@@ -88,8 +88,6 @@ MOST_REPAIRS = 5
 
 MOST_OLD_FRAMES = 1
 """In a session, delivered as new ones: a second one tells of a camera that is late for good."""
-SAME_SHARE = 0.05
-"""By which a light differs that was put right: less than the change that ends a session, more than a warm lamp's."""
 UNPROVEN_NOTE = (
     "no lamp or laser step gives a good signal at the exposures of the session, so nothing after the last dark frames "
     "shows that the camera was still exposing as asked"
@@ -185,8 +183,11 @@ class PaintRecorder:
         lit = [step for step in steps if step.light in ("lamp", "laser")]
         for step in (step for step in lit if step.label in self._before):  # none where all was set aside
             exposures_s, before = self._before[step.label]
-            if not self._are_same(self._rates[step], before, exposures_s[0]):
+            if not self._store.are_same(self._rates[step], before, exposures_s[0]):
                 return f"{step.label} gave another signal before the repair"
+            now, old = self._metered(step), Metered(before, exposures_s[0] / max(self._plan.bracket))
+            if self._store.other_colour(step, now, old) is not None:  # or its frames would be refused for ever
+                return f"{step.label} showed another colour before the repair"
         places = {(step.frame_type, step.filter_name, step.tilt_deg): step for step in lit}
         for frame in self._store.frames:
             kind = "fluorescence" if frame.frame_type == "fluorescence repeat" else frame.frame_type
@@ -194,14 +195,9 @@ class PaintRecorder:
             if place is None:
                 continue
             stored = self._store.rates(read_frame_of(self._out, frame), frame.exposure_s)
-            if not self._are_same(self._rates[place], stored, frame.exposure_s):
+            if not self._store.are_same(self._rates[place], stored, frame.exposure_s):
                 return f"{frame.file} does not agree with {place.label} as it is now"
         return None
-
-    def _are_same(self, now: Rates, before: Rates, exposure_s: float) -> bool:
-        """Return whether two rates (DN/s) agree, but for light that repeats and a black level that is a little off."""
-        dark_dn_per_s = DARK_SHARE * self._store.full_scale_dn / exposure_s
-        return all(abs(a - b) <= SAME_SHARE * b + dark_dn_per_s for a, b in zip(now, before, strict=True))
 
     def _store_frames(self, steps: tuple[Step, ...]) -> None:
         """Store darks, frames (brightest emission again at the end) and darks."""
@@ -405,10 +401,13 @@ class PaintRecorder:
         if step.light == "off":
             self._store.require_as_metered(step, raw, None)
         elif step.light != "room":
-            metered_s = self._exposures_s[step][0] / max(self._plan.bracket)
-            metered = Metered(self._rates[step], metered_s)
+            metered = self._metered(step)
             self._store.require_as_metered(step, raw, metered)
             self._store.require_same_colour(step, raw, metered)
+
+    def _metered(self, step: Step) -> Metered:
+        """Return what the metering of a step found."""
+        return Metered(self._rates[step], self._exposures_s[step][0] / max(self._plan.bracket))
 
     def _prove(self, steps: tuple[Step, ...], last_good: CaptureSession | None) -> None:
         """Judge from the metered rates whether the wheel holds the filters that the rig file names."""

@@ -351,7 +351,8 @@ class StagePress:
         """
         stage = self._settings
         self.gauge.tare()
-        careful = self.guard(min(max(SEARCH_SHARE * limit_n, SEARCH_SD * self.gauge.noise_n), limit_n))
+        share_n = min(max(SEARCH_SHARE * limit_n, SEARCH_SD * self.gauge.noise_n), limit_n)
+        careful = self.guard(share_n, f"the search of a touch stops there, below the force limit of {limit_n:g} N")
         for number, at_mm in enumerate(self.steps(stage.clear_mm, stage.step_mm), 1):
             try:
                 self.step_to(at_mm, careful)

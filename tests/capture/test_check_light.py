@@ -112,8 +112,8 @@ def test_picture_that_moves_with_the_wheel(by_px, verdict):
     region = paint_plan("red", rig.camera).region
     plan = CheckPlan(check_name="lab", region=region, revisits=3, filters=("560", "600"), texture_is_of_the_tile=True)
     with frames_of(rig, plan, lambda opened: shifting(opened, by_px)) as (_, rig, plan, frames):
-        revisits = frames.revisits()
-    found = verdicts(rig, plan, {"revisits": revisits})["picture stays in place"]
+        proof, revisits = frames.prove_filters(), frames.revisits()
+    found = verdicts(rig, plan, {"filter_proof": proof, "revisits": revisits})["picture stays in place"]
     assert found.verdict == verdict, found
     # noise of a shift along rows and columns, 0.15 px on this tile, adds to it as squares
     assert found.value == pytest.approx(math.hypot(by_px, 0.15 * math.sqrt(2)), abs=3 * found.sd)

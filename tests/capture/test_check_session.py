@@ -35,7 +35,7 @@ from rigs.capture import check_filters, record_facts
 from rigs.capture import light_off_time as laser_watch
 from rigs.capture._check_light import CameraWatch, Reading, find_sight
 from rigs.capture._check_session import CheckFrames, _Recorder
-from rigs.capture._exposure import shine
+from rigs.capture._exposure import REPLAY_DRIVER, shine
 from rigs.capture.light_off_time import (
     ConnectionWatch,
     Holder,
@@ -242,6 +242,27 @@ def test_lamp_too_bright_for_a_quarter_of_the_exposure(rig: RigFile, plan: Check
     camera = rig.camera.model_copy(update={"shortest_exposure_s": 0.0008})
     facts, _ = record_facts(rig.model_copy(update={"camera": camera}), plan, Path())
     assert "a quarter of it is below the camera's shortest exposure" in facts.errors["exposures"]
+
+
+@pytest.mark.parametrize("driver", ["simulated", REPLAY_DRIVER])
+def test_a_frame_that_is_there_too_soon_is_an_error_but_from_a_folder(
+    rig: RigFile, plan: CheckPlan, driver: str
+) -> None:
+    number, band = count(), rig.filter_wheel.filters[0]
+    as_driven = rig.model_copy(update={"camera": rig.camera.model_copy(update={"driver": driver})})
+    with open_rig(rig, Path()) as opened:
+        first = opened.camera.expose(0.5, 10.0)
+
+        def expose(exposure_s: float, deadline_s: float) -> RawFrame:
+            one = next(number)
+            counts = np.roll(first.counts, one)
+            return replace(first, counts=counts, frame_id=one, exposure_s=exposure_s, exposure_requested_s=exposure_s)
+
+        at_once = replace(opened, camera=Device(opened.camera, {"expose": expose}))
+        frames = CheckFrames(at_once, as_driven, plan, [band])
+        soon = pytest.raises(CaptureError, match="but its frame was there") if driver == "simulated" else nullcontext()
+        with soon:
+            frames.dark_frames()
 
 
 def test_light_that_stays_on_ends_the_check(rig, plan, monkeypatch):
