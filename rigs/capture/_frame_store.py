@@ -253,7 +253,7 @@ class FrameStore:
                 )
 
     def require_same_colour(self, step: Step, raw: RawFrame, metered: Metered) -> None:
-        """Refuse a frame whose channels stand in another ratio than at its step's metering.
+        """Refuse a frame of its metering's exposure whose channels stand in another ratio than there.
 
         Light that only dims keeps the ratios; a part of another filter in the beam changes them.
 
@@ -264,9 +264,10 @@ class FrameStore:
         """
         # by what was asked for: a camera that rounds exposures rounds those of the metering alike
         asked_s = raw.exposure_requested_s
-        longer = asked_s > metered.exposure_s * (1.0 + SAME_EXPOSURE_REL)  # may be saturated
+        # a longer one may be saturated, and a wrong black level of the rig file changes the ratios of any other
+        is_other = abs(asked_s / metered.exposure_s - 1.0) > SAME_EXPOSURE_REL
         is_clipped = saturated_fraction(raw.counts[self.region], self.full_scale_dn) > MOST_CLIPPED
-        if longer or is_clipped:
+        if is_other or is_clipped:
             return
         now = Metered(self.rates(raw.counts, raw.exposure_s), asked_s)
         changed = self.other_colour(step, now, metered)

@@ -124,9 +124,15 @@ NEW = "'pip install -U finray-calib'"
 CASES = (
     # plan and rig
     Case(
-        "no plan", "capture {tmp}/plan.toml --rig {lab}/rig.toml", r"plan\.toml: no such file; give the path of a TOML"
+        "no plan",
+        "capture {tmp}/plan.toml --rig {lab}/rig.toml",
+        r"plan\.toml: no such file; give the path of a paint plan",
     ),
-    Case("no rig", "capture {lab}/plan.toml --rig {tmp}/rig.toml", r"rig\.toml: no such file; give the path of a TOML"),
+    Case(
+        "no rig",
+        "capture {lab}/plan.toml --rig {tmp}/rig.toml",
+        r"rig\.toml: no such file; give the path of a rig file",
+    ),
     Case(
         "plan is a folder", "capture {lab} --rig {lab}/rig.toml", r"lab\S*: is a folder; give the path of a paint plan"
     ),

@@ -33,6 +33,7 @@ NOT_FROM_THE_LIBRARY = {
     "--scale": "'finray sense teach'",
     "--contact-depth-mm": "'finray sense teach'",
     "--circles": "'finray sense teach'",
+    "--capture": "'finray import render'",
     "--pairs": "'finray compare' with folders",
     "--sensitivities": "named as a command, 'finray simulate press --sensitivities'",
     **dict.fromkeys(("--metadata", "--shutter", "--gain", "--awbgains", "--raw"), "rpicam-still"),

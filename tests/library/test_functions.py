@@ -206,7 +206,7 @@ def test_what_is_no_record_is_refused(lab, tmp_path):
         RecordError, match="a TOML file, not a stored record; read a finger's design with finger_design"
     ):
         finray.read_record(lab / "finger.toml")
-    with pytest.raises(RecordError, match="path of a stored one"):
+    with pytest.raises(RecordError, match="band signals are needed; a plain sensor was given"):
         finray.fit_paint(PlainSensor())
 
 
