@@ -367,8 +367,11 @@ _COLOURED, _COLOUR_BLOCK_PX = 0.1, 8
 
 
 def _require_colours(press: SimulatedPress, capture: TactileCapture) -> None:
-    """Refuse a grey render of encoded values beside a capture in colour."""
-    if (press.contact != press.contact[..., :1]).any():
+    """Refuse a grey render of encoded values beside a capture in colour.
+
+    A render that does not change where it is touched has no light of its own: of a white rest it is grey.
+    """
+    if (press.contact != press.contact[..., :1]).any() or (press.contact == press.no_contact).all():
         return
     seen = block_mean(rgb_image(capture.contact, capture), min(_COLOUR_BLOCK_PX, *press.contact.shape[:2]))
     seen = seen[every_channel(np.isfinite(seen))]

@@ -230,6 +230,8 @@ def test_a_grey_render_is_compared_with_light_that_is_white_up_to_noise_but_not_
     found = read_renders(renders_of(tmp_path / "r", change=grey), captures)["1"]
     with pytest.raises(CompareError, match=r"1 is grey, and the capture 1 has colours; render in colour"):
         compare_press(found, captures["1"], seed=1)
+    unchanged = found.model_copy(update={"contact": found.no_contact})
+    assert compare_press(unchanged, captures["1"], seed=1).headline_skill.estimate == pytest.approx(0.0, abs=1e-9)
     rng = np.random.default_rng(1)
     white = {}
     for what in ("contact", "no_contact"):
