@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from data_schemas import ImportFormatError, MissingPart, Model, TactileCapture, explain
+from data_schemas import ImportFormatError, MissingPart, Model, explain
 from data_schemas.storage import files_below, has_file, read_csv, read_toml_tables
 from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, MOST_PRESSES, read_npz, require_length
-from finray_calib.sensing import contact_distance
+from finray_calib.sensing import CIRCLE_IF, ROW_AND_COLUMN
 
 Floats = NDArray[np.float64]
 
@@ -41,6 +41,7 @@ Place = Annotated[float, Field(ge=0.0, le=1e6)]
 PlaceOfPress = dict[str, Place] | Annotated[str, Field(min_length=1, max_length=100)] | Place
 """The same of a place, which may be 0."""
 Corner = tuple[float, float]
+Shape = tuple[int, int]
 
 
 class RecipePresses(Model):
@@ -545,8 +546,8 @@ _DEPTH_FACTOR = 5.0
 _UNITS: Final = {1e-3: '"m"', 0.1: '"cm"', 1e3: '"um"'}
 #: Without a circle: depths in mm that a gel can have.
 _DEPTHS_MM: Final = (0.01, 30.0)
-#: The change by contact is so much denser where rows and columns of the circles are exchanged.
-_EXCHANGED, _NEAR = 2.0, 1.5
+#: Circles are wrong where the change by contact is so much denser elsewhere, in the median of so many presses.
+_DENSER_ELSEWHERE, _LEAST_PRESSES = 1.5, 3
 
 
 def require_possible_scale(recipe: Recipe) -> None:
@@ -607,42 +608,31 @@ def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, fl
     )
 
 
-def circle_densities(capture: TactileCapture) -> tuple[float, float] | None:
-    """Return the change by contact per pixel near the circle, and near one with row and column exchanged.
-
-    None where the exchanged one lies outside the picture or over the same pixels.
-    """
-    circle, distance = capture.contact_circle, contact_distance(capture)
-    if circle is None or distance is None:
-        return None
-    exchanged = circle.model_copy(update={"row_px": circle.column_px, "column_px": circle.row_px})
-    rows, columns = capture.contact.shape[:2]
-    apart = np.sqrt(2.0) * abs(circle.row_px - circle.column_px)
-    if not (exchanged.row_px < rows and exchanged.column_px < columns) or apart < circle.radius_px:
-        return None
-    other = contact_distance(capture.model_copy(update={"contact_circle": exchanged}))
-    change = np.abs(capture.contact.astype(np.float64) - capture.no_contact).mean(axis=-1)
-    if other is None or not ((distance < _NEAR).any() and (other < _NEAR).any()):
-        return None
-    return float(change[distance < _NEAR].mean()), float(change[other < _NEAR].mean())
-
-
-def require_circles_on_contacts(recipe: Recipe, densities: Mapping[str, tuple[float, float]]) -> None:
-    """Refuse circles whose presses change more where row and column are exchanged.
+def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[str, float]], shape: Shape) -> None:
+    """Refuse circles whose presses change more at the circles of pictures that are arranged otherwise.
 
     Raises
     ------
     ImportFormatError
         The median over presses says so.
     """
-    if not densities:
+    ratios = {said: [of[said] for of in changes.values() if said in of] for said in CIRCLE_IF}
+    medians = {said: float(np.median(of)) for said, of in ratios.items() if len(of) >= _LEAST_PRESSES}
+    said = max(medians, key=medians.__getitem__, default=None)
+    if said is None or medians[said] <= _DENSER_ELSEWHERE:
         return
-    ratio = float(np.median([other / max(own, 1e-9) for own, other in densities.values()]))
-    if ratio > _EXCHANGED:
-        raise ImportFormatError(
-            f"recipe '{recipe.name}', contact.circle: {len(densities)} presses change {ratio:.2g} times as much where "
-            "row and column of their circles are exchanged; exchange column_px and row_px"
+    remedy = "exchange column_px and row_px"
+    if said != ROW_AND_COLUMN:
+        rows, columns = shape
+        corners = [CIRCLE_IF[said](c, r, columns, rows) for r in (0, rows - 1) for c in (0, columns - 1)]
+        remedy = (
+            f"correct the labels, or turn the pictures to suit them: corners_px = {[[*c] for c in corners]} and "
+            f"size_px = [{columns}, {rows}] below [picture]"
         )
+    raise ImportFormatError(
+        f"recipe '{recipe.name}', contact.circle: {len(ratios[said])} presses change {medians[said]:.2g} times as much "
+        f"where their circles would be with {said} exchanged; {remedy}"
+    )
 
 
 def above_zero(what: str, value_mm: float | None) -> None:

@@ -34,7 +34,6 @@ from finray_calib.exchange._capture_recipe import (
     Quantity,
     Recipe,
     above_zero,
-    circle_densities,
     label_array,
     label_column,
     label_entry,
@@ -60,7 +59,7 @@ from finray_calib.exchange._render_files import (
     pixels_of,
     require_alike,
 )
-from finray_calib.sensing import contact_distance, find_contact_circle, find_contact_outline
+from finray_calib.sensing import changes_elsewhere, contact_distance, find_contact_circle, find_contact_outline
 
 Counts = NDArray[np.uint16]
 Floats = NDArray[np.float64]
@@ -196,7 +195,8 @@ class _Folder:
     _median_of: set[Path] = field(init=False, default_factory=set)
     _tables: dict[tuple[Path, str], "LabelTable"] = field(init=False, default_factory=dict)
     _depths: dict[str, tuple[float, float | None]] = field(init=False, default_factory=dict)
-    _densities: dict[str, tuple[float, float]] = field(init=False, default_factory=dict)
+    _elsewhere: dict[str, dict[str, float]] = field(init=False, default_factory=dict)
+    _shape: tuple[int, int] = field(init=False, default=(0, 0))
 
     def __post_init__(self) -> None:
         require_possible_scale(self.recipe)
@@ -279,15 +279,15 @@ class _Folder:
                 touching_mm = min(circle.radius_px * capture.mm_per_px, pose.radius_mm)
                 cap_mm = pose.radius_mm - float(np.sqrt(pose.radius_mm**2 - touching_mm**2))
             self._depths[name] = (pose.depth_mm, cap_mm)
-        densities = circle_densities(capture) if capture.contact_told_by == "label" else None
-        if densities is not None:
-            self._densities[name] = densities
+        if capture.contact_told_by == "label":
+            self._elsewhere[name] = changes_elsewhere(capture)
+            self._shape = (capture.contact.shape[0], capture.contact.shape[1])
 
     def check_numbers(self, names: Sequence[str]) -> None:
         """Refuse numbers that contradict each other over all presses: scale, depths, places of circles."""
         self._check_scale(names)
         require_possible_depths(self.recipe, self._depths)
-        require_circles_on_contacts(self.recipe, self._densities)
+        require_circles_on_contacts(self.recipe, self._elsewhere, self._shape)
 
     def _check_scale(self, names: Sequence[str]) -> None:
         """Refuse a scale that the check length contradicts."""

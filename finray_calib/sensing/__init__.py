@@ -12,7 +12,10 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.sensing._contact_place import (
+        CIRCLE_IF,
+        ROW_AND_COLUMN,
         FoundCircle,
+        changes_elsewhere,
         contact_distance,
         find_contact_circle,
         find_contact_outline,
@@ -56,7 +59,9 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "CIRCLE_IF",
     "MINIMUM_PRESSES",
+    "ROW_AND_COLUMN",
     "BoardUncertainty",
     "BoardView",
     "CalibrationPress",
@@ -65,6 +70,7 @@ __all__ = [
     "NormalMap",
     "SensingError",
     "calibrate_lens",
+    "changes_elsewhere",
     "contact_distance",
     "contact_sha256",
     "find_board",

@@ -5,6 +5,7 @@ the contact turns bright and the other dark: an odd signal. Sensors that darken 
 uses the stronger of the two.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -89,6 +90,54 @@ def contact_distance(capture: TactileCapture) -> Floats | None:
             "px; are rows and columns exchanged?"
         )
     return outline_distance(inside)
+
+
+ROW_AND_COLUMN: Final = "row and column"
+#: What may be exchanged between picture and label -> column and row of a circle if it were, from what they are.
+CIRCLE_IF: Final[dict[str, Callable[[float, float, int, int], tuple[float, float]]]] = {
+    ROW_AND_COLUMN: lambda column, row, columns, rows: (row, column),
+    "left and right": lambda column, row, columns, rows: (columns - 1 - column, row),
+    "top and bottom": lambda column, row, columns, rows: (column, rows - 1 - row),
+    "left and right as well as top and bottom": lambda column, row, columns, rows: (
+        columns - 1 - column,
+        rows - 1 - row,
+    ),
+}
+
+
+def changes_elsewhere(capture: TactileCapture) -> dict[str, float]:
+    r"""Return how much denser the change by contact is where its circle would be in a picture arranged otherwise.
+
+    .. math:: r = (c_{there} - m) / \max(c_{own} - m, m)
+
+    with the mean change c within a circle and the median change m of the picture, which light and noise give anywhere.
+
+    Returns
+    -------
+    dict
+        What is exchanged, of `CIRCLE_IF` -> r, below 1 for a circle on its contact and above 1 for one that is not.
+        Circles that reach the own one, or whose centre is outside the picture, are left out.
+    """
+    circle, (rows, columns) = capture.contact_circle, capture.contact.shape[:2]
+    if circle is None:
+        return {}
+    change = np.abs(capture.contact.astype(np.float64) - capture.no_contact).mean(axis=-1)
+    anywhere = float(np.median(change))
+    y, x = np.ogrid[:rows, :columns]
+
+    def denser(column_px: float, row_px: float) -> float:
+        inside = np.hypot(y - row_px, x - column_px) < circle.radius_px
+        return float(change[inside].mean()) - anywhere if inside.any() else 0.0
+
+    own = max(denser(circle.column_px, circle.row_px), anywhere, 1e-9)
+    there = {said: place(circle.column_px, circle.row_px, columns, rows) for said, place in CIRCLE_IF.items()}
+    return {
+        said: denser(column, row) / own
+        for said, (column, row) in there.items()
+        if row < rows
+        and column < columns
+        and np.hypot(column - circle.column_px, row - circle.row_px) >= 2.0 * circle.radius_px
+    }
 
 
 @dataclass(frozen=True, slots=True)

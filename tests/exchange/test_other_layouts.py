@@ -1,5 +1,8 @@
 """Sets and renders as laboratories store them: each is read, or refused in words that tell what to do."""
 
+import json
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -285,3 +288,33 @@ def test_two_files_of_one_press_are_refused(tmp_path):
     put(folder / "p1.jpg", PRESSES[1])
     with pytest.raises(ImportFormatError, match=r"p1\.(png|jpg) and p1\.(png|jpg) are both press '1' by presses.files"):
         read_by_recipe(folder, recipe_of("p{press}.*", "rest.png"))
+
+
+ARRANGED = {
+    "row and column": lambda row, column: (column, row),
+    "left and right": lambda row, column: (row, 159 - column),
+    "top and bottom": lambda row, column: (119 - row, column),
+    "left and right as well as top and bottom": lambda row, column: (119 - row, 159 - column),
+}
+
+
+@pytest.mark.parametrize("exchanged", ARRANGED)
+def test_labels_of_pictures_that_are_arranged_otherwise_are_refused_and_the_remedy_reads_them(tmp_path, exchanged):
+    folder = set_of(tmp_path / "set", "p{}.png", "rest.png")
+    of_right = [(40.0, 50.0), (35.0, 110.0), (90.0, 120.0), (85.0, 30.0), (30.0, 70.0)]
+    lines = ["file,x,y,r"]
+    for k, place in enumerate(of_right, start=1):
+        put(folder / f"p{k}.png", eight_bits(dome(*place)))
+        row, column = ARRANGED[exchanged](*place)
+        lines.append(f"p{k},{column},{row},{CONTACT_PX}")
+    (folder / "labels.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(ImportFormatError, match=rf"where their circles would be with {exchanged} exchanged") as why:
+        read_by_recipe(folder, recipe_of("p{press}.png", "rest.png"))
+    if exchanged == "row and column":
+        assert "exchange column_px and row_px" in str(why.value)
+        return
+    corners, size = re.search(r"corners_px = (\[\[.*\]\]) and size_px = (\[.*?\])", str(why.value)).groups()
+    turned = recipe_of("p{press}.png", "rest.png", corners_px=json.loads(corners), size_px=json.loads(size))
+    for capture, place in zip(read_by_recipe(folder, turned).captures.values(), of_right, strict=True):
+        rows, columns = (slice(None, None, -1 if what in exchanged else 1) for what in ("top", "left"))
+        assert_same_picture(capture.contact, eight_bits(dome(*place))[rows, columns], "p.png")
