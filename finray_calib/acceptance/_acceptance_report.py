@@ -110,13 +110,13 @@ def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     moves = len(facts.moves)
     if wrong:
         first = wrong[0]
-        evidence = (
-            f"the first one was sent from slot {first.from_slot} to slot {first.to_slot} and reported slot "
-            f"{first.arrived_slot}"
-        )
+        where = f"slot {first.arrived_slot}"
+        if first.arrived_slot is None:
+            where = "no slot, or its frame was not that of the filter"
+        evidence = f"the first one was sent from slot {first.from_slot} to slot {first.to_slot} and reported {where}"
     else:
         evidence = (
-            f"all {moves} moves arrived, as the position read after each one shows; with 95 % confidence at "
+            f"all {moves} moves arrived, as position and frame after each one show; with 95 % confidence at "
             f"most {100 * largest_failure_share(moves):.1f} % of moves fail"
         )
     durations_s = [move.duration_s for move in facts.moves]

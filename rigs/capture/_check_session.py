@@ -5,7 +5,7 @@ reduced at once to what is judged: dark level, white rates, revisits, ratios.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
@@ -28,12 +28,14 @@ from data_schemas import (
     SaturatedError,
     Section,
     SightLevels,
+    StrayLight,
     UnsafeError,
     WheelMove,
     WrongPositionError,
 )
 from rigs import OpenRig, Operator, TerminalOperator, open_rig, rig_locked
 from rigs.capture._check_light import (
+    LEAST_SIGNAL_FRACTION,
     CameraInUseError,
     CameraWatch,
     Contrast,
@@ -66,6 +68,8 @@ CLOCKED_S: Final = 0.2
 """From here on the clock tells whether a frame was exposed for as long as it says: overheads are much less."""
 LEAST_TAKEN: Final = 0.8
 """Of an exposure, until its frame is there: a camera that runs freely may have begun a little before."""
+AS_METERED_REL: Final = 0.1
+"""Of the strongest channel, within a check: a lamp changes by less once it is warm, and few filters are so alike."""
 
 
 class CheckFrames:
@@ -103,6 +107,7 @@ class CheckFrames:
         self.overheads_s: list[float] = []
         self._metered_s: dict[str, float] = {}
         self._signals_dn: dict[str, float] = {}
+        self._rates: dict[str, tuple[float, float, float]] = {}
 
     def white_step(self, band: BandPassFilter) -> Step:
         """Return the white tile under the lamp behind a filter."""
@@ -118,19 +123,54 @@ class CheckFrames:
 
     def prove_filters(self) -> FilterProof:
         """Meter the white tile behind every filter and judge from the rates which filter is where."""
-        rates = []
         with shine(self._opened, "lamp"):
             for band in self._filters:
-                step = self.white_step(band)
-                counts, exposure_s = self._metered(step)
-                rates.append(self._channel_rates(counts, exposure_s))
+                counts, exposure_s = self._metered(self.white_step(band))
+                self._rates[band.name] = self._channel_rates(counts, exposure_s)
         opened = self._opened
         predicted = predicted_rates(self._filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
         names = [band.name for band in self._filters]
-        measured = np.array(rates)
+        measured = np.array([self._rates[name] for name in names])
         in_the_dark = np.array([self._rates_in_the_dark(band) for band in self._filters])
         floor = signal_floor([self._metered_s[name] for name in names], 2**self._settings.bit_depth - 1)
         return judge_filters(names, measured - in_the_dark, predicted, lambda: in_the_dark[0], (), floor)
+
+    def shows(self, band: BandPassFilter) -> bool:
+        """Whether the white tile looks behind a filter as at its metering, or was too dark then to tell.
+
+        Of two frames one must: the first may be an old one, or the lamp may flicker.
+        """
+        least_dn = LEAST_SIGNAL_FRACTION * (2**self._settings.bit_depth - 1)
+        if band.name not in self._rates or self._signals_dn[band.name] < least_dn:
+            return True
+        was, exposure_s = np.array(self._rates[band.name]), self._metered_s[band.name]
+
+        def is_as_metered() -> bool:
+            raw = self._camera.expose(self.white_step(band), exposure_s).raw
+            now = np.array(self._channel_rates(raw.counts[self._region], raw.exposure_s))
+            return bool(np.abs(now - was).max() <= AS_METERED_REL * was.max())
+
+        return is_as_metered() or is_as_metered()
+
+    def require_as_metered(self) -> None:
+        """Refuse a camera whose exposures, or a lamp whose level, are others than when the filters were metered.
+
+        Raises
+        ------
+        CaptureError
+            The white tile looks otherwise behind the brightest filter.
+        """
+        band = next((band for band in self._filters if band.name == self.revisit_filter), None)
+        if band is None:
+            return
+        with shine(self._opened, "lamp"):
+            if not self.shows(band):
+                raise CaptureError(
+                    f"camera: the white tile behind filter {band.name} differs by more than "
+                    f"{100 * AS_METERED_REL:.0f} % from its metering at the same exposure: the camera does not expose "
+                    "for as long as it says, or the lamp changed; switch the camera off and on, let the lamp warm up, "
+                    "then check again"
+                )
 
     def brightest_filter(self) -> BandPassFilter:
         """Return the filter with the shortest metered exposure; the filters are metered first if need be.
@@ -299,7 +339,7 @@ class CheckFrames:
 QUIET_SHARE: Final = 0.95
 """Of the limit: when a dead-man is asked whether it has acted. Earlier questions would keep it from acting."""
 WITH_OPEN_RIG: Final[tuple[Section, ...]] = (
-    "handshake", "wheel", "dark frames", "warm-up", "filters", "revisits", "exposures", "stray light",
+    "handshake", "dark frames", "warm-up", "filters", "wheel", "revisits", "exposures", "stray light",
     "trigger latency", "light off",
 )  # fmt: skip
 WITH_LASER: Final[tuple[Section, ...]] = ("stray light", "light off")
@@ -405,10 +445,6 @@ class _Recorder(CheckRecorder[CheckFacts]):
             lambda text: self._progress(len(self._begun) - 1, STEPS, text),
         )
         self._keep(handshakes=self._attempt("handshake", lambda: handshakes(opened, self._rig)) or ())
-        moves: list[WheelMove] = []
-        self._attempt("wheel", lambda: moves.extend(wheel_moves(opened, self._plan, self._filters)))
-        self._keep(moves=tuple(moves))  # those before an error too
-        self._lights_are_off(opened, "wheel")
         self._keep(darks=self._attempt("dark frames", frames.dark_frames) or ())
         self._lights_are_off(opened, "dark frames")
         # before anything else lights the lamp
@@ -419,6 +455,11 @@ class _Recorder(CheckRecorder[CheckFacts]):
         self._lights_are_off(opened, "warm-up")
         self._keep(filter_proof=self._attempt("filters", frames.prove_filters))
         self._lights_are_off(opened, "filters")
+        moves: list[WheelMove] = []
+        # by now each filter is metered, so that a frame shows where the wheel arrived
+        self._attempt("wheel", lambda: moves.extend(wheel_moves(opened, self._plan, self._filters, frames)))
+        self._keep(moves=tuple(moves))  # those before an error too
+        self._lights_are_off(opened, "wheel")
         self._keep(revisits=self._attempt("revisits", frames.revisits) or (), revisit_filter=frames.revisit_filter)
         self._lights_are_off(opened, "revisits")
         self._keep(levels=self._attempt("exposures", frames.exposure_levels) or ())
@@ -431,7 +472,13 @@ class _Recorder(CheckRecorder[CheckFacts]):
     def _off_its_way(self, opened: OpenRig, frames: CheckFrames) -> None:
         """Try the laser behind filters that block it, and the lamp in the middle of exposures."""
         given = (opened, self._rig, self._plan, frames)
-        self._keep(stray_light=self._attempt("stray light", lambda: stray_light(*given, self._filters)))
+
+        def look() -> StrayLight:
+            found = stray_light(*given, self._filters)
+            frames.require_as_metered()
+            return found
+
+        self._keep(stray_light=self._attempt("stray light", look))
         self._lights_are_off(opened, "stray light")
         self._keep(latency=self._attempt("trigger latency", lambda: trigger_latency(*given, frames.dimmest_filter())))
         self._lights_are_off(opened, "trigger latency")
@@ -536,21 +583,28 @@ def handshakes(opened: OpenRig, rig: RigFile, asked: int = HANDSHAKES) -> tuple[
     )
 
 
-def wheel_moves(opened: OpenRig, plan: CheckPlan, filters: Sequence[BandPassFilter]) -> Iterator[WheelMove]:
-    """Turn the wheel to filters drawn at random, never to the one in the beam; arrival is asked afresh."""
+def wheel_moves(
+    opened: OpenRig, plan: CheckPlan, filters: Sequence[BandPassFilter], frames: CheckFrames
+) -> Iterator[WheelMove]:
+    """Turn the wheel to filters drawn at random, never to the one in the beam; arrival is asked afresh, and looked at.
+
+    A wheel whose frame is not that of the filter which it reports has arrived nowhere.
+    """
     opened.operator.place("white")
     rng = np.random.default_rng(plan.seed)
-    slots = [band.slot for band in filters]
-    for _ in range(plan.wheel_moves):
-        here = opened.wheel.position()
-        elsewhere = [slot for slot in slots if slot != here]
-        if not elsewhere:
-            return
-        slot = int(rng.choice(elsewhere))
-        start_s = opened.clock.monotonic_s()
-        # where it stands is asked below, and is what the check is about
-        with suppress(WrongPositionError):
-            opened.wheel.go_to(slot, WHEEL_DEADLINE_S)
-        duration_s = opened.clock.monotonic_s() - start_s
-        arrived = opened.wheel.position()
-        yield WheelMove(from_slot=here, to_slot=slot, arrived_slot=arrived, duration_s=duration_s)
+    bands = {band.slot: band for band in filters}
+    if plan.wheel_moves == 0 or len(bands) < 2:
+        return
+    with shine(opened, "lamp") if frames.revisit_filter is not None else nullcontext():
+        for _ in range(plan.wheel_moves):
+            here = opened.wheel.position()
+            slot = int(rng.choice([slot for slot in bands if slot != here]))
+            start_s = opened.clock.monotonic_s()
+            # where it stands is asked below, and is what the check is about
+            with suppress(WrongPositionError):
+                opened.wheel.go_to(slot, WHEEL_DEADLINE_S)
+            duration_s = opened.clock.monotonic_s() - start_s
+            arrived = opened.wheel.position()
+            if arrived == slot and not frames.shows(bands[slot]):
+                arrived = None
+            yield WheelMove(from_slot=here, to_slot=slot, arrived_slot=arrived, duration_s=duration_s)

@@ -99,7 +99,7 @@ class ArduinoSwitch:
     def __init__(self, link: SerialLink, role: Literal["laser", "lamp"], address: str) -> None:
         self._link, self._role, self._address = link, role, address
         self._name = f"{role} at {address}"
-        self._unanswered = self._missed = 0
+        self._unanswered = self._missed = self._marks = 0
         self._out_of_step = self._is_fresh = False
         self._require_version(self._greet())
 
@@ -121,7 +121,11 @@ class ArduinoSwitch:
             Off was asked for and is not confirmed.
         """
         if on:
-            if self._exchange("L1", deadline_s).word != "ON":
+            if self._exchange("L1", deadline_s).word == "ON":
+                return
+            # The answer may be that to an earlier command. "On" is never repeated, but the state may be asked for.
+            self._out_of_step = True
+            if self._exchange("?", deadline_s).word != "ON":
                 raise RefusedError(f"{self._name}: does not switch on; flash its firmware again and check the board")
             return
         try:
@@ -255,16 +259,35 @@ class ArduinoSwitch:
             self._unanswered, self._is_fresh = 0, False
             end_s = max(end_s, time.monotonic() + ASK_WITHIN_S)
         if self._out_of_step:
-            # The command goes out before the silence is waited for, so that "off" loses no time; all can be repeated.
+            # The command goes out before its step is found, so that "off" loses no time; all can be repeated.
             self._link.write(command.encode() + b"\n", end_s)
-            self._link.drain(QUIET_S, end_s)
-            self._unanswered, self._out_of_step = 0, False
+            self._find_step(end_s)
         self._send(command, end_s)
         with self._in_step():
             while True:
                 said = self._hear(end_s, tell_trip, wanted)
                 if self._unanswered == 0:
                     return said
+
+    def _find_step(self, end_s: float) -> None:
+        """Ask who is there, and pass over all that comes until the answer: nothing earlier can come after it.
+
+        Silence alone would not show it: a board or an adapter that is late once would answer each later question with
+        the answer to an earlier one. Where such a question was lost before, silence after an answer must do.
+        """
+        self._link.write(b"I\n", end_s)
+        self._marks, quiet_s = self._marks + 1, end_s
+        while self._marks:
+            try:
+                line = self._link.read_until(b"\n", min(end_s, quiet_s))
+            except TimedOutError:
+                if quiet_s == end_s:
+                    raise
+                break
+            if (match := LINE.fullmatch(line)) and match[2]:
+                self._marks, quiet_s = self._marks - 1, time.monotonic() + QUIET_S
+        self._marks = self._unanswered = 0
+        self._out_of_step = False
 
     def _send(self, command: str, end_s: float) -> None:
         self._link.write(command.encode() + b"\n", end_s)

@@ -268,7 +268,8 @@ class GrblStage:
                         f"{self._name}: {axis} stands at {at_mm:.3f} mm, but was sent to {to_mm:.3f} mm"
                     )
                 is_asked = False
-            if now_s - asked_s > (ASK_AGAIN_S if is_asked else ASK_EVERY_S):
+            # a question whose answer nobody waits for would answer the next one
+            if arrivals < 2 and now_s - asked_s > (ASK_AGAIN_S if is_asked else ASK_EVERY_S):
                 self._link.write(b"?", end_s)
                 is_asked, asked_s = True, now_s
 
@@ -318,7 +319,9 @@ class GrblStage:
                 raise RefusedError(f"{self._name}: {_in_words(line)}")
 
     def _report(self, end_s: float) -> Report:
-        """Ask for a status report, again where none comes."""
+        """Ask for a status report, again where none comes; one that was asked for before is not taken for it."""
+        while self._line_now() is not None:
+            pass
         while True:
             self._link.write(b"?", end_s)
             again_s = time.monotonic() + ASK_AGAIN_S

@@ -271,9 +271,16 @@ class SerialLink:
             )
         if number in (errno.EAGAIN, errno.EBUSY):
             return RefusedError(f"{self._name}: another program has the port open; close that program")
+        there = (
+            "" if "://" in self._address else ", ".join(f"{p.address} ({p.description})" for p in usb_serial_ports())
+        )
+        renamed = (
+            f". These USB ports are there now: {there}; one that was plugged in again may have another name, so write "
+            "its link under /dev/serial/by-id/, which stays, into the rig file"
+        )
         return LostError(
             f"{self._name}: cannot be opened ({system_words(error)}); check cable and power, and the address with "
-            "'finray rig detect'"
+            f"'finray rig detect'{renamed if there else ''}"
         )
 
 

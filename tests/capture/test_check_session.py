@@ -148,7 +148,7 @@ def test_wheel_that_slips_is_recorded_where_it_stands(rig, plan, monkeypatch):
 
 def test_wheel_that_falls_silent_keeps_the_moves_before(rig, plan, monkeypatch):
     def change(opened: OpenRig) -> OpenRig:
-        silent = raising(LostError("wheel: gone"), after=2)
+        silent = raising(LostError("wheel: gone"), after=17)  # metering makes the first 15 moves
 
         def go_to(slot: int, deadline_s: float) -> None:
             silent()
@@ -288,7 +288,7 @@ def test_light_that_cannot_be_asked_ends_the_check(rig, plan, monkeypatch):
 
     facts = facts_of(rig, plan, monkeypatch, change)
     assert facts.handshakes[2].error == "laser: gone"
-    assert facts.errors["dark frames"] == "not tried: a light does not report whether it is off (laser: gone)"
+    assert facts.errors["warm-up"] == "not tried: a light does not report whether it is off (laser: gone)"
 
 
 def test_unsafe_laser_ends_the_check(rig, plan, monkeypatch):

@@ -26,20 +26,26 @@ PLAN = CheckPlan(
     check_name="lab", region=paint_plan("red", RIG.camera).region, wheel_moves=8, revisits=6, warm_up_s=4.0
 )
 
+CHECKED_MOVE = 20
+"""Of the moves of a check, the first of which bring each filter into the beam to be metered."""
 DARK = ("dark level", "dark rate", "read noise")
 WHEEL = ("wheel arrives", "wheel moves in time", "wheel repeats optically", "filters in their slots")
 
 
 def wheel(kind: str) -> Change:
-    """Return a wheel that says that it is at the slot that was asked for: it is absent, or one slot farther."""
+    """Return a wheel that says that it is at the slot that was asked for.
+
+    It is absent, one slot farther, or stays where it is at one of the moves that are checked.
+    """
 
     def change(opened: OpenRig) -> OpenRig:
-        said: list[int] = []
+        said, moves = list[int](), [0]
 
         def go_to(slot: int, deadline_s: float) -> None:
             said[:] = [slot]
-            if kind != "absent":
-                opened.wheel.go_to(slot % 8 + 1, deadline_s)
+            moves[0] += 1
+            if kind == "farther" or (kind == "stays once" and moves[0] != CHECKED_MOVE):
+                opened.wheel.go_to(slot % 8 + 1 if kind == "farther" else slot, deadline_s)
 
         def position() -> int | None:
             here = opened.wheel.position()
@@ -75,11 +81,14 @@ def camera(kind: str) -> Change:
     """Return a camera that numbers its frames anew and delivers old ones, or exposes for half of what it says."""
 
     def change(opened: OpenRig) -> OpenRig:
-        taken: list[RawFrame] = []
+        taken, laser_slots = list[RawFrame](), set[int | None]()
 
         def expose(exposure_s: float, deadline_s: float) -> RawFrame:
             is_dark = not (opened.lamp.state() or opened.laser.state())
-            halved = kind == "halves all" or (kind == "halves in the dark" and is_dark)
+            if opened.laser.state():
+                laser_slots.add(opened.wheel.position())
+            late = kind == "halves later" and len(laser_slots) > 1
+            halved = late or kind == "halves all" or (kind == "halves in the dark" and is_dark)
             raw = opened.camera.expose(0.5 * exposure_s if halved else exposure_s, deadline_s)
             number = len(taken)
             now = replace(
@@ -111,6 +120,7 @@ def verdicts(change: Change, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
 CASES: dict[str, tuple[Change, tuple[str, ...]]] = {
     "wheel absent": (wheel("absent"), (*WHEEL, "stray light", "laser off after an exception")),
     "wheel one slot farther": (wheel("farther"), (*WHEEL, "stray light")),
+    "wheel stays at a checked move": (wheel("stays once"), ("wheel arrives",)),
     "lamp stays on": (light("lamp", "stays on"), (*WHEEL, "dark level stays", "stray light")),
     "lamp always on": (
         light("lamp", "always on"),
@@ -122,6 +132,7 @@ CASES: dict[str, tuple[Change, tuple[str, ...]]] = {
     "laser never on": (light("laser", "never on"), ("stray light", "laser off after an exception")),
     "camera halves all": (camera("halves all"), DARK),
     "camera halves in the dark": (camera("halves in the dark"), DARK),
+    "camera halves from the second filter under the laser": (camera("halves later"), ("stray light",)),
     "camera always the first frame": (
         camera("always the first frame"),
         (*DARK, *WHEEL, "dark level stays", "stray light", "laser off after an exception"),

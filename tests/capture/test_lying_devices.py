@@ -5,14 +5,22 @@ Each frame carries what was true while it was exposed: slot, lights, exposure. I
 
 import errno
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from data_schemas import CaptureError, CaptureSession, DeviceIdentity, RegionOfInterest, SignalChangedError
+from data_schemas import (
+    CaptureError,
+    CaptureSession,
+    DeviceIdentity,
+    PaintPlan,
+    RegionOfInterest,
+    RigFile,
+    SignalChangedError,
+)
 from rigs import OpenRig, RawFrame, open_rig, paint_plan, simulated_rig
 from rigs.capture import SessionRequest, Step, _frame_store, paint_steps, read_interrupted
 from rigs.capture._frame_store import FrameStore, Metered
@@ -84,24 +92,37 @@ class LyingWheel:
             self.opened.wheel.go_to(slot, deadline_s)
 
 
+def resumed(
+    rig: RigFile, plan: PaintPlan, changed: Callable[[OpenRig, int], OpenRig], out: Path
+) -> tuple[CaptureSession, list[str]]:
+    """Capture, and resume by hand where it ends; return the session and why that was needed.
+
+    `changed` returns the opened rig with its lying devices; it is given the number of the attempt, from 0.
+    """
+    interrupted, why = None, list[str]()
+    for attempt in range(3):
+        with open_rig(rig, Path()) as opened:
+            lying, request = changed(opened, attempt), SessionRequest(out, "pytest")
+            try:
+                return capture_with(lying, rig, plan, paint_steps(plan, rig), request, interrupted=interrupted), why
+            except CaptureError as error:
+                why.append(str(error))
+                interrupted = read_interrupted(out)
+    raise AssertionError(why)
+
+
 def captured(kind: str, begins: int, out: Path) -> tuple[CaptureSession, list[str]]:
-    """Capture beside a device that lies until a person restarts it; return the session and why it had to be resumed."""
+    """Capture beside a device that lies until a person restarts it."""
     rig = simulated_rig("red", width_px=64, height_px=64)
     plan = paint_plan("red", rig.camera).model_copy(
         update={"filters": ("450", "532", "600", "660"), "bracket": (1.0, 0.25), "darks_per_exposure": 2}
     )
-    interrupted, resumes = None, []
-    for _ in range(3):
-        with open_rig(rig, Path()) as opened:
-            lie = kind if interrupted is None else ""
-            lying = replace(opened, camera=LyingCamera(opened, lie, begins), wheel=LyingWheel(opened, lie, begins))
-            request = SessionRequest(out, "pytest")
-            try:
-                return capture_with(lying, rig, plan, paint_steps(plan, rig), request, interrupted=interrupted), resumes
-            except CaptureError as error:
-                resumes.append(str(error))
-                interrupted = read_interrupted(out)
-    raise AssertionError(resumes)
+
+    def changed(opened: OpenRig, attempt: int) -> OpenRig:
+        lie = "" if attempt else kind
+        return replace(opened, camera=LyingCamera(opened, lie, begins), wheel=LyingWheel(opened, lie, begins))
+
+    return resumed(rig, plan, changed, out)
 
 
 def wrong(session: CaptureSession) -> list[str]:
@@ -199,21 +220,17 @@ def test_a_wheel_that_stops_between_two_slots_leaves_no_frame(tmp_path: Path, ti
     plan = paint_plan("red", rig.camera).model_copy(
         update={"filters": ("450", "560", "600", "630"), "bracket": (1.0,), "darks_per_exposure": 2}
     )
-    interrupted, why = None, list[str]()
-    for attempt in range(2):
-        with open_rig(rig, Path()) as opened:
-            leaking = replace(opened, camera=LeakingCamera(opened, 0 if attempt else times))
-            request = SessionRequest(tmp_path / "s", "pytest")
-            try:
-                session = capture_with(leaking, rig, plan, paint_steps(plan, rig), request, interrupted=interrupted)
-                break
-            except CaptureError as error:
-                why.append(str(error))
-                interrupted = read_interrupted(tmp_path / "s")
+    cameras = list[LeakingCamera]()
+
+    def changed(opened: OpenRig, attempt: int) -> OpenRig:
+        cameras.append(LeakingCamera(opened, 0 if attempt else times))
+        return replace(opened, camera=cameras[-1])
+
+    session, why = resumed(rig, plan, changed, tmp_path / "s")
     assert [frame.sequence for frame in session.frames if frame.settings["leaks"]] == []
     assert len(why) == resumes
     assert all("shows another colour than at metering" in text for text in why)
-    assert times > 1 or leaking.camera.leaks == 1  # it did leak, and the frame was taken again
+    assert times > 1 or cameras[0].leaks == 1  # it did leak, and the frame was taken again
 
 
 @dataclass

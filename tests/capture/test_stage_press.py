@@ -465,6 +465,36 @@ def test_session_on_boards(bench, tmp_path, monkeypatch):
     assert bench.controller.at_mm["X"] == pytest.approx(8.0, abs=1e-6)
 
 
+def test_a_cell_that_is_late_changes_neither_touch_nor_force(tmp_path, monkeypatch):
+    """By one reading in its board and one on its way, 10 times a second: reports of the stage used to pile up then."""
+    with press_bench(tmp_path, 10) as bench:
+        bench.surface_mm, cell, say, lines = -1.2, bench.amplifier, bench.amplifier.port.say, deque[bytes]()
+
+        class Late(deque[float]):
+            before: float | None = None
+
+            def append(self, conversion: float) -> None:
+                super().append(conversion if self.before is None else self.before)
+                self.before = conversion
+
+        def say_late(line: bytes) -> None:
+            if line.startswith(b"R "):
+                lines.append(line)
+                line = lines.popleft() if len(lines) > 1 else b""
+            say(line)
+
+        cell._conversions = Late(maxlen=4)  # noqa: SLF001 a filter that is one conversion longer
+        monkeypatch.setattr(cell.port, "say", say_late)
+        rig = real_rig(tmp_path, bench, clear_mm=-0.4, touch_step_mm=0.1)
+        slow = rig.load_cell.model_copy(update={"rate_hz": 10, "silent_s": 0.5})
+        record = run(tmp_path, rig.model_copy(update={"load_cell": slow}), monkeypatch, depth_mm=0.1)
+    press = record.measured[0]
+    assert abs(press.touch_mm - bench.surface_mm) < 3.0 * press.touch_uncertainty_mm
+    true_n = 4.0 * (press.depth_mm + bench.surface_mm - press.touch_mm)
+    # half a step of the motor, at 4 N/mm
+    assert press.force_n == pytest.approx(true_n, abs=3.0 * press.force_uncertainty_n + 0.5 * 4.0 / 400.0)
+
+
 @pytest.mark.parametrize("fault", ["stuck", "silent", "reset", "pulled", "stiff"])
 def test_no_fault_leaves_the_stage_driving(bench, tmp_path, monkeypatch, fault):
     """Once the pad is pressed; the strongest force stays within the limit and one step of the stage."""

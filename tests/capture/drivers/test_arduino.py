@@ -206,11 +206,22 @@ FRESH_OFF = (("host", b"L0\n"), ("device", b"OFF\n"))
 class TestFaults:
     @pytest.mark.parametrize("answer", [b"OFF\n", b"ERR\n"])
     def test_does_not_switch_on(self, answer):
+        asked = (("host", b"?\nI\n"), ("device", b"OFF\nLASER 1.2\n"), ("host", b"?\n"), ("device", b"OFF\n"))
         with (
-            replayed(with_board(("host", b"L1\n"), ("device", answer))) as address,
+            replayed(with_board(("host", b"L1\n"), ("device", answer), *asked)) as address,
             open_switch(address, "laser", None) as switch,
             pytest.raises(RefusedError, match="does not switch on"),
         ):
+            switch.switch(True, DEADLINE_S)
+
+    def test_an_answer_to_an_earlier_question_is_none_to_on(self):
+        """An adapter that says a piece twice used to end the session at its next light."""
+        asked = (("host", b"?\nI\n"), ("device", b"ON\nON\nLASER 1.2\n"), ("host", b"?\n"), ("device", b"ON\n"))
+        with (
+            replayed(with_board(("host", b"?\n"), ("device", b"OFF\nOFF\n"), ("host", b"L1\n"), *asked)) as address,
+            open_switch(address, "laser", None) as switch,
+        ):
+            assert not switch.state(DEADLINE_S)
             switch.switch(True, DEADLINE_S)
 
     @pytest.mark.parametrize("answer", [b"ON\n", b"ERR\n", b"", b"O\xff\n", b"LASER 1.2\n"])
@@ -249,7 +260,7 @@ class TestFaults:
 
     def test_after_a_missed_answer_questions_and_answers_match_again(self):
         spoken = with_board(
-            ("host", b"?\n"), ("host", b"?\n"), ("device", b"ON\nON\n"), ("host", b"?\n"), ("device", b"OFF\n")
+            ("host", b"?\n?\nI\n"), ("device", b"ON\nON\nLASER 1.2\n"), ("host", b"?\n"), ("device", b"OFF\n")
         )
         with replayed(spoken) as address, open_switch(address, "laser", None) as switch:
             with pytest.raises(TimedOutError, match="did not answer"):

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 import serial
@@ -164,6 +165,38 @@ def test_nothing_at_the_address() -> None:
         SerialLink("/dev/ttyNONE", 9600, "wheel")
     with pytest.raises(LostError, match="cannot be opened"):
         SerialLink(f"socket://127.0.0.1:{free_port()}", 9600, "wheel")
+
+
+def test_a_port_with_another_name_is_named_or_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a replug: by its link under by-id and by its serial number it is found again, by its old name it is not."""
+    usb = ListPortInfo(str(tmp_path / "ttyACM0"))
+    usb.description, usb.vid, usb.pid, usb.serial_number = "Arduino Uno", 0x2341, 0x0043, "8593"
+    usb.hwid = usb.usb_info()
+    monkeypatch.setattr(list_ports, "comports", lambda *_: [usb])
+    monkeypatch.setattr(list_ports, "grep", lambda text: (one for one in [usb] if text in one.hwid))
+    by_id = tmp_path / "by-id"
+    addresses = (str(by_id), "hwgrep://SER=8593", usb.device)
+    for address in addresses:
+        usb.device = str(tmp_path / "ttyACM0")
+        with terminal() as (_, path):
+            os.symlink(path, usb.device)
+            os.symlink(usb.device, by_id)
+            link = SerialLink(address, 9600, "lamp")
+        usb.device, old = str(tmp_path / "ttyACM1"), usb.device
+        os.unlink(old)
+        by_id.unlink()
+        with terminal() as (device, path), link:
+            os.symlink(path, usb.device)
+            os.symlink(usb.device, by_id)
+            if address == old:
+                with pytest.raises(LostError, match=r"ttyACM0: cannot .*ttyACM1 \(Arduino Uno\).*/dev/serial/by-id/"):
+                    link.reopen()
+            else:
+                link.reopen()
+                link.write(b"?", soon())
+                assert os.read(device, 8) == b"?"
+        for name in (usb.device, by_id):
+            os.unlink(name)
 
 
 def test_an_address_that_is_none() -> None:

@@ -94,6 +94,14 @@ def test_moves_are_absolute_and_arrive(homed, bench):
     assert all("G90G53" in line for line in bench.controller.lines if line.startswith("$J"))
 
 
+def test_a_report_that_was_asked_for_before_is_not_taken_for_the_next(homed, bench):
+    """A cell that reads 10 times a second left one behind at each move; a session then ended after some 20 moves."""
+    for to_mm in (-1.0, -0.8, -0.6):
+        homed.move("Z", to_mm, FAST_MM_PER_S, lambda: time.sleep(0.1))
+    bench.controller.at_mm["Z"] = -0.3
+    assert homed.places_mm()["Z"] == pytest.approx(-0.3, abs=0.001)
+
+
 def test_reports_in_inches_are_read(bench):
     bench.controller.inches = True
     with open_stage(stage_settings(str(bench.controller.port.path))) as stage:
