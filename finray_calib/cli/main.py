@@ -220,8 +220,9 @@ def _with_a_guess(message: str) -> str:
     """Return the message of a wrong choice with the choice that was probably meant, and of a wrong number in words."""
     message = re.sub(r"invalid int value: ('[^']*')", r"\1 must be a whole number", message)
     message = re.sub(r"invalid float value: ('[^']*')", r"\1 must be a number, with a decimal point", message)
-    follows = r"\1: a value must follow it; one that begins with '-' is joined by '=': --angles=-60:100:10"
+    follows = r"\1: a value must follow it; one that begins with '-' is joined by '=': \1=-VALUE"
     message = re.sub(r"argument (\S+): expected one argument", follows, message)
+    message = message.replace("--angles=-VALUE", "--angles=-60:100:10")
     wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
     near = difflib.get_close_matches(wrong.group(1).lower(), re.findall(r"[^', ]+", wrong.group(2)), 1) if wrong else []
     return f"{message}; did you mean '{near[0]}'?" if near else f"{message};"

@@ -114,18 +114,20 @@ class CurvePosterior:
     contacts : int
         Number of curves C.
     seen : Observations
+    parts : tuple
+        What each smoothness, length and common share says.
     """
 
     grid_deg: Floats
     contacts: int
     seen: Observations
     _prior: CurvePrior
-    _parts: tuple[_Part, ...]
+    parts: tuple[_Part, ...]
 
     @property
     def weights(self) -> Floats:
         """Posterior weights (parts, A) of smoothness, length and common share, and of the amplitude."""
-        return _normalised(np.array([part.ln_weight for part in self._parts]))
+        return _normalised(np.array([part.ln_weight for part in self.parts]))
 
     @property
     def amplitude_weights(self) -> Floats:
@@ -136,7 +138,7 @@ class CurvePosterior:
     def mean(self) -> Floats:
         """Expected curves with their first constant, shape (C, G)."""
         mean = np.zeros((self.contacts, self.grid_deg.size))
-        for part, weights in zip(self._parts, self.weights, strict=True):
+        for part, weights in zip(self.parts, self.weights, strict=True):
             solved = (weights * self._prior.amplitudes_rel**2) @ (part.solve @ self.seen.values)
             mean += np.array([self._cross(part, contact) @ solved for contact in range(self.contacts)])
             mean += weights @ (part.scale_gain @ self.seen.values)
@@ -145,18 +147,28 @@ class CurvePosterior:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (G, G) of the first curve with its constant."""
+        return self.second_moment(self.weights) - np.outer(self.mean[0], self.mean[0])
+
+    def second_moment(self, of_parts: Floats) -> Floats:
+        """Return the expected square (G, G) of the first curve, with weights (parts, A) that need not be its own."""
         grid, square = self.grid_deg, self._prior.amplitudes_rel**2
-        covariance = -np.outer(self.mean[0], self.mean[0])
-        for part, weights in zip(self._parts, self.weights, strict=True):
+        found = np.zeros((grid.size, grid.size))
+        for part, weights in zip(self.parts, of_parts, strict=True):
             cross, variances = self._cross(part, 0), weights * square
-            covariance += variances.sum() * part.correlation(grid, grid, True)
-            covariance -= cross @ np.tensordot(variances * square, part.solve, axes=1) @ cross.T
+            found += variances.sum() * part.correlation(grid, grid, True)
+            found -= cross @ np.tensordot(variances * square, part.solve, axes=1) @ cross.T
             with_scale = cross @ (variances @ part.scale_gain)
-            covariance += weights @ part.scale_variance - with_scale[:, None] - with_scale
+            found += weights @ part.scale_variance - with_scale[:, None] - with_scale
             solved = square[:, None] * (part.solve @ self.seen.values)
             centers = solved @ cross.T + (part.scale_gain @ self.seen.values)[:, None]
-            covariance += (centers.T * weights) @ centers
-        return covariance
+            found += (centers.T * weights) @ centers
+        return found
+
+    def response(self, number: int) -> Floats:
+        """Return what each value adds to the expected first curve in one part, (A, G, N)."""
+        part = self.parts[number]
+        gain = self._cross(part, 0) @ part.solve
+        return np.asarray(self._prior.amplitudes_rel[:, None, None] ** 2 * gain + part.scale_gain[:, None, :])
 
     @property
     def standard_deviation(self) -> Floats:
@@ -167,7 +179,7 @@ class CurvePosterior:
         """Return ln(prior weight times likelihood) of other values at the same angles: (parts, A, m) for (m, N)."""
         own = self.seen.values
         found = []
-        for part in self._parts:
+        for part in self.parts:
             misfit = ((values @ part.solve) * values).sum(axis=2) - ((part.solve @ own) @ own)[:, None]
             found.append(part.ln_weight[:, None] - 0.5 * misfit)
         return np.array(found)
@@ -203,7 +215,7 @@ class CurvePosterior:
         # curves at several places: one that they share, and one of each
         normals = rng.standard_normal((count, 1 if self.contacts == 1 else self.contacts + 1, angles.size))
         curves = np.empty((count, self.contacts, size))
-        for number, part in enumerate(self._parts):
+        for number, part in enumerate(self.parts):
             rows = np.flatnonzero(part_of == number)
             if not rows.size:
                 continue

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from data_schemas import DecideError
 from finray_calib.decide._capture_errors import NO_CAPTURES, CaptureErrors
-from finray_calib.decide._gaussian_process import CurvePosterior, CurvePrior, curve_posterior, observations
+from finray_calib.decide._gaussian_process import CurvePrior, observations
+from finray_calib.decide._pointed_curves import PointedPosterior, pointed_posterior
 from finray_calib.decide._sim_to_real import Discrepancy, ErrorDraws, discrepancy_posterior
 
 Floats = NDArray[np.float64]
@@ -175,13 +176,13 @@ class SimulatedCurve:
     noise_rel : float
         Standard deviation of one value about the curve, after the common scale of each repeat is removed.
     repeats : int
-    posterior : CurvePosterior
+    posterior : PointedPosterior
         On a grid of 1 deg.
     """
 
     noise_rel: float
     repeats: int
-    posterior: CurvePosterior
+    posterior: PointedPosterior
 
     @property
     def mean(self) -> Floats:
@@ -565,7 +566,7 @@ def simulated_curve(angles_deg: Floats, values: Floats) -> SimulatedCurve:
     grid = np.linspace(angles_deg[0], angles_deg[-1], steps + 1)
     size = len(angles_deg)
     seen = observations(angles_deg, means, variance * np.eye(size), np.ones((size, 1)))
-    return SimulatedCurve(float(np.sqrt(noise_variance)), repeats, curve_posterior(_CURVE_PRIOR, seen, grid))
+    return SimulatedCurve(float(np.sqrt(noise_variance)), repeats, pointed_posterior(_CURVE_PRIOR, seen, grid))
 
 
 def open_angles(angles_deg: Floats, allowed: NDArray[np.bool_] | None, grid_deg: Floats) -> NDArray[np.bool_]:

@@ -1013,6 +1013,7 @@ USAGE = (
     Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
     Case("no seed", "decide {lab}/sweep.json --seed", r"--seed: a value must follow it; .*; 'finray decide --help'"),
+    Case("a weight below 0", "decide {lab}/sweep.json --weights -1,2", r"joined by '=': --weights=-VALUE; 'finray"),
     Case("angles below 0", SWEEP + " --angles -60:100:10", r"begins with '-' is joined by '=': --angles=-60"),
     Case("unknown format", "import taxidermy {lab}", r"invalid choice: 'taxidermy' \(choose from '?captures"),
 )

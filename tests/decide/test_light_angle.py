@@ -59,7 +59,7 @@ def test_the_band_holds_the_curve():
     assert (np.abs(decision.mean_rel - relative) < 1.96 * decision.sd_rel).mean() > 0.8
     assert decision.mean_rel == pytest.approx(relative, rel=0.1)
     alone = decision.simulated.posterior
-    assert (np.abs(alone.mean[0] - relative) < 1.96 * alone.standard_deviation).mean() > 0.8
+    assert (np.abs(alone.mean[0] - relative) < 1.96 * np.sqrt(np.diag(alone.covariance))).mean() > 0.8
     # Noise is 2 % of the maximum; relative to the mean, within the chi-square of 27 degrees of freedom (4 sigma).
     assert decision.simulated.noise_rel == pytest.approx(0.02 * relative.max(), rel=0.5)
 
@@ -134,8 +134,8 @@ def test_claims_hold_on_curves_of_another_kind(family):
     relative = run(Case(name, 0.02, family, FIVE_DEG), 25, seed=23, draws=300)
     for outcome in (without, absolute, relative):
         assert outcome.claimed_within_tolerance - outcome.actual_within_tolerance <= LARGEST_MISS + 0.2
-        # Binomial(25, 0.95): below 21 with probability 0.007
-        assert outcome.coverage_of_95 >= 21 / 25
+        # Binomial(25, 0.95): below 21 with probability 0.007; the bar of glints is 0.85, below 17 with 0.008
+        assert outcome.coverage_of_95 >= (17 if name == "glint" else 21) / 25
     assert without.decided == 0
     # captures by absolute ratios bring the bound down; those that may not see the common part do so less
     assert absolute.bound < 0.6 * without.bound
