@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from data_schemas._lazy_exports import lazy_exports, register_record_methods
 
 if TYPE_CHECKING:
-    from data_schemas._arrays import ArraySpec, bayer_planes, read_only
     from data_schemas._capture import (
         CaptureSession,
         CharucoBoard,
@@ -349,6 +348,7 @@ if TYPE_CHECKING:
     )
     from data_schemas._units import (
         AngleDeg,
+        ArraySpec,
         ChargeE,
         ExposureS,
         FilterUncertaintyNm,
@@ -357,6 +357,8 @@ if TYPE_CHECKING:
         SignalDn,
         WavelengthNm,
         WidthNm,
+        bayer_planes,
+        read_only,
     )
     from data_schemas.errors import (
         BadFrameError,

@@ -13,7 +13,7 @@ import pytest
 
 from data_schemas import StudyMetric, StudyPoint, StudyResult, StudyRow, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.cli._decide import _finger_or_sensor
+from finray_calib.cli._design import _finger_or_sensor
 from finray_calib.cli._study_run import stand_in_paints
 from finray_calib.cli.main import main
 from sim import given_design, preset_design, preset_sensor
