@@ -75,11 +75,10 @@ def _shown(
     image: Floats, variance: Floats, contact: Floats, display: "_Display", capture: TactileCapture
 ) -> ShownCandidate:
     """Return a candidate with its likeness to the captured contact image."""
-    similarity, multi_scale = similarity_of_all_scales(image, contact, full_scale_dn(capture))
+    similarity, ms_ssim = similarity_of_all_scales(image, contact, full_scale_dn(capture))
     flip, differences = display.likeness(image)
     colour_difference = np.full(display.headline.shape, np.nan)
     colour_difference[display.headline] = differences
-    ms_ssim = None if multi_scale is None else multi_scale.value
     return ShownCandidate(image, variance, similarity, ms_ssim, flip, colour_difference)
 
 
