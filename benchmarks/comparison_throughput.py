@@ -30,8 +30,8 @@ from skimage.metrics import structural_similarity as scikit_image_ssim
 from data_schemas import IndenterPose, SimulatedPress, TactileCapture, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.cli._compare_folders import MOST_PAGES
-from finray_calib.compare import structural_similarity
-from finray_calib.compare._displayed_images import colour_difference_map, display_white_dn, displayed_image
+from finray_calib.compare import ciede2000, displayed_image, srgb_to_lab, structural_similarity
+from finray_calib.compare._displayed_images import display_white_dn
 
 SHAPE, DATA_RANGE_DN, DIFFERENT = (480, 640), 1023.0, 8
 FEWEST = MOST_PAGES + 1  # every pair beyond these gets a report and no page, as nearly all of 1,000 do
@@ -184,7 +184,7 @@ def beside_packages(pairs, rounds=9):
                 )[1][5:-5, 5:-5].mean(axis=2),
             ),
             "CIEDE2000": (
-                lambda s=shown: colour_difference_map(*s),
+                lambda s=shown: ciede2000(*(srgb_to_lab(image) for image in s)),
                 lambda s=shown: colour.delta_E(lab(s[0]), lab(s[1]), method="CIE 2000"),
             ),
         }  # fmt: skip

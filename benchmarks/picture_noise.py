@@ -28,8 +28,8 @@ from data_schemas import FingerDesign
 from sim.optics import BAND_NAMES, LoadedScene, RenderSettings, choose_variant, open_guide, open_renderer, open_scene
 from sim.optics import _render as rendering
 from sim.optics._painted_walls import BAKE_SAMPLES, bake_batches, last_band, led_irradiance, reflected_light
-from sim.optics._passes import traced_picture
 from sim.optics._pixel_maps import pixel_maps
+from sim.optics._render import traced_picture
 from sim.optics._scene import camera_sensor
 from sim.surface_meshes import FingerShape, pressed_shape, rest_shape
 

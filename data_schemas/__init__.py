@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from data_schemas._lazy_exports import lazy_exports, register_record_methods
 
 if TYPE_CHECKING:
-    from data_schemas._arrays import ArraySpec, bayer_planes, read_only
     from data_schemas._capture import (
         CaptureSession,
         CharucoBoard,
@@ -147,7 +146,17 @@ if TYPE_CHECKING:
         ToleranceSide,
         VarianceShare,
     )
-    from data_schemas._design import FingerDesign, finger_identity
+    from data_schemas._design import (
+        CHANNELS,
+        CameraBelow,
+        CoatSurface,
+        ColouredLight,
+        FingerDesign,
+        PlainSensor,
+        SensorCoat,
+        TranslucentLayer,
+        finger_identity,
+    )
     from data_schemas._design_parts import (
         MOST_INCREMENTS,
         Backing,
@@ -196,15 +205,6 @@ if TYPE_CHECKING:
     )
     from data_schemas._lazy_exports import register_record_methods
     from data_schemas._model import Estimate, Model, PropagatedDraws, Quantity, Record, explain
-    from data_schemas._plain_sensor import (
-        CHANNELS,
-        CameraBelow,
-        CoatSurface,
-        ColouredLight,
-        PlainSensor,
-        SensorCoat,
-        TranslucentLayer,
-    )
     from data_schemas._plug_ins import (
         INDENTER_SHAPES,
         MATERIALS,
@@ -349,6 +349,7 @@ if TYPE_CHECKING:
     )
     from data_schemas._units import (
         AngleDeg,
+        ArraySpec,
         ChargeE,
         ExposureS,
         FilterUncertaintyNm,
@@ -357,6 +358,8 @@ if TYPE_CHECKING:
         SignalDn,
         WavelengthNm,
         WidthNm,
+        bayer_planes,
+        read_only,
     )
     from data_schemas.errors import (
         BadFrameError,

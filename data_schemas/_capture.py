@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec
 from data_schemas._curves import SpectralCurve, check_named_curves
 from data_schemas._model import Model, Record
 from data_schemas._rig import (
@@ -24,6 +23,7 @@ from data_schemas._rig import (
 )
 from data_schemas._units import (
     AngleDeg,
+    ArraySpec,
     DurationS,
     EnergyJ,
     ExposureS,

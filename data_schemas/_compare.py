@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from data_schemas._arrays import ArraySpec
 from data_schemas._design import FingerIdentity
 from data_schemas._model import Estimate, Model, Record
 from data_schemas._record_text import interval_text
 from data_schemas._sensing import LocalScale, ScaleRange
-from data_schemas._units import Fraction, RelativeUncertainty
+from data_schemas._units import ArraySpec, Fraction, RelativeUncertainty
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 

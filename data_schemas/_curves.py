@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
-from data_schemas._arrays import ArraySpec
 from data_schemas._model import Model
 from data_schemas._rig import BandPassFilter
-from data_schemas._units import RelativeUncertainty
+from data_schemas._units import ArraySpec, RelativeUncertainty
 from data_schemas.errors import CurveError
 
 Floats = NDArray[np.float64]

@@ -6,11 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec
-from data_schemas._design import FingerDesign
+from data_schemas._design import FingerDesign, PlainSensor
 from data_schemas._model import Estimate, Model, Record
-from data_schemas._plain_sensor import PlainSensor
-from data_schemas._units import AngleDeg, Fraction
+from data_schemas._units import AngleDeg, ArraySpec, Fraction
 
 Floats = NDArray[np.float64]
 Verdict = Literal["decided", "tie", "undecided", "needs captures"]

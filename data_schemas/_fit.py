@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec
 from data_schemas._capture import RegionOfInterest
 from data_schemas._curves import SpectralCurve
 from data_schemas._lazy_exports import call_record_method
 from data_schemas._model import Estimate, Model, PropagatedDraws, Quantity, Record, propagate_draws
 from data_schemas._radiometry import Optics
 from data_schemas._rig import IsoDay
-from data_schemas._units import Fraction, WavelengthNm
+from data_schemas._units import ArraySpec, Fraction, WavelengthNm
 
 Floats = NDArray[np.float64]
 

@@ -17,10 +17,10 @@ from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, Validat
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
-from data_schemas._arrays import check_dimensions
 from data_schemas._lazy_exports import call_record_method
 from data_schemas._provenance import Provenance
 from data_schemas._record_text import array_text, formatted_interval, interval_text, record_html, record_text
+from data_schemas._units import check_dimensions
 from data_schemas.errors import FieldError, RecordError
 
 if TYPE_CHECKING:

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from data_schemas._arrays import ArraySpec
 from data_schemas._design import FingerDesign
 from data_schemas._design_parts import Indenter, Preset
 from data_schemas._model import Model, Record
+from data_schemas._units import ArraySpec
 
 Floats = NDArray[np.float64]
 PerIncrement = NDArray[np.float64]

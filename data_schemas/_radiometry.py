@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec
 from data_schemas._capture import Frame, RegionOfInterest
 from data_schemas._curves import SpectralCurve, check_named_curves
 from data_schemas._model import Estimate, Model, Record
@@ -27,6 +26,7 @@ from data_schemas._rig import (
 )
 from data_schemas._units import (
     AngleDeg,
+    ArraySpec,
     ChargeE,
     EnergyJ,
     ExposureS,

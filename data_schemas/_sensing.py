@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec
 from data_schemas._capture import CharucoBoard, Encoding
-from data_schemas._design import FingerDesign
+from data_schemas._design import FingerDesign, PlainSensor
 from data_schemas._model import Estimate, Model, Record
-from data_schemas._plain_sensor import PlainSensor
-from data_schemas._units import LengthMm, RelativeUncertainty
+from data_schemas._units import ArraySpec, LengthMm, RelativeUncertainty
 
 DistortionModel = Literal["pinhole", "fisheye"]
 PINHOLE_COEFFICIENTS: Final = (0, 4, 5, 8, 12, 14)

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec
 from data_schemas._curves import SpectralCurve
-from data_schemas._design import FingerDesign
+from data_schemas._design import FingerDesign, PlainSensor
 from data_schemas._design_parts import Indenter, Preset
 from data_schemas._model import Model, Record
-from data_schemas._plain_sensor import PlainSensor
-from data_schemas._units import AngleDeg, Fraction
+from data_schemas._units import AngleDeg, ArraySpec, Fraction
 
 Image = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column", "3"))]
 Distance = Annotated[NDArray[np.float32], ArraySpec("<f4", ("row", "column"), "contact half-width", allow_nan=True)]

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from data_schemas._arrays import ArraySpec
 from data_schemas._curves import SpectralCurve
 from data_schemas._design import FingerDesign
 from data_schemas._design_parts import LEAST_DEPTH_MM, Indenter
 from data_schemas._fit import Reradiation, SamplingMethod
 from data_schemas._model import Estimate, Model, Record
-from data_schemas._units import AngleDeg, Fraction, LengthMm, PositionMm, WavelengthNm
+from data_schemas._units import AngleDeg, ArraySpec, Fraction, LengthMm, PositionMm, WavelengthNm
 
 Floats = NDArray[np.float64]
 Alternatives = Annotated[

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         FIRST_RED,
         LARGEST_DECODED_BYTES,
         BayerOrder,
-        parse_file,
         parse_in_child,
         read_frame,
         read_npy,
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
         tell,
     )
     from data_schemas.storage._curve_files import (
-        LAMP_TEMPERATURE_K,
         assumed_camera_response,
         camera_response,
         halogen_lamp,
@@ -94,7 +92,6 @@ else:
 __all__ = [
     "A_RECORD",
     "FIRST_RED",
-    "LAMP_TEMPERATURE_K",
     "LARGEST_DECODED_BYTES",
     "LARGEST_TEXT_BYTES",
     "LARGEST_TOML_BYTES",
@@ -125,7 +122,6 @@ __all__ = [
     "memory_left",
     "migrate",
     "open_regular",
-    "parse_file",
     "parse_in_child",
     "parse_json",
     "planck_relative",

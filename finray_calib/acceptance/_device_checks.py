@@ -65,7 +65,7 @@ def report_of(
     plan: CheckPlan | TactileCheckPlan,
     rig: RigFile | TactileRig,
     results: tuple[CheckResult, ...],
-    notes: tuple[str, ...],
+    notes: tuple[str, ...] = (),
 ) -> AcceptanceReport:
     """Return the report with its verdict, and with a note where the rig is simulated."""
     more = (SIMULATED_NOTE,) if rig.is_simulated else ()

@@ -115,9 +115,7 @@ READINGS_OF_A_BLOCK: Final = 4.0
 """Readings of an HX711 that share conversions: its filter has four."""
 
 
-def judge_pressing(
-    facts: PressFacts, plan: TactileCheckPlan, rig: TactileRig, notes: tuple[str, ...] = ()
-) -> AcceptanceReport:
+def judge_pressing(facts: PressFacts, plan: TactileCheckPlan, rig: TactileRig) -> AcceptanceReport:
     """Return the report of an acceptance check of a rig whose stage presses; see :func:`judge` for what it takes."""
     limits, judged = plan.limits, _of_stage_and_cell(facts, plan, rig)
     judged["handshake"] = (
@@ -125,7 +123,7 @@ def judge_pressing(
         *judge_frames("handshake", facts.frame_overheads_s, limits.frame_overhead_s),
     )
     judged["reconnect"] = judge_reconnect(facts, limits.reconnect_s)
-    return report_of(facts, plan, rig, results_of(PRESS_SECTIONS, judged, facts.errors), notes)
+    return report_of(facts, plan, rig, results_of(PRESS_SECTIONS, judged, facts.errors))
 
 
 def _of_stage_and_cell(

@@ -415,7 +415,6 @@ METRICS: Final = PlugInKind(
     "metric", "finray_calib.metrics", ("value(candidate, captured, no_contact, region)", "UNIT", "BETTER", "WORDS"),
     CompareError,
 )  # fmt: skip
-METRIC_DRAWS = SENSED_DRAWS
 
 
 class Metric(Protocol):
@@ -511,7 +510,7 @@ def _metric_value(plug_in: PlugIn, metric: Any, candidate: Floats, comparison: C
     return float(numbers_of(plug_in, "value", given, ()))
 
 
-def check_metric(metric: Metric, rows: int = 48, columns: int = 64) -> None:
+def check_metric(metric: Metric) -> None:
     """Check that a metric keeps its contract, as a comparison does that uses it: for the tests of its package.
 
     It says unit, direction and words; its number is finite, the same each time, does not depend on pixels outside the
@@ -522,8 +521,6 @@ def check_metric(metric: Metric, rows: int = 48, columns: int = 64) -> None:
     ----------
     metric
         The module, or an object with its function and attributes.
-    rows, columns
-        Size of the images.
 
     Raises
     ------
@@ -532,6 +529,7 @@ def check_metric(metric: Metric, rows: int = 48, columns: int = 64) -> None:
     """
     plug_in = PlugIn(METRICS, getattr(metric, "__name__", type(metric).__name__), "")
     _check_words(plug_in, metric)
+    rows, columns = 48, 64
     row, column = np.mgrid[:rows, :columns]
     distance = np.hypot(row - rows / 2.0, column - columns / 2.0) / (min(rows, columns) / 6.0)
     noise = np.random.default_rng(0).normal(0.0, 1.0, (rows, columns, 3))

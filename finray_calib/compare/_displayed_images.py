@@ -6,7 +6,7 @@ in linear light. The pointwise arithmetic of CIEDE2000 is compiled; powers and a
 several at once.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -75,11 +75,10 @@ def _shown(
     image: Floats, variance: Floats, contact: Floats, display: "_Display", capture: TactileCapture
 ) -> ShownCandidate:
     """Return a candidate with its likeness to the captured contact image."""
-    similarity, multi_scale = similarity_of_all_scales(image, contact, full_scale_dn(capture))
+    similarity, ms_ssim = similarity_of_all_scales(image, contact, full_scale_dn(capture))
     flip, differences = display.likeness(image)
     colour_difference = np.full(display.headline.shape, np.nan)
     colour_difference[display.headline] = differences
-    ms_ssim = None if multi_scale is None else multi_scale.value
     return ShownCandidate(image, variance, similarity, ms_ssim, flip, colour_difference)
 
 
@@ -415,7 +414,12 @@ def srgb_to_lab(srgb: Floats) -> Floats:
     ----------
     IEC 61966-2-1:1999; CIE 15:2018.
     """
-    encoded = _checked_srgb(srgb)
+    encoded = np.asarray(srgb, dtype=np.float64)
+    if encoded.shape[-1:] != (3,) or not ((encoded >= 0) & (encoded <= 1)).all():
+        raise CompareError(
+            f"sRGB values must be 0..1 in three channels on the last axis, got shape {encoded.shape}. Divide 8-bit "
+            "values by 255."
+        )
     lab = np.empty(encoded.shape)
     flat, result = encoded.reshape(-1, 3), lab.reshape(-1, 3)
     for start in range(0, len(flat), _CHUNK_PX):
@@ -446,52 +450,12 @@ def ciede2000(first_lab: Floats, second_lab: Floats) -> Floats:
     first, second = np.broadcast_arrays(
         np.asarray(first_lab, dtype=np.float64), np.asarray(second_lab, dtype=np.float64)
     )
-    return _in_chunks(_difference, first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
-
-
-def colour_difference_map(first_srgb: Floats, second_srgb: Floats) -> Floats:
-    """Return the CIEDE2000 difference of two displayed images, pixel by pixel.
-
-    Parameters
-    ----------
-    first_srgb, second_srgb : ndarray, shape (H, W, 3)
-        Encoded sRGB, 0..1.
-
-    Returns
-    -------
-    ndarray, shape (H, W)
-
-    Raises
-    ------
-    CompareError
-        If the shapes differ or values lie outside 0..1.
-    """
-    if first_srgb.shape != second_srgb.shape:
-        raise CompareError(
-            f"Displayed images must have one shape, got {first_srgb.shape} and {second_srgb.shape}. Crop them first."
-        )
-    first, second = _checked_srgb(first_srgb), _checked_srgb(second_srgb)
-    return _in_chunks(_srgb_difference, first.reshape(-1, 3), second.reshape(-1, 3)).reshape(first.shape[:-1])
-
-
-def _checked_srgb(srgb: Floats) -> Floats:
-    """Return sRGB values as floats, or say what they must be."""
-    encoded = np.asarray(srgb, dtype=np.float64)
-    if encoded.shape[-1:] != (3,) or not ((encoded >= 0) & (encoded <= 1)).all():
-        raise CompareError(
-            f"sRGB values must be 0..1 in three channels on the last axis, got shape {encoded.shape}. Divide 8-bit "
-            "values by 255."
-        )
-    return encoded
-
-
-def _in_chunks(difference: Callable[[Floats, Floats], Floats], first: Floats, second: Floats) -> Floats:
-    """Apply a difference of planes (3, pixels) to two lists of pixels, shape (P, 3)."""
-    result = np.empty(len(first))
-    for start in range(0, len(first), _CHUNK_PX):
+    one, other = first.reshape(-1, 3), second.reshape(-1, 3)
+    result = np.empty(len(one))
+    for start in range(0, len(one), _CHUNK_PX):
         chunk = slice(start, start + _CHUNK_PX)
-        result[chunk] = difference(_planes(first[chunk]), _planes(second[chunk]))
-    return result
+        result[chunk] = _difference(_planes(one[chunk]), _planes(other[chunk]))
+    return result.reshape(first.shape[:-1])
 
 
 def _planes(pixels: Floats) -> Floats:
@@ -505,11 +469,6 @@ def _lab_planes(srgb: Floats) -> Floats:
     white_ratios(srgb, ((srgb + 0.055) / 1.055) ** 2.4, _TO_RATIO, ratios)
     lab_of_ratios(ratios, np.cbrt(ratios))
     return ratios
-
-
-def _srgb_difference(first: Floats, second: Floats) -> Floats:
-    """Return the CIEDE2000 difference of sRGB planes."""
-    return _difference(_lab_planes(first), _lab_planes(second))
 
 
 def _difference(first: Floats, second: Floats) -> Floats:

@@ -185,6 +185,7 @@ def every_channel(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 #: Fewer tiles cannot show how an error varies over a region; with 12 the spread itself is known to about 20 %.
 MINIMUM_TILES = 12
+LARGEST_TILE_PX = 16
 
 
 def tile_indices(mask: NDArray[np.bool_], tile_px: int) -> NDArray[np.intp]:
@@ -211,14 +212,12 @@ def tile_indices(mask: NDArray[np.bool_], tile_px: int) -> NDArray[np.intp]:
     return np.asarray(rank[number], dtype=np.intp)
 
 
-def tile_side_px(mask: NDArray[np.bool_], largest_px: int = 16) -> int:
-    """Return the largest tile side that still gives enough tiles, halving from `largest_px`.
+def tile_side_px(mask: NDArray[np.bool_]) -> int:
+    """Return the largest tile side that still gives enough tiles, halving from `LARGEST_TILE_PX`.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
-    largest_px : int
-        Preferred side, px.
 
     Returns
     -------
@@ -236,7 +235,7 @@ def tile_side_px(mask: NDArray[np.bool_], largest_px: int = 16) -> int:
             f"The region has {pixels} usable pixels; an interval needs at least {MINIMUM_TILES}. Use a larger "
             "region or a larger image."
         )
-    side = largest_px
+    side = LARGEST_TILE_PX
     while side > 1 and int(tile_indices(mask, side).max()) + 1 < MINIMUM_TILES:
         side //= 2
     return side

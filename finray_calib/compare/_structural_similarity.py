@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import CompareError
-from finray_calib.compare._image_noise import block_mean, missing_pixels
+from finray_calib.compare._image_noise import missing_pixels
 from finray_calib.spectra import compiled, compiled_inside
 
 Floats = NDArray[np.float64]
@@ -110,16 +110,11 @@ def _images(
             f"Structural similarity needs two images of one shape (height, width, channels) of at least "
             f"{WINDOW_PX} x {WINDOW_PX} px, got {x.shape} and {y.shape}. Register and crop the render first."
         )
-    _require_range(data_range_dn)
-    return x, y
-
-
-def _require_range(data_range_dn: float) -> None:
-    """Refuse a range that is none."""
     if not data_range_dn > 0:
         raise CompareError(
             f"The data range must be positive, got {data_range_dn}; give the full scale, such as 255 for 8 bit."
         )
+    return x, y
 
 
 def similarity_bands(x: Floats, y: Floats, data_range_dn: float) -> Iterator[tuple[slice, Floats, Floats]]:
@@ -173,43 +168,14 @@ Mask = NDArray[np.bool_]
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 
 
-@dataclass(frozen=True, slots=True)
-class MultiScaleSimilarity:
-    """Hold a multi-scale similarity and the number of scales behind it.
-
-    Attributes
-    ----------
-    value : float
-    scales : int
-        5 in the paper; with fewer the value is another quantity, see `label`.
-    """
-
-    value: float
-    scales: int
-
-    @property
-    def label(self) -> str:
-        """Say which quantity it is."""
-        if self.scales == len(SCALE_WEIGHTS):
-            return "MS-SSIM, 5 scales (Wang 2003)"
-        return f"MS-SSIM with {self.scales} of 5 scales, weights renormalised: not comparable with 5"
-
-
-def multi_scale_similarity(
-    first: Floats,
-    second: Floats,
-    data_range_dn: float,
-    mask: Mask | None = None,
-    fewer_scales: bool = False,
-) -> MultiScaleSimilarity | None:
+def multi_scale_similarity(first: Floats, second: Floats, data_range_dn: float) -> float | None:
     r"""Return the multi-scale structural similarity of two images.
 
     .. math:: \langle l_5 s_5 \rangle^{w_5} \prod_{j=1}^{4} \langle s_j \rangle^{w_j}
 
     for each channel, then the mean over channels, with the luminance and structure factors l, s of
     `structural_similarity`, their means over complete windows, and each scale the mean over 2 x 2 pixels of the one
-    before: over those that are finite in both images. A negative mean counts as 0. A coarse pixel lies in the mask
-    where one of its pixels does.
+    before: over those that are finite in both images. A negative mean counts as 0.
 
     Parameters
     ----------
@@ -217,43 +183,28 @@ def multi_scale_similarity(
         Images in one unit.
     data_range_dn : float
         Full scale in that unit.
-    mask : ndarray of bool, shape (H, W), optional
-        Window centres to average over; default all.
-    fewer_scales : bool
-        Whether an image too small for five scales (shorter side below 176 px) may use as many as fit, with the weights
-        brought back to a sum of 1.
 
     Returns
     -------
-    MultiScaleSimilarity or None
-        None for an image that is too small, or where a scale has no complete window in the mask.
+    float or None
+        None for an image too small for five scales (shorter side below 176 px), or where a scale has no complete
+        window.
 
     Raises
     ------
     CompareError
-        If shapes differ or the range is not positive.
+        If shapes differ, the images are smaller than the window, or the range is not positive.
 
     References
     ----------
     Z. Wang, E. P. Simoncelli, A. C. Bovik, Asilomar Conference on Signals, Systems and Computers (2003) 1398.
     """
-    x, y = (np.asarray(image, dtype=np.float64) for image in (first, second))
-    inside = np.ones(x.shape[:2], dtype=np.bool_) if mask is None else mask
-    if x.ndim != 3 or x.shape != y.shape or inside.shape != x.shape[:2]:
-        raise CompareError(
-            "Multi-scale similarity needs two images and a mask of one size (height, width, channels), got "
-            f"{x.shape}, {y.shape} and {inside.shape}. Register and crop the render first."
-        )
-    _require_range(data_range_dn)
-    scales = _scales(min(x.shape[:2]))
-    if scales == 0 or (scales < len(SCALE_WEIGHTS) and not fewer_scales):
-        return None
-    return _over_scales(x, y, data_range_dn, inside, scales, None)
+    return similarity_of_all_scales(first, second, data_range_dn)[1]
 
 
 def similarity_of_all_scales(
     first: Floats, second: Floats, data_range_dn: float
-) -> tuple[StructuralSimilarity, MultiScaleSimilarity | None]:
+) -> tuple[StructuralSimilarity, float | None]:
     """Return `structural_similarity` and `multi_scale_similarity` of whole images, whose finest windows are the same.
 
     Parameters
@@ -269,33 +220,22 @@ def similarity_of_all_scales(
         If shapes differ, the images are smaller than the window, or the range is not positive.
     """
     x, y = _images(first, second, data_range_dn)
-    everywhere, scales = np.ones(x.shape[:2], dtype=np.bool_), _scales(min(x.shape[:2]))
+    everywhere = np.ones(x.shape[:2], dtype=np.bool_)
     ssim_map = np.full(x.shape[:2], np.nan)
-    finest = _mean_factors(x, y, data_range_dn, everywhere, ssim_map)
+    factors = [_mean_factors(x, y, data_range_dn, everywhere, ssim_map)]
     single = StructuralSimilarity(ssim_map, _mean_within(ssim_map, everywhere))
-    if scales < len(SCALE_WEIGHTS):
+    if min(x.shape[:2]) < WINDOW_PX * 2 ** (len(SCALE_WEIGHTS) - 1):
         return single, None
-    return single, _over_scales(x, y, data_range_dn, everywhere, scales, finest)
-
-
-def _over_scales(
-    x: Floats, y: Floats, data_range_dn: float, inside: Mask, scales: int, finest: tuple[Floats, Floats] | None
-) -> MultiScaleSimilarity | None:
-    """Return the product over scales; `finest` holds the means of the first, where they are known."""
     missing = missing_pixels(x, y)
     if missing is not None:
         x, y = (np.where(missing[..., None], np.nan, image) for image in (x, y))
-    # the five published weights add up to 1.0001 and are taken as they are
-    weights = np.array(SCALE_WEIGHTS[:scales]) / (1.0 if scales == len(SCALE_WEIGHTS) else sum(SCALE_WEIGHTS[:scales]))
-    value = np.ones(x.shape[2])
-    for scale, weight in enumerate(weights):
-        if scale:
-            x, y = _halved(x), _halved(y)
-            inside = block_mean(inside.astype(np.float64), 2) > 0
-        known = finest if scale == 0 else None
-        structure, whole = known or _mean_factors(x, y, data_range_dn, inside)
-        value *= np.maximum(whole if scale == scales - 1 else structure, 0.0) ** weight
-    return MultiScaleSimilarity(float(value.mean()), scales) if np.isfinite(value).all() else None
+    for _ in SCALE_WEIGHTS[1:]:
+        x, y = _halved(x), _halved(y)
+        factors.append(_mean_factors(x, y, data_range_dn, np.ones(x.shape[:2], dtype=np.bool_)))
+    # structure of all scales but the last, where the luminance counts too
+    means = np.array([*(structure for structure, _ in factors[:-1]), factors[-1][1]])
+    value = float((np.maximum(means, 0.0) ** np.array(SCALE_WEIGHTS)[:, None]).prod(axis=0).mean())
+    return single, value if np.isfinite(value) else None
 
 
 def _halved(image: Floats) -> Floats:
@@ -303,11 +243,6 @@ def _halved(image: Floats) -> Floats:
     half = np.empty((image.shape[0] // 2, image.shape[1] // 2, image.shape[2]))
     mean_of_finite(image, half)
     return half
-
-
-def _scales(side_px: int) -> int:
-    """Return how many scales have a complete window across the image, at most five."""
-    return sum(side_px >= WINDOW_PX * 2**scale for scale in range(len(SCALE_WEIGHTS)))
 
 
 def _mean_factors(

@@ -44,7 +44,6 @@ if TYPE_CHECKING:
         PaintSpectra,
         assumed_led,
         led_camera_matrix,
-        paint_spectra,
         read_bispectral_exr,
     )
     from finray_calib.exchange._raspberry_pi import RaspberryPiOptions, raspberry_pi_capture, read_tuning
@@ -103,7 +102,6 @@ __all__ = [
     "nine_dtact_capture",
     "nine_dtact_prediction",
     "outline_solid_stl",
-    "paint_spectra",
     "parquet_table",
     "press_request",
     "printable_parts",

@@ -109,13 +109,8 @@ class PaintSpectra:
                 )
 
     @property
-    def excitation_rel(self) -> Floats:
-        """Energy emitted per incident energy relative to that at the laser line, posterior mean (E,)."""
-        return self.absorption_rel * self.excitation_nm / self.laser_nm
-
-    @property
     def excitation_rel_draws(self) -> Floats:
-        """Posterior draws (N, E) of :attr:`excitation_rel`."""
+        """Posterior draws (N, E) of the energy emitted per incident energy, relative to that at the laser line."""
         return self.absorption_rel_draws * self.excitation_nm / self.laser_nm
 
     def reflectance_at(self, wavelength_nm: Floats) -> Floats:

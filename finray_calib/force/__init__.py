@@ -17,7 +17,6 @@ if TYPE_CHECKING:
         Loads,
         calibrate_cell,
         loading_order,
-        weighted_line,
     )
     from finray_calib.force._force_comparison import compare_force
     from finray_calib.force._force_curves import ForceCurve, MeasuredForce
@@ -37,5 +36,4 @@ __all__ = [
     "compare_force",
     "fit_material",
     "loading_order",
-    "weighted_line",
 ]

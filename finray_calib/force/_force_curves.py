@@ -1,12 +1,18 @@
-"""A force over the displacement of an indenter: simulated between the increments of a press, and measured."""
+"""A force over the displacement of an indenter: simulated between the increments of a press, and measured.
 
+Also how the simulated one depends on the numbers of the design, and how well these are known.
+"""
+
+import math
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from data_schemas import CompareError, ForceSlope, PressSensitivities, VariedPress
+from data_schemas import CompareError, FingerDesign, ForceSlope, PressSensitivities, VariedPress
 
 Floats = NDArray[np.float64]
 
@@ -103,6 +109,35 @@ def log_sensitivity(press: PressSensitivities, effect: VariedPress | ForceSlope,
             shared = other.depth_mm[-1:]
         slopes = np.log(other.at(shared) / one.at(shared)) / np.log1p(effect.change_rel)
     return np.asarray(np.interp(np.log(np.maximum(depth_mm, shared[0])), np.log(shared), slopes))
+
+
+# an elastomer's or plastic's modulus from the literature, for another batch, cure and rate
+ASSUMED_MODULUS_REL: Final = 0.2
+# K / mu is measured for hardly any silicone: from nu = 0.475 to 0.49975, even in its logarithm. The force changes less
+# and less with it, so that this sensitivity, taken where the design is, makes the interval too wide rather than short
+ASSUMED_BULK_OVER_SHEAR: Final = (20.0, 2000.0)
+_BULK_LN = math.log(ASSUMED_BULK_OVER_SHEAR[1] / ASSUMED_BULK_OVER_SHEAR[0]) / math.sqrt(12.0)
+ASSUMED_BULK_REL: Final = math.sqrt(math.expm1(_BULK_LN**2))
+# rolled and cast sheets are sold to about a tenth of their thickness
+ASSUMED_SHEET_REL: Final = 0.1
+# a print's or mould's limits; a rectangular distribution within them (JCGM 100, 4.3.7)
+PRINT_LIMIT_MM: Final = 0.1
+_SHEETS: Final = ("pad.film.thickness_mm", "skeleton.mirror_thickness_mm")
+
+
+def input_uncertainty(design: FingerDesign, field: str) -> tuple[float, str]:
+    """Return the relative standard uncertainty of a field, and where it is from."""
+    if field in design.uncertainty_rel:
+        return design.uncertainty_rel[field], "stated by the design"
+    if field.endswith("_mpa"):
+        return ASSUMED_MODULUS_REL, f"assumed: {100 * ASSUMED_MODULUS_REL:.0f} % of a modulus"
+    if field.endswith("bulk_over_shear"):
+        low, high = ASSUMED_BULK_OVER_SHEAR
+        return ASSUMED_BULK_REL, f"assumed: K / mu from {low:g} to {high:g}, evenly in its logarithm"
+    if field in _SHEETS:
+        return ASSUMED_SHEET_REL, f"assumed: {100 * ASSUMED_SHEET_REL:.0f} % of the thickness of a sheet"
+    value_mm = float(attrgetter(field)(design))
+    return PRINT_LIMIT_MM / math.sqrt(3.0) / value_mm, f"assumed: printed to +-{PRINT_LIMIT_MM:g} mm"
 
 
 FEWEST_POINTS = 5

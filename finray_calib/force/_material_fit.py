@@ -33,8 +33,7 @@ from data_schemas import (
     PressSensitivities,
 )
 from finray_calib.fit import Maxima, MixtureProposal, Prior, estimate, importance_sample
-from finray_calib.force._force_comparison import input_uncertainty
-from finray_calib.force._force_curves import MeasuredForce
+from finray_calib.force._force_curves import MeasuredForce, input_uncertainty
 
 Floats = NDArray[np.float64]
 GEL: Final = "mechanics.gel.c10_mpa"

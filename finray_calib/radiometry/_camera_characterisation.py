@@ -35,7 +35,6 @@ from finray_calib.radiometry._photon_transfer import (
     SpatialVariance,
     StackStatistics,
     fit_line,
-    line_nonuniformity,
     linearity,
     non_negative,
     nonuniformity,
@@ -419,12 +418,12 @@ def _fixed_pattern(levels: ChannelLevels, usable: Bools) -> _FixedPattern:
 
     return _FixedPattern(
         dsnu_dn=offset(nonuniformity(darkest, None, "spatial")),
-        dsnu_rows_dn=offset(line_nonuniformity(darkest, None, "rows")),
-        dsnu_columns_dn=offset(line_nonuniformity(darkest, None, "columns")),
-        dsnu_pixels_dn=offset(line_nonuniformity(darkest, None, "pixels")),
+        dsnu_rows_dn=offset(nonuniformity(darkest, None, "rows")),
+        dsnu_columns_dn=offset(nonuniformity(darkest, None, "columns")),
+        dsnu_pixels_dn=offset(nonuniformity(darkest, None, "pixels")),
         prnu_rel=response(pixel),
-        prnu_rows_rel=response(line_nonuniformity(lit, dark, "row_to_row")),
-        prnu_columns_rel=response(line_nonuniformity(lit, dark, "column_to_column")),
+        prnu_rows_rel=response(nonuniformity(lit, dark, "row_to_row")),
+        prnu_columns_rel=response(nonuniformity(lit, dark, "column_to_column")),
         flat_nonuniformity_rel=response(flat),
     )
 

@@ -40,6 +40,9 @@ SECOND_DIFFERENCE_CORRELATION = LINE_DIFFERENCE_CORRELATION**2
 LINE_DIFFERENCE_GAIN = 6.0
 
 
+Pattern = Literal["spatial", "pixel_to_pixel", "rows", "columns", "pixels", "row_to_row", "column_to_column"]
+
+
 @dataclass(frozen=True, slots=True)
 class SpatialVariance:
     """Variance of the mean image over the pixels, not yet corrected for temporal noise.
@@ -488,40 +491,13 @@ def linearity(exposure_s: Floats, signal_dn: Floats, noise_rel: Floats, used: Bo
     return Linearity(error, everywhere)
 
 
-def line_nonuniformity(
-    lit: StackStatistics,
-    dark: StackStatistics | None,
-    kind: Literal["rows", "columns", "pixels", "row_to_row", "column_to_column"],
-) -> SpatialVariance:
-    """Return the variance (DN^2) of whole rows or columns, or of the rest, as :func:`nonuniformity` does of all.
-
-    Parameters
-    ----------
-    lit
-        Stack of L frames.
-    dark
-        Dark stack of the same exposure, subtracted; None for the pattern of `lit` itself.
-    kind
-        One of the variances of :class:`RowsAndColumns`.
-    """
-    signs = ((lit, 1.0),) if dark is None else ((lit, 1.0), (dark, -1.0))
-    variance, sd_squares = 0.0, 0.0
-    for stack, sign in signs:
-        measured: SpatialVariance = getattr(stack.lines, kind)
-        temporal = stack.variance_dn2 / stack.frames if kind == "pixels" else 0.0
-        variance += sign * (measured.variance_dn2 - temporal)
-        sd_squares += measured.sd_dn2**2 + (temporal * stack.variance_sd_rel) ** 2
-    return SpatialVariance(variance, float(np.sqrt(sd_squares)))
-
-
-def nonuniformity(
-    lit: StackStatistics, dark: StackStatistics | None, kind: Literal["spatial", "pixel_to_pixel"]
-) -> SpatialVariance:
+def nonuniformity(lit: StackStatistics, dark: StackStatistics | None, kind: Pattern) -> SpatialVariance:
     r"""Return the variance of the fixed pattern (DN^2): spatial minus what temporal noise leaves in the mean image.
 
     .. math:: s^2 = \Bigl(s_y^2 - \frac{\sigma_y^2}{L}\Bigr) - \Bigl(s_{dark}^2 - \frac{\sigma_{dark}^2}{L_{dark}}\Bigr)
 
-    It may be negative by noise: its root then has an upper limit only.
+    It may be negative by noise: its root then has an upper limit only. From the variances of whole rows and columns the
+    temporal noise is taken out already.
 
     Parameters
     ----------
@@ -530,13 +506,13 @@ def nonuniformity(
     dark
         Dark stack of the same exposure, subtracted; None for the pattern of `lit` itself.
     kind
-        "spatial" (as it is) or "pixel_to_pixel" (after second differences).
+        "spatial" (as it is), "pixel_to_pixel" (after second differences), or one of :class:`RowsAndColumns`.
     """
     signs = ((lit, 1.0),) if dark is None else ((lit, 1.0), (dark, -1.0))
     variance, sd_squares = 0.0, 0.0
     for stack, sign in signs:
-        measured: SpatialVariance = getattr(stack, kind)
-        temporal = stack.variance_dn2 / stack.frames
+        measured: SpatialVariance = getattr(stack.lines if hasattr(stack.lines, kind) else stack, kind)
+        temporal = stack.variance_dn2 / stack.frames if kind in ("spatial", "pixel_to_pixel", "pixels") else 0.0
         variance += sign * (measured.variance_dn2 - temporal)
         sd_squares += measured.sd_dn2**2 + (temporal * stack.variance_sd_rel) ** 2
     return SpatialVariance(variance, float(np.sqrt(sd_squares)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from finray_calib.reports._batch_page import PressPictures, batch_lines, batch_page, press_pictures, ranking_figure
+    from finray_calib.reports._batch_page import PressPictures, batch_lines, batch_page, press_pictures
     from finray_calib.reports._camera_page import camera_page
     from finray_calib.reports._certificate_page import Certificate, certificate_page, certificate_pdf, paint_certificate
     from finray_calib.reports._check_page import check_report, history_page
@@ -272,7 +272,6 @@ __all__ = [
     "pressed_finger_png",
     "probability",
     "provenance_table",
-    "ranking_figure",
     "raspberry_pi_display",
     "raster",
     "report_html",

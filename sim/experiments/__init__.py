@@ -83,7 +83,6 @@ if TYPE_CHECKING:
     )
     from sim.experiments._press_surrogate import (
         DEFAULT_PRESSES,
-        FEWEST_PRESSES,
         LIMIT_REL,
         SurrogateFinger,
         SurrogatePress,
@@ -142,7 +141,6 @@ __all__ = [
     "BACK_MM",
     "DEFAULT_PRESSES",
     "DEPTH_ZERO",
-    "FEWEST_PRESSES",
     "LIMIT_REL",
     "OBJECTIVES",
     "REST_LEVEL",

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
         Condensation,
         CondensedContact,
         CondensedFinger,
-        coat_of,
         condense_finger,
     )
     from sim.mechanics._derivatives import DesignChange, PressDerivatives, press_derivatives
@@ -141,7 +140,6 @@ __all__ = [
     "check_no_path",
     "chord_shortfall_rel",
     "chosen_contact",
-    "coat_of",
     "coat_points",
     "compress_block",
     "condense_finger",

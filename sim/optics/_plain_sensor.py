@@ -13,12 +13,11 @@ from data_schemas import CHANNELS, CameraCalibration, ColouredLight, GelPad, Pla
 from data_schemas.storage import camera_response
 from sim.optics._calibrated_camera import read_calibration
 from sim.optics._optical_layout import CameraPose, PanelFrame
-from sim.optics._passes import known_variance, passes_of
 from sim.optics._path_rules import MAX_DEPTH, ROULETTE_DEPTH
 from sim.optics._pixel_maps import join_triangles, lines_of_sight, pose_rays
 from sim.optics._position_map import PositionMap
 from sim.optics._refraction import GelFace
-from sim.optics._render import stream_seed
+from sim.optics._render import known_variance, passes_of, stream_seed
 from sim.optics._renderer import SCALAR_VARIANT
 from sim.optics._scene import (
     PANEL_RADIANCE_REL,

@@ -1,11 +1,14 @@
-"""Run the command line in this process and look at the files it reads and writes."""
+"""Run the command line, in this process or as a program, and look at the files it reads and writes."""
 
 import json
 import math
 import os
 import re
 import shlex
+import signal
+import subprocess
 import sys
+import time
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -18,7 +21,8 @@ from finray_calib.cli import _output as options
 from finray_calib.cli.main import main
 from tests.schemas.stored_files import seal_again
 
-SCRIPTS = Path(__file__).parents[2] / "docs" / "how-to" / "use-finray-in-a-script.md"
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPTS = ROOT / "docs" / "how-to" / "use-finray-in-a-script.md"
 PROGRESS = re.compile(r"[a-z]+: .+ \(\d+ of \d+\)")
 
 
@@ -45,6 +49,52 @@ def finray(arguments: str) -> Outcome:
     if status in (0, 1) and not {"-h", "--help", "--version"} & set(words):
         require_documented(options.spoken(status))
     return Outcome(status, out.getvalue(), err.getvalue())
+
+
+class Program:
+    """``finray`` as a user runs it, in a session of its own."""
+
+    def __init__(self, arguments: str, folder: Path) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "finray_calib.cli.main", *shlex.split(arguments)], cwd=folder, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
+            start_new_session=True,
+        )  # fmt: skip
+
+    def wait_for(self, path: Path, limit_s: float = 240.0) -> None:
+        """Wait until it has written a file."""
+        deadline = time.monotonic() + limit_s
+        while not path.exists():
+            assert self.process.poll() is None, self.end()
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+
+    def kill(self) -> None:
+        """Kill it and all its children."""
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.communicate()
+
+    def children(self) -> list[int]:
+        """Return the processes that it has started itself."""
+        return children_of(self.process.pid)
+
+    def end(self, limit_s: float = 280.0) -> tuple[int, str, str]:
+        """Wait for its end; return exit status, standard output and standard error."""
+        out, err = self.process.communicate(timeout=limit_s)
+        return self.process.returncode, out, err
+
+
+def children_of(pid: int) -> list[int]:
+    """Return the processes that a process has started itself."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(fields[1]) == pid:
+            found.append(int(stat.parent.name))
+    return found
 
 
 def documented() -> dict[str, set[str]]:

@@ -19,7 +19,7 @@ from finray_calib.demo._report import write_report
 from finray_calib.demo._run import STAGES as REAL_STAGES
 from finray_calib.demo._run import complete_stages
 from tests.command_line import small_demo
-from tests.command_line.running import succeed, tree
+from tests.command_line.running import Program, children_of, succeed, tree
 from tests.documentation.example_records import example_results
 from tests.schemas.test_child_process import gone_within
 
@@ -121,18 +121,6 @@ def test_a_stage_that_hangs_ends_with_ctrl_c_and_the_demo_goes_on(tmp_path):
     assert can_continue(out, small_demo.settings(out))
     assert small_demo.run(out)[0]["verdict"] == "done"
     assert computed(out) == ["one", "two", "three"]
-
-
-def children_of(pid: int) -> list[int]:
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        if int(fields[1]) == pid:
-            found.append(int(stat.parent.name))
-    return found
 
 
 def begun(out: Path) -> None:
@@ -239,13 +227,13 @@ def test_every_stage_of_the_demo_names_its_inputs_before_they_are_needed():
 def test_the_demo_itself_goes_on_after_a_fit_that_crashed(tmp_path):
     """The real demo, whose fit of the red paint is killed by SIGSEGV; then interrupted when that paint is fitted."""
     out = tmp_path / "demo"
-    first = Demo(out)
+    first = Program(f"demo --engine scalar --out {out}", out.parent)
     log = out / "logs" / "the-fit-of-the-red-paint.log"
     first.wait_for(log)
     time.sleep(0.2)  # the log is opened just before the output goes there
     for child in first.children():
         os.kill(child, signal.SIGSEGV)
-    status, said = first.end()
+    status, _, said = first.end()
     assert status == 3
     told = re.search(
         r"^finray demo: error: the fit of the red paint was ended by SIGSEGV .* memory\. Its log is (\S+)\. "
@@ -257,43 +245,17 @@ def test_the_demo_itself_goes_on_after_a_fit_that_crashed(tmp_path):
     assert "Fatal Python error: Segmentation fault" in log.read_text()
     kept = tree(out / "red")
 
-    again = Demo(out)
+    again = Program(f"demo --engine scalar --out {out}", out.parent)
     again.wait_for(out / "red" / "paint.json")
     children = again.children()
     again.process.send_signal(signal.SIGINT)
-    status, said = again.end()
+    status, told_at_once, said = again.end()
     assert status == 130
     assert said.endswith("interrupted; files already written are complete\n")
     assert gone_within(children, 5.0)
     after = tree(out / "red")
     assert all(after[path] == digest for path, digest in kept.items())
-    assert f"{out}: continues after 2 of 16 stages" in again.out
-
-
-class Demo:
-    """``finray demo`` as a program."""
-
-    def __init__(self, out: Path) -> None:
-        self.out = ""
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "finray_calib.cli.main", *f"demo --engine scalar --out {out}".split()],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=out.parent,
-            env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
-        )  # fmt: skip
-
-    def wait_for(self, path: Path) -> None:
-        deadline = time.monotonic() + 240.0
-        while not path.exists():
-            assert self.process.poll() is None, self.end()
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-
-    def children(self) -> list[int]:
-        return children_of(self.process.pid)
-
-    def end(self) -> tuple[int, str]:
-        self.out, said = self.process.communicate(timeout=60.0)
-        return self.process.returncode, said
+    assert f"{out}: continues after 2 of 16 stages" in told_at_once
 
 
 def test_the_verb_ends_with_what_the_report_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

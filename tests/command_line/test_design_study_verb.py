@@ -2,25 +2,20 @@
 
 import csv
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from data_schemas import StudyMetric, StudyPoint, StudyResult, StudyRow, provenance
 from data_schemas.storage import read_record, write_record
-from finray_calib.cli._decide import _finger_or_sensor
+from finray_calib.cli._design import _finger_or_sensor
 from finray_calib.cli._study_run import stand_in_paints
 from finray_calib.cli.main import main
 from sim import given_design, preset_design, preset_sensor
 from sim.studies import StudyPaints, StudyTask, point_file, read_plan, study_points
 from sim.studies._point import point_key
+from tests.command_line.running import Program
 
-ROOT = Path(__file__).resolve().parents[2]
 PLAN = """
 kind = "design"
 name = "tiny & <small>"
@@ -43,32 +38,23 @@ values = ["cylindrical-r40"]
 """
 
 
-def begin(tmp_path, *more):
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", "finray_calib.cli.main", "study", "run", "plan.toml", "--out", "out", *more],
-        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
-    )  # fmt: skip
+def begin(folder: Path, more: str = "") -> Program:
+    return Program(f"study run plan.toml --out out {more}", folder)
 
 
 @pytest.mark.renderer
 @pytest.mark.timeout(3600)
 def test_a_killed_study_goes_on_with_what_is_missing(tmp_path, capsys):
     (tmp_path / "plan.toml").write_text(PLAN)
-    first = begin(tmp_path, "--workers", "1")
+    first = begin(tmp_path, "--workers 1")
     one = tmp_path / "out" / "points" / "00001.json"
-    deadline = time.monotonic() + 1500.0
-    while not one.exists():
-        assert first.poll() is None, first.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    os.killpg(first.pid, signal.SIGKILL)
-    first.communicate()
+    first.wait_for(one, 1500.0)
+    first.kill()
     kept = {path: path.read_bytes() for path in one.parent.glob("*.json")}
 
     again = begin(tmp_path)
-    said, warned = again.communicate(timeout=1500.0)
-    assert again.returncode == 0, warned
+    status, said, warned = again.end(1500.0)
+    assert status == 0, warned
     assert all(path.read_bytes() == content for path, content in kept.items())
     assert not list((tmp_path / "out").rglob(".*"))
 

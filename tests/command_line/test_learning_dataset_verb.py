@@ -2,11 +2,6 @@
 
 import csv
 import hashlib
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import cv2
@@ -17,18 +12,14 @@ from data_schemas import DatasetShard, LearningDataset
 from data_schemas.storage import manifest_faults, read_record
 from finray_calib.cli.main import main
 from finray_calib.exchange import read_shard
+from tests.command_line.running import Program
 
-ROOT = Path(__file__).resolve().parents[2]
 SMALL = "--size 40x30 --presses-per-shard 1 --lights 1 --paints 2 --samples 2 --radius-mm 3 5 --depth-mm 0.4 1.2"
-WORDS = ("baby-48x18", *SMALL.split(), "--out", "out")
+WORDS = f"baby-48x18 {SMALL} --out out"
 
 
-def begin(tmp_path, *more):
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", "finray_calib.cli.main", "study", "dataset", *WORDS, *more],
-        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
-    )  # fmt: skip
+def begin(folder: Path, more: str = "") -> Program:
+    return Program(f"study dataset {WORDS} {more}", folder)
 
 
 def decoded(content):
@@ -38,20 +29,15 @@ def decoded(content):
 @pytest.mark.renderer
 @pytest.mark.timeout(3600)
 def test_a_killed_data_set_goes_on_and_grows(tmp_path):
-    first = begin(tmp_path, "--presses", "3", "--workers", "1")
+    first = begin(tmp_path, "--presses 3 --workers 1")
     shards = tmp_path / "out" / "shards"
-    deadline = time.monotonic() + 1500.0
-    while not (shards / "shard-000000.json").exists():
-        assert first.poll() is None, first.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    os.killpg(first.pid, signal.SIGKILL)
-    first.communicate()
+    first.wait_for(shards / "shard-000000.json", 1500.0)
+    first.kill()
     kept = {path: path.read_bytes() for path in shards.glob("shard-*")}
 
-    again = begin(tmp_path, "--presses", "2", "--workers", "1")
-    said, warned = again.communicate(timeout=1500.0)
-    assert again.returncode == 0, warned
+    again = begin(tmp_path, "--presses 2 --workers 1")
+    status, said, warned = again.end(1500.0)
+    assert status == 0, warned
     assert all(path.read_bytes() == content for path, content in kept.items())
     assert not list((tmp_path / "out").rglob(".*"))
     assert said.endswith("look at: out/README.md\n")
@@ -86,15 +72,15 @@ def test_a_killed_data_set_goes_on_and_grows(tmp_path):
     assert {path.name for path in unlisted} <= {"dataset.json", "manifest-sha256.txt"}
 
     before = {path: path.read_bytes() for path in shards.glob("shard-*")}
-    more = begin(tmp_path, "--presses", "3", "--workers", "1")
-    said, warned = more.communicate(timeout=1500.0)
-    assert more.returncode == 0, warned
+    more = begin(tmp_path, "--presses 3 --workers 1")
+    status, said, warned = more.end(1500.0)
+    assert status == 0, warned
     assert "6 samples" in said
     assert all(path.read_bytes() == content for path, content in before.items())
 
-    other = begin(tmp_path, "--presses", "3", "--seed", "2")
-    _, warned = other.communicate(timeout=1500.0)
-    assert other.returncode == 2
+    other = begin(tmp_path, "--presses 3 --seed 2")
+    status, _, warned = other.end(1500.0)
+    assert status == 2
     assert "was computed from another design, other ranges, paints or seed" in " ".join(warned.split())
 
 

@@ -3,9 +3,6 @@
 import os
 import re
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +10,9 @@ import pytest
 
 from data_schemas import PressMechanics
 from data_schemas.storage import read_record
-from tests.command_line.running import finray, tree
-from tests.command_line.test_demo_goes_on import children_of
+from tests.command_line.running import Program, finray, tree
 from tests.schemas.test_child_process import gone_within
 
-ROOT = Path(__file__).resolve().parents[2]
 FINGER = """
 preset = "flat-70x35"
 name = "small"
@@ -29,27 +24,6 @@ film = {}
 position_mm = 24.0
 depth_mm = 0.6
 """
-
-
-class Program:
-    """``finray`` as a user runs it."""
-
-    def __init__(self, arguments: str, folder: Path) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "finray_calib.cli.main", *arguments.split()], cwd=folder, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": os.fspath(ROOT)},
-        )  # fmt: skip
-
-    def wait_for(self, path: Path) -> None:
-        deadline = time.monotonic() + 240.0
-        while not path.exists():
-            assert self.process.poll() is None, self.end()
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-
-    def end(self) -> tuple[int, str, str]:
-        out, err = self.process.communicate(timeout=280.0)
-        return self.process.returncode, out, err
 
 
 def without_progress(err: str) -> list[str]:
@@ -76,7 +50,7 @@ def test_a_press_that_dies_is_one_sentence_and_goes_on(tmp_path, number):
     press = "simulate press f.toml --increments 3 --out "
     first = Program(press + "a.press.json", tmp_path)
     first.wait_for(tmp_path / "a.increments" / "001.json")
-    (child,) = children_of(first.process.pid)
+    (child,) = first.children()
     os.kill(child, number)
     status, out, err = first.end()
     assert (status, out) == (3, "")
@@ -106,7 +80,7 @@ def test_ctrl_c_ends_it_and_its_process(tmp_path):
     (tmp_path / "f.toml").write_text(FINGER)
     running = Program("simulate press f.toml --increments 6 --out a.press.json", tmp_path)
     running.wait_for(tmp_path / "a.increments" / "001.json")
-    children = children_of(running.process.pid)
+    children = running.children()
     running.process.send_signal(signal.SIGINT)
     status, _, err = running.end()
     assert status == 130

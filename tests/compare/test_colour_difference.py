@@ -4,7 +4,6 @@ import pytest
 
 from data_schemas import CompareError
 from finray_calib.compare import ciede2000, srgb_to_lab
-from finray_calib.compare._displayed_images import colour_difference_map
 
 #: The 34 published pairs (L1, a1, b1, L2, a2, b2, difference) of G. Sharma, W. Wu, E. N. Dalal, "The CIEDE2000
 #: color-difference formula", Color Research and Application 30 (2005) 21, table 1.
@@ -79,19 +78,8 @@ def test_srgb_agrees_with_colour_science():
     assert np.abs(srgb_to_lab(srgb) - expected).max() < 1e-9
 
 
-def test_the_map_is_that_of_the_whole_image():
-    rng = np.random.default_rng(2)
-    first, second = rng.uniform(0, 1, (37, 21, 3)), rng.uniform(0, 1, (37, 21, 3))
-    difference = colour_difference_map(first, second)
-    assert difference.shape == (37, 21)
-    # Bands of rows change nothing but the rounding of the matrix product.
-    assert difference == pytest.approx(ciede2000(srgb_to_lab(first), srgb_to_lab(second)), abs=1e-10)
-
-
 def test_wrong_input_is_refused():
     with pytest.raises(CompareError, match=r"must be 0..1 in three channels .* got shape \(2, 2, 3\)"):
         srgb_to_lab(np.full((2, 2, 3), 128.0))
     with pytest.raises(CompareError, match=r"got shape \(2, 4\)"):
         srgb_to_lab(np.zeros((2, 4)))
-    with pytest.raises(CompareError, match=r"one shape, got \(2, 2, 3\) and \(2, 3, 3\)"):
-        colour_difference_map(np.zeros((2, 2, 3)), np.zeros((2, 3, 3)))

@@ -13,7 +13,7 @@ from html_page import Page, assert_stands_alone
 
 from data_schemas import CameraCharacterisation, Resolvable, provenance
 from finray_calib.radiometry import characterise_camera, sensitivity_threshold_e
-from finray_calib.radiometry._photon_transfer import MONOCHROME, FrameStack, line_nonuniformity, root_of
+from finray_calib.radiometry._photon_transfer import MONOCHROME, FrameStack, nonuniformity, root_of
 from finray_calib.reports import camera_page
 from tests.radiometry.camera_sessions import (
     BLACK_LEVEL_DN,
@@ -246,11 +246,11 @@ def test_intervals_of_rows_and_columns_hold_the_truth():
             (found,) = stack.statistics()
             if pattern is fixed:
                 for kind in held:
-                    variance = line_nonuniformity(found, None, kind)
+                    variance = nonuniformity(found, None, kind)
                     told = root_of(variance.variance_dn2, variance.sd_dn2)
                     held[kind] += told.low95 <= truth[kind] <= told.high95
             else:
-                rows = line_nonuniformity(found, None, "rows")
+                rows = nonuniformity(found, None, "rows")
                 empty += not root_of(rows.variance_dn2, rows.sd_dn2).resolved
     # a variance of 96 rows is not quite normal: 95 % becomes 93 to 94 %
     for kind, number in held.items():
@@ -265,7 +265,7 @@ def test_light_that_darkens_towards_a_corner_is_no_noise_of_rows():
     pattern = 1000.0 * (1.0 - 0.15 * x * y) + rng.standard_normal((240, 1))
     for _ in range(3):
         stack.add(pattern + 3.0 * rng.standard_normal((240, 320)))
-    variance = line_nonuniformity(stack.statistics()[0], None, "row_to_row")
+    variance = nonuniformity(stack.statistics()[0], None, "row_to_row")
     # of 240 rows, after second differences some 13 %
     assert variance.variance_dn2 == pytest.approx(1.0, abs=4 * 0.13)
     assert variance.sd_dn2 < 0.3

@@ -18,7 +18,7 @@ from sim.optics import (
     render_press,
     sweep_light_angle,
 )
-from sim.optics._passes import joined_passes, known_variance, passes_of
+from sim.optics._render import joined_passes, known_variance, passes_of
 from sim.optics._scene import finger_scene
 from sim.surface_meshes import pressed_shape, rest_shape, unpressed_design
 from tests.simulate.flat_refraction import trace_crossing
