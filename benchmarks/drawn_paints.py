@@ -1,15 +1,26 @@
 """Paints drawn from the prior of a model and measured on rigs that are not quite as stated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from data_schemas import BandPassFilter, BandSignals, Optics
 from data_schemas.storage import assumed_camera_response, halogen_lamp
-from finray_calib.fit import Discrepancy, EmissionPrior
+from finray_calib.fit import BandData, Discrepancy, EmissionPrior
 from finray_calib.fit._band_data import band_values
+from finray_calib.fit._filter_design import _known_rig
+from finray_calib.fit._measured_spectra import (
+    _PROCESS_FLOOR,
+    _SECOND_DYE,
+    _SIZES,
+    Components,
+    band_errors,
+    components_of,
+    height_prior,
+    learned_spectra,
+)
 from finray_calib.fit._prior import EDGE_OFFSET_FWHM, EDGE_WIDTH_FWHM
-from finray_calib.spectra import WAVELENGTH_NM, EmissionFamily, rig_emission_weights
+from finray_calib.spectra import WAVELENGTH_NM, EmissionFamily, photon_yield, rig_emission_weights
 from rigs import simulated_rig
 
 CHANNEL_WEIGHTS = (0.01, 0.09, 0.9)
@@ -75,6 +86,47 @@ def drawn_paint(
         region_pixels=10_000,
     )
     return DrawnPaint(theta, np.maximum(signed, 0.0), imperfections.ravel(), bands)
+
+
+def paint_of_the_learned_prior(rng: np.random.Generator) -> tuple[np.ndarray, float, BandData, float]:
+    """Return a paint of the learned prior: curve of 0 or more, reflectance, measured data, and sd of ln(blocking).
+
+    The truth is a draw of exactly what the fit believes, its values one of the fit's own likelihood: negative emission,
+    which the prior has, is measured as it is. Ranks of an exact posterior are uniform then.
+    """
+    optics = nominal_optics()
+    weights, empty = _known_rig(optics)
+    parts, ln_blocking_sd = components_of(learned_spectra(), WAVELENGTH_NM, weights.laser_nm), 0.5
+    while True:
+        signed, reflectance = _signed_paint(parts, rng)
+        curve = np.maximum(signed, 0.0)
+        if photon_yield(curve[None], WAVELENGTH_NM, weights.laser_nm)[0] <= 1 - reflectance:
+            break
+    leak = empty.leak_mean * np.exp(ln_blocking_sd**2 / 2)
+    mu = band_values(signed[None], np.array([reflectance]), weights, leak[None])[0]
+    stated = optics.band_uncertainty
+    stray = stated.stray_light_rel * np.abs(mu[~weights.is_excitation & empty.usable.ravel()]).max()
+    covariance = np.diag((np.hypot(NOISE_REL, stated.response_rel) * mu) ** 2 + stray**2)
+    exact = replace(empty, y=mu.reshape(empty.y.shape), covariance=covariance)
+    y = mu.copy()
+    y[exact.kept] += band_errors(exact, signed, reflectance, ln_blocking_sd, rng)
+    return curve, reflectance, replace(exact, y=y.reshape(empty.y.shape)), ln_blocking_sd
+
+
+def _signed_paint(parts: Components, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """Return curve, with what the departures take below zero, and reflectance of one draw of the learned prior."""
+    share, above = np.exp(parts.ln_share), parts.wavelength_nm >= parts.laser_nm
+    chosen = rng.choice(share.size, 1, p=share / share.sum())
+    (size, second) = (rng.choice(*np.transpose(table)[:1], p=np.transpose(table)[1]) for table in (_SIZES, _SECOND_DYE))
+    own, departures = parts.curves[chosen[0]], parts.departures(chosen)[0]
+    process = parts.process @ rng.standard_normal(parts.process.shape[1])
+    curve = own + rng.standard_normal(len(departures)) @ departures + size * (own + _PROCESS_FLOOR) * above * process
+    curve += second * rng.standard_normal(len(parts.second)) @ parts.second
+    mean, precision = height_prior(parts, chosen)
+    both = np.full(2, -1.0)
+    while (both <= 0).any():
+        both = mean[0] + rng.standard_normal(2) / np.sqrt(precision[0])
+    return both[0] * curve, float(both[1])
 
 
 def _real(nominal: Optics, imperfections: np.ndarray, hotter: float) -> Optics:

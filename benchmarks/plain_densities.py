@@ -84,9 +84,10 @@ class DefaultDensity:
         self.leaked = np.concatenate([np.zeros_like(self.in_band), rule.leaked[kept]], axis=1)
         self.laser, self.leaked_laser = weights.reflected_laser[kept], weights.leaked_laser[kept]
         self.leaked_white, self.y = weights.leaked_white[kept], data.y.ravel()[kept]
-        self.leak_sd, self.lamp = data.tolerances.blocking_sd[kept], data.lamp_rel[kept]
+        self.leak_sd, self.common = data.tolerances.blocking_sd[kept], data.common_rel[:, kept]
         self.own_leaks = [(weights.band_index[kept] == band, at) for band, at in posterior.own_leaks.items()]
-        self.covariance = data.covariance[np.ix_(kept, kept)] + posterior.imperfections @ posterior.imperfections.T
+        u = posterior.imperfections
+        self.covariance = data.covariance_without_tile(kept) + u @ u.T
         # bands that share no discrepancy in the fit (e^-8 of its variance) share none here
         near = posterior.problem.kernel > 0
         self.kernel = near * self.discrepancy.smooth_kernel(self.nodes, self.nodes)
@@ -109,9 +110,9 @@ class DefaultDensity:
         edge = (self.nodes - mode + EDGE_OFFSET_FWHM * fwhm) / (EDGE_WIDTH_FWHM * fwhm)
         absorbed = self.discrepancy.reabsorption_rel / (1 + np.exp(np.minimum(edge, 60.0)))
         pulled = response @ absorbed[..., None]
-        lamp = (self.lamp * mu)[..., None]
+        common = mu[..., None] * self.common.T
         covariance = self.covariance + response @ self.kernel @ response.swapaxes(1, 2) + pulled @ pulled.swapaxes(1, 2)
-        covariance += lamp @ lamp.swapaxes(1, 2)
+        covariance += common @ common.swapaxes(1, 2)
         factor = np.linalg.cholesky(covariance)
         residual = np.linalg.solve(factor, (self.y - mu)[..., None])[..., 0]
         half = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)

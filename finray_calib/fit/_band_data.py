@@ -5,18 +5,17 @@ r"""Normalised band values of one region, ready to fit, and the directions in wh
 One column of U per band for each of: its calibration, its blocking, its filter's centre and its filter's width. The
 imperfections k are integrated out analytically, :math:`y \sim N(\mu, S + U U^T)`.
 
-U is fixed before sampling: the calibration columns from the measured values, the others at a reference fit, of which
-the error of the white reference is a share too, see :meth:`BandData.at`. Were U to move with the model, a model
-that cannot follow the data could buy likelihood by predicting too much, because relative errors of a large prediction
-forgive everything; an orange ink came out at four times its true yield. For errors of 1 % that are common to the three
-channels of a band the bias of taking them at the data is 3e-4.
+U is fixed before sampling: the calibration columns from the measured values, the others at a reference fit. Were U to
+move with the model, a model that cannot follow the data could buy likelihood by predicting too much, because relative
+errors of a large prediction forgive everything; an orange ink came out at four times its true yield. For errors of 1 %
+that are common to the three channels of a band the bias of taking them at the data is 3e-4.
 
-The temperature of the lamp moves all bands together, by 6 % in the red for 50 K. At a fixed curve its column would pull
-yields down by a tenth of their uncertainty, so the family's posterior takes it as a share of what each theta predicts:
+White reference and lamp move all bands together, a lamp off by 50 K those in the red by 6 %. At a fixed curve they
+would pull yields down, so the family's posterior takes both as shares of what each theta predicts:
 
-.. math:: y \sim N\bigl(\mu, S + U U^T + (g \mu)(g \mu)^T\bigr)
+.. math:: y \sim N\bigl(\mu, S + U U^T + \textstyle\sum_k (g_k \mu)(g_k \mu)^T\bigr)
 
-with g the relative change of each value for one standard uncertainty of the lamp; one direction forgives little.
+with :math:`g_k` the relative change of each value for one standard uncertainty; two directions forgive little.
 
 A filter's own leak is log-normal, and where it decides what the fit believes, no fixed column can stand for it: such
 leaks are sampled beside the shape, and their columns are empty.
@@ -276,9 +275,14 @@ class BandData:
         return np.zeros(self.y.size) if self.tolerances is None else self.tolerances.blocking_sd
 
     @property
-    def lamp_rel(self) -> FloatArray:
-        """Relative change of each value for one standard uncertainty of the lamp, (N,): 0 of a perfectly known one."""
-        return np.zeros(self.y.size) if self.lamp_response_rel is None else self.lamp_response_rel
+    def common_rel(self) -> FloatArray:
+        """Relative change of each value for one standard uncertainty of white reference and lamp, (2, N).
+
+        0 of what is perfectly known, and of a white reference whose part the covariance does not hold.
+        """
+        tile = self.tile_uncertainty_rel if self._holds_tile(self.kept) else 0.0
+        lamp = 0.0 if self.lamp_response_rel is None else self.lamp_response_rel
+        return np.stack([np.full(self.y.size, tile), np.broadcast_to(lamp, self.y.size)])
 
     @property
     def leak_mean(self) -> FloatArray:
@@ -288,8 +292,7 @@ class BandData:
     def at(self, level: FloatArray) -> "BandData":
         """Return the data with errors that are common to all values as shares of `level` (N,), which a fit predicts.
 
-        The white reference's error goes by it; the lamp's does only in the learned prior, as a family's fit takes the
-        lamp at each of its curves.
+        For the learned prior: a family's fit takes them at each of its curves.
 
         As shares of the measured values, whose own errors they then follow, they pull the fitted level down (Peelle's
         puzzle): by 4 % for a white reference known to 10 %, a lamp to 50 K, filters to 1 % and values to 0.5 %.
@@ -324,7 +327,7 @@ class BandData:
         return covariance - self.tile_uncertainty_rel**2 * np.outer(level, level)
 
     def imperfections(self, reference: Reference | None = None) -> FloatArray:
-        """Return the imperfection columns U of the usable rows, (K, M), without the lamp's.
+        """Return the imperfection columns U of the usable rows, (K, M).
 
         Parameters
         ----------

@@ -79,13 +79,14 @@ def curve_draws(log_posterior: LogPosterior, theta: FloatArray, rng: np.random.G
     delta = scale * relative
     u = log_posterior.imperfections
     k = rng.standard_normal((count, u.shape[1]))
-    noise = np.linalg.cholesky(data.covariance[np.ix_(data.kept, data.kept)])
+    noise = np.linalg.cholesky(data.covariance_without_tile(data.kept))
     member = np.zeros((len(p.y), len(nodes)))  # in-band weights of each row at all nodes
     columns = p.band[:, None] * p.in_band.shape[1] + np.arange(p.in_band.shape[1])
     np.put_along_axis(member, columns, p.in_band, axis=1)
     predicted = log_posterior.predict_usable(theta)
-    lamp = predicted * data.lamp_rel[data.kept] * rng.standard_normal((count, 1))
-    simulated = predicted + delta[:, split:] @ member.T + k @ u.T + lamp
+    common = data.common_rel[:, data.kept]
+    simulated = predicted * (1 + rng.standard_normal((count, len(common))) @ common)
+    simulated += delta[:, split:] @ member.T + k @ u.T
     misfit = p.y - simulated - rng.standard_normal((count, len(p.y))) @ noise.T
     alpha = np.einsum("nij,nj->ni", log_posterior.precisions(theta), misfit)
     pull = (alpha @ member) * scale[:, split:]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import FitError
-from finray_calib.fit._band_data import LEAST_BANDS, BandData, Reference, band_values, decisive_leaks
+from finray_calib.fit._band_data import LEAST_BANDS, BandData, Reference, decisive_leaks
 from finray_calib.fit._prior import NO_DISCREPANCY, Discrepancy, EmissionPrior
 from finray_calib.fit.posterior_kernel import (
     COVARIANCE,
@@ -140,16 +140,13 @@ class LogPosterior:
             return reference
         # a leak that was found to be low still decides: judged by what it was believed to be
         believed = replace(reference, leak=np.exp(theta[p.shapes + 1]) * data.leak_mean)
-        rest = data.covariance[np.ix_(data.kept, data.kept)] + self.covariances(theta[None])[0] - p.covariance
+        rest = data.covariance_without_tile(data.kept) + self.covariances(theta[None])[0] - p.covariance[0]
         decisive = decisive_leaks(data.imperfections(believed), rest, data.weights.bands)
         return replace(reference, sampled_leaks=decisive)
 
     def refined(self, theta: FloatArray) -> tuple["LogPosterior", FloatArray]:
         """Return the posterior whose tolerances act at `theta` (D,), and the maximum that it reaches from there."""
-        reference, weights = self.reference_at(theta), self.data.weights
-        reflected = np.array([reference.reflected_laser])
-        data = self.data.at(band_values(reference.curve[None], reflected, weights, reference.leak[None])[0])
-        posterior = LogPosterior(data, self.family, self._paints, self.discrepancy, reference)
+        posterior = LogPosterior(self.data, self.family, self._paints, self.discrepancy, self.reference_at(theta))
         return posterior, posterior.climb(posterior.carried(theta[None], self.prior.names)[0])
 
     def carried(self, theta: FloatArray, names: Sequence[str]) -> FloatArray:
@@ -208,8 +205,7 @@ def _problem(posterior: LogPosterior) -> Problem:
     data, prior, discrepancy = posterior.data, posterior.prior, posterior.discrepancy
     kept, weights = data.kept, data.weights
     rule = data.quadrature
-    u = posterior.imperfections
-    covariance = data.covariance[np.ix_(kept, kept)] + u @ u.T
+    u, common = posterior.imperfections, data.common_rel[:, kept]
     nodes = rule.nodes_nm.ravel()
     centres = rule.nodes_nm.mean(axis=1)
     near = np.abs(centres[:, None] - centres) < _LENGTHS_APART * discrepancy.length_nm
@@ -222,7 +218,7 @@ def _problem(posterior: LogPosterior) -> Problem:
         weights.reflected_laser[kept],
     )
     rows["leaked_laser"], rows["leaked_white"] = weights.leaked_laser[kept], weights.leaked_white[kept]
-    rows["leak_mean"], rows["leak_sd"], rows["lamp"] = data.leak_mean[kept], data.leak_sd[kept], data.lamp_rel[kept]
+    rows["leak_mean"], rows["leak_sd"] = data.leak_mean[kept], data.leak_sd[kept]
     rows["leak_at"] = [posterior.own_leaks.get(band, 0) for band in rows["band"]]
     for name in NORMAL.names or ():
         normals[name] = getattr(prior, name)
@@ -234,7 +230,7 @@ def _problem(posterior: LogPosterior) -> Problem:
         points_nm=np.concatenate([nodes, rule.grid_nm]),
         rows=rows,
         weights=np.concatenate([rule.in_band, rule.out_of_band, rule.leaked], axis=1)[kept],
-        covariance=covariance,
+        covariance=np.stack([data.covariance_without_tile(kept) + u @ u.T, common.T @ common]),
         kernel=discrepancy.smooth_kernel(nodes, nodes)
         * np.repeat(np.repeat(near, BAND_NODES, axis=0), BAND_NODES, axis=1),
         floor_rel=discrepancy.floor_rel,

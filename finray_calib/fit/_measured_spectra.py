@@ -331,6 +331,7 @@ class _Scored:
     size: Floats
     second: Floats
     height: Floats  # (n, 2) mean of height and reflectance
+    scale: Floats  # (n,) height that the departures in the covariance have
     precision: Floats  # (n, 2, 2) of both
     inverse: Floats  # (n, K, K) of the covariance of the bands
     weight: Floats
@@ -389,7 +390,7 @@ class ScoredSpectra:
             scored.size[place] * (parts.process * _above(parts)).T * (parts.curves[which] + _PROCESS_FLOOR),
             scored.second[place] * parts.second,
         ]
-        return np.asarray(np.concatenate(v) * max(scored.height[place, 0], 1e-9))
+        return np.asarray(np.concatenate(v) * scored.scale[place])
 
     @property
     def shape_directions(self) -> int:
@@ -522,22 +523,23 @@ def _scored(
     rest: Floats,
     ln_prior: Floats,
     height: Floats,
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return ln evidence (n,), height and reflectance (n, 2), their precision and the inverse covariance."""
+) -> tuple[Floats, tuple[Floats, Floats, Floats, Floats]]:
+    """Return ln evidence (n,); height and reflectance (n, 2), the departures' height, precision, inverse covariance."""
     mean, precision = height_prior(parts, chosen)
     design = np.stack([bands[chosen], np.broadcast_to(rig.laser, bands[chosen].shape)], axis=2)
+    found = np.stack([height, height], axis=1)
     for _ in range(2):
-        inverse = np.linalg.inv(rest + (height**2)[:, None, None] * departures)
+        scale = np.maximum(found[:, 0], 1e-3 * mean[:, 0])
+        inverse = np.linalg.inv(rest + (scale**2)[:, None, None] * departures)
         weighted = inverse @ design
         information = design.transpose(0, 2, 1) @ weighted + np.eye(2) * precision[:, None, :]
         right = weighted.transpose(0, 2, 1) @ rig.y + precision * mean
-        found = np.linalg.solve(information, right[..., None])[..., 0]
-        height = np.maximum(found[:, 0], 1e-3 * mean[:, 0])
+        found = np.asarray(np.linalg.solve(information, right[..., None])[..., 0])
     residual = rig.y - (design @ found[..., None])[..., 0]
     ln = -0.5 * np.einsum("ni,nij,nj->n", residual, inverse, residual) + 0.5 * np.linalg.slogdet(inverse)[1]
     ln += -0.5 * (precision * (found - mean) ** 2).sum(axis=1) + 0.5 * np.log(precision).sum(axis=1)
     ln += -0.5 * np.linalg.slogdet(information)[1] + ln_prior - 0.5 * rig.y.size * np.log(2 * np.pi)
-    return np.where(found[:, 0] > 0, ln, -np.inf), np.asarray(found), information, np.asarray(inverse)
+    return np.where(found[:, 0] > 0, ln, -np.inf), (found, scale, information, np.asarray(inverse))
 
 
 def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.int64]) -> _Scored:
@@ -555,10 +557,9 @@ def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.in
     rest = covariance + columns @ columns.T
     emitting = ~rig.data.weights.is_excitation[rig.data.kept]
     height = np.abs(rig.y[emitting]).max() / np.maximum(own[:, emitting].max(axis=1), 1e-12)
-    scored = _scored(rig, parts, bands, seen, departures, rest, parts.ln_share[seen], height)
-    weight, evidence = _weights(scored[0])
+    ln, normal = _scored(rig, parts, bands, seen, departures, rest, parts.ln_share[seen], height)
     ones = np.ones(seen.size)
-    return _Scored(seen, ones, 0 * ones, scored[1], scored[2], scored[3], weight, evidence)
+    return _Scored(seen, ones, 0 * ones, *normal, *_weights(ln))
 
 
 def _weights(ln: Floats) -> tuple[Floats, float]:
@@ -588,11 +589,10 @@ def _second_pass(
     height = np.tile(np.maximum([heights[c] for c in best.tolist()], 1e-9), times)
     covariance = rig.data.covariance[np.ix_(rig.data.kept, rig.data.kept)] + columns @ columns.T
     every = np.tile(best, times)
-    ln, found, information, inverse = _scored(
+    ln, normal = _scored(
         rig, parts, bands, every, np.concatenate(departures), covariance, np.concatenate(ln_prior), height
     )
-    weight, evidence = _weights(ln)
-    return _Scored(every, np.concatenate(sizes), np.concatenate(seconds), found, information, inverse, weight, evidence)
+    return _Scored(every, np.concatenate(sizes), np.concatenate(seconds), *normal, *_weights(ln))
 
 
 def _above(parts: Components) -> Floats:

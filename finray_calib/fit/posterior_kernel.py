@@ -32,7 +32,6 @@ ROW: Final = np.dtype(
         ("leak_mean", np.float64),  # mean over median of the row's own leak, and standard deviation of its logarithm
         ("leak_sd", np.float64),
         ("leak_at", np.int64),  # where theta holds it, in these standard deviations; 0 where it is not sampled
-        ("lamp", np.float64),  # relative change for one standard uncertainty of the lamp
     ],
     align=True,
 )
@@ -54,7 +53,7 @@ class Problem(NamedTuple):
     points_nm: FloatArray  # (B Q + G,) the bands' nodes, band after band, then the grid
     rows: NDArray[np.void]  # (K,) of ROW
     weights: FloatArray  # (K, Q + 2 G) at the nodes of the row's band, then on the grid: out of band, leaked
-    covariance: FloatArray  # (K, K) measurement and imperfections, without the lamp's
+    covariance: FloatArray  # (2, K, K) measurement and imperfections; relative one of what is common to all values
     kernel: FloatArray  # (B Q, B Q) smooth part of the discrepancy between all nodes
     floor_rel: float
     reabsorption_rel: float
@@ -82,7 +81,7 @@ class Work(NamedTuple):
 
     c: FloatArray  # constants of the curve
     curve: FloatArray  # (2, B Q + G) at the points: the curve, and what pulls on it
-    row: FloatArray  # (4, K) prediction, whitened residual, re-absorbed light, change by the lamp
+    row: FloatArray  # (3, K) prediction, whitened residual, re-absorbed light
     scaled: FloatArray  # (K, Q) curve times weights
     factor: FloatArray  # (K, K) lower triangle, of the diagonal the inverse
 
@@ -90,7 +89,6 @@ class Work(NamedTuple):
 MU: Final = 0
 Z: Final = 1
 _EDGE: Final = 2
-_LAMP: Final = 3
 
 
 @compiled_inside
@@ -99,7 +97,7 @@ def scratch(rows: int, points: int) -> Work:
     return Work(
         np.empty(CONSTANTS),
         np.empty((2, points)),
-        np.empty((4, rows)),
+        np.empty((3, rows)),
         np.empty((rows, BAND_NODES)),
         np.empty((rows, rows)),
     )
@@ -144,7 +142,6 @@ def fill_covariance(p: Problem, theta: FloatArray, w: Work) -> None:
             w.scaled[i, q] = p.weights[i, q] * (w.curve[0, first + q] + floor)
             s += w.scaled[i, q] * w.curve[1, first + q]
         w.row[_EDGE, i] = s
-        w.row[_LAMP, i] = p.rows[i]["lamp"] * w.row[MU, i]
     for j in range(rows):
         own = p.rows[j]["band"] * BAND_NODES
         for first in range(own, nodes, BAND_NODES):
@@ -155,8 +152,8 @@ def fill_covariance(p: Problem, theta: FloatArray, w: Work) -> None:
                         part += p.kernel[first + q, own + r] * w.scaled[j, r]
                     w.curve[1, first + q] = part
         for i in range(j, rows):
-            total, first = p.covariance[i, j] + w.row[_EDGE, i] * w.row[_EDGE, j], p.rows[i]["band"] * BAND_NODES
-            total += w.row[_LAMP, i] * w.row[_LAMP, j]
+            total, first = p.covariance[0, i, j] + w.row[_EDGE, i] * w.row[_EDGE, j], p.rows[i]["band"] * BAND_NODES
+            total += p.covariance[1, i, j] * w.row[MU, i] * w.row[MU, j]
             if p.kernel[first, own] > 0:
                 for q in range(BAND_NODES):
                     total += w.scaled[i, q] * w.curve[1, first + q]

@@ -53,41 +53,48 @@ def test_intervals_hold_the_truth_as_often_as_they_say(ranks, name):
     assert low <= inside <= high
 
 
-LEVELS, PAIRS = np.linspace(-1.2, 1.2, 97), 100  # of ln(peak) around the truth: seven standard deviations
+LEVELS, PAIRS = np.linspace(-1.2, 1.2, 97), 100  # of ln(level) around the truth: seven standard deviations
+SOURCES = {"lamp": (2,), "white reference": (2, 4)}
+"""What of theta is unknown: ln(peak), and for a wrong white reference ln(reflectance) by the same factor."""
 
 
-def test_a_lamp_that_is_off_leaves_the_level_in_the_middle_of_its_posterior(weights):
-    """The peak alone is unknown, and the lamp moves the reddest band by 15 %: three times the usual uncertainty.
+@pytest.mark.parametrize("source", SOURCES)
+def test_what_moves_all_bands_leaves_the_level_in_the_middle_of_its_posterior(weights, source):
+    """The lamp moves the reddest band by 15 %, three times the usual, or the white reference all bands by 10 %.
 
-    As a share of measured or fitted values the lamp's error would leave the truth too high. Each peak is measured
-    twice with opposite errors, so that few paints show a small bias.
+    As shares of measured or fitted values such errors would leave the truth too high. Each level is measured twice with
+    opposite errors, so that few paints show a small bias.
     """
-    rng, ranks = np.random.default_rng(20261129), []
+    rng, ranks, unknown = np.random.default_rng(20261129), [], list(SOURCES[source])
     data, _ = simulate(orange(), weights, rng)
-    for ln_peak in np.log(0.003) + 1.2 * rng.standard_normal(PAIRS):  # the prior
+    prior = LogPosterior(data, LOG_NORMAL, EmissionPrior()).prior
+    precision = prior.sd[unknown] ** -2
+    mean = precision @ (prior.mean - orange())[unknown] / precision.sum()
+    for level in mean + rng.standard_normal(PAIRS) / np.sqrt(precision.sum()):  # the prior
         theta = orange()
-        theta[2] = ln_peak
+        theta[unknown] += level
         z, noise = rng.standard_normal(), rng.standard_normal(24)
-        ranks.append([level_rank(data, theta, sign * z, sign * noise) for sign in (1, -1)])
+        ranks.append([level_rank(data, theta, source, sign * z, sign * noise) for sign in (1, -1)])
     pairs = np.mean(ranks, axis=1)
     # four standard errors of the mean
     assert pairs.mean() == pytest.approx(0.5, abs=4 * pairs.std() / np.sqrt(PAIRS))
 
 
-def level_rank(data, theta, z, noise):
-    """Return the posterior probability that the peak lies below the truth; all else is known."""
-    lamp = 0.15 * np.repeat(np.linspace(-0.2, 1.0, 8), 3)
+def level_rank(data, theta, source, z, noise):
+    """Return the posterior probability that the level lies below the truth; all else is known."""
+    lamp, tile = (0.15 * np.repeat(np.linspace(-0.2, 1.0, 8), 3), 0.0) if source == "lamp" else (np.zeros(24), 0.1)
     plain = LogPosterior(data, LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
     mu = plain.predict_usable(theta[None])[0]
     plain = LogPosterior(replace(data, y=mu.reshape(8, 3)), LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
-    y = mu * (1 + lamp * z) + np.linalg.cholesky(plain.covariances(theta[None])[0]) @ noise
-    seen = replace(data, y=y.reshape(8, 3), lamp_response_rel=lamp)
+    y = mu * (1 + (lamp + tile) * z) + np.linalg.cholesky(plain.covariances(theta[None])[0]) @ noise
+    seen = replace(data, y=y.reshape(8, 3), lamp_response_rel=lamp, tile_uncertainty_rel=tile)
+    seen = replace(seen, covariance=data.covariance + tile**2 * np.outer(y, y))
     posterior = LogPosterior(seen, LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
     best = posterior.climb(theta)
     for _ in range(REFERENCE_ROUNDS):
         posterior, best = posterior.refined(best)
     rows = np.tile(theta, (LEVELS.size, 1))
-    rows[:, 2] += LEVELS
+    rows[:, SOURCES[source]] += LEVELS[:, None]
     density = posterior(rows)
     share = np.exp(density - density.max())
     return share[LEVELS < 0].sum() / share.sum() + 0.5 * share[LEVELS.size // 2] / share.sum()

@@ -14,13 +14,16 @@ from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
 COUNT = 2000
 # without a floor and with a small amplitude no drawn curve touches zero, where draws are cut
 SMALL = replace(PAINT_DISCREPANCY, amplitude_rel=0.05, floor_rel=0.0)
+TILE_REL = 0.1  # uncertainty of the white reference
 
 
 @pytest.fixture(scope="module")
 def posterior(weights):
     data, _ = simulate(orange(), weights, np.random.default_rng(3), discrepancy=SMALL)
     lamp = np.linspace(-0.04, 0.12, 24)
-    return LogPosterior(replace(data, lamp_response_rel=lamp), LOG_NORMAL, EmissionPrior(), SMALL)
+    covariance = data.covariance + TILE_REL**2 * np.outer(data.y, data.y)
+    uncertain = replace(data, covariance=covariance, lamp_response_rel=lamp, tile_uncertainty_rel=TILE_REL)
+    return LogPosterior(uncertain, LOG_NORMAL, EmissionPrior(), SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +45,11 @@ def normal(posterior):
     prior[:size, :size] = process[:size, :size]
     prior[size:, size:] = np.eye(errors)
     with_y = np.concatenate([process[:size, size:] @ member.T, u.T])
-    mu = posterior.predict_usable(theta[None])[0]
+    mu, y = posterior.predict_usable(theta[None])[0], posterior.data.y.ravel()
     lamp = posterior.data.lamp_response_rel * mu
-    total = member @ process[size:, size:] @ member.T + u @ u.T + posterior.data.covariance + np.outer(lamp, lamp)
+    noise = posterior.data.covariance - TILE_REL**2 * np.outer(y, y)
+    total = member @ process[size:, size:] @ member.T + u @ u.T + noise + np.outer(lamp, lamp)
+    total += TILE_REL**2 * np.outer(mu, mu)
     gain = np.linalg.solve(total, with_y.T).T
     mean = gain @ (posterior.problem.y - mu)
     mean[:size] += scale[:size]
@@ -67,13 +72,12 @@ def test_mean_and_covariance_are_those_of_the_joint_normal_posterior(posterior, 
     assert np.abs(np.cov(got.T) / np.outer(sd, sd) - correlation).max() < 5 * np.sqrt(2 / COUNT) + 0.02
 
 
-def test_imperfections_are_the_calibration_errors_that_were_made(weights, posterior):
+def test_imperfections_are_the_calibration_errors_that_were_made(weights):
     """A band that is brighter than the others allow pulls its own calibration."""
-    y = posterior.data.y.copy()
+    data, _ = simulate(orange(), weights, np.random.default_rng(3), discrepancy=SMALL)
+    y = data.y.copy()
     y[5] *= 1.05
-    spoiled = LogPosterior(
-        replace(posterior.data, y=y, lamp_response_rel=None), LOG_NORMAL, EmissionPrior(), NO_DISCREPANCY
-    )
+    spoiled = LogPosterior(replace(data, y=y), LOG_NORMAL, EmissionPrior(), NO_DISCREPANCY)
     pulls = curve_draws(spoiled, np.tile(orange(), (500, 1)), np.random.default_rng(7)).imperfections
     assert pulls.shape == (500, 8)
     assert pulls[:, 5].mean() > 3.0  # 5 % are five standard uncertainties, some were there before

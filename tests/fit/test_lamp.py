@@ -67,7 +67,7 @@ def test_errors_common_to_all_values_do_not_pull_the_level_down(red_bands):
 def estimated_level(data, y, mu):
     """Return the least-squares factor of the known values of a paint."""
     kept = data.kept
-    columns = np.column_stack([data.imperfections(), (data.lamp_rel * data.level)[kept]])
+    columns = np.column_stack([data.imperfections(), (data.lamp_response_rel * data.level)[kept]])
     weight = np.linalg.solve(data.covariance[np.ix_(kept, kept)] + columns @ columns.T, mu[kept])
     return weight @ y[kept] / (weight @ mu[kept])
 

@@ -47,6 +47,7 @@ def plain_log_posterior(theta, data, family, prior, discrepancy):
     y = np.nan_to_num(data.y.ravel())
     covariance = data.covariance + data.band_calibration_rel**2 * np.outer(y, y) * same_band
     covariance = covariance + np.outer(data.lamp_response_rel * mu, data.lamp_response_rel * mu)
+    covariance = covariance + data.tile_uncertainty_rel**2 * (np.outer(mu, mu) - np.outer(y, y))
     if discrepancy.acts:
         covariance = covariance + discrepancy_covariance(
             theta, family, data.weights, discrepancy, *at_nodes(data.weights)
@@ -60,7 +61,10 @@ def plain_log_posterior(theta, data, family, prior, discrepancy):
 
 @pytest.fixture(scope="module")
 def correlated(weights):
-    """Band data with a full covariance, NaN where a value is lost, 2 % calibration, and a lamp off by up to 12 %."""
+    """Band data with a full covariance, NaN where a value is lost, 2 % calibration.
+
+    A lamp off by up to 12 %, and a white reference known to 10 %.
+    """
 
     def build(lost):
         rng = np.random.default_rng(8)
@@ -70,7 +74,8 @@ def correlated(weights):
         mix = np.eye(24) + 0.2 * rng.standard_normal((24, 24))
         y = np.where(data.usable, data.y, np.nan)
         lamp = np.linspace(-0.04, 0.12, 24)
-        return BandData(y, mix @ data.covariance @ mix.T, data.usable, weights, 0.02, lamp_response_rel=lamp)
+        covariance = mix @ data.covariance @ mix.T + 0.1**2 * np.outer(data.y, data.y)
+        return BandData(y, covariance, data.usable, weights, 0.02, lamp_response_rel=lamp, tile_uncertainty_rel=0.1)
 
     return build
 
@@ -108,9 +113,10 @@ def test_covariances_are_those_of_a_dense_gaussian_process_at_the_nodes(correlat
     posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), SHORT)
     theta = posterior.prior.draw(20, np.random.default_rng(4))
     u = posterior.imperfections
-    lamps = data.lamp_response_rel * posterior.predict_usable(theta)
-    for row, lamp, got in zip(theta, lamps, posterior.covariances(theta), strict=True):
-        fixed = data.covariance + u @ u.T + np.outer(lamp, lamp)
+    predicted, y = posterior.predict_usable(theta), data.y.ravel()
+    for row, mu, got in zip(theta, predicted, posterior.covariances(theta), strict=True):
+        lamp = data.lamp_response_rel * mu
+        fixed = data.covariance + u @ u.T + np.outer(lamp, lamp) + 0.1**2 * (np.outer(mu, mu) - np.outer(y, y))
         expected = fixed + discrepancy_covariance(row, LOG_NORMAL, weights, SHORT, *at_nodes(weights))
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         # bands far apart are cut off: their outermost nodes, 4 nm or two lengths apart, share e^-2 of a hundredth each
@@ -151,11 +157,10 @@ def test_the_determinant_neither_underflows_nor_overflows(variance):
 
 def test_bands_four_lengths_apart_may_be_cut_off(correlated, weights):
     """What the cut leaves out of the default discrepancy is e^-8 of a correlation."""
-    posterior = LogPosterior(
-        replace(correlated(()), lamp_response_rel=None), LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY
-    )
+    data = replace(correlated(()), lamp_response_rel=None, tile_uncertainty_rel=0.0)
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
     theta = orange()
-    got = posterior.covariances(theta[None])[0] - posterior.problem.covariance
+    got = posterior.covariances(theta[None])[0] - posterior.problem.covariance[0]
     expected = discrepancy_covariance(theta, LOG_NORMAL, weights, PAINT_DISCREPANCY, *at_nodes(weights))
     sd = np.sqrt(np.diag(expected))
     seen = sd > 0

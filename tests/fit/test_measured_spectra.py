@@ -4,17 +4,20 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.stats import binom, kstest
+from scipy.stats import binom, chi2, kstest
 
+from benchmarks.drawn_paints import paint_of_the_learned_prior
 from data_schemas import BandSignals
 from finray_calib.fit import band_data
 from finray_calib.fit._band_data import BandData, band_values
 from finray_calib.fit._measured_spectra import (
     LEAST_CURVES_OF_A_PROTOTYPE,
     components_of,
+    draw_spectra,
     fit_spectrum,
     learned_spectra,
     prior_curves,
+    scored_components,
 )
 from finray_calib.fit._reported_spectrum import prior_share, simultaneous_band
 from finray_calib.spectra import curve_quantities, rig_emission_weights
@@ -123,6 +126,17 @@ def test_draws_are_those_of_the_normal_given_one_component(weights, monkeypatch)
     seen = truth > 0.2 * truth.max()
     # 4000 draws know a standard deviation to 1.1 %; the code iterates the height twice, not four times
     assert np.median(fitted.curves.std(axis=0)[seen] / expected[seen]) == pytest.approx(1.0, abs=0.06)
+
+
+def test_every_draw_gives_the_bands_that_were_measured():
+    """Paints drawn from the prior: no draw leaves the measured values by more than their errors allow."""
+    for seed in range(8):
+        _, _, data, ln_blocking_sd = paint_of_the_learned_prior(np.random.default_rng([3, seed]))
+        fitted = scored_components(data, learned_spectra(), ln_blocking_sd)
+        residual = draw_spectra(fitted, 400, np.random.default_rng(seed)).band_draws - fitted.rig.y
+        chi_square = np.einsum("ni,ij,nj->n", residual, np.linalg.inv(fitted.noise), residual)
+        # one of a million draws of the noise
+        assert chi_square.max() < chi2(residual.shape[1]).ppf(1 - 1e-6)
 
 
 def test_the_lamp_widens_the_yield_by_what_its_temperature_moves(bands_of_orange):
