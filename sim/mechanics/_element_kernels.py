@@ -79,21 +79,14 @@ _AT_CENTRE = np.ascontiguousarray(np.moveaxis(shape_gradients(np.zeros((8, 3))),
 @compiled
 def _inverses(a: FloatArray, out: FloatArray, det: FloatArray) -> None:
     """Fill the inverses (3, 3, 8) and determinants (8,) of 3 x 3 matrices (3, 3, 8)."""
+    for i in range(3):
+        for j in range(3):
+            r, s, t, u = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
+            for q in range(8):
+                out[i, j, q] = a[r, t, q] * a[s, u, q] - a[r, u, q] * a[s, t, q]
     for q in range(8):
-        out[0, 0, q] = a[1, 1, q] * a[2, 2, q] - a[1, 2, q] * a[2, 1, q]
-        out[1, 0, q] = a[1, 2, q] * a[2, 0, q] - a[1, 0, q] * a[2, 2, q]
-        out[2, 0, q] = a[1, 0, q] * a[2, 1, q] - a[1, 1, q] * a[2, 0, q]
         det[q] = a[0, 0, q] * out[0, 0, q] + a[0, 1, q] * out[1, 0, q] + a[0, 2, q] * out[2, 0, q]
-    for q in range(8):
-        scale = 1.0 / det[q]
-        for i in range(3):
-            out[i, 0, q] *= scale
-        out[0, 1, q] = scale * (a[0, 2, q] * a[2, 1, q] - a[0, 1, q] * a[2, 2, q])
-        out[0, 2, q] = scale * (a[0, 1, q] * a[1, 2, q] - a[0, 2, q] * a[1, 1, q])
-        out[1, 1, q] = scale * (a[0, 0, q] * a[2, 2, q] - a[0, 2, q] * a[2, 0, q])
-        out[1, 2, q] = scale * (a[0, 2, q] * a[1, 0, q] - a[0, 0, q] * a[1, 2, q])
-        out[2, 1, q] = scale * (a[0, 1, q] * a[2, 0, q] - a[0, 0, q] * a[2, 1, q])
-        out[2, 2, q] = scale * (a[0, 0, q] * a[1, 1, q] - a[0, 1, q] * a[1, 0, q])
+    out /= det
 
 
 @compiled
@@ -118,23 +111,17 @@ def _turn(c: FloatArray, v: FloatArray, p: int, q: int, r: int) -> None:
 
 
 @compiled
-def _is_turned(c: FloatArray) -> bool:
-    """Tell whether nothing off the diagonal of matrices (3, 3, 8) counts any more."""
-    most = 0.0
-    for k in range(8):
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            most = max(most, c[p, q, k] * c[p, q, k] - _ROTATION_END * abs(c[p, p, k] * c[q, q, k]))
-    return most <= 0.0
-
-
-@compiled
 def _jacobi(c: FloatArray, v: FloatArray) -> None:
     """Fill eigenvectors v (columns) of symmetric matrices c (3, 3, 8), whose diagonals become the eigenvalues."""
     v[:] = 0.0
     for i in range(3):
         v[i, i] = 1.0
     for _ in range(12):
-        if _is_turned(c):
+        most = 0.0
+        for q in range(8):
+            for i, j in ((0, 1), (0, 2), (1, 2)):
+                most = max(most, c[i, j, q] * c[i, j, q] - _ROTATION_END * abs(c[i, i, q] * c[j, j, q]))
+        if most <= 0.0:
             break
         _turn(c, v, 0, 1, 2)
         _turn(c, v, 0, 2, 1)
@@ -202,15 +189,9 @@ def stretch_energy(
 
 @compiled
 def _add_volumetric(
-    pressure_mpa: float,
-    bulk_mpa: float,
-    jacobian: FloatArray,
-    stretch: FloatArray,
-    first: FloatArray,
-    second: FloatArray,
+    pressure_mpa: float, bulk_mpa: float, j: float, stretch: FloatArray, first: FloatArray, second: FloatArray
 ) -> None:
     """Add the derivatives of a volumetric energy U(J) with U' = pressure and U'' = bulk."""
-    j = jacobian[0]
     for i in range(3):
         first[i] += pressure_mpa * j / stretch[i]
         for k in range(3):
@@ -274,15 +255,6 @@ def reference_gradients(x: FloatArray, gradients: FloatArray, volume: FloatArray
         False where the hexahedron is inside out at a Gauss point.
     """
     jacobian, inverse = np.empty((3, 3, 8)), np.empty((3, 3, 8))
-    modes = len(gradients) - 8
-    if modes:
-        det_centre = np.empty(8)
-        _map_gradients(x, _AT_CENTRE, jacobian)
-        _inverses(jacobian, inverse, det_centre)
-        for m in range(modes):
-            for i in range(3):
-                for q in range(8):
-                    gradients[8 + m, i, q] = det_centre[q] * GAUSS_POINTS[q, m] * inverse[m, i, q]
     _map_gradients(x, _AT_GAUSS, jacobian)
     _inverses(jacobian, inverse, volume)
     for a in range(8):
@@ -290,10 +262,14 @@ def reference_gradients(x: FloatArray, gradients: FloatArray, volume: FloatArray
             for q in range(8):
                 g = _AT_GAUSS[a, 0, q] * inverse[0, i, q]
                 gradients[a, i, q] = g + _AT_GAUSS[a, 1, q] * inverse[1, i, q] + _AT_GAUSS[a, 2, q] * inverse[2, i, q]
-    for m in range(modes):
-        for i in range(3):
-            for q in range(8):
-                gradients[8 + m, i, q] /= volume[q]
+    if len(gradients) > 8:
+        det_centre = np.empty(8)
+        _map_gradients(x, _AT_CENTRE, jacobian)
+        _inverses(jacobian, inverse, det_centre)
+        for m in range(len(gradients) - 8):
+            for i in range(3):
+                for q in range(8):
+                    gradients[8 + m, i, q] = det_centre[q] / volume[q] * GAUSS_POINTS[q, m] * inverse[m, i, q]
     return bool(volume.min() > 0.0)
 
 
@@ -534,11 +510,11 @@ def hexahedron(
             pressure = 0.0
             for m in range(len(held_mpa)):
                 pressure += held_mpa[m] * fields[m, q]
-            _add_volumetric(pressure, 0.0, jacobians[q:], stretch[q], first, second)
+            _add_volumetric(pressure, 0.0, jacobians[q], stretch[q], first, second)
         elif bulk > 0.0:
             own = bulk * (jacobians[q] - 1.0)
             energy += 0.5 * own * (jacobians[q] - 1.0) * volume[q]
-            _add_volumetric(own, bulk, jacobians[q:], stretch[q], first, second)
+            _add_volumetric(own, bulk, jacobians[q], stretch[q], first, second)
         if level == 0:
             continue
         _shear_modes(stretch[q], first, second, shear)
@@ -604,6 +580,18 @@ def _condense(
 
 
 @compiled
+def _gather(
+    x: FloatArray, u: FloatArray, corners: NDArray[np.int64], modes: FloatArray, rest: FloatArray, out: FloatArray
+) -> None:
+    """Fill an element's nodes at rest (8, 3), and their displacements with its modes behind them (8 or 11, 3)."""
+    for i in range(3):
+        for a in range(8):
+            rest[a, i], out[a, i] = x[corners[a], i], u[corners[a], i]
+        for m in range(len(modes)):
+            out[8 + m, i] = modes[m, i]
+
+
+@compiled
 def many_hexahedra(
     x: FloatArray,
     u: FloatArray,
@@ -634,13 +622,7 @@ def many_hexahedra(
     work, condensed = np.empty((9, 25)), np.empty((25, 25))
     whole_force, whole = np.empty(3 * nodes), np.empty((3 * nodes, 3 * nodes))
     for e in range(len(corners)):
-        for a in range(8):
-            for i in range(3):
-                here[a, i] = x[corners[e, a], i]
-                displacement[a, i] = u[corners[e, a], i]
-        for m in range(extra):
-            for i in range(3):
-                displacement[8 + m, i] = modes[e, m, i]
+        _gather(x, u, corners[e], modes[e], here, displacement)
         energy[e] = hexahedron(
             here,
             displacement,
@@ -680,13 +662,7 @@ def many_stretches(
     gradients, volume, f, jacobians = np.empty((nodes, 3, 8)), np.empty(8), np.empty((3, 3, 8)), np.empty(8)
     material, spatial, work = np.empty((3, 3, 8)), np.empty((3, 3, 8)), np.empty((3, 3, 8))
     for e in range(len(corners)):
-        for a in range(8):
-            for i in range(3):
-                here[a, i] = x[corners[e, a], i]
-                displacement[a, i] = u[corners[e, a], i]
-        for a in range(8, nodes):
-            for i in range(3):
-                displacement[a, i] = modes[e, a - 8, i]
+        _gather(x, u, corners[e], modes[e], here, displacement)
         stretches[e] = 1.0
         if reference_gradients(here, gradients, volume) and _deformations(gradients, displacement, f, jacobians):
             _principal_frames(f, stretches[e], material, spatial, work)
