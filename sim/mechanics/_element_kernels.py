@@ -58,7 +58,6 @@ GAUSS_POINTS: Final = CORNERS / math.sqrt(3.0)
 
 _EQUAL = 1e-5  # relative difference of stretches below which the difference quotient becomes its limit
 _ROTATION_END = 1e-32  # squared sine at which two axes need no further rotation
-_TINY = 1e-300  # keeps the quotient of two zeros 0
 _SQRT_HALF = math.sqrt(0.5)
 _FIRST = np.array([0, 0, 1])
 _SECOND = np.array([1, 2, 2])
@@ -71,61 +70,58 @@ def shape_gradients(local: FloatArray) -> FloatArray:
     return np.stack([CORNERS[:, 0] * y * z, CORNERS[:, 1] * x * z, CORNERS[:, 2] * x * y], -1) / 8.0
 
 
-# (8 nodes, 3, 8 points): the points come last in all arrays, so that one instruction serves all of them
-_AT_GAUSS = np.ascontiguousarray(np.moveaxis(shape_gradients(GAUSS_POINTS), 0, -1))
-_AT_CENTRE = np.ascontiguousarray(np.moveaxis(shape_gradients(np.zeros((8, 3))), 0, -1))
+_AT_GAUSS = shape_gradients(GAUSS_POINTS)
+_AT_CENTRE = shape_gradients(np.zeros((1, 3)))[0]
 
 
 @compiled
-def _inverses(a: FloatArray, out: FloatArray, det: FloatArray) -> None:
-    """Fill the inverses (3, 3, 8) and determinants (8,) of 3 x 3 matrices (3, 3, 8)."""
+def _inverse(a: FloatArray, out: FloatArray) -> float:
+    """Invert a 3 x 3 matrix and return its determinant."""
+    out[0, 0], out[1, 1] = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1], a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]
+    out[0, 1], out[1, 0] = a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2], a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+    out[0, 2], out[2, 0] = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1], a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+    out[1, 2], out[2, 1] = a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2], a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]
+    out[2, 2] = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    det = a[0, 0] * out[0, 0] + a[0, 1] * out[1, 0] + a[0, 2] * out[2, 0]
+    scale = 1.0 / det
+    for i in range(3):
+        for m in range(3):
+            out[i, m] *= scale
+    return float(det)
+
+
+@compiled
+def _jacobi(c: FloatArray, w: FloatArray, v: FloatArray) -> None:
+    """Fill eigenvalues w and eigenvectors v (columns) of a symmetric 3 x 3 matrix, which is destroyed."""
     for i in range(3):
         for j in range(3):
-            r, s, t, u = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
-            for q in range(8):
-                out[i, j, q] = a[r, t, q] * a[s, u, q] - a[r, u, q] * a[s, t, q]
-    for q in range(8):
-        det[q] = a[0, 0, q] * out[0, 0, q] + a[0, 1, q] * out[1, 0, q] + a[0, 2, q] * out[2, 0, q]
-    out /= det
-
-
-@compiled
-def _turn(c: FloatArray, v: FloatArray, p: int, q: int, r: int) -> None:
-    """Turn away c_pq of symmetric 3 x 3 matrices c (3, 3, 8), side by side, and turn their axes v with them."""
-    for k in range(8):
-        off, gap = c[p, q, k], c[q, q, k] - c[p, p, k]
-        root = abs(gap) + math.sqrt(gap * gap + 4.0 * off * off) + _TINY
-        t = (2.0 * off if gap >= 0.0 else -2.0 * off) / root
-        cos = 1.0 / math.sqrt(t * t + 1.0)
-        sin = t * cos
-        c[p, p, k] -= t * off
-        c[q, q, k] += t * off
-        c[p, q, k] = c[q, p, k] = 0.0
-        crp, crq = c[r, p, k], c[r, q, k]
-        c[r, p, k] = c[p, r, k] = cos * crp - sin * crq
-        c[r, q, k] = c[q, r, k] = sin * crp + cos * crq
-        for i in range(3):
-            vip, viq = v[i, p, k], v[i, q, k]
-            v[i, p, k] = cos * vip - sin * viq
-            v[i, q, k] = sin * vip + cos * viq
-
-
-@compiled
-def _jacobi(c: FloatArray, v: FloatArray) -> None:
-    """Fill eigenvectors v (columns) of symmetric matrices c (3, 3, 8), whose diagonals become the eigenvalues."""
-    v[:] = 0.0
-    for i in range(3):
-        v[i, i] = 1.0
+            v[i, j] = 1.0 if i == j else 0.0
     for _ in range(12):
-        most = 0.0
-        for q in range(8):
-            for i, j in ((0, 1), (0, 2), (1, 2)):
-                most = max(most, c[i, j, q] * c[i, j, q] - _ROTATION_END * abs(c[i, i, q] * c[j, j, q]))
-        if most <= 0.0:
+        turned = False
+        for k in range(3):
+            p, q = _FIRST[k], _SECOND[k]
+            r = 3 - p - q
+            if c[p, q] * c[p, q] <= _ROTATION_END * abs(c[p, p] * c[q, q]):
+                continue
+            turned = True
+            angle = (c[q, q] - c[p, p]) / (2.0 * c[p, q])
+            t = (1.0 if angle >= 0.0 else -1.0) / (abs(angle) + math.sqrt(angle * angle + 1.0))
+            cos = 1.0 / math.sqrt(t * t + 1.0)
+            sin = t * cos
+            c[p, p] -= t * c[p, q]
+            c[q, q] += t * c[p, q]
+            crp, crq = c[r, p], c[r, q]
+            c[r, p] = c[p, r] = cos * crp - sin * crq
+            c[r, q] = c[q, r] = sin * crp + cos * crq
+            c[p, q] = c[q, p] = 0.0
+            for i in range(3):
+                vip, viq = v[i, p], v[i, q]
+                v[i, p] = cos * vip - sin * viq
+                v[i, q] = sin * vip + cos * viq
+        if not turned:
             break
-        _turn(c, v, 0, 1, 2)
-        _turn(c, v, 0, 2, 1)
-        _turn(c, v, 1, 2, 0)
+    for i in range(3):
+        w[i] = c[i, i]
 
 
 @compiled
@@ -163,13 +159,12 @@ def stretch_energy(
             for j in range(3):
                 second[i, j] += lame * stretch[i] * stretch[j]
         return float(energy)
-    logs = (math.log(stretch[0]), math.log(stretch[1]), math.log(stretch[2]))
-    mean = (logs[0] + logs[1] + logs[2]) / 3.0
+    mean = (math.log(stretch[0]) + math.log(stretch[1]) + math.log(stretch[2])) / 3.0
     for p in range((len(parameters) - 1) // 2):
         mu, alpha = parameters[1 + 2 * p], parameters[2 + 2 * p]
         total = 0.0
         for i in range(3):
-            curve[i] = math.expm1(alpha * (logs[i] - mean))
+            curve[i] = math.expm1(alpha * (math.log(stretch[i]) - mean))
             total += curve[i]
         energy += 2.0 * mu / (alpha * alpha) * total
         third = total / 3.0
@@ -189,9 +184,15 @@ def stretch_energy(
 
 @compiled
 def _add_volumetric(
-    pressure_mpa: float, bulk_mpa: float, j: float, stretch: FloatArray, first: FloatArray, second: FloatArray
+    pressure_mpa: float,
+    bulk_mpa: float,
+    jacobian: FloatArray,
+    stretch: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
 ) -> None:
     """Add the derivatives of a volumetric energy U(J) with U' = pressure and U'' = bulk."""
+    j = jacobian[0]
     for i in range(3):
         first[i] += pressure_mpa * j / stretch[i]
         for k in range(3):
@@ -200,21 +201,19 @@ def _add_volumetric(
 
 
 @compiled
-def _less_negative(second: FloatArray, shear: FloatArray, kept_share: float, work: FloatArray, v: FloatArray) -> None:
-    """Multiply the negative values of all modes by the share that is kept of them; work space of (3, 3, 8) each."""
-    work[:] = second
-    _jacobi(work, v)
-    for q in range(8):
-        for k in range(6):
-            shear[k, q] = max(shear[k, q], kept_share * shear[k, q])
-        if work[0, 0, q] >= 0.0 and work[1, 1, q] >= 0.0 and work[2, 2, q] >= 0.0:
-            continue
-        for i in range(3):
-            for j in range(3):
-                second[i, j, q] = 0.0
-                for k in range(3):
-                    kept = max(work[k, k, q], kept_share * work[k, k, q])
-                    second[i, j, q] += kept * v[i, k, q] * v[j, k, q]
+def _less_negative(second: FloatArray, kept_share: float, w: FloatArray, v: FloatArray, work: FloatArray) -> None:
+    """Multiply the negative eigenvalues of a symmetric 3 x 3 matrix by the share that is kept of them."""
+    for i in range(3):
+        for j in range(3):
+            work[i, j] = second[i, j]
+    _jacobi(work, w, v)
+    if w[0] >= 0.0 and w[1] >= 0.0 and w[2] >= 0.0:
+        return
+    for i in range(3):
+        for j in range(3):
+            second[i, j] = 0.0
+            for k in range(3):
+                second[i, j] += max(w[k], kept_share * w[k]) * v[i, k] * v[j, k]
 
 
 @compiled
@@ -231,19 +230,8 @@ def _shear_modes(stretch: FloatArray, first: FloatArray, second: FloatArray, she
 
 
 @compiled
-def _map_gradients(x: FloatArray, shapes: FloatArray, jacobian: FloatArray) -> None:
-    """Fill dX_i / dxi_j (3, 3, 8) of nodes (8, 3) and shapes' gradients (8, 3, 8)."""
-    jacobian[:] = 0.0
-    for a in range(8):
-        for i in range(3):
-            for j in range(3):
-                for q in range(8):
-                    jacobian[i, j, q] += x[a, i] * shapes[a, j, q]
-
-
-@compiled
 def reference_gradients(x: FloatArray, gradients: FloatArray, volume: FloatArray) -> bool:
-    """Fill dN_a / dX (8 nodes or 11 with incompatible modes, 3, 8 points) and the volumes of the points in mm^3.
+    """Fill dN_a / dX (8 points, 8 nodes or 11 with incompatible modes, 3) and the volumes of the points in mm^3.
 
     The gradients of the three incompatible modes are det J0 / det J xi_m J0^-T e_m, whose integral vanishes on any
     hexahedron, so that the patch test is passed (R. L. Taylor, P. J. Beresford, E. L. Wilson, 1976; J. C. Simo,
@@ -254,146 +242,92 @@ def reference_gradients(x: FloatArray, gradients: FloatArray, volume: FloatArray
     bool
         False where the hexahedron is inside out at a Gauss point.
     """
-    jacobian, inverse = np.empty((3, 3, 8)), np.empty((3, 3, 8))
-    _map_gradients(x, _AT_GAUSS, jacobian)
-    _inverses(jacobian, inverse, volume)
+    jacobian, inverse, centre = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    jacobian[:] = 0.0
     for a in range(8):
         for i in range(3):
-            for q in range(8):
-                g = _AT_GAUSS[a, 0, q] * inverse[0, i, q]
-                gradients[a, i, q] = g + _AT_GAUSS[a, 1, q] * inverse[1, i, q] + _AT_GAUSS[a, 2, q] * inverse[2, i, q]
-    if len(gradients) > 8:
-        det_centre = np.empty(8)
-        _map_gradients(x, _AT_CENTRE, jacobian)
-        _inverses(jacobian, inverse, det_centre)
-        for m in range(len(gradients) - 8):
+            for j in range(3):
+                jacobian[i, j] += x[a, i] * _AT_CENTRE[a, j]
+    det_centre = _inverse(jacobian, centre)
+    for q in range(8):
+        jacobian[:] = 0.0
+        for a in range(8):
             for i in range(3):
-                for q in range(8):
-                    gradients[8 + m, i, q] = det_centre[q] / volume[q] * GAUSS_POINTS[q, m] * inverse[m, i, q]
-    return bool(volume.min() > 0.0)
+                for j in range(3):
+                    jacobian[i, j] += x[a, i] * _AT_GAUSS[q, a, j]
+        det = _inverse(jacobian, inverse)
+        if not det > 0.0:
+            return False
+        volume[q] = det
+        for a in range(8):
+            for i in range(3):
+                g = _AT_GAUSS[q, a, 0] * inverse[0, i]
+                gradients[q, a, i] = g + _AT_GAUSS[q, a, 1] * inverse[1, i] + _AT_GAUSS[q, a, 2] * inverse[2, i]
+        for m in range(gradients.shape[1] - 8):
+            for i in range(3):
+                gradients[q, 8 + m, i] = det_centre / det * GAUSS_POINTS[q, m] * centre[m, i]
+    return True
 
 
 @compiled
-def _deformations(gradients: FloatArray, displacement: FloatArray, f: FloatArray, jacobians: FloatArray) -> bool:
-    """Fill F = 1 + sum_a u_a (x) grad N_a of the points (3, 3, 8) and det F (8,); False where one is not positive."""
+def _deformation(gradients: FloatArray, displacement: FloatArray, f: FloatArray) -> float:
+    """Fill F = 1 + sum_a u_a (x) grad N_a and return its determinant."""
     for i in range(3):
         for j in range(3):
-            f[i, j] = 1.0 if i == j else 0.0
-    for a in range(len(gradients)):
-        for i in range(3):
-            for j in range(3):
-                for q in range(8):
-                    f[i, j, q] += displacement[a, i] * gradients[a, j, q]
-    for q in range(8):
-        det = f[0, 0, q] * (f[1, 1, q] * f[2, 2, q] - f[1, 2, q] * f[2, 1, q])
-        det -= f[0, 1, q] * (f[1, 0, q] * f[2, 2, q] - f[1, 2, q] * f[2, 0, q])
-        jacobians[q] = det + f[0, 2, q] * (f[1, 0, q] * f[2, 1, q] - f[1, 1, q] * f[2, 0, q])
-    return bool(jacobians.min() > 0.0)
+            s = 1.0 if i == j else 0.0
+            for a in range(gradients.shape[0]):
+                s += displacement[a, i] * gradients[a, j]
+            f[i, j] = s
+    det = f[0, 0] * (f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1]) - f[0, 1] * (f[1, 0] * f[2, 2] - f[1, 2] * f[2, 0])
+    return float(det + f[0, 2] * (f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0]))
 
 
 @compiled
-def _principal_frames(
+def _principal_frame(
     f: FloatArray, stretch: FloatArray, material: FloatArray, spatial: FloatArray, c: FloatArray
 ) -> None:
-    """Fill stretches (8, 3) and principal directions N and n = F N / lambda (columns) of the points' F (3, 3, 8).
-
-    The directions are (3, 3, 8); c is work space of that shape.
-    """
+    """Fill stretches and the principal directions N (columns) and n = F N / lambda (columns); c is work space."""
     for i in range(3):
         for j in range(3):
-            for q in range(8):
-                c[i, j, q] = f[0, i, q] * f[0, j, q] + f[1, i, q] * f[1, j, q] + f[2, i, q] * f[2, j, q]
-    _jacobi(c, material)
+            c[i, j] = f[0, i] * f[0, j] + f[1, i] * f[1, j] + f[2, i] * f[2, j]
+    _jacobi(c, stretch, material)
     for k in range(3):
-        for q in range(8):
-            c[k, k, q] = math.sqrt(c[k, k, q])
-            stretch[q, k] = c[k, k, q]
+        stretch[k] = math.sqrt(stretch[k])
         for i in range(3):
-            for q in range(8):
-                s = f[i, 0, q] * material[0, k, q] + f[i, 1, q] * material[1, k, q] + f[i, 2, q] * material[2, k, q]
-                spatial[i, k, q] = s / c[k, k, q]
+            s = f[i, 0] * material[0, k] + f[i, 1] * material[1, k] + f[i, 2] * material[2, k]
+            spatial[i, k] = s / stretch[k]
 
 
 @compiled
-def _principal_gradients(gradients: FloatArray, material: FloatArray, out: FloatArray) -> None:
-    """Fill the components N_j . grad N_a (nodes, 3, 8) of the points' gradients (nodes, 3, 8)."""
-    for a in range(len(gradients)):
-        for j in range(3):
-            for q in range(8):
-                s = material[0, j, q] * gradients[a, 0, q] + material[1, j, q] * gradients[a, 1, q]
-                out[a, j, q] = s + material[2, j, q] * gradients[a, 2, q]
+def _mode_rows(gradients: FloatArray, material: FloatArray, spatial: FloatArray, rows: FloatArray) -> None:
+    """Fill the derivatives of the nine modes by the nodal displacements, shape (9, 3 nodes)."""
+    for a in range(gradients.shape[0]):
+        g0 = gradients[a, 0] * material[0, 0] + gradients[a, 1] * material[1, 0] + gradients[a, 2] * material[2, 0]
+        g1 = gradients[a, 0] * material[0, 1] + gradients[a, 1] * material[1, 1] + gradients[a, 2] * material[2, 1]
+        g2 = gradients[a, 0] * material[0, 2] + gradients[a, 1] * material[1, 2] + gradients[a, 2] * material[2, 2]
+        for c in range(3):
+            n0, n1, n2 = spatial[c, 0], spatial[c, 1], spatial[c, 2]
+            r = 3 * a + c
+            rows[0, r], rows[1, r], rows[2, r] = n0 * g0, n1 * g1, n2 * g2
+            rows[3, r], rows[6, r] = _SQRT_HALF * (n0 * g1 + n1 * g0), _SQRT_HALF * (n0 * g1 - n1 * g0)
+            rows[4, r], rows[7, r] = _SQRT_HALF * (n0 * g2 + n2 * g0), _SQRT_HALF * (n0 * g2 - n2 * g0)
+            rows[5, r], rows[8, r] = _SQRT_HALF * (n1 * g2 + n2 * g1), _SQRT_HALF * (n1 * g2 - n2 * g1)
 
 
 @compiled
-def _pulled(pull: FloatArray, spatial: FloatArray, along: FloatArray, weight: FloatArray, out: FloatArray) -> None:
-    """Fill the sums over the points of weight_q pull_j n_ij (N_j . grad N_a), forces (3 nodes,), from `pull` (3, 8)."""
-    by_axes = np.empty((3, 3, 8))
+def _weigh_rows(
+    rows: FloatArray, volume_mm3: FloatArray, second: FloatArray, shear: FloatArray, out: FloatArray
+) -> None:
+    """Multiply the nine modes by their stiffness and the volume of the point."""
+    dv = volume_mm3[0]
     for i in range(3):
-        for j in range(3):
-            for q in range(8):
-                by_axes[i, j, q] = weight[q] * pull[j, q] * spatial[i, j, q]
-    for a in range(len(along)):
-        for i in range(3):
-            total = 0.0
-            for j in range(3):
-                for q in range(8):
-                    total += by_axes[i, j, q] * along[a, j, q]
-            out[3 * a + i] = total
-
-
-@compiled
-def _moduli(second: FloatArray, shear: FloatArray, spatial: FloatArray, out: FloatArray) -> None:
-    """Fill the second derivatives A_ijkl of V psi by F, of pairs i <= k in space and j and l along N, (6, 3, 3, 8).
-
-    With a = (s + t) / 2 and b = (s - t) / 2 of the symmetric and antisymmetric shear modes,
-    A_ijkj = psi_jj n_ij n_kj + sum_m a_jm n_im n_km, and else A_ijkl = psi_jl n_ij n_kl + b_jl n_il n_kj.
-    `second` (3, 3, 8) and `shear` (6, 8) are times V.
-    """
-    pair = 0
-    for i in range(3):
-        for k in range(i, 3):
-            for j in range(3):
-                m, n = (j + 1) % 3, (j + 2) % 3
-                # a pair of axes is numbered by the third one
-                to_m, to_n = 2 - n, 2 - m
-                for q in range(8):
-                    i_j, i_m, i_n = spatial[i, j, q], spatial[i, m, q], spatial[i, n, q]
-                    k_j, k_m, k_n = spatial[k, j, q], spatial[k, m, q], spatial[k, n, q]
-                    both_m, turn_m = 0.5 * shear[to_m, q], 0.5 * shear[3 + to_m, q]
-                    both_n, turn_n = 0.5 * shear[to_n, q], 0.5 * shear[3 + to_n, q]
-                    sheared = (both_m + turn_m) * i_m * k_m + (both_n + turn_n) * i_n * k_n
-                    out[pair, j, j, q] = second[j, j, q] * i_j * k_j + sheared
-                    out[pair, j, m, q] = second[j, m, q] * i_j * k_m + (both_m - turn_m) * i_m * k_j
-                    out[pair, j, n, q] = second[j, n, q] * i_j * k_n + (both_n - turn_n) * i_n * k_j
-            pair += 1
-
-
-@compiled
-def _weigh(moduli: FloatArray, along: FloatArray, out: FloatArray) -> None:
-    """Fill sum_l A_ijkl (N_l . grad N_b) of the points, (6 pairs i <= k times nodes b, 3, 8)."""
-    nodes = len(along)
-    for p in range(6):
-        for b in range(nodes):
-            for q in range(8):
-                x, y, z = along[b, 0, q], along[b, 1, q], along[b, 2, q]
-                first = moduli[p, 0, 0, q] * x + moduli[p, 0, 1, q] * y + moduli[p, 0, 2, q] * z
-                second = moduli[p, 1, 0, q] * x + moduli[p, 1, 1, q] * y + moduli[p, 1, 2, q] * z
-                third = moduli[p, 2, 0, q] * x + moduli[p, 2, 1, q] * y + moduli[p, 2, 2, q] * z
-                out[nodes * p + b, 0, q], out[nodes * p + b, 1, q], out[nodes * p + b, 2, q] = first, second, third
-
-
-@compiled
-def _by_unknowns(blocks: FloatArray, tangent: FloatArray) -> None:
-    """Fill the tangent (3 nodes, 3 nodes) from (nodes, 6 pairs i <= k times nodes)."""
-    nodes = len(blocks)
-    for a in range(nodes):
-        for b in range(nodes):
-            x, y, z = 3 * a, 3 * a + 1, 3 * a + 2
-            tangent[x, 3 * b], tangent[x, 3 * b + 1] = blocks[a, b], blocks[a, nodes + b]
-            tangent[x, 3 * b + 2], tangent[y, 3 * b] = blocks[a, 2 * nodes + b], blocks[b, nodes + a]
-            tangent[y, 3 * b + 1], tangent[y, 3 * b + 2] = blocks[a, 3 * nodes + b], blocks[a, 4 * nodes + b]
-            tangent[z, 3 * b], tangent[z, 3 * b + 1] = blocks[b, 2 * nodes + a], blocks[b, 4 * nodes + a]
-            tangent[z, 3 * b + 2] = blocks[a, 5 * nodes + b]
+        a, b, c = dv * second[i, 0], dv * second[i, 1], dv * second[i, 2]
+        for r in range(rows.shape[1]):
+            out[i, r] = a * rows[0, r] + b * rows[1, r] + c * rows[2, r]
+    for k in range(6):
+        s = dv * shear[k]
+        for r in range(rows.shape[1]):
+            out[3 + k, r] = s * rows[3 + k, r]
 
 
 @compiled
@@ -488,56 +422,72 @@ def hexahedron(
         (1, 2) or (4, 2). Of the linear fields f: sum f dv, sum f^2 V, and the ratio of sum f (v - V) to that.
     """
     nodes = displacement.shape[0]
-    gradients, volume, f, jacobians = np.empty((nodes, 3, 8)), np.empty(8), np.empty((3, 3, 8)), np.empty(8)
-    if not reference_gradients(x, gradients, volume) or not _deformations(gradients, displacement, f, jacobians):
+    gradients, volume, f, jacobians = np.empty((8, nodes, 3)), np.empty(8), np.empty((8, 3, 3)), np.empty(8)
+    if not reference_gradients(x, gradients, volume):
         return math.inf
-    total, deformed = volume.sum(), (volume * jacobians).sum()
-    bulk = parameters[0]
-    linear, fields, energy = not mean_dilatation and len(held_mpa) > 0, np.ones((4, 8)), 0.0
-    if mean_dilatation:
-        energy = 0.5 * bulk * (deformed / total - 1.0) * (deformed - total)
-        volume_strain[0, 0], volume_strain[0, 1] = total, deformed / total - 1.0
-    elif linear:
-        energy = _linear_volumes(bulk, volume, jacobians, fields, volume_strain)
-    stretch, first, second, shear, curve = np.empty((8, 3)), np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(3)
-    material, spatial, work = np.empty((3, 3, 8)), np.empty((3, 3, 8)), np.empty((3, 3, 8))
-    pull, swell, seconds, shears = np.empty((3, 8)), np.empty((3, 8)), np.empty((3, 3, 8)), np.empty((6, 8))
-    _principal_frames(f, stretch, material, spatial, work)
+    deformed = 0.0
     for q in range(8):
+        jacobians[q] = _deformation(gradients[q], displacement, f[q])
+        if not jacobians[q] > 0.0:
+            return math.inf
+        deformed += volume[q] * jacobians[q]
+    total = volume.sum()
+    bulk = parameters[0]
+    shared = bulk * (deformed / total - 1.0)
+    energy = 0.5 * shared * (deformed - total) if mean_dilatation else 0.0
+    if mean_dilatation:
+        volume_strain[0, 0], volume_strain[0, 1] = total, deformed / total - 1.0
+    stretch, first, second, shear, curve = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(3)
+    material, spatial, work, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    rows, weighted, dilation = np.empty((72, 3 * nodes)), np.empty((72, 3 * nodes)), np.zeros(3 * nodes)
+    linear = not mean_dilatation and len(held_mpa) > 0
+    fields = np.empty((4, 8))
+    if linear:
+        energy += _linear_volumes(bulk, volume, jacobians, fields, volume_strain)
+    if linear and level > 0:
+        swelling[:] = 0.0
+    force[:] = 0.0
+    for q in range(8):
+        _principal_frame(f[q], stretch, material, spatial, work)
         row = parameters[GIVEN_OF_POINT * q :] if law == GIVEN else parameters
-        energy += volume[q] * stretch_energy(law, row, stretch[q], first, second, curve)
-        if bulk > 0.0 and len(held_mpa) > 0:
-            pressure = 0.0
-            for m in range(len(held_mpa)):
-                pressure += held_mpa[m] * fields[m, q]
-            _add_volumetric(pressure, 0.0, jacobians[q], stretch[q], first, second)
-        elif bulk > 0.0:
+        energy += volume[q] * stretch_energy(law, row, stretch, first, second, curve)
+        if bulk > 0.0:
             own = bulk * (jacobians[q] - 1.0)
-            energy += 0.5 * own * (jacobians[q] - 1.0) * volume[q]
-            _add_volumetric(own, bulk, jacobians[q], stretch[q], first, second)
+            if mean_dilatation:
+                _add_volumetric(held_mpa[0], 0.0, jacobians[q:], stretch, first, second)
+            elif linear:
+                pressure = 0.0
+                for m in range(4):
+                    pressure += held_mpa[m] * fields[m, q]
+                _add_volumetric(pressure, 0.0, jacobians[q:], stretch, first, second)
+            else:
+                energy += 0.5 * own * (jacobians[q] - 1.0) * volume[q]
+                _add_volumetric(own, bulk, jacobians[q:], stretch, first, second)
         if level == 0:
             continue
-        _shear_modes(stretch[q], first, second, shear)
+        here = rows[9 * q : 9 * q + 9]
+        _mode_rows(gradients[q], material, spatial, here)
         for i in range(3):
-            pull[i, q], swell[i, q] = first[i], jacobians[q] / stretch[q, i]
-            shears[i, q], shears[3 + i, q] = volume[q] * shear[i], volume[q] * shear[3 + i]
-            for j in range(3):
-                seconds[i, j, q] = volume[q] * second[i, j]
-    if level == 0:
-        return float(energy)
-    if kept_share < 1.0:
-        _less_negative(seconds, shears, kept_share, f, work)
-    along, weighted, blocks = np.empty((nodes, 3, 8)), np.empty((6 * nodes, 3, 8)), np.empty((nodes, 6 * nodes))
-    _principal_gradients(gradients, material, along)
-    _pulled(pull, spatial, along, volume, force)
-    for m in range(len(held_mpa)):
-        _pulled(swell, spatial, along, volume * fields[m], swelling[m])
-    moduli = np.empty((6, 3, 3, 8))
-    _moduli(seconds, shears, spatial, moduli)
-    _weigh(moduli, along, weighted)
-    np.dot(along.reshape(nodes, 24), weighted.reshape(6 * nodes, 24).T, blocks)
-    _by_unknowns(blocks, tangent)
-    _add_held(bulk, held_mpa, volume_strain, swelling, force, tangent)
+            pull, swell = volume[q] * first[i], volume[q] * jacobians[q] / stretch[i]
+            for r in range(3 * nodes):
+                force[r] += pull * here[i, r]
+                dilation[r] += swell * here[i, r]
+        if linear:
+            for m in range(4):
+                for r in range(3 * nodes):
+                    swelling[m, r] += fields[m, q] * dilation[r]
+            dilation[:] = 0.0
+        _shear_modes(stretch, first, second, shear)
+        if kept_share < 1.0:
+            _less_negative(second, kept_share, curve, axes, work)
+            for k in range(6):
+                shear[k] = max(shear[k], kept_share * shear[k])
+        _weigh_rows(here, volume[q:], second, shear, weighted[9 * q : 9 * q + 9])
+    if level > 0:
+        np.dot(rows.T, weighted, tangent)
+        if mean_dilatation:
+            swelling[0] = dilation
+        _add_held(bulk, held_mpa, volume_strain, swelling, force, tangent)
     return float(energy)
 
 
@@ -580,18 +530,6 @@ def _condense(
 
 
 @compiled
-def _gather(
-    x: FloatArray, u: FloatArray, corners: NDArray[np.int64], modes: FloatArray, rest: FloatArray, out: FloatArray
-) -> None:
-    """Fill an element's nodes at rest (8, 3), and their displacements with its modes behind them (8 or 11, 3)."""
-    for i in range(3):
-        for a in range(8):
-            rest[a, i], out[a, i] = x[corners[a], i], u[corners[a], i]
-        for m in range(len(modes)):
-            out[8 + m, i] = modes[m, i]
-
-
-@compiled
 def many_hexahedra(
     x: FloatArray,
     u: FloatArray,
@@ -622,7 +560,13 @@ def many_hexahedra(
     work, condensed = np.empty((9, 25)), np.empty((25, 25))
     whole_force, whole = np.empty(3 * nodes), np.empty((3 * nodes, 3 * nodes))
     for e in range(len(corners)):
-        _gather(x, u, corners[e], modes[e], here, displacement)
+        for a in range(8):
+            for i in range(3):
+                here[a, i] = x[corners[e, a], i]
+                displacement[a, i] = u[corners[e, a], i]
+        for m in range(extra):
+            for i in range(3):
+                displacement[8 + m, i] = modes[e, m, i]
         energy[e] = hexahedron(
             here,
             displacement,
@@ -659,10 +603,19 @@ def many_stretches(
     """
     nodes = 8 + modes.shape[1]
     here, displacement = np.empty((8, 3)), np.empty((nodes, 3))
-    gradients, volume, f, jacobians = np.empty((nodes, 3, 8)), np.empty(8), np.empty((3, 3, 8)), np.empty(8)
-    material, spatial, work = np.empty((3, 3, 8)), np.empty((3, 3, 8)), np.empty((3, 3, 8))
+    gradients, volume, f = np.empty((8, nodes, 3)), np.empty(8), np.empty((3, 3))
+    material, spatial, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for e in range(len(corners)):
-        _gather(x, u, corners[e], modes[e], here, displacement)
+        for a in range(8):
+            for i in range(3):
+                here[a, i] = x[corners[e, a], i]
+                displacement[a, i] = u[corners[e, a], i]
+        for a in range(8, nodes):
+            for i in range(3):
+                displacement[a, i] = modes[e, a - 8, i]
         stretches[e] = 1.0
-        if reference_gradients(here, gradients, volume) and _deformations(gradients, displacement, f, jacobians):
-            _principal_frames(f, stretches[e], material, spatial, work)
+        if not reference_gradients(here, gradients, volume):
+            continue
+        for q in range(8):
+            if _deformation(gradients[q], displacement, f) > 0.0:
+                _principal_frame(f, stretches[e, q], material, spatial, work)

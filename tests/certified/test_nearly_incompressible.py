@@ -61,13 +61,13 @@ def test_a_linear_pressure_that_is_held_weighs_the_volumes_along_it_and_nothing_
     assert one[0] == own[0]
     assert one[1] == pytest.approx(own[1], abs=1e-12 * np.abs(own[1]).max())
     # the volumes at the points are polynomials of the third degree: central differences of any step are exact
-    gradients, volumes = np.empty((11, 3, 8)), np.empty(8)
+    gradients, volumes = np.empty((8, 11, 3)), np.empty(8)
     assert reference_gradients(x, gradients, volumes)
     along = volumes * linear_fields(volumes)[field]
 
     def volume(change):
         moved = (v + change).reshape(11, 3)
-        return along @ np.linalg.det(np.eye(3) + np.einsum("ai,ajq->qij", moved, gradients))
+        return along @ np.linalg.det(np.eye(3) + np.einsum("ai,qaj->qij", moved, gradients))
 
     steps = 0.1 * np.eye(33)
     curvature = np.array(
