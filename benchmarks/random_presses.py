@@ -8,7 +8,8 @@ closed STL, turned and beside the middle; gel and skeleton of any K/mu from 20 t
 file is printed at the end. Bars: at least 99 % end within the budget of processor time, converged, free of
 intersections, at equilibria not known to be unstable, with no node of the coat over 0.2 mm in the indenter and an
 energy within 5 % of the work of the indenter (trapezoids of a force that bends), or, at most 5 %, are refused before
-the solve. Exit status 1 when one is missed.
+the solve. Exit status 1 when one is missed. Each line has in `code` the digest of the sources that decide it; with
+--renew, lines of other code are pressed again and replaced.
 
 With --paths the 48 x 18 finger is pressed, dragged by up to 2 mm and twisted by up to 20 deg at any place, with any
 friction up to 1, and let go; each press must converge or end with an error that names its step.
@@ -16,6 +17,8 @@ friction up to 1, and let go; each press must converge or end with an error that
 
 import argparse
 import collections
+import hashlib
+import inspect
 import json
 import tempfile
 import time
@@ -26,7 +29,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from data_schemas import FieldError, FingerDesign, NoEquilibriumError, SimulateError
-from sim import PRESETS, preset_design
+from sim import PRESETS, mechanics, preset_design, surface_meshes
 from sim.mechanics import PressedFinger, PressSettings, press_as_designed, press_finger, rigid_indenter
 from sim.surface_meshes import stl_bytes
 
@@ -283,6 +286,16 @@ def table(rows: list[dict[str, Any]]) -> tuple[str, bool]:
     return "\n".join(lines), good >= LEAST_GOOD and refused <= MOST_REFUSED
 
 
+def code_of_today() -> str:
+    """Return the digest of what decides a row: mechanics, surfaces, ready-made designs and these draws."""
+    rooms = [Path(inspect.getfile(room)).parent for room in (mechanics, surface_meshes)]
+    sources = [path for room in rooms for path in sorted(room.rglob("*.py"))]
+    digest = hashlib.sha256()
+    for path in [*sources, Path(inspect.getfile(preset_design)), Path(__file__)]:
+        digest.update(path.read_bytes())
+    return f"sources {digest.hexdigest()[:8]}"
+
+
 def compile_elements() -> None:
     """Press once, so that no press counts the compilation of the elements, which comes once with an installation."""
     base = preset_design("baby-48x18")
@@ -297,20 +310,23 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("bench-out/random-presses.jsonl"))
     parser.add_argument("--budget", type=float, default=120.0, metavar="SECONDS")
     parser.add_argument("--paths", action="store_true", help="presses along a path")
+    parser.add_argument("--renew", action="store_true", help="press again what OUT has from other code")
     arguments = parser.parse_args()
     measured = measure_path if arguments.paths else measure
     first, end = (int(part) for part in arguments.seeds.split(":"))
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    known = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.exists() else []
-    done = {row["seed"] for row in known}
+    rows = arguments.out.read_text().splitlines() if arguments.out.exists() else []
+    known = {row["seed"]: row for row in map(json.loads, rows)}
+    code = code_of_today()
     compile_elements()
     for seed in range(first, end):
-        if seed not in done:
-            known.append(measured(seed, arguments.budget))
-            with arguments.out.open("a") as file:
-                file.write(json.dumps(known[-1]) + "\n")
-            print(seed, known[-1]["class"], f"{known[-1]['cpu_s']:.0f} s", flush=True)
-    text, met = table(known)
+        if seed not in known or (arguments.renew and known[seed].get("code") != code):
+            known[seed] = measured(seed, arguments.budget) | {"code": code}
+            whole = arguments.out.with_suffix(".part")
+            whole.write_text("".join(json.dumps(row) + "\n" for row in known.values()))
+            whole.replace(arguments.out)
+            print(seed, known[seed]["class"], f"{known[seed]['cpu_s']:.0f} s", flush=True)
+    text, met = table(list(known.values()))
     print(text)
     return 0 if met else 1
 
