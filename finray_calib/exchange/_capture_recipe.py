@@ -617,16 +617,22 @@ def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[st
         The median over presses says so.
     """
     ratios = {said: [of[said] for of in changes.values() if said in of] for said in CIRCLE_IF}
-    medians = {said: float(np.median(of)) for said, of in ratios.items() if len(of) >= _LEAST_PRESSES}
+    # one or two presses show that rows and columns are exchanged; a mirror, which many gels resemble, takes three
+    least = {ROW_AND_COLUMN: min(_LEAST_PRESSES, len(changes))}
+    enough = {said: of for said, of in ratios.items() if of and len(of) >= least.get(said, _LEAST_PRESSES)}
+    medians = {said: float(np.median(of)) for said, of in enough.items()}
     said = max(medians, key=medians.__getitem__, default=None)
     if said is None or medians[said] <= _DENSER_ELSEWHERE:
         return
     remedy = "exchange column_px and row_px"
     if said != ROW_AND_COLUMN:
         rows, columns = shape
-        corners = [CIRCLE_IF[said](c, r, columns, rows) for r in (0, rows - 1) for c in (0, columns - 1)]
+        # corners that the recipe has belong to the picture as it is stored, those of whole pictures to this one
+        corners = recipe.picture.corners_px or ((0, 0), (columns - 1, 0), (0, rows - 1), (columns - 1, rows - 1))
+        exchanged = ("left" in said) + 2 * ("top" in said)
+        turned = [[*corners[k ^ exchanged]] for k in range(4)]
         remedy = (
-            f"correct the labels, or turn the pictures to suit them: corners_px = {[[*c] for c in corners]} and "
+            f"correct the labels, or turn the pictures to suit them: corners_px = {turned} and "
             f"size_px = [{columns}, {rows}] below [picture]"
         )
     raise ImportFormatError(

@@ -116,7 +116,8 @@ def changes_elsewhere(capture: TactileCapture) -> dict[str, float]:
     -------
     dict
         What is exchanged, of `CIRCLE_IF` -> r, below 1 for a circle on its contact and above 1 for one that is not.
-        Circles that reach the own one, or whose centre is outside the picture, are left out.
+        Pixels of both circles do not count. Circles outside the picture are left out, and those that overlap the own
+        one: exchanged rows and columns with their centre in it, mirrored ones at all.
     """
     circle, (rows, columns) = capture.contact_circle, capture.contact.shape[:2]
     if circle is None:
@@ -125,19 +126,22 @@ def changes_elsewhere(capture: TactileCapture) -> dict[str, float]:
     anywhere = float(np.median(change))
     y, x = np.ogrid[:rows, :columns]
 
-    def denser(column_px: float, row_px: float) -> float:
-        inside = np.hypot(y - row_px, x - column_px) < circle.radius_px
-        return float(change[inside].mean()) - anywhere if inside.any() else 0.0
+    def inside(column_px: float, row_px: float) -> NDArray[np.bool_]:
+        return np.asarray(np.hypot(y - row_px, x - column_px) < circle.radius_px)
 
-    own = max(denser(circle.column_px, circle.row_px), anywhere, 1e-9)
-    there = {said: place(circle.column_px, circle.row_px, columns, rows) for said, place in CIRCLE_IF.items()}
-    return {
-        said: denser(column, row) / own
-        for said, (column, row) in there.items()
-        if row < rows
-        and column < columns
-        and np.hypot(column - circle.column_px, row - circle.row_px) >= 2.0 * circle.radius_px
-    }
+    def denser(pixels: NDArray[np.bool_]) -> float:
+        return float(change[pixels].mean()) - anywhere if pixels.any() else 0.0
+
+    own = inside(circle.column_px, circle.row_px)
+    found = {}
+    for said, place in CIRCLE_IF.items():
+        column, row = place(circle.column_px, circle.row_px, columns, rows)
+        apart = np.hypot(column - circle.column_px, row - circle.row_px) / circle.radius_px
+        # many gels change on both sides of an axis, so that a mirrored circle counts only clear of its own
+        if row < rows and column < columns and apart >= (1.0 if said == ROW_AND_COLUMN else 2.0):
+            there = inside(column, row)
+            found[said] = denser(there & ~own) / max(denser(own & ~there), anywhere, 1e-9)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import partial
 
 import cv2
 import numpy as np
@@ -27,6 +28,10 @@ def twelve_bits(image):
 
 def opaque(image):
     return np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])
+
+
+def bordered(image, margin_px):
+    return np.pad(image, ((margin_px, margin_px), (margin_px, margin_px), (0, 0)))
 
 
 def put(path, image):
@@ -298,18 +303,23 @@ ARRANGED = {
 }
 
 
+@pytest.mark.parametrize("margin_px", [0, 24], ids=["whole picture", "gel in a picture"])
 @pytest.mark.parametrize("exchanged", ARRANGED)
-def test_labels_of_pictures_that_are_arranged_otherwise_are_refused_and_the_remedy_reads_them(tmp_path, exchanged):
-    folder = set_of(tmp_path / "set", "p{}.png", "rest.png")
+def test_labels_of_pictures_that_are_arranged_otherwise_are_refused_and_the_remedy_reads_them(
+    tmp_path, exchanged, margin_px
+):
+    folder = set_of(tmp_path / "set", "p{}.png", "rest.png", partial(bordered, margin_px=margin_px))
     of_right = [(40.0, 50.0), (35.0, 110.0), (90.0, 120.0), (85.0, 30.0), (30.0, 70.0)]
     lines = ["file,x,y,r"]
     for k, place in enumerate(of_right, start=1):
-        put(folder / f"p{k}.png", eight_bits(dome(*place)))
+        put(folder / f"p{k}.png", bordered(eight_bits(dome(*place)), margin_px))
         row, column = ARRANGED[exchanged](*place)
         lines.append(f"p{k},{column},{row},{CONTACT_PX}")
     (folder / "labels.csv").write_text("\n".join(lines) + "\n")
+    near, right, bottom = margin_px, margin_px + 159, margin_px + 119
+    of_gel = {"corners_px": [(near, near), (right, near), (near, bottom), (right, bottom)], "size_px": (160, 120)}
     with pytest.raises(ImportFormatError, match=rf"where their circles would be with {exchanged} exchanged") as why:
-        read_by_recipe(folder, recipe_of("p{press}.png", "rest.png"))
+        read_by_recipe(folder, recipe_of("p{press}.png", "rest.png", **(of_gel if margin_px else {})))
     if exchanged == "row and column":
         assert "exchange column_px and row_px" in str(why.value)
         return
