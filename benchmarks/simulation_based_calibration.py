@@ -123,9 +123,10 @@ def judged(results):
 
 
 def code_digest():
-    """Return the SHA-256 of the code that fits."""
+    """Return the SHA-256 of what fits and of what makes the paints."""
     package = Path(finray_calib.__file__).parent
     files = sorted(path for room in ("fit", "spectra") for path in (package / room).glob("*.py"))
+    files += [package / "fit" / "measured_spectra.json", Path(__file__).parent / "drawn_paints.py"]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 

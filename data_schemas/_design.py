@@ -210,7 +210,7 @@ class FingerDesign(Record):
 
 
 def of_known_fields(model: type[BaseModel], told: dict[str, Any]) -> dict[str, Any]:
-    """Return what is told of fields, such as where their numbers come from.
+    """Return the notes on fields, such as where their numbers come from.
 
     Raises
     ------

@@ -3,7 +3,6 @@
 import argparse
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from finray_calib.cli._output import give, say, suggest_file, wrote
 from finray_calib.cli._run import (
@@ -15,9 +14,6 @@ from finray_calib.cli._run import (
     new_page_beside,
     require_new,
 )
-
-if TYPE_CHECKING:
-    pass
 
 HELP = "decide on the light angle from sweeps at the places that are touched"
 DESCRIPTION = """\

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from sim.optics import Preference, Progress
 
     _Seen = tuple[str, dict[str, Any], Callable[[str], bytes]]
-    """What is told, further numbers for programs, and the drawing for an ending."""
+    """Remarks, further numbers for programs, and the drawing for an ending."""
 
 HELP = "write a finger design; draw it, see its camera's view, print its parts, choose paints; choose a rig's filters"
 DESCRIPTION = (
@@ -545,7 +545,7 @@ def _power_range(text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class _LightsApart:
-    """What was traced of each light: the basis, where its rows are, and what further is told or was read."""
+    """What was traced of each light: the basis, where its rows are, further remarks, and the files that were read."""
 
     basis: "LightBasis"
     places_mm: "NDArray[np.float64]"

@@ -170,11 +170,6 @@ class CurvePosterior:
         gain = self._cross(part, 0) @ part.solve
         return np.asarray(self._prior.amplitudes_rel[:, None, None] ** 2 * gain + part.scale_gain[:, None, :])
 
-    @property
-    def standard_deviation(self) -> Floats:
-        """Pointwise standard deviation of the first curve, shape (G,)."""
-        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0)))
-
     def ln_likelihood(self, values: Floats) -> Floats:
         """Return ln(prior weight times likelihood) of other values at the same angles: (parts, A, m) for (m, N)."""
         own = self.seen.values

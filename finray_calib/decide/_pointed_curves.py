@@ -57,11 +57,6 @@ class PointedPosterior:
         """Values of the curve."""
         return self.smooth.seen
 
-    @property
-    def pointed_probability(self) -> float:
-        """Probability that the curve has a pointed place."""
-        return float(self._pointed.sum())
-
     @cached_property
     def mean(self) -> Floats:
         """Expected curve with its constant, shape (1, G)."""
@@ -153,8 +148,10 @@ def pointed_posterior(prior: CurvePrior, seen: Observations, grid_deg: Floats) -
     ln_gain -= 0.5 * np.log(_with_prior(precision[:, :, :, None], SIZES_REL)[3])
     ln_gain += ln_size - np.log(np.exp(ln_size).sum() * sides.shape[1])
     ln_plain = np.array([part.ln_weight for part in smooth.parts])
-    plain = (1 - POINTED_PROBABILITY) * np.exp(ln_plain - ln_plain.max())
-    pointed = POINTED_PROBABILITY * np.exp(ln_gain + (ln_plain - ln_plain.max())[..., None, None])
+    ln_pointed = ln_gain + ln_plain[..., None, None]
+    largest = max(ln_plain.max(), ln_pointed.max())
+    plain = (1 - POINTED_PROBABILITY) * np.exp(ln_plain - largest)
+    pointed = POINTED_PROBABILITY * np.exp(ln_pointed - largest)
     total = plain.sum() + pointed.sum()
     return PointedPosterior(smooth, sides, precision, pull, plain / total, pointed / total)
 

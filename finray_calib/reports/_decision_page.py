@@ -247,9 +247,8 @@ def _curve(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> P
     )
     lead = (
         f"Objective: {decision.objective.rstrip('.')}. It was rendered at {len(sweeps[0].angles_deg)} angles with "
-        "repeats that share their random draws; smooth and less smooth random curves "
-        "through "
-        "them give the probability of each angle."
+        "repeats that share their random draws; smooth and rough random curves through them, also with a kink or a "
+        "cusp, give the probability of each angle."
     )
     return Part("Curve over the angle", Content(lead, ((picture,),)))
 

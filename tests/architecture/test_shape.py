@@ -17,10 +17,10 @@ import pytest
 
 from tests.architecture.test_conventions import PACKAGES, ROOT
 
-MOST_MODULES = 327
+MOST_MODULES = 328
 MOST_IN_A_FOLDER = 24
 LONGEST_CHAIN = 11
-LARGEST_SINGLE_CALLER_SHARE = 0.141
+LARGEST_SINGLE_CALLER_SHARE = 0.144
 SILENT = {
     *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
     *(tokenize.ENCODING, tokenize.ENDMARKER),

@@ -7,6 +7,7 @@ from scipy.stats import multivariate_normal
 from finray_calib.decide import _pointed_curves as module
 from finray_calib.decide import decide_angle
 from finray_calib.decide._gaussian_process import CurvePrior, observations
+from finray_calib.decide._light_angle import _CURVE_PRIOR
 from finray_calib.decide._pointed_curves import pointed_posterior
 from tests.decide.curves import SWEEP_DEG, cusp, random_curve, regret_of, sweep
 from tests.decide.test_gaussian_process import matern_by_bessel_functions
@@ -59,12 +60,22 @@ def test_moments_and_draws_agree_with_dense_joint_normals():
     # The flat prior is approached as noise / vague, rounding grows as vague: both near 1e-6.
     assert found.mean[0] == pytest.approx(mean, abs=1e-5)
     assert np.abs(found.covariance - covariance).max() < 1e-5
-    assert found.pointed_probability == pytest.approx(probability, abs=1e-5)
+    assert 1.0 - found._plain.sum() == pytest.approx(probability, abs=1e-5)  # noqa: SLF001
     draws = found.draws(40_000, np.random.default_rng(1))[:, 0]
     sd = np.sqrt(np.diag(covariance))
     # 5 standard errors of a mean; 5 % of the standard deviations of a mixture
     assert (np.abs(draws.mean(axis=0) - mean) < 5 * sd / np.sqrt(40_000)).all()
     assert draws.std(axis=0) == pytest.approx(sd, rel=0.05)
+
+
+def test_an_exact_cusp_at_many_angles_does_not_overflow():
+    """Its evidence against a smooth curve is beyond the largest floating-point number."""
+    angles = np.arange(-45.0, 46.0)
+    values = 2.0 - np.sqrt(np.abs(angles + 4.0) / 10.0)
+    seen = observations(angles, values, np.diag(np.full(angles.size, 1e-10)), np.ones((angles.size, 1)))
+    found = pointed_posterior(_CURVE_PRIOR, seen, angles)
+    assert found.mean[0] == pytest.approx(values, abs=1e-3)
+    assert np.isfinite(found.draws(10, np.random.default_rng(1))).all()
 
 
 def claims(curve_of, count, seed):
