@@ -266,8 +266,10 @@ class ArduinoSwitch:
             self._unanswered, self._is_fresh = 0, False
             end_s = max(end_s, time.monotonic() + ASK_WITHIN_S)
         if self._out_of_step:
-            # The command goes out before its step is found, so that "off" loses no time; all can be repeated.
-            self._link.write(command.encode() + b"\n", end_s)
+            # The command goes out before its step is found, so that "off" loses no time; all can be repeated. The
+            # answer to a second "I" would be taken for that to the first.
+            if command != "I":
+                self._link.write(command.encode() + b"\n", end_s)
             self._find_step(end_s, max(end_s, last_s))
             end_s = max(end_s, min(time.monotonic() + ASK_WITHIN_S, last_s))
         self._send(command, end_s)

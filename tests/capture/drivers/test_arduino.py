@@ -318,6 +318,17 @@ class TestFaults:
         ):
             assert switch.identity().firmware == "1.4"
 
+    def test_identity_after_a_lost_answer_leaves_no_answer_for_the_next_question(self):
+        spoken = [("host", b"K\nK\n"), ("device", b"ON\n"), *[("host", b"I\n"), ("device", b"LASER 1.2\n")] * 2]
+        with (
+            replayed(with_board(*spoken, ("host", b"?\n"), ("device", b"ON\n"))) as address,
+            open_switch(address, "laser", None) as switch,
+        ):
+            switch.keep_alive()
+            switch.keep_alive()  # the first was not answered
+            assert switch.identity().firmware == "1.2"
+            assert switch.state(DEADLINE_S)
+
 
 SILENCE = "nothing more came"
 
