@@ -116,8 +116,8 @@ def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
         evidence = f"the first one was sent from slot {first.from_slot} to slot {first.to_slot} and reported {where}"
     else:
         evidence = (
-            f"all {moves} moves arrived, as position and frame after each one show; with 95 % confidence at "
-            f"most {100 * largest_failure_share(moves):.1f} % of moves fail"
+            f"all {moves} moves arrived, as position and, where bright enough, frame after each one show; with "
+            f"95 % confidence at most {100 * largest_failure_share(moves):.1f} % of moves fail"
         )
     durations_s = [move.duration_s for move in facts.moves]
     mean_s = sum(durations_s) / moves
@@ -130,6 +130,8 @@ def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     )  # fmt: skip
     if facts.filter_proof is None or facts.filter_proof.verdict != "confirmed":
         arrives = not_proven(arrives, NOT_SEEN_TO_TURN)
+    if "wheel" in facts.errors:
+        arrives = not_proven(arrives, f"an error leaves it open (see {SECTIONS['wheel']})")
     return (arrives, *_seen_to_turn((in_time,), facts))
 
 

@@ -4,7 +4,7 @@ Who the devices say they are, where the wheel goes, what the frames show, and ho
 reduced at once to what is judged: dark level, white rates, revisits, ratios.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -108,6 +108,7 @@ class CheckFrames:
         self._metered_s: dict[str, float] = {}
         self._signals_dn: dict[str, float] = {}
         self._rates: dict[str, tuple[float, float, float]] = {}
+        self._looks: list[tuple[str, NDArray[np.float64]]] = []  # filter, and the rates of the last frame behind it
 
     def white_step(self, band: BandPassFilter) -> Step:
         """Return the white tile under the lamp behind a filter."""
@@ -138,19 +139,38 @@ class CheckFrames:
     def shows(self, band: BandPassFilter) -> bool:
         """Whether the white tile looks behind a filter as at its metering, or was too dark then to tell.
 
-        Of two frames one must: the first may be an old one, or the lamp may flicker.
+        Of two frames one must: the first may be an old one, or the lamp may flicker. While not all filters are
+        metered, nothing can be told.
         """
         least_dn = LEAST_SIGNAL_FRACTION * (2**self._settings.bit_depth - 1)
-        if band.name not in self._rates or self._signals_dn[band.name] < least_dn:
+        if self.revisit_filter is None or self._signals_dn[band.name] < least_dn:
             return True
-        was, exposure_s = np.array(self._rates[band.name]), self._metered_s[band.name]
 
         def is_as_metered() -> bool:
-            raw = self._camera.expose(self.white_step(band), exposure_s).raw
+            raw = self._camera.expose(self.white_step(band), self._metered_s[band.name]).raw
             now = np.array(self._channel_rates(raw.counts[self._region], raw.exposure_s))
-            return bool(np.abs(now - was).max() <= AS_METERED_REL * was.max())
+            self._looks.append((band.name, now))
+            return _alike(now, np.array(self._rates[band.name]))
 
-        return is_as_metered() or is_as_metered()
+        if is_as_metered():
+            return True
+        self._looks.pop()
+        return is_as_metered()
+
+    def common_factor(self) -> float | None:
+        r"""Return the factor between all frames of :meth:`shows` and the metering; None: there is no common one.
+
+        .. math:: f = \operatorname{median}_k \frac{n_k \cdot m_k}{m_k \cdot m_k}
+
+        with the rates n of frame k and m at the metering of its filter. A wheel that stands elsewhere than it says
+        has another factor behind each filter, so one filter alone tells nothing.
+        """
+        if len({name for name, _ in self._looks}) < 2:
+            return None
+        pairs = [(now, np.array(self._rates[name])) for name, now in self._looks]
+        factor = float(np.median([now @ was / (was @ was) for now, was in pairs]))
+        is_one = abs(factor - 1.0) <= 0.5 * AS_METERED_REL  # then a frame that is unlike is not explained by it
+        return factor if not is_one and all(_alike(now, factor * was) for now, was in pairs) else None
 
     def require_as_metered(self) -> None:
         """Refuse a camera whose exposures, or a lamp whose level, are others than when the filters were metered.
@@ -336,6 +356,11 @@ class CheckFrames:
         return float(red) / exposure_s, float(green) / exposure_s, float(blue) / exposure_s
 
 
+def _alike(now: NDArray[np.float64], was: NDArray[np.float64]) -> bool:
+    """Whether rates are those that are expected."""
+    return bool(np.abs(now - was).max() <= AS_METERED_REL * was.max())
+
+
 QUIET_SHARE: Final = 0.95
 """Of the limit: when a dead-man is asked whether it has acted. Earlier questions would keep it from acting."""
 WITH_OPEN_RIG: Final[tuple[Section, ...]] = (
@@ -457,7 +482,7 @@ class _Recorder(CheckRecorder[CheckFacts]):
         self._lights_are_off(opened, "filters")
         moves: list[WheelMove] = []
         # by now each filter is metered, so that a frame shows where the wheel arrived
-        self._attempt("wheel", lambda: moves.extend(wheel_moves(opened, self._plan, self._filters, frames)))
+        self._attempt("wheel", lambda: make_moves(opened, self._plan, self._filters, frames, moves))
         self._keep(moves=tuple(moves))  # those before an error too
         self._lights_are_off(opened, "wheel")
         self._keep(revisits=self._attempt("revisits", frames.revisits) or (), revisit_filter=frames.revisit_filter)
@@ -583,18 +608,24 @@ def handshakes(opened: OpenRig, rig: RigFile, asked: int = HANDSHAKES) -> tuple[
     )
 
 
-def wheel_moves(
-    opened: OpenRig, plan: CheckPlan, filters: Sequence[BandPassFilter], frames: CheckFrames
-) -> Iterator[WheelMove]:
+def make_moves(
+    opened: OpenRig, plan: CheckPlan, filters: Sequence[BandPassFilter], frames: CheckFrames, moves: list[WheelMove]
+) -> None:
     """Turn the wheel to filters drawn at random, never to the one in the beam; arrival is asked afresh, and looked at.
 
     A wheel whose frame is not that of the filter which it reports has arrived nowhere.
+
+    Raises
+    ------
+    CaptureError
+        All frames are those of their filters but for one factor.
     """
     opened.operator.place("white")
     rng = np.random.default_rng(plan.seed)
     bands = {band.slot: band for band in filters}
     if plan.wheel_moves == 0 or len(bands) < 2:
         return
+    unlike: list[int] = []
     with shine(opened, "lamp") if frames.revisit_filter is not None else nullcontext():
         for _ in range(plan.wheel_moves):
             here = opened.wheel.position()
@@ -606,5 +637,14 @@ def wheel_moves(
             duration_s = opened.clock.monotonic_s() - start_s
             arrived = opened.wheel.position()
             if arrived == slot and not frames.shows(bands[slot]):
+                unlike.append(len(moves))
                 arrived = None
-            yield WheelMove(from_slot=here, to_slot=slot, arrived_slot=arrived, duration_s=duration_s)
+            moves.append(WheelMove(from_slot=here, to_slot=slot, arrived_slot=arrived, duration_s=duration_s))
+    if unlike and (factor := frames.common_factor()) is not None:
+        for k in unlike:
+            moves[k] = moves[k].model_copy(update={"arrived_slot": moves[k].to_slot})
+        raise CaptureError(
+            f"lamp: the white tile is {factor:.2f} times as bright as at its metering, behind every filter that the "
+            "wheel turned to: the lamp changed, or the camera does not expose for as long as it says; let the lamp "
+            "warm up, switch the camera off and on, then check again"
+        )

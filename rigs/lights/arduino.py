@@ -5,6 +5,7 @@ dead-man acts, and ``LASER 1.2`` also at every reset, which opening the port of 
 """
 
 import contextlib
+import math
 import re
 import time
 from collections.abc import Iterator
@@ -68,6 +69,8 @@ IDENTITY_WITHIN_S: Final = 1.5
 RESET_WITHIN_S: Final = 2.5
 """Start of a board's boot loader until the firmware speaks."""
 QUIET_S: Final = 0.1
+LATE_S: Final = 1.0
+"""An answer that is later than this counts as lost: an adapter or a busy computer delays it by less."""
 PROOF_WITHIN_S: Final = 1.5
 """Until the word of the dead-man, which acts after 0.4 s, is here: the rest is for a busy computer."""
 MISSED_ANSWERS: Final = 10
@@ -99,7 +102,8 @@ class ArduinoSwitch:
     def __init__(self, link: SerialLink, role: Literal["laser", "lamp"], address: str) -> None:
         self._link, self._role, self._address = link, role, address
         self._name = f"{role} at {address}"
-        self._unanswered = self._missed = self._marks = 0
+        self._unanswered = self._missed = 0
+        self._marks: list[float] = []  # when each "I" was sent that is not answered yet
         self._out_of_step = self._is_fresh = False
         self._require_version(self._greet())
 
@@ -120,16 +124,17 @@ class ArduinoSwitch:
         UnsafeError
             Off was asked for and is not confirmed.
         """
+        end_s = time.monotonic() + deadline_s
         if on:
-            if self._exchange("L1", deadline_s).word == "ON":
+            if self._exchange("L1", end_s).word == "ON":
                 return
             # The answer may be that to an earlier command. "On" is never repeated, but the state may be asked for.
             self._out_of_step = True
-            if self._exchange("?", deadline_s).word != "ON":
+            if self._exchange("?", end_s).word != "ON":
                 raise RefusedError(f"{self._name}: does not switch on; flash its firmware again and check the board")
             return
         try:
-            answer = self._exchange("L0", deadline_s).word
+            answer = self._exchange("L0", end_s).word
         except CaptureError as error:
             raise UnsafeError(self._unconfirmed(str(error))) from error
         if answer != "OFF":
@@ -240,16 +245,18 @@ class ArduinoSwitch:
         """Return the answer to a question, repeated after faults but for those that switched the light off."""
 
         def attempt(end_s: float) -> Said:
-            return self._exchange(question, end_s - time.monotonic(), tell_trip=True, wanted=wanted)
+            return self._exchange(question, end_s, last_s=last_s, tell_trip=True, wanted=wanted)
 
-        end_s = time.monotonic() + deadline_s
-        return repeated(attempt, end_s, self._name, attempt_s=ASK_WITHIN_S, final=(WentOffError,))
+        last_s = time.monotonic() + deadline_s
+        return repeated(attempt, last_s, self._name, attempt_s=ASK_WITHIN_S, final=(WentOffError,))
 
     def _exchange(
-        self, command: str, deadline_s: float, *, tell_trip: bool = False, wanted: Word | None = None
+        self, command: str, end_s: float, *, last_s: float = 0.0, tell_trip: bool = False, wanted: Word | None = None
     ) -> Said:
-        """Send a command and return what answers it, not what answers an earlier command."""
-        end_s = time.monotonic() + deadline_s
+        """Send a command and return what answers it, not what answers an earlier command.
+
+        To be in step again may last until `last_s`, where that is later than `end_s`.
+        """
         if self._is_fresh and command == "L0":  # at once, and once more after the silence
             self._link.write(b"L0\n", end_s)
             with contextlib.suppress(TimedOutError):  # its answer is no answer to the next command
@@ -259,9 +266,12 @@ class ArduinoSwitch:
             self._unanswered, self._is_fresh = 0, False
             end_s = max(end_s, time.monotonic() + ASK_WITHIN_S)
         if self._out_of_step:
-            # The command goes out before its step is found, so that "off" loses no time; all can be repeated.
-            self._link.write(command.encode() + b"\n", end_s)
-            self._find_step(end_s)
+            # The command goes out before its step is found, so that "off" loses no time; all can be repeated. The
+            # answer to a second "I" would be taken for that to the first.
+            if command != "I":
+                self._link.write(command.encode() + b"\n", end_s)
+            self._find_step(end_s, max(end_s, last_s))
+            end_s = max(end_s, min(time.monotonic() + ASK_WITHIN_S, last_s))
         self._send(command, end_s)
         with self._in_step():
             while True:
@@ -269,24 +279,33 @@ class ArduinoSwitch:
                 if self._unanswered == 0:
                     return said
 
-    def _find_step(self, end_s: float) -> None:
+    def _find_step(self, end_s: float, last_s: float) -> None:
         """Ask who is there, and pass over all that comes until the answer: nothing earlier can come after it.
 
-        Silence alone would not show it: a board or an adapter that is late once would answer each later question with
-        the answer to an earlier one. Where such a question was lost before, silence after an answer must do.
+        Where such a question was not answered before, it may have been lost, or the answer may be its own. Then
+        silence must do: until that to the last question would be here if it were as late. A shorter silence would not
+        show it: a line that is always late would answer each later question with the answer to an earlier one.
         """
         self._link.write(b"I\n", end_s)
-        self._marks, quiet_s = self._marks + 1, end_s
+        now_s = time.monotonic()
+        self._marks = [*(asked_s for asked_s in self._marks if now_s - asked_s < LATE_S), now_s]
+        quiet_s = math.inf
         while self._marks:
             try:
                 line = self._link.read_until(b"\n", min(end_s, quiet_s))
             except TimedOutError:
-                if quiet_s == end_s:
+                if end_s < quiet_s:
                     raise
                 break
+            now_s = time.monotonic()
             if (match := LINE.fullmatch(line)) and match[2]:
-                self._marks, quiet_s = self._marks - 1, time.monotonic() + QUIET_S
-        self._marks = self._unanswered = 0
+                late_s = now_s - self._marks.pop(0)
+                if self._marks:
+                    end_s, quiet_s = last_s, max(self._marks[-1] + min(late_s, LATE_S), now_s) + QUIET_S
+            elif now_s > end_s:
+                raise TimedOutError(f"{self._name}: does not stop sending; check that this port belongs to it")
+        self._marks.clear()
+        self._unanswered = 0
         self._out_of_step = False
 
     def _send(self, command: str, end_s: float) -> None:

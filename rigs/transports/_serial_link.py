@@ -19,6 +19,7 @@ from data_schemas import LostError, RefusedError, TimedOutError, system_words
 POLL_S: Final = 0.02
 LONGEST_ANSWER_BYTES: Final = 4096
 """No device here says this much without a terminator: it is another device, or another speed."""
+LASTING_NAMES: Final = "/dev/serial/by-id/"
 # termios.error is no OSError, although a pulled plug can raise either.
 _PORT_ERRORS: Final = (OSError, termios.error)
 
@@ -274,10 +275,12 @@ class SerialLink:
         there = (
             "" if "://" in self._address else ", ".join(f"{p.address} ({p.description})" for p in usb_serial_ports())
         )
-        renamed = (
-            f". These USB ports are there now: {there}; one that was plugged in again may have another name, so write "
-            "its link under /dev/serial/by-id/, which stays, into the rig file"
-        )
+        renamed = f". These USB ports are there now: {there}"
+        if not self._address.startswith(LASTING_NAMES):
+            renamed += (
+                "; one that was plugged in again may have another name, so write its link under "
+                f"{LASTING_NAMES}, which stays, into the rig file"
+            )
         return LostError(
             f"{self._name}: cannot be opened ({system_words(error)}); check cable and power, and the address with "
             f"'finray rig detect'{renamed if there else ''}"

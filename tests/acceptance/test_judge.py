@@ -317,6 +317,7 @@ def test_results_in_words(rig):
     found = results(judge(GOOD, PLAN, rig))
     assert value_text(found["laser off by the guard"]) == "0.200 +- 0.058 s"
     assert value_text(found["wheel arrives"]) == "0 moves"
+    assert "as position and, where bright enough, frame after each one show" in found["wheel arrives"].evidence
     assert value_text(found["filters in their slots"]) == ""
     assert result_line(found["laser off by the guard"]) == (
         "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps, "

@@ -199,6 +199,24 @@ def test_camera_that_fails_ends_its_sections_only(rig, plan, monkeypatch):
     assert facts.light_off[0].latest_s
 
 
+def test_a_filter_that_cannot_be_metered_is_no_fault_of_lamp_or_wheel(rig, plan, monkeypatch):
+    last = check_filters(plan, rig)[-1]
+
+    def change(opened: OpenRig) -> OpenRig:
+        def expose(*given: float) -> RawFrame:
+            if opened.wheel.position() == last.slot:
+                raise RefusedError("camera: no")
+            return opened.camera.expose(*given)
+
+        return replace(opened, camera=Device(opened.camera, {"expose": expose}))
+
+    facts = facts_of(rig, plan, monkeypatch, change)
+    assert facts.errors["filters"] == "camera: no"
+    assert "wheel" not in facts.errors
+    assert len(facts.moves) == 5
+    assert all(move.arrived_slot == move.to_slot for move in facts.moves)
+
+
 def test_exchanged_filters_are_seen(rig, plan, monkeypatch):
     def change(opened: OpenRig) -> OpenRig:
         slots = {2: 6, 6: 2}  # 450 and 600 nm

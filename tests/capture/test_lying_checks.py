@@ -11,9 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from data_schemas import CheckPlan
+from data_schemas import CheckPlan, CheckResult
 from finray_calib.acceptance import judge
 from rigs import OpenRig, RawFrame, open_rig, paint_plan, simulated_rig
 from rigs.capture import _check_session as check_session
@@ -26,6 +27,8 @@ PLAN = CheckPlan(
     check_name="lab", region=paint_plan("red", RIG.camera).region, wheel_moves=8, revisits=6, warm_up_s=4.0
 )
 
+METERED = 15
+"""Moves of a check until all filters are metered."""
 CHECKED_MOVE = 20
 """Of the moves of a check, the first of which bring each filter into the beam to be metered."""
 DARK = ("dark level", "dark rate", "read noise")
@@ -104,8 +107,37 @@ def camera(kind: str) -> Change:
     return change
 
 
-def verdicts(change: Change, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
-    """Return the verdicts of a check by the names of its rows."""
+def dimmed(raw: RawFrame, factor: float) -> RawFrame:
+    """Return a frame with another light level."""
+    black = RIG.camera.black_level_dn
+    return replace(raw, counts=np.round(black + factor * (raw.counts - float(black))).astype(raw.counts.dtype))
+
+
+def lamp_that_changes(level: Callable[[int], float]) -> Change:
+    """Return a lamp whose level follows from the moves of the wheel."""
+
+    def change(opened: OpenRig) -> OpenRig:
+        moves = [0]
+
+        def go_to(slot: int, deadline_s: float) -> None:
+            moves[0] += 1
+            opened.wheel.go_to(slot, deadline_s)
+
+        def expose(exposure_s: float, deadline_s: float) -> RawFrame:
+            raw = opened.camera.expose(exposure_s, deadline_s)
+            return dimmed(raw, level(moves[0])) if opened.lamp.state() else raw
+
+        return replace(
+            opened,
+            wheel=Device(opened.wheel, {"go_to": go_to}),
+            camera=Device(opened.camera, {"expose": expose}),
+        )
+
+    return change
+
+
+def checked(change: Change, monkeypatch: pytest.MonkeyPatch) -> dict[str, CheckResult]:
+    """Return the results of a check by the names of its rows."""
 
     @contextmanager
     def changed(*given: Any) -> Iterator[OpenRig]:
@@ -114,7 +146,12 @@ def verdicts(change: Change, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
 
     monkeypatch.setattr(check_session, "open_rig", changed)
     facts, notes = record_facts(RIG, PLAN, Path())
-    return {one.name: one.verdict for one in judge(facts, PLAN, RIG, notes).results}
+    return {one.name: one for one in judge(facts, PLAN, RIG, notes).results}
+
+
+def verdicts(change: Change, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Return the verdicts of a check by the names of its rows."""
+    return {name: one.verdict for name, one in checked(change, monkeypatch).items()}
 
 
 CASES: dict[str, tuple[Change, tuple[str, ...]]] = {
@@ -162,3 +199,22 @@ def test_no_row_that_a_lie_falsifies_passes(
     assert {row: found_honest.get(row) for row in rows} == dict.fromkeys(rows, "PASS")  # a misspelt one is None
     found = verdicts(change, monkeypatch)
     assert [row for row in rows if found.get(row) == "PASS"] == []
+
+
+@pytest.mark.parametrize("fall", [0.0, 0.01])
+def test_a_lamp_that_changes_after_the_metering_is_not_blamed_on_the_wheel(
+    monkeypatch: pytest.MonkeyPatch, fall: float
+) -> None:
+    """It is dimmer from the first checked move on, or falls from move to move: by more than 10 % in the end."""
+    found = checked(
+        lamp_that_changes(lambda moves: 1.0 if moves <= METERED else 0.88 - fall * (moves - METERED - 4)), monkeypatch
+    )
+    assert found["wheel arrives"].verdict == "UNDECIDED"
+    assert "all 8 moves arrived" in found["wheel arrives"].evidence
+    assert "(see wheel moves)" in found["wheel arrives"].evidence
+    assert "lamp: the white tile is 0.8" in found["wheel moves"].evidence
+
+
+def test_one_frame_of_another_level_is_a_fault_of_the_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = verdicts(lamp_that_changes(lambda moves: 0.5 if moves == CHECKED_MOVE else 1.0), monkeypatch)
+    assert found["wheel arrives"] == "FAIL"

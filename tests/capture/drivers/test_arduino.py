@@ -318,6 +318,17 @@ class TestFaults:
         ):
             assert switch.identity().firmware == "1.4"
 
+    def test_identity_after_a_lost_answer_leaves_no_answer_for_the_next_question(self):
+        spoken = [("host", b"K\nK\n"), ("device", b"ON\n"), *[("host", b"I\n"), ("device", b"LASER 1.2\n")] * 2]
+        with (
+            replayed(with_board(*spoken, ("host", b"?\n"), ("device", b"ON\n"))) as address,
+            open_switch(address, "laser", None) as switch,
+        ):
+            switch.keep_alive()
+            switch.keep_alive()  # the first was not answered
+            assert switch.identity().firmware == "1.2"
+            assert switch.state(DEADLINE_S)
+
 
 SILENCE = "nothing more came"
 
@@ -339,6 +350,45 @@ class LineOf:
         if not found_it:
             raise TimedOutError(SILENCE)
         return line + terminator
+
+
+class Chatter(LineOf):
+    """A link at which the same line comes again and again."""
+
+    def read_until(self, terminator: bytes, end_s: float) -> bytes:
+        assert time.monotonic() < end_s + LATE_S, "read on beyond the deadline"
+        return self.data
+
+
+def test_finding_the_step_on_a_line_that_never_falls_silent_ends_at_the_deadline():
+    switch = ArduinoSwitch(LineOf(b"LASER 1.2\n"), "laser", "a port")
+    switch._link = Chatter(b"OFF\n")  # noqa: SLF001 - after a good start
+    switch.keep_alive()
+    with pytest.raises(LostError, match="answers OFF"):
+        switch.keep_alive()  # from here on answers may belong to other commands
+    with pytest.raises(UnsafeError, match=r"NOT CONFIRMED OFF.*does not stop sending; check that this port"):
+        switch.switch(False, 0.2)
+
+
+class SlowOff(LineOf):
+    """A link at which "off" comes late and then nothing; it notes until when it is waited for."""
+
+    ends_s: tuple[float, ...] = ()
+
+    def read_until(self, terminator: bytes, end_s: float) -> bytes:
+        self.ends_s += (end_s,)
+        time.sleep(0.3)
+        return super().read_until(terminator, end_s)
+
+
+def test_asking_for_the_state_after_a_doubtful_on_takes_no_second_deadline():
+    switch, link = ArduinoSwitch(LineOf(b"LASER 1.2\n"), "laser", "a port"), SlowOff(b"OFF\n")
+    switch._link = link  # noqa: SLF001 - after a good start
+    began_s = time.monotonic()
+    with pytest.raises(TimedOutError, match=SILENCE):
+        switch.switch(True, 0.4)
+    assert len(link.ends_s) == 2
+    assert max(link.ends_s) < began_s + 0.4 + 0.1  # 0.3 s more with a deadline of its own
 
 
 WORDS = st.sampled_from([b"ON\n", b"OFF\n", b"ERR\n", b"TRIP\n", b"LASER 1.2\n", b"\n"])

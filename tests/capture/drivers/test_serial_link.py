@@ -199,6 +199,14 @@ def test_a_port_with_another_name_is_named_or_found(tmp_path: Path, monkeypatch:
             os.unlink(name)
 
 
+def test_a_link_under_by_id_is_not_advised_where_it_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    usb = ListPortInfo("/dev/ttyACM1")
+    usb.description, usb.vid, usb.pid = "Arduino Uno", 0x2341, 0x0043
+    monkeypatch.setattr(list_ports, "comports", lambda *_: [usb])
+    with pytest.raises(LostError, match=r"USB ports are there now: /dev/ttyACM1 \(Arduino Uno\)$"):
+        SerialLink("/dev/serial/by-id/usb-NONE", 9600, "lamp")
+
+
 def test_an_address_that_is_none() -> None:
     with pytest.raises(
         RefusedError, match=r"wheel at gopher://x: is not an address of a serial port .*socket://host:4001"
