@@ -1,5 +1,6 @@
 """Direct solvers of the symmetric systems of equilibrium: MKL PARDISO, or SuperLU where that is not installed."""
 
+import ctypes
 import importlib
 import math
 import os
@@ -29,6 +30,8 @@ _CURVATURE_REL, _CURVATURE_ROUNDS = 1e-2, 10
 # of Lanczos; and of the stiffness of before what every shape must have kept: a node that lost contact kept a tenth
 _NEAR_STEPS, _NEAR_RATIO = 4, 0.05
 _BLOCKS = -80  # PARDISO's own value: rows whose patterns agree by 80 % become blocks
+
+_FLOATS, _INTS = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int32)
 
 
 _RATE_AFTER = 4  # conjugate gradients after which their rate tells whether they go on
@@ -240,9 +243,7 @@ class Pardiso:
     """
 
     def __init__(self, threads: int = 1) -> None:
-        pypardiso = _pypardiso()
-        self._error: type[Exception] = pypardiso.pardiso_wrapper.PyPardisoError
-        self._solver = pypardiso.PyPardisoSolver(mtype=_SYMMETRIC_POSITIVE)
+        self._solver = _pypardiso().PyPardisoSolver(mtype=_SYMMETRIC_POSITIVE)
         self._solver.libmkl.MKL_Set_Num_Threads(threads)
         # own settings, METIS (its parallel form orders no better), pivots lifted to 1e-8, no scaling or matching (they
         # need values in the symbolic phase), iterative refinement only where pivots were lifted, blocks (the three
@@ -252,6 +253,7 @@ class Pardiso:
             self._solver.set_iparm(number, value)
         self._matrix: sp.csr_array | None = None
         self._pattern = (-1, -1)
+        self._places: tuple[NDArray[np.int32], ...] = ()  # indptr and indices of the matrix, counted from 1
         self._indefinite = 0
 
     @property
@@ -262,12 +264,29 @@ class Pardiso:
         return self._matrix is not None and int(self._solver.get_iparm(_NEGATIVE_PIVOTS)) == 0
 
     def _call(self, phase: int, right_side: FloatArray) -> FloatArray:
-        self._solver.set_phase(phase)
-        # the wrapper's public methods repeat the symbolic phase at each factorisation
-        try:
-            return np.asarray(self._solver._call_pardiso(self._matrix, right_side))  # noqa: SLF001
-        except self._error as failed:
-            raise SimulateError(f"{_SINGULAR} (PARDISO: {failed})") from failed
+        """Run a phase of PARDISO on the matrix at hand, as the wrapper does, which copies all indices at each call.
+
+        The wrapper's public methods repeat the symbolic phase at each factorisation too.
+        """
+        if self._matrix is None:
+            raise SimulateError("nothing has been factorised yet; call factorise first")
+        wrapped, found, error = self._solver, np.zeros_like(right_side), ctypes.c_int32(0)
+        numbers = (1, 1, wrapped.mtype, phase, len(right_side))
+        values = (self._matrix.data, *self._places, wrapped.perm)
+        wrapped._mkl_pardiso(  # noqa: SLF001
+            wrapped.pt.ctypes.data_as(ctypes.POINTER(wrapped._pt_type[0])),  # noqa: SLF001
+            *(ctypes.byref(ctypes.c_int32(number)) for number in numbers),
+            *(array.ctypes.data_as(kind) for array, kind in zip(values, (_FLOATS, _INTS, _INTS, _INTS), strict=True)),
+            ctypes.byref(ctypes.c_int32(1)),
+            wrapped.iparm.ctypes.data_as(_INTS),
+            ctypes.byref(ctypes.c_int32(0)),
+            right_side.ctypes.data_as(_FLOATS),
+            found.ctypes.data_as(_FLOATS),
+            ctypes.byref(error),
+        )
+        if error.value:
+            raise SimulateError(f"{_SINGULAR} (PARDISO: error {error.value})")
+        return found
 
     def factorise(self, upper: sp.csr_array, pattern: int) -> None:
         """Factorise; the symbolic phase only for a new pattern."""
@@ -292,20 +311,19 @@ class Pardiso:
 
     def _factorise(self, upper: sp.csr_array, pattern: int, kind: int) -> None:
         """Factorise as a matrix of one kind."""
-        nothing = np.zeros((upper.shape[0], 1))
+        nothing = np.zeros(upper.shape[0])
         if self._matrix is None or (pattern, upper.nnz) != self._pattern or kind != self._solver.mtype:
             self.release()
             self._solver.set_matrix_type(kind)
             self._matrix, self._pattern = upper, (pattern, upper.nnz)
+            self._places = tuple(array.astype(np.int32) + np.int32(1) for array in (upper.indptr, upper.indices))
             self._call(11, nothing)
         self._matrix = upper
         self._call(22, nothing)
 
     def solve(self, right_side: FloatArray) -> FloatArray:
         """Return x (n,)."""
-        if self._matrix is None:
-            raise SimulateError("nothing has been factorised yet; call factorise first")
-        return self._call(33, np.ascontiguousarray(right_side.reshape(-1, 1))).ravel()
+        return self._call(33, np.ascontiguousarray(right_side, np.float64))
 
     def release(self) -> None:
         """Give the factors' memory back."""

@@ -46,14 +46,18 @@ class Column:
         u[:, 1] = amplitude_mm * (1.0 - np.cos(2 * np.pi * x[:, 0] / LENGTH_MM)) * ~self.fixed[:, 1]
         return State(self.size * u, self.assembly.elasticity.no_modes)
 
+    def eigenvalues_n_per_mm(self, state):
+        """Return all eigenvalues of the tangent at a state."""
+        self.assembly.assemble(state)
+        self.assembly.matrix.constrain(self.fixed.ravel())
+        upper = self.assembly.matrix.upper()
+        return np.linalg.eigvalsh((upper + sp.triu(upper, 1).T).toarray())
+
     def check(self, equilibrium, shortened_mm):
         """Check that all eigenvalues of the tangent are positive, and the height of the arch."""
         assert not equilibrium.failure
         assert not equilibrium.unstable
-        self.assembly.assemble(equilibrium.state)
-        self.assembly.matrix.constrain(self.fixed.ravel())
-        upper = self.assembly.matrix.upper()
-        assert np.linalg.eigvalsh((upper + sp.triu(upper, 1).T).toarray()).min() > 0.0
+        assert self.eigenvalues_n_per_mm(equilibrium.state).min() > 0.0
         height = abs(equilibrium.state.u_mm[CELLS.numbers[6].ravel(), 1].mean()) / self.size
         # of a cosine arch; a few per cent are of the curve's higher order. Below Euler's load it stays as it is
         arch = 2.0 * math.sqrt(LENGTH_MM * max(shortened_mm - EULER_MM, 0.0)) / math.pi
@@ -118,7 +122,8 @@ def test_what_cannot_be_left_is_told(monkeypatch, solver):
     reached = find_equilibrium(column.assembly, begin, column.at(1.0), linear_solver(solver))
     assert not reached.failure
     assert "could not leave an unstable equilibrium" in reached.unstable
-    assert np.abs(reached.state.u_mm[CELLS.numbers[6].ravel(), 1].mean()) <= 1e-3  # of 2.8 mm
+    # rounding decides at which of its saddles, straight or in several waves, a column is found
+    assert column.eigenvalues_n_per_mm(reached.state).min() < 0.0
     # asked for no test, a search makes none
     quick = find_equilibrium(column.assembly, begin, column.at(1.0), linear_solver(solver), NewtonOptions(stable=False))
     assert not quick.failure
