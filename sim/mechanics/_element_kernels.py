@@ -14,6 +14,10 @@ Laws take a row of parameters: ST_VENANT_KIRCHHOFF (bulk = 0, lambda, mu in MPa)
 GIVEN is a law that another package brings: its energies were computed beforehand, at the stretches of
 :func:`many_stretches`, and its row holds, of each element, the bulk modulus and of each point psi, psi_i, psi_ij.
 
+The eigenvalues of the eight points are found side by side, in the last axis of arrays (..., 8), by vector instructions.
+The compiler makes these of loops whose length is told at run time (it unrolls others first), over rows of one local
+array (those of others might overlap).
+
 Numba enters the mechanics here only. It renews a cached function when its own file changes, not when a function that
 it calls does: a compiled function therefore calls only compiled functions of its own file.
 """
@@ -91,37 +95,58 @@ def _inverse(a: FloatArray, out: FloatArray) -> float:
 
 
 @compiled
-def _jacobi(c: FloatArray, w: FloatArray, v: FloatArray) -> None:
-    """Fill eigenvalues w and eigenvectors v (columns) of a symmetric 3 x 3 matrix, which is destroyed."""
-    for i in range(3):
-        for j in range(3):
-            v[i, j] = 1.0 if i == j else 0.0
+def _turn(work: FloatArray, p: int, q: int, r: int, points: int) -> None:
+    """Turn the axes p and q of :func:`_principal_axes` so that c_pq becomes zero, where it is not small."""
+    for k in range(points):
+        off = work[2 + p + q, k]
+        small = off * off <= _ROTATION_END * abs(work[p, k] * work[q, k])
+        angle = (work[q, k] - work[p, k]) / (2.0 * (1.0 if small else off))
+        t = (1.0 if angle >= 0.0 else -1.0) / (abs(angle) + math.sqrt(angle * angle + 1.0))
+        t = 0.0 if small else t
+        cos = 1.0 / math.sqrt(t * t + 1.0)
+        sin = t * cos
+        work[p, k] -= t * off
+        work[q, k] += t * off
+        work[2 + p + q, k] = off if small else 0.0
+        crp, crq = work[2 + r + p, k], work[2 + r + q, k]
+        work[2 + r + p, k] = cos * crp - sin * crq
+        work[2 + r + q, k] = sin * crp + cos * crq
+        for i in range(6, 15, 3):
+            vip, viq = work[i + p, k], work[i + q, k]
+            work[i + p, k] = cos * vip - sin * viq
+            work[i + q, k] = sin * vip + cos * viq
+
+
+@compiled
+def _principal_axes(c: FloatArray, axes: FloatArray, points: int) -> None:
+    """Replace the diagonals of symmetric 3 x 3 matrices by the eigenvalues, and fill the eigenvectors, by Jacobi.
+
+    A matrix is given by its entries 00, 11, 22, 01, 02, 12, in (6, 8); column j of the vectors is axes[j::3], (9, 8).
+    """
+    work = np.empty((15, 8))
+    for i in range(6):
+        for k in range(points):
+            work[i, k] = c[i, k]
+    for i in range(9):
+        for k in range(points):
+            work[6 + i, k] = 1.0 if i % 4 == 0 else 0.0
     for _ in range(12):
-        turned = False
-        for k in range(3):
-            p, q = _FIRST[k], _SECOND[k]
-            r = 3 - p - q
-            if c[p, q] * c[p, q] <= _ROTATION_END * abs(c[p, p] * c[q, q]):
-                continue
-            turned = True
-            angle = (c[q, q] - c[p, p]) / (2.0 * c[p, q])
-            t = (1.0 if angle >= 0.0 else -1.0) / (abs(angle) + math.sqrt(angle * angle + 1.0))
-            cos = 1.0 / math.sqrt(t * t + 1.0)
-            sin = t * cos
-            c[p, p] -= t * c[p, q]
-            c[q, q] += t * c[p, q]
-            crp, crq = c[r, p], c[r, q]
-            c[r, p] = c[p, r] = cos * crp - sin * crq
-            c[r, q] = c[q, r] = sin * crp + cos * crq
-            c[p, q] = c[q, p] = 0.0
-            for i in range(3):
-                vip, viq = v[i, p], v[i, q]
-                v[i, p] = cos * vip - sin * viq
-                v[i, q] = sin * vip + cos * viq
-        if not turned:
+        left = 0.0
+        for k in range(points):
+            a, b, d = work[0, k], work[1, k], work[2, k]
+            left += 1.0 if work[3, k] ** 2 > _ROTATION_END * abs(a * b) else 0.0
+            left += 1.0 if work[4, k] ** 2 > _ROTATION_END * abs(a * d) else 0.0
+            left += 1.0 if work[5, k] ** 2 > _ROTATION_END * abs(b * d) else 0.0
+        if left == 0.0:
             break
-    for i in range(3):
-        w[i] = c[i, i]
+        _turn(work, 0, 1, 2, points)
+        _turn(work, 0, 2, 1, points)
+        _turn(work, 1, 2, 0, points)
+    for k in range(points):
+        for i in range(3):
+            c[i, k] = work[i, k]
+        for i in range(9):
+            axes[i, k] = work[6 + i, k]
 
 
 @compiled
@@ -201,19 +226,21 @@ def _add_volumetric(
 
 
 @compiled
-def _less_negative(second: FloatArray, kept_share: float, w: FloatArray, v: FloatArray, work: FloatArray) -> None:
-    """Multiply the negative eigenvalues of a symmetric 3 x 3 matrix by the share that is kept of them."""
-    for i in range(3):
-        for j in range(3):
-            work[i, j] = second[i, j]
-    _jacobi(work, w, v)
-    if w[0] >= 0.0 and w[1] >= 0.0 and w[2] >= 0.0:
+def _less_negative(second: FloatArray, kept_share: float, w: FloatArray, v: FloatArray) -> None:
+    """Multiply the negative eigenvalues of a symmetric 3 x 3 matrix by the share that is kept of them.
+
+    `w` (6, 8) and `v` (9, 8) are work space.
+    """
+    for k in range(3):
+        w[k, 0], w[3 + k, 0] = second[k, k], second[_FIRST[k], _SECOND[k]]
+    _principal_axes(w, v, 1)
+    if w[0, 0] >= 0.0 and w[1, 0] >= 0.0 and w[2, 0] >= 0.0:
         return
     for i in range(3):
         for j in range(3):
             second[i, j] = 0.0
             for k in range(3):
-                second[i, j] += max(w[k], kept_share * w[k]) * v[i, k] * v[j, k]
+                second[i, j] += max(w[k, 0], kept_share * w[k, 0]) * v[3 * i + k, 0] * v[3 * j + k, 0]
 
 
 @compiled
@@ -283,19 +310,24 @@ def _deformation(gradients: FloatArray, displacement: FloatArray, f: FloatArray)
 
 
 @compiled
-def _principal_frame(
-    f: FloatArray, stretch: FloatArray, material: FloatArray, spatial: FloatArray, c: FloatArray
+def _principal_frames(
+    f: FloatArray, stretch: FloatArray, material: FloatArray, spatial: FloatArray, points: int
 ) -> None:
-    """Fill stretches and the principal directions N (columns) and n = F N / lambda (columns); c is work space."""
-    for i in range(3):
-        for j in range(3):
-            c[i, j] = f[0, i] * f[0, j] + f[1, i] * f[1, j] + f[2, i] * f[2, j]
-    _jacobi(c, stretch, material)
-    for k in range(3):
-        stretch[k] = math.sqrt(stretch[k])
-        for i in range(3):
-            s = f[i, 0] * material[0, k] + f[i, 1] * material[1, k] + f[i, 2] * material[2, k]
-            spatial[i, k] = s / stretch[k]
+    """Fill stretches (8, 3) and the principal directions N (columns) and n = F N / lambda (columns), (8, 3, 3)."""
+    c, axes = np.empty((6, 8)), np.empty((9, 8))
+    for q in range(8):
+        for m in range(3):
+            i, k = _FIRST[m], _SECOND[m]
+            c[m, q] = f[q, 0, m] * f[q, 0, m] + f[q, 1, m] * f[q, 1, m] + f[q, 2, m] * f[q, 2, m]
+            c[3 + m, q] = f[q, 0, i] * f[q, 0, k] + f[q, 1, i] * f[q, 1, k] + f[q, 2, i] * f[q, 2, k]
+    _principal_axes(c, axes, points)
+    for q in range(8):
+        for k in range(3):
+            stretch[q, k] = math.sqrt(c[k, q])
+            for i in range(3):
+                material[q, i, k] = axes[3 * i + k, q]
+                s = f[q, i, 0] * axes[k, q] + f[q, i, 1] * axes[3 + k, q] + f[q, i, 2] * axes[6 + k, q]
+                spatial[q, i, k] = s / stretch[q, k]
 
 
 @compiled
@@ -437,8 +469,9 @@ def hexahedron(
     energy = 0.5 * shared * (deformed - total) if mean_dilatation else 0.0
     if mean_dilatation:
         volume_strain[0, 0], volume_strain[0, 1] = total, deformed / total - 1.0
-    stretch, first, second, shear, curve = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(3)
-    material, spatial, work, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    first, second, shear, curve = np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(3)
+    stretches, material, spatial = np.empty((8, 3)), np.empty((8, 3, 3)), np.empty((8, 3, 3))
+    values, axes = np.empty((6, 8)), np.empty((9, 8))
     rows, weighted, dilation = np.empty((72, 3 * nodes)), np.empty((72, 3 * nodes)), np.zeros(3 * nodes)
     linear = not mean_dilatation and len(held_mpa) > 0
     fields = np.empty((4, 8))
@@ -447,8 +480,9 @@ def hexahedron(
     if linear and level > 0:
         swelling[:] = 0.0
     force[:] = 0.0
+    _principal_frames(f, stretches, material, spatial, len(x))
     for q in range(8):
-        _principal_frame(f[q], stretch, material, spatial, work)
+        stretch = stretches[q]
         row = parameters[GIVEN_OF_POINT * q :] if law == GIVEN else parameters
         energy += volume[q] * stretch_energy(law, row, stretch, first, second, curve)
         if bulk > 0.0:
@@ -466,7 +500,7 @@ def hexahedron(
         if level == 0:
             continue
         here = rows[9 * q : 9 * q + 9]
-        _mode_rows(gradients[q], material, spatial, here)
+        _mode_rows(gradients[q], material[q], spatial[q], here)
         for i in range(3):
             pull, swell = volume[q] * first[i], volume[q] * jacobians[q] / stretch[i]
             for r in range(3 * nodes):
@@ -479,7 +513,7 @@ def hexahedron(
             dilation[:] = 0.0
         _shear_modes(stretch, first, second, shear)
         if kept_share < 1.0:
-            _less_negative(second, kept_share, curve, axes, work)
+            _less_negative(second, kept_share, values, axes)
             for k in range(6):
                 shear[k] = max(shear[k], kept_share * shear[k])
         _weigh_rows(here, volume[q:], second, shear, weighted[9 * q : 9 * q + 9])
@@ -603,8 +637,8 @@ def many_stretches(
     """
     nodes = 8 + modes.shape[1]
     here, displacement = np.empty((8, 3)), np.empty((nodes, 3))
-    gradients, volume, f = np.empty((8, nodes, 3)), np.empty(8), np.empty((3, 3))
-    material, spatial, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    gradients, volume, f = np.empty((8, nodes, 3)), np.empty(8), np.empty((8, 3, 3))
+    material, spatial = np.empty((8, 3, 3)), np.empty((8, 3, 3))
     for e in range(len(corners)):
         for a in range(8):
             for i in range(3):
@@ -616,6 +650,8 @@ def many_stretches(
         stretches[e] = 1.0
         if not reference_gradients(here, gradients, volume):
             continue
+        right_way_out = 0
         for q in range(8):
-            if _deformation(gradients[q], displacement, f) > 0.0:
-                _principal_frame(f, stretches[e, q], material, spatial, work)
+            right_way_out += _deformation(gradients[q], displacement, f[q]) > 0.0
+        if right_way_out == 8:
+            _principal_frames(f, stretches[e], material, spatial, len(here))
