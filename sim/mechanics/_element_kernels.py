@@ -226,11 +226,9 @@ def _add_volumetric(
 
 
 @compiled
-def _less_negative(second: FloatArray, kept_share: float, w: FloatArray, v: FloatArray) -> None:
-    """Multiply the negative eigenvalues of a symmetric 3 x 3 matrix by the share that is kept of them.
-
-    `w` (6, 8) and `v` (9, 8) are work space.
-    """
+def _less_negative(second: FloatArray, kept_share: float) -> None:
+    """Multiply the negative eigenvalues of a symmetric 3 x 3 matrix by the share that is kept of them."""
+    w, v = np.empty((6, 8)), np.empty((9, 8))
     for k in range(3):
         w[k, 0], w[3 + k, 0] = second[k, k], second[_FIRST[k], _SECOND[k]]
     _principal_axes(w, v, 1)
@@ -470,11 +468,9 @@ def hexahedron(
     if mean_dilatation:
         volume_strain[0, 0], volume_strain[0, 1] = total, deformed / total - 1.0
     first, second, shear, curve = np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(3)
-    stretches, material, spatial = np.empty((8, 3)), np.empty((8, 3, 3)), np.empty((8, 3, 3))
-    values, axes = np.empty((6, 8)), np.empty((9, 8))
+    material, spatial, stretches, fields = np.empty((8, 3, 3)), np.empty((8, 3, 3)), np.empty((8, 3)), np.empty((4, 8))
     rows, weighted, dilation = np.empty((72, 3 * nodes)), np.empty((72, 3 * nodes)), np.zeros(3 * nodes)
     linear = not mean_dilatation and len(held_mpa) > 0
-    fields = np.empty((4, 8))
     if linear:
         energy += _linear_volumes(bulk, volume, jacobians, fields, volume_strain)
     if linear and level > 0:
@@ -513,7 +509,7 @@ def hexahedron(
             dilation[:] = 0.0
         _shear_modes(stretch, first, second, shear)
         if kept_share < 1.0:
-            _less_negative(second, kept_share, values, axes)
+            _less_negative(second, kept_share)
             for k in range(6):
                 shear[k] = max(shear[k], kept_share * shear[k])
         _weigh_rows(here, volume[q:], second, shear, weighted[9 * q : 9 * q + 9])
