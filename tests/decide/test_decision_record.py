@@ -265,6 +265,14 @@ def test_a_report_corrects_the_place_it_is_of():
         decide(sweeps, [reports[0].model_copy(update={"finger": elsewhere})], 1)
 
 
+def test_weights_count_by_their_ratios():
+    sweeps = [at_place(10.0, 30.0), at_place(20.0, 40.0)]
+    for weights in ([1e308, 1e308], [1e-320, 1e-320]):  # the sum of the first is infinite
+        assert [contact.weight_rel for contact in swept_contacts(sweeps, weights)] == [1.0, 1.0]
+    with pytest.raises(DecideError, match=r"weights of 1e-09 and 1: .* Leave out the sweep of a touch that hardly"):
+        swept_contacts(sweeps, [1.0, 1e-9])
+
+
 def test_sweeps_that_do_not_belong_together_are_refused():
     first = at_place(10.0, 35.0)
     other_light = first.design.light.model_copy(update={"width_mm": 15.0})
