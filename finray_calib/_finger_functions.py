@@ -571,7 +571,7 @@ def _scene(
     if not options.get("paints_as_given", False):
         modes_nm = {colour: paint.mode_nm.estimate for colour, paint in calibrations.items()}
         names = {colour: str(paint[1][0]) if paint[1] else paint[0].paint_name for colour, paint in read.items()}
-        require_paints_in_order(modes_nm, names, "paints_as_given=True")
+        require_paints_in_order(modes_nm, names, "paints_as_given=True (--paints-as-given of a command)")
     meshes, mesh_files = (None, []) if surfaces is None else given(surfaces, FingerSurfaces)
     with naming(SimulateError, *found.files[:1]):
         renderer = _renderer(options.get("engine", "auto"))

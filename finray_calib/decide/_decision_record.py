@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from data_schemas import (
     AngleProposal,
@@ -172,10 +173,11 @@ def decide(
     of_finger, of_sweep = require_one_finger(swept, reports)
     captures, left_out = capture_errors(swept, reports, of_sweep)
     rng = np.random.default_rng(seed)
-    decision = decide_contacts(on.contacts, rng, TOLERANCE_REL, captures, criterion)
-    others = other_optima(on, decision, TOLERANCE_REL, rng)
-    next_render = propose_render(decision) if len(on.contacts) == 1 else None
-    next_capture = propose_capture(decision, captures) if on.aim == "brightness" else None
+    with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small
+        decision = decide_contacts(on.contacts, rng, TOLERANCE_REL, captures, criterion)
+        others = other_optima(on, decision, TOLERANCE_REL, rng)
+        next_render = propose_render(decision) if len(on.contacts) == 1 else None
+        next_capture = propose_capture(decision, captures) if on.aim == "brightness" else None
     decided = _contacts(swept, on, decision)
     first = headline(decision, decided, TOLERANCE_REL, on.aim)
     then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, decided)

@@ -74,14 +74,23 @@ class PointedPosterior:
     def covariance(self) -> Floats:
         """Covariance (G, G) of the curve with its constant."""
         size, found = self.grid_deg.size, self.smooth.second_moment(self._weights)
+        on_grid, at_seen = self._sides[:size], self._sides[size:]
+        flat_grid, flat_seen = on_grid.reshape(size, -1), at_seen.reshape(len(at_seen), -1)
+        of_sides = np.zeros((flat_grid.shape[1] // 2, 2, 2))
         for number in range(len(self._weights)):
             of_values, (first, second) = self.smooth.response(number), self._sides_of(number)
-            # what a unit of b adds to the expected curve, as it changes what is left of the values
-            added = self._sides[:size] - np.einsum("agn,nfi->agfi", of_values, self._sides[size:], optimize=True)
-            both = (of_values @ self.seen.values).T @ np.einsum("agfi,afi->ag", added, first)
-            weighted = np.moveaxis(added, 1, 2) @ second
+            # a unit of b adds to the expected curve its sides less what they change in what is left of the values
+            added = np.einsum("gfi,afi->ag", on_grid, first, optimize=True)
+            added -= np.einsum("agn,an->ag", of_values, np.einsum("nfi,afi->an", at_seen, first, optimize=True))
+            both = (of_values @ self.seen.values).T @ added
+            # the square of that, multiplied out: no array of grid x places x amplitudes
+            half = np.einsum("nfi,afij->anfj", at_seen, second, optimize=True).reshape(len(second), len(at_seen), -1)
+            weighted = np.moveaxis(of_values, 1, 0).reshape(size, -1)
+            both -= weighted @ (half @ flat_grid.T).reshape(-1, size)
             found += both + both.T
-            found += added.transpose(1, 0, 2, 3).reshape(size, -1) @ weighted.transpose(0, 1, 3, 2).reshape(-1, size)
+            found += np.moveaxis(of_values @ (half @ flat_seen.T), 1, 0).reshape(size, -1) @ weighted.T
+            of_sides += second.sum(axis=0)
+        found += np.einsum("gfi,fij->gfj", on_grid, of_sides).reshape(size, -1) @ flat_grid.T
         return found - np.outer(self.mean[0], self.mean[0])
 
     @property
@@ -139,9 +148,12 @@ def pointed_posterior(prior: CurvePrior, seen: Observations, grid_deg: Floats) -
     angles = np.concatenate([grid_deg, seen.angles_deg])
     sides = np.concatenate([_beside(angles, grid_deg, exponent) for exponent in EXPONENTS], axis=1)
     at_seen = sides[grid_deg.size :]
-    solved = np.array([np.einsum("anm,mfi->anfi", part.solve, at_seen, optimize=True) for part in smooth.parts])
-    precision = np.einsum("nfi,panfj->pafij", at_seen, solved, optimize=True)
-    pull = np.einsum("n,panfi->pafi", seen.values, solved, optimize=True)
+    shape = (len(smooth.parts), prior.amplitudes_rel.size, sides.shape[1], 2)
+    precision, pull = np.empty((*shape, 2)), np.empty(shape)
+    for number, part in enumerate(smooth.parts):  # by itself: together they hold hundreds of MB
+        solved = np.einsum("anm,mfi->anfi", part.solve, at_seen, optimize=True)
+        precision[number] = np.einsum("nfi,anfj->afij", at_seen, solved, optimize=True)
+        pull[number] = np.einsum("n,anfi->afi", seen.values, solved, optimize=True)
     ln_size = -0.5 * (np.log(SIZES_REL / POINTED_SIZE_REL) / POINTED_SIZE_LOG_SD) ** 2
     mean = _mean_of_sizes(precision[:, :, :, None], pull[:, :, :, None], SIZES_REL)
     ln_gain = 0.5 * np.einsum("pafsi,pafi->pafs", mean, pull) - 2 * np.log(SIZES_REL)

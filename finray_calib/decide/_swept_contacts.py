@@ -177,6 +177,10 @@ def swept_contacts(
     return [_contact(sweep, 1.0 if weights is None else weights[k]) for k, sweep in enumerate(sweeps)]
 
 
+#: Rounding makes losses of 1e-9 or so, which a weight must not decide on.
+_LEAST_WEIGHT_REL = 1e-6
+
+
 def _weights(weights: Sequence[float], sweeps: int) -> list[float]:
     """Return the weights of so many sweeps as floats."""
     try:
@@ -190,7 +194,13 @@ def _weights(weights: Sequence[float], sweeps: int) -> list[float]:
             f"weights {weights!r} do not fit {words}: give one number above 0 for each sweep, in their order, or none "
             "for equal weights"
         )
-    return numbers
+    least, greatest = min(numbers), max(numbers)
+    if least / greatest < _LEAST_WEIGHT_REL:
+        raise DecideError(
+            f"weights of {least:g} and {greatest:g}: the smallest must be at least {_LEAST_WEIGHT_REL:g} of the "
+            "greatest. Leave out the sweep of a touch that hardly ever occurs"
+        )
+    return [number / greatest for number in numbers]  # the sum of large ones may be infinite
 
 
 def _require_together(first: LightAngleSweep, sweep: LightAngleSweep) -> None:

@@ -161,6 +161,7 @@ _LOOKS: tuple[tuple[str, str, str], ...] = (
     (GREEN, "-.", "s"),
     (ORANGE, ":", "D"),
     (SKY, "-", "v"),
+    (INK, ":", "P"),
 )
 
 
@@ -219,9 +220,9 @@ def contacts_figure(decision: LightAngleDecision) -> str:
     order = np.argsort([contact.position_mm for contact in decision.contacts], kind="stable")
     contacts = [decision.contacts[k] for k in order]
     value = decision.contact_value[order]
-    loss, label, top = 1.0 - value, "brightness lost (1)", 0.6
+    loss, label, top = 1.0 - value, "brightness lost", 0.6
     if decision.aim == "normal":
-        loss, label, top = 1.0 / value - 1.0, "error added (1)", 0.3
+        loss, label, top = 1.0 / value - 1.0, "error added", 0.3
     figure = new_figure(5.8, 1.6 + 0.22 * len(contacts))
     axes = figure.subplots()
     rows = np.arange(len(contacts))
@@ -242,7 +243,7 @@ def contacts_figure(decision: LightAngleDecision) -> str:
     axes.set_yticks(at, [f"{place:g}" for place in places])
     axes.xaxis.set_major_locator(MultipleLocator(10 if np.ptp(decision.grid_deg) <= 130 else 30))
     axes.grid(visible=False)
-    bar = figure.colorbar(shown, ax=axes, fraction=0.05, pad=0.02)
+    bar = figure.colorbar(shown, ax=axes, fraction=0.05, pad=0.02, format=lambda share, _: f"{100 * share:g} %")
     bar.set_label(label)
     return svg_text(figure)
 
@@ -284,7 +285,7 @@ def mounting_figure(decision: LightAngleDecision, design: FingerDesign) -> str:
     axes.plot([along, along], [into, into + _RAY_MM], color=INK, linewidth=0.9, linestyle="--")
     axes.text(along, into + _RAY_MM + 0.5, "90 deg", ha="center", va="bottom")
     ranges = decision.statement.equivalent_deg if decision.tolerance_deg is None else (decision.tolerance_deg,)
-    for start, end in ranges:
+    for start, end in () if decision.at_range_end else ranges:
         axes.add_patch(
             Wedge((along, into), _RAY_MM, start, end, facecolor="white", alpha=0.8, edgecolor=GREEN, hatch="///")
         )

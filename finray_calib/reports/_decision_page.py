@@ -138,8 +138,8 @@ def verdict_words(decision: LightAngleDecision) -> str:
 
 
 def mounting_range(decision: LightAngleDecision) -> str | None:
-    """Return between which angles the light may be mounted; None in records of older versions."""
-    if decision.tolerance_deg is None:
+    """Return between which angles the light may be mounted; None at the end of a sweep and in older records."""
+    if decision.tolerance_deg is None or decision.at_range_end:
         return None
     low, high = decision.tolerance_deg
     return f"{low:.0f} and {high:.0f} deg"
@@ -159,10 +159,10 @@ def _reasons(decision: LightAngleDecision, rest: str) -> tuple[str, ...]:
     older: tuple[str, ...] = ()
     if not decision.headline:
         promised = () if decision.at_range_end else (mounting_sentence(decision), risk_sentence(decision))
-        older = (rest, *promised, capture_sentence(decision))
+        older = (rest, *promised, capture_sentence(decision), *(() if other is None else (other,)))
     elif decision.validated:
         older = (capture_sentence(decision),)
-    return (*older, *(() if choice is None else (choice,)), *(() if other is None else (other,)))
+    return (*older, *(() if choice is None else (choice,)))
 
 
 def lost_rel(decision: LightAngleDecision, loss_rel: Floats) -> Floats:
@@ -238,12 +238,14 @@ def _curve(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> P
     what = "The objective"
     if several:
         what = "The brightness over all touches" if decision.aim == "brightness" else "The inverse error of the normal"
+    certain = bool(decision.statement.equivalent_deg)
+    hatched = f"; hatched angles lose at most {percent(decision.tolerance_rel)}" if certain else ""
     picture = drawing(
         angle_figure(decision, sweeps[0]),
         f"{what} over the light angle is best near {decision.angle_deg:.0f} deg. "
         f"{decision.headline or decision.sentence}",
-        f"{what} over the angle of the light. What to see: where the curve is flat the angle matters little; hatched "
-        f"angles lose at most {percent(decision.tolerance_rel)}. The wider the bands, the less is known.",
+        f"{what} over the angle of the light. What to see: where the curve is flat the angle matters little{hatched}. "
+        "The wider the bands, the less is known.",
     )
     lead = (
         f"Objective: {decision.objective.rstrip('.')}. It was rendered at {len(sweeps[0].angles_deg)} angles with "
@@ -409,7 +411,7 @@ def decision_table(decision: LightAngleDecision) -> ReportTable:
         ("true optimum within 5 deg, probability", *(probability(s.p_within_5deg) for s in shown)),
         ("expected loss", *(percent(s.expected_regret) for s in shown)),
         ("loss not exceeded with 95 % probability", *(percent(s.regret_95) for s in shown)),
-        (f"angles equivalent within {tolerance}", *(equivalent_text(s) for s in shown)),
+        (f"angles that lose at most {tolerance}, with 95 % probability", *(equivalent_text(s) for s in shown)),
     ]
     return one_group(angle, ("claim", *claims), rows, is_words=True)
 

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
 from data_schemas import (
     AngleConstraints,
@@ -80,18 +81,20 @@ def light_angle_sweep(
     if further_objectives:
         require_compiled(finger)
     shape = None if shapes is None else shapes[1]
-    sweep = sweep_light_angle(
-        finger.design, finger.paints, finger.renderer, angles_deg, paths, progress=progress, shape=shape
-    )
-    to_camera = _cameras_of_draws(finger, calibrations, sweep.bands, paths)
+    further = None
+    # matrices of some hundred rows: threads that wait for each other cost more than they do, on a busy machine far more
+    with threadpool_limits(limits=1, user_api="blas"):
+        sweep = sweep_light_angle(
+            finger.design, finger.paints, finger.renderer, angles_deg, paths, progress=progress, shape=shape
+        )
+        to_camera = _cameras_of_draws(finger, calibrations, sweep.bands, paths)
+        if further_objectives:
+            further = angle_objectives(
+                finger, to_camera[:REPEATS], sweep.angles_deg, paths.seed, progress=progress, shapes=shapes
+            )
     basis = sweep.radiance_rel
     rgb = np.einsum("rcb,arpb->arc", to_camera, basis) / basis.shape[2]
     channels = rgb / rgb.mean(axis=(0, 1))
-    further = None
-    if further_objectives:
-        further = angle_objectives(
-            finger, to_camera[:REPEATS], sweep.angles_deg, paths.seed, progress=progress, shapes=shapes
-        )
     return LightAngleSweep(
         name=f"{finger.design.name}, light angle",
         objective=OBJECTIVE,

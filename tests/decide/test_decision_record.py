@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from data_schemas import AngleObjective, DecideError, finger_identity
 from data_schemas.storage._records import MIGRATIONS
-from finray_calib.decide import decide
+from finray_calib.decide import _decision_record, decide
 from finray_calib.decide._decision_record import TOLERANCE_REL
 from finray_calib.decide._swept_contacts import swept_contacts
 from tests.command_line.records import BEST_DEG
@@ -39,6 +40,20 @@ def test_without_a_report_it_carries_the_prior_of_the_error_and_decides_nothing(
     assert "no capture has checked it" in decision.sentence
     assert decision.next_capture is not None
     assert f"Capture next with the light at {decision.next_capture.angle_deg:.0f} deg" in decision.sentence
+
+
+def test_threads_do_not_wait_for_each_other_over_small_matrices(monkeypatch):
+    asked = []
+
+    def recorded(*_given, **_named):
+        asked.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        raise DecideError("seen")
+
+    monkeypatch.setattr(_decision_record, "decide_contacts", recorded)
+    with threadpool_limits(limits=2, user_api="blas"), pytest.raises(DecideError, match="seen"):
+        decide(sweep_record(), [], 1)
+    assert asked
+    assert set(asked) == {1}
 
 
 def test_captures_of_another_curve_correct_this_one():
@@ -248,6 +263,14 @@ def test_a_report_corrects_the_place_it_is_of():
         DecideError, match="differ in indenter: the error of one finger gives no information on the light of the other"
     ):
         decide(sweeps, [reports[0].model_copy(update={"finger": elsewhere})], 1)
+
+
+def test_weights_count_by_their_ratios():
+    sweeps = [at_place(10.0, 30.0), at_place(20.0, 40.0)]
+    for weights in ([1e308, 1e308], [1e-320, 1e-320]):  # the sum of the first is infinite
+        assert [contact.weight_rel for contact in swept_contacts(sweeps, weights)] == [1.0, 1.0]
+    with pytest.raises(DecideError, match=r"weights of 1e-09 and 1: .* Leave out the sweep of a touch that hardly"):
+        swept_contacts(sweeps, [1.0, 1e-9])
 
 
 def test_sweeps_that_do_not_belong_together_are_refused():

@@ -13,7 +13,7 @@ from data_schemas import AngleStatement, DecidedContact
 from data_schemas.storage import write_record
 from finray_calib.reports import _decision_page as words
 from finray_calib.reports import angle_figure, decision_page
-from finray_calib.reports._decision_figures import contacts_figure, mounting_figure, other_objectives_figure
+from finray_calib.reports._decision_figures import _LOOKS, contacts_figure, mounting_figure, other_objectives_figure
 from tests.command_line.running import finray, succeed
 
 SWEEP = example_results().sweep
@@ -297,6 +297,20 @@ def over_places(verdict="needs captures", criterion="average", **changes):
         "tolerance_deg": (26.0, 41.0), "criterion": criterion, "verdict": verdict,
     }  # fmt: skip
     return ALONE.model_copy(update={**told, **changes})
+
+
+def test_no_range_is_hatched_where_none_is_known_and_a_disagreement_is_told_once():
+    nowhere = DECISION.statement.model_copy(update={"equivalent_deg": ()})
+    changes = {"at_range_end": True, "statement": nowhere, "other_objectives": DECISION.other_objectives}
+    text = plain(decision_page(over_places(**changes), [SWEEP] * 3, COMMAND, DIGESTS))
+    assert "hatched" not in text.lower()
+    assert text[: text.index("How far to trust this")].count("The objectives disagree") == 0
+    assert "The objectives disagree" in text
+
+
+def test_each_objective_of_a_sweep_has_a_line_of_its_own():
+    """A sweep with all objectives has five beside the one that was decided on."""
+    assert len(set(_LOOKS)) >= 5
 
 
 def test_a_decision_over_places_begins_with_what_to_do_then_the_finger_then_the_map_then_why():

@@ -222,7 +222,7 @@ def test_tables_name_what_is_not_used() -> None:
     rows = decision_table(RESULTS.decision).groups[0].rows
     assert rows[0] == ("loss within 2 %, probability", "0.97", "above 0.99")
     assert rows[4] == (
-        "angles equivalent within 2 %",
+        "angles that lose at most 2 %, with 95 % probability",
         "25 to 39 deg",
         "27 to 37 deg",
     )
