@@ -23,7 +23,7 @@ from pydantic import Field, ValidationError, model_validator
 from data_schemas import ImportFormatError, MissingPart, Model, explain
 from data_schemas.storage import files_below, has_file, read_csv, read_toml_tables
 from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, MOST_PRESSES, read_npz, require_length
-from finray_calib.sensing import CIRCLE_IF, ROW_AND_COLUMN
+from finray_calib.sensing import ROW_AND_COLUMN, vote_on_circles
 
 Floats = NDArray[np.float64]
 
@@ -546,8 +546,6 @@ _DEPTH_FACTOR = 5.0
 _UNITS: Final = {1e-3: '"m"', 0.1: '"cm"', 1e3: '"um"'}
 #: Without a circle: depths in mm that a gel can have.
 _DEPTHS_MM: Final = (0.01, 30.0)
-#: Circles are wrong where the change by contact is so much denser elsewhere, in the median of so many presses.
-_DENSER_ELSEWHERE, _LEAST_PRESSES = 1.5, 3
 
 
 def require_possible_scale(recipe: Recipe) -> None:
@@ -614,16 +612,12 @@ def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[st
     Raises
     ------
     ImportFormatError
-        The median over presses says so.
+        The majority of the presses that can tell says so.
     """
-    ratios = {said: [of[said] for of in changes.values() if said in of] for said in CIRCLE_IF}
-    # one or two presses show that rows and columns are exchanged; a mirror, which many gels resemble, takes three
-    least = {ROW_AND_COLUMN: min(_LEAST_PRESSES, len(changes))}
-    enough = {said: of for said, of in ratios.items() if of and len(of) >= least.get(said, _LEAST_PRESSES)}
-    medians = {said: float(np.median(of)) for said, of in enough.items()}
-    said = max(medians, key=medians.__getitem__, default=None)
-    if said is None or medians[said] <= _DENSER_ELSEWHERE:
+    vote = vote_on_circles(tuple(changes.values()))
+    if vote is None:
         return
+    said = vote.exchanged
     remedy = "exchange column_px and row_px"
     if said != ROW_AND_COLUMN:
         rows, columns = shape
@@ -636,8 +630,9 @@ def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[st
             f"size_px = [{columns}, {rows}] below [picture]"
         )
     raise ImportFormatError(
-        f"recipe '{recipe.name}', contact.circle: {len(ratios[said])} presses change {medians[said]:.2g} times as much "
-        f"where their circles would be with {said} exchanged; {remedy}"
+        f"recipe '{recipe.name}', contact.circle: {vote.against} of {vote.presses} presses change {vote.median:.2g} "
+        f"times as much (their median) where their circles would be with {said} exchanged, "
+        f"{vote.right} where they are; {remedy}"
     )
 
 

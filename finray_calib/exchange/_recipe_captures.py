@@ -59,7 +59,13 @@ from finray_calib.exchange._render_files import (
     pixels_of,
     require_alike,
 )
-from finray_calib.sensing import changes_elsewhere, contact_distance, find_contact_circle, find_contact_outline
+from finray_calib.sensing import (
+    changes_elsewhere,
+    contact_distance,
+    find_contact_circle,
+    find_contact_outline,
+    misplaced_circle,
+)
 
 Counts = NDArray[np.uint16]
 Floats = NDArray[np.float64]
@@ -280,8 +286,7 @@ class _Folder:
                 cap_mm = pose.radius_mm - float(np.sqrt(pose.radius_mm**2 - touching_mm**2))
             self._depths[name] = (pose.depth_mm, cap_mm)
         if capture.contact_told_by == "label":
-            self._elsewhere[name] = changes_elsewhere(capture)
-            self._shape = (capture.contact.shape[0], capture.contact.shape[1])
+            self._elsewhere[name], self._shape = changes_elsewhere(capture), capture.contact.shape[:2]
 
     def check_numbers(self, names: Sequence[str]) -> None:
         """Refuse numbers that contradict each other over all presses: scale, depths, places of circles."""
@@ -626,14 +631,12 @@ class _Folder:
             (capture.encoding == "unknown", "exposure and tone curve", "values are not proportional to light"),
         )
         told = [MissingPart(what=what, lost=lost) for is_missing, what, lost in lacks if is_missing]
-        return (*told, *self.recipe.lacks)
+        return (*told, *self.recipe.lacks, *misplaced_circle(capture))
 
 
 def _begins_early(strength: Floats, before: int, outliers: int) -> bool:
-    """Return whether contact begins within the first frames of a video, by how much they differ from the first one.
-
-    Noise makes all later frames differ from it alike; so many readings may be wrong.
-    """
+    """Return whether contact begins within the first frames, by their change; so many readings may be wrong."""
+    # noise makes all later frames differ from the first one alike
     rest = np.sort(strength[1:before])
     if rest.size <= 2 * outliers:
         return False
@@ -661,9 +664,7 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     values = np.log(np.maximum(capture.contact.astype(np.float64), 0.5))
     far = (distance > FAR_HALF_WIDTHS) & (capture.contact < 2**capture.bit_depth - 1).all(axis=-1)
     if far.mean() < 0.1:
-        raise LeftOutError(
-            "less than a tenth of the picture is far from its contact; an image without contact is needed"
-        )
+        raise LeftOutError("less than a tenth of the picture is far from its contact: give an image without contact")
     surface = np.exp(terms @ np.linalg.lstsq(terms[far], values[far], rcond=None)[0])
     limited = np.clip(np.rint(surface), 0.0, 2**capture.bit_depth - 1).astype(np.uint16)
     return capture.model_copy(update={"no_contact": limited, "no_contact_from": "pixels far from the contact"})

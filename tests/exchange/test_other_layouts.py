@@ -328,3 +328,30 @@ def test_labels_of_pictures_that_are_arranged_otherwise_are_refused_and_the_reme
     for capture, place in zip(read_by_recipe(folder, turned).captures.values(), of_right, strict=True):
         rows, columns = (slice(None, None, -1 if what in exchanged else 1) for what in ("top", "left"))
         assert_same_picture(capture.contact, eight_bits(dome(*place))[rows, columns], "p.png")
+
+
+RIGHT_PLACES = [(40.0, 50.0), (35.0, 110.0), (90.0, 120.0), (85.0, 30.0), (30.0, 58.0)]
+
+
+def labelled_set(folder, mirrored):
+    """Five presses, those of these numbers with labels that are mirrored left and right."""
+    set_of(folder, "p{}.png", "rest.png")
+    lines = ["file,x,y,r"]
+    for k, (row, column) in enumerate(RIGHT_PLACES, start=1):
+        put(folder / f"p{k}.png", eight_bits(dome(row, column)))
+        lines.append(f"p{k},{159 - column if k in mirrored else column},{row},{CONTACT_PX}")
+    (folder / "labels.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_the_majority_of_the_presses_decides_whether_labels_are_mirrored(tmp_path):
+    recipe = recipe_of("p{press}.png", "rest.png")
+    with pytest.raises(ImportFormatError, match=r"4 of 5 presses .* with left and right exchanged, 1 where they are"):
+        read_by_recipe(labelled_set(tmp_path / "four", {1, 2, 3, 4}), recipe)
+    # the median of three presses, two of them with wrong labels of their own, does not refuse a set that may be right
+    found = read_by_recipe(labelled_set(tmp_path / "two", {1, 2}), recipe).captures
+    odd = {name for name, c in found.items() if any(part.what == "a circle on the contact" for part in c.missing)}
+    assert odd == {"1", "2"}
+    assert any(
+        re.search(r"1 changes \d.* with left and right exchanged: correct", part.lost) for part in found["1"].missing
+    )
