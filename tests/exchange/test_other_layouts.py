@@ -2,6 +2,7 @@
 
 import json
 import re
+import tomllib
 from functools import partial
 
 import cv2
@@ -355,3 +356,54 @@ def test_the_majority_of_the_presses_decides_whether_labels_are_mirrored(tmp_pat
     assert any(
         re.search(r"1 changes \d.* with left and right exchanged: correct", part.lost) for part in found["1"].missing
     )
+
+
+LABELLED = """
+[contact]
+file = "{press}.json"
+circle = { column_px = "contact.x", row_px = "contact.y", radius_px = "r[0]" }
+
+[force]
+file = "FORCE"
+column = "Fz"
+factor = 1e-3
+"""
+
+
+@pytest.mark.parametrize("of", ["table", "json", "no column", "no press"])
+def test_a_json_file_for_each_picture_and_a_table_of_forces_are_read(tmp_path, of):
+    folder = set_of(tmp_path / "set", "p{}.png", "rest.png")
+    for k, (row, column) in enumerate(RIGHT_PLACES, start=1):
+        put(folder / f"p{k}.png", eight_bits(dome(row, column)))
+        said = {"contact": {"x": column, "y": row, "by": "hand"}, "r": [CONTACT_PX], "Fz": 100.0 * k, "id": "a"}
+        (folder / f"{k}.json").write_text(json.dumps(said))
+    (folder / "force.csv").write_text("name,Fz\n" + "".join(f"p{k}.png,{100 * k}\n" for k in range(1, 6)))
+    text = LABELLED.replace("FORCE", "{press}.json" if of == "json" else "force.csv")
+    text = text.replace('column = "Fz"\n', "") if of == "no column" else text
+    text += 'press = "name"\n' if of == "table" else ""
+    recipe = recipe_of("p{press}.png", "rest.png").model_dump(exclude_defaults=True)
+    recipe = Recipe.model_validate({**recipe, **tomllib.loads(text)})
+    if of.startswith("no "):
+        missing = r"force\.column: missing" if of == "no column" else r"'press' is missing .* must be npz or JSON"
+        with pytest.raises(ImportFormatError, match=missing):
+            read_by_recipe(folder, recipe)
+        return
+    captures = read_by_recipe(folder, recipe).captures
+    for k, (row, column) in enumerate(RIGHT_PLACES, start=1):
+        assert captures[f"{k}"].force_n == pytest.approx(0.1 * k)
+        circle = captures[f"{k}"].contact_circle
+        assert (circle.row_px, circle.column_px, circle.radius_px) == (row, column, CONTACT_PX)
+
+
+@pytest.mark.parametrize(
+    ("ending", "message"),
+    [
+        (".h5", r"numpy\.save\(f'\{k\}\.npy', image\) for k, image in enumerate\(h5py\.File\('1\.h5'\)\['NAME'\]\)\]$"),
+        (".webp", r"such as with 'mogrify -format png \*\.webp'"),
+    ],
+)
+def test_stacks_and_other_pictures_are_refused_with_what_converts_them(tmp_path, ending, message):
+    folder = set_of(tmp_path / "set", "p{}.png", "rest.png")
+    (folder / f"1{ending}").write_bytes(b"\x89HDF\r\n\x1a\n")
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(folder, recipe_of(f"{{press}}{ending}", "rest.png"))
