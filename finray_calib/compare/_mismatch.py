@@ -2,6 +2,7 @@
 
 Such mistakes spoil more comparisons than optics does, and a fitted factor would hide them. Every finding carries its
 numbers. What the images cannot tell gives no finding: a grey sensor does not show its channel order.
+Levels without contact tell of camera and lights; the change by contact tells whether a render has colours at all.
 """
 
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from finray_calib.spectra import compiled
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Severity = Literal["refuse", "warn"]
-Subject = Literal["channel order", "exposure", "encoding", "levels"]
+Subject = Literal["channel order", "exposure", "encoding", "levels", "change by contact"]
 #: Means over blocks bring noise of render and sensor below what the rules look for.
 _BLOCK_PX = 8
 _LEAST_BLOCKS = 24
@@ -55,6 +56,8 @@ def find_mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[Fin
       render and the repeat explain;
     * encoding: the capture grows with a power of the render's level, or has an offset (see `tone_curve`);
     * bit depth and black level: see `level_findings`;
+    * change by contact: a render that is grey, or a channel of it that never changes, beside a capture in colour;
+      channels that change as other ones of the capture; a render without contact that is not from the same camera;
     * clipped pixels: more than 1 % of the contact patch, or of the patch dilated, is clipped or nearly so.
 
     Parameters
@@ -92,7 +95,11 @@ def mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[tuple[Fi
         findings += _gain_findings(nuisances, repeat, capture)
         shown = press if nuisances.tone is None else _through_the_curve(press, nuisances)
         scene = _scene(shown, contact, no_contact, repeat)
-        findings += [] if scene is None else _order_findings(scene, capture.name)
+        if scene is not None:
+            findings += _order_findings(scene, capture.name)
+            if not any(f.severity == "refuse" and f.about == "channel order" for f in findings):
+                findings += _change_findings(scene, f"the render {press.name}", f"the capture {capture.name}")
+            findings += _pose_findings(scene, f"the render {press.name}")
         if scene is not None and capture.encoding == press.encoding == "linear":
             findings += _encoding_findings(scene, capture)
     return tuple(sorted(findings, key=lambda f: f.severity != "refuse")), nuisances
@@ -105,7 +112,9 @@ def _through_the_curve(press: SimulatedPress, nuisances: Nuisances) -> Simulated
         return press
     pad = np.isfinite(press.distance)[..., None]
     images = [np.maximum(image, 0.0).astype(np.float64) ** tone.exponent for image in (press.contact, press.no_contact)]
-    level = (tone.level_dn.mean(axis=0) - tone.offset_dn) / np.maximum(images[1].mean(axis=(0, 1), where=pad), 1e-300)
+    # a black channel stays black, as a level of 0
+    mean = images[1].mean(axis=(0, 1), where=pad)
+    level = np.divide(tone.level_dn.mean(axis=0) - tone.offset_dn, mean, out=np.zeros(3), where=mean > 0.0)
     contact, no_contact = ((image * level + tone.offset_dn).astype(np.float32) for image in images)
     return press.model_copy(update={"contact": contact, "no_contact": no_contact})
 
@@ -125,7 +134,10 @@ def require_no_mismatch(findings: Sequence[Finding]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Scene:
-    """Block means, shape (blocks, 3), over the blocks that every image sees; `off` marks those far from the contact."""
+    """Block means, shape (blocks, 3), over the blocks that every image sees.
+
+    `off` marks those far from the contact, `near` those of the patch dilated.
+    """
 
     simulated: Floats
     simulated_no_contact: Floats
@@ -133,6 +145,7 @@ class _Scene:
     no_contact: Floats
     repeat: Floats | None
     off: Mask
+    near: Mask
 
     @property
     def has_surround(self) -> bool:
@@ -160,6 +173,7 @@ def _scene(press: SimulatedPress, contact: Floats, no_contact: Floats, repeat: F
         no_contact=values[3],
         repeat=None if repeat is None else values[4],
         off=distance[used] > FAR,
+        near=distance[used] <= max(FACTORS.values()),
     )
 
 
@@ -198,6 +212,98 @@ def _spread(first: Floats, second: Floats) -> float:
 
 
 _CHANNELS = ("red", "green", "blue")
+#: Of the size of the change by contact: what is smaller than the first share is noise or rounding of a render, what is
+#: larger than the second is colour: 86 real presses under coloured lights, and tables of them, had 0.67 and more.
+_NO_COLOUR, _COLOUR = 0.05, 0.25
+#: A capture that changes by less has no contact to tell from.
+_LEAST_CHANGE_REL = 0.01
+#: Correlations of the change by contact with another order of channels, and share of it that the stored one may reach.
+_ORDER_SURE, _ORDER_LIKELY = (0.8, 0.5), (0.7, 0.7)
+
+
+def _change_findings(scene: _Scene, rendered_name: str, captured_name: str) -> list[Finding]:
+    """Compare the colours of the change by contact, ln(contact / no contact), whatever the levels without contact are.
+
+    The ratio form and a free exposure take the levels out, so that a render of one channel only, or of depth or
+    transparency in the place of a colour, would be scored as if it had been meant so.
+    """
+    if int(scene.near.sum()) < _LEAST_BLOCKS:
+        return []
+    rendered, captured = (change[scene.near] for change in _changes(scene))
+    sizes = [np.sqrt((change**2).mean(axis=0)) for change in (rendered, captured)]
+    if not sizes[0].max() > 0.0 or sizes[1].max() < _LEAST_CHANGE_REL:
+        return []
+    colours = [_colour(change) for change in (rendered, captured)]
+    if colours[0] < _NO_COLOUR and colours[1] > _COLOUR:
+        text = (
+            f"{rendered_name} is grey where it is pressed (its channels change alike up to {100 * colours[0]:.1f} % of "
+            f"the change), and {captured_name} has colours there ({100 * colours[1]:.0f} %): render in "
+            "colour, with the lights of the sensor; a map of depth is no picture"
+        )
+        return [Finding("refuse", "change by contact", text)]
+    idle = (sizes[0] < _NO_COLOUR * sizes[0].max()) & (sizes[1] > _COLOUR * sizes[1].max())
+    findings = [
+        Finding(
+            "warn",
+            "change by contact",
+            f"{_CHANNELS[c]} of {rendered_name} hardly changes where it is pressed (by {100 * sizes[0][c]:.2g} %, "
+            f"others by up to {100 * sizes[0].max():.2g} %), that of {captured_name} does (by "
+            f"{100 * sizes[1][c]:.2g} %): is it transparency or depth in the place of a colour, or is a light of the "
+            "sensor missing?",
+        )
+        for c in np.flatnonzero(idle)
+    ]
+    return findings + _order_of_change(rendered, captured, rendered_name, captured_name)
+
+
+def _changes(scene: _Scene) -> list[Floats]:
+    """Return ln(contact / no contact) of render and capture, less what all blocks far from the contact share."""
+    changes = [
+        np.log(scene.simulated / scene.simulated_no_contact),
+        np.log(scene.contact / scene.no_contact),
+    ]
+    return [c - np.median(c[scene.off], axis=0) for c in changes] if scene.has_surround else changes
+
+
+def _colour(change: Floats) -> float:
+    """Return how far the channels of a change (blocks, 3) differ from their mean, over the size of the change."""
+    return float(np.sqrt(((change - change.mean(axis=1, keepdims=True)) ** 2).mean() / (change**2).mean()))
+
+
+def _order_of_change(rendered: Floats, captured: Floats, rendered_name: str, captured_name: str) -> list[Finding]:
+    """Tell an order of channels in which a capture changes as the render does, where it does not as stored."""
+    size = float(np.sqrt((rendered**2).sum() * (captured**2).sum()))
+    alike = {order: float((rendered * captured[:, order]).sum()) / size for order in permutations(range(3))}
+    best, stored = max(alike, key=alike.__getitem__), alike[0, 1, 2]
+    told = [alike[best] > least and stored < share * alike[best] for least, share in (_ORDER_SURE, _ORDER_LIKELY)]
+    if not any(told):
+        return []
+    text = (
+        f"where it is pressed, {captured_name} changes as {rendered_name} does when its channels are read as "
+        f"{''.join('RGB'[c] for c in best)} (correlation {alike[best]:.2f}; as RGB {stored:.2f}): check the channel "
+        "order of both (OpenCV's is BGR), and which light of the render has which colour"
+    )
+    return [Finding("refuse" if told[0] else "warn", "channel order", text)]
+
+
+#: Far from the contact a render changes from block to block by its noise and by what the gel does there: by so much,
+#: and so many times as much as the capture, only if its two images show different things.
+_POSE_SPREAD_REL, _POSE_TIMES = 0.03, 3.0
+
+
+def _pose_findings(scene: _Scene, name: str) -> list[Finding]:
+    """Tell a render whose images with and without contact differ far from the contact, where the capture's do not."""
+    if not scene.has_surround:
+        return []
+    spreads = [float(change[scene.off].std(axis=0).max()) for change in _changes(scene)]
+    if spreads[0] <= max(_POSE_SPREAD_REL, _POSE_TIMES * spreads[1]):
+        return []
+    text = (
+        f"far from the contact (beyond {FAR:g} half-widths) the two images of {name} differ unevenly, by "
+        f"{100 * spreads[0]:.1f} % from place to place, those of the capture by {100 * spreads[1]:.1f} %: render both "
+        "with one pose of the camera, the same lights and textures, and enough samples"
+    )
+    return [Finding("warn", "change by contact", text)]
 
 
 def _gain_findings(nuisances: Nuisances, repeat: Floats | None, capture: TactileCapture) -> list[Finding]:

@@ -7,7 +7,7 @@ the same rules. Here are also the tables and arrays of labels that a recipe name
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import islice
@@ -15,15 +15,14 @@ from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Final, Literal
 from unicodedata import normalize
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from data_schemas import ImportFormatError, MissingPart, Model, explain
-from data_schemas.storage import files_below, has_file, read_csv, read_toml_tables
+from data_schemas.storage import files_below, has_file, read_csv, read_json, read_toml_tables
 from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, MOST_PRESSES, read_npz, require_length
-from finray_calib.sensing import CIRCLE_IF, ROW_AND_COLUMN
+from finray_calib.sensing import ROW_AND_COLUMN, vote_on_circles
 
 Floats = NDArray[np.float64]
 
@@ -120,7 +119,8 @@ class RecipeContact(Model):
     """Where the contact is: exactly one of circle, outline, outline_px and search."""
 
     file: Pattern | None = Field(
-        default=None, description="CSV table with one line for each press, or an npz file whose path has {press}"
+        default=None,
+        description="CSV table with one line for each press, or an npz or JSON file whose path has {press}",
     )
     press: str | None = Field(
         default=None, description="column of the table that names the press: its file, or its folder"
@@ -230,10 +230,11 @@ _COLUMN_UNITS_MM: Final = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 
 
 class RecipeForce(Model):
-    """Where the force of each press is: a CSV or npy file."""
+    """Where the force is: of videos one number for each frame, in a CSV or npy file that holds {press}."""
 
-    file: Pattern = Field(description="path within the folder, holding {press}; for videos one number for each frame")
-    column: str | None = Field(default=None, description="of a CSV file")
+    file: Pattern = Field(description="path within the folder; of pictures a table, or an npz or JSON file of each")
+    press: str | None = Field(default=None, description="column of the table that names the press; for pictures")
+    column: str | None = Field(default=None, description="that holds the force; not of an npy file")
     factor: float = Field(default=1.0, description="newtons per unit of the file")
 
 
@@ -431,11 +432,29 @@ def label_entry(path: Path, value: str) -> float:
     """Return an array of one number, or one entry of it."""
     member = _MEMBER.match(value)
     name, index = (member["name"], member["index"]) if member is not None else (value, None)
-    array = label_array(*read_npz(path), name, path).ravel()
+    arrays, pickled = _json_arrays(path) if path.suffix.lower() == ".json" else read_npz(path)
+    array = label_array(arrays, pickled, name, path).ravel()
     at = 0 if index is None else int(index)
     if at >= array.size or (index is None and array.size != 1) or not np.isfinite(array[at]):
         raise ImportFormatError(f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers")
     return float(array[at])
+
+
+def _json_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
+    """Return the numbers and lists of numbers of a JSON object by key, those of inner objects as outer.inner."""
+    found: dict[str, NDArray[Any]] = {}
+    inside = list(read_json(path, "labels (JSON)", ImportFormatError).items())
+    for key, value in inside:  # grows while it is read
+        if isinstance(value, dict):
+            inside += [(f"{key}.{inner}", of) for inner, of in value.items()]
+        elif isinstance(value, (int, float)) or (value and isinstance(value, list) and _are_numbers(value)):
+            found[key] = np.asarray(value, dtype=np.float64)
+    return found, ()
+
+
+def _are_numbers(values: Sequence[object]) -> bool:
+    """Return whether all entries of a list are numbers."""
+    return all(isinstance(entry, (int, float)) for entry in values)
 
 
 MOST_FILES = 200_000
@@ -546,8 +565,6 @@ _DEPTH_FACTOR = 5.0
 _UNITS: Final = {1e-3: '"m"', 0.1: '"cm"', 1e3: '"um"'}
 #: Without a circle: depths in mm that a gel can have.
 _DEPTHS_MM: Final = (0.01, 30.0)
-#: Circles are wrong where the change by contact is so much denser elsewhere, in the median of so many presses.
-_DENSER_ELSEWHERE, _LEAST_PRESSES = 1.5, 3
 
 
 def require_possible_scale(recipe: Recipe) -> None:
@@ -614,16 +631,12 @@ def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[st
     Raises
     ------
     ImportFormatError
-        The median over presses says so.
+        The majority of the presses that can tell says so.
     """
-    ratios = {said: [of[said] for of in changes.values() if said in of] for said in CIRCLE_IF}
-    # one or two presses show that rows and columns are exchanged; a mirror, which many gels resemble, takes three
-    least = {ROW_AND_COLUMN: min(_LEAST_PRESSES, len(changes))}
-    enough = {said: of for said, of in ratios.items() if of and len(of) >= least.get(said, _LEAST_PRESSES)}
-    medians = {said: float(np.median(of)) for said, of in enough.items()}
-    said = max(medians, key=medians.__getitem__, default=None)
-    if said is None or medians[said] <= _DENSER_ELSEWHERE:
+    vote = vote_on_circles(tuple(changes.values()))
+    if vote is None:
         return
+    said = vote.exchanged
     remedy = "exchange column_px and row_px"
     if said != ROW_AND_COLUMN:
         rows, columns = shape
@@ -636,8 +649,9 @@ def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[st
             f"size_px = [{columns}, {rows}] below [picture]"
         )
     raise ImportFormatError(
-        f"recipe '{recipe.name}', contact.circle: {len(ratios[said])} presses change {medians[said]:.2g} times as much "
-        f"where their circles would be with {said} exchanged; {remedy}"
+        f"recipe '{recipe.name}', contact.circle: {vote.against} of {vote.presses} presses change {vote.median:.2g} "
+        f"times as much (their median) where their circles would be with {said} exchanged, "
+        f"{vote.right} where they are; {remedy}"
     )
 
 
@@ -651,16 +665,3 @@ def above_zero(what: str, value_mm: float | None) -> None:
     """
     if value_mm is not None and not value_mm > 0.0:
         raise LeftOutError(f"its {what} is {value_mm:g} mm in the table; it must be above 0")
-
-
-def longest_hold(strength: Floats, least_share: float) -> int:
-    """Return the middle of the longest run of frames near the largest value."""
-    held = np.concatenate([[False], strength >= least_share * strength.max(), [False]])
-    starts, stops = np.flatnonzero(~held[:-1] & held[1:]), np.flatnonzero(held[:-1] & ~held[1:])
-    longest = int(np.argmax(stops - starts))
-    return int((starts[longest] + stops[longest] - 1) // 2)
-
-
-def small_frame(picture: NDArray[Any]) -> Floats:
-    """Return a frame in few pixels, for choosing frames."""
-    return np.asarray(cv2.resize(picture, (160, 120), interpolation=cv2.INTER_AREA), dtype=np.float64)

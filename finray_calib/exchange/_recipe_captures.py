@@ -38,7 +38,6 @@ from finray_calib.exchange._capture_recipe import (
     label_column,
     label_entry,
     last_parts_of,
-    longest_hold,
     named_file,
     named_presses,
     pickle_words,
@@ -48,18 +47,28 @@ from finray_calib.exchange._capture_recipe import (
     require_circles_on_contacts,
     require_possible_depths,
     require_possible_scale,
-    small_frame,
 )
 from finray_calib.exchange._render_files import (
-    CONVERT_VIDEO,
     exr_steps,
     frame_of,
     in_colour,
-    motion_jpeg_frames,
     pixels_of,
     require_alike,
 )
-from finray_calib.sensing import changes_elsewhere, contact_distance, find_contact_circle, find_contact_outline
+from finray_calib.exchange._video_frames import (
+    CONVERT_VIDEO,
+    begins_early,
+    longest_hold,
+    motion_jpeg_frames,
+    small_frame,
+)
+from finray_calib.sensing import (
+    changes_elsewhere,
+    contact_distance,
+    find_contact_circle,
+    find_contact_outline,
+    misplaced_circle,
+)
 
 Counts = NDArray[np.uint16]
 Floats = NDArray[np.float64]
@@ -70,8 +79,6 @@ VIDEO: Final = ".avi"
 MOST_IN_MEDIAN = 51
 #: A scale that its own check length contradicts by more than this is not the scale.
 SCALE_TOLERANCE_REL = 0.1
-#: Frames whose change is at least this share of the largest are the hold of a press; below the other, no contact.
-HOLD_SHARE, REST_SHARE = 0.9, 0.3
 #: Pixels this far from the contact, in half-widths, give the smooth surface that stands for no contact.
 FAR_HALF_WIDTHS = 1.6
 _SURFACE_DEGREE = 3
@@ -226,6 +233,7 @@ class _Folder:
                     f"{self.files[name].name} is none; {CONVERT_VIDEO}; or name the image without contact of a "
                     "picture as no_contact.file"
                 )
+            force_n = self._picture_force(name)
             self._pictures.clear()
             images = [self._picture(self.files[name]), *self._without_contact(name)]
             require_alike(self._pictures)
@@ -280,8 +288,7 @@ class _Folder:
                 cap_mm = pose.radius_mm - float(np.sqrt(pose.radius_mm**2 - touching_mm**2))
             self._depths[name] = (pose.depth_mm, cap_mm)
         if capture.contact_told_by == "label":
-            self._elsewhere[name] = changes_elsewhere(capture)
-            self._shape = (capture.contact.shape[0], capture.contact.shape[1])
+            self._elsewhere[name], self._shape = changes_elsewhere(capture), capture.contact.shape[:2]
 
     def check_numbers(self, names: Sequence[str]) -> None:
         """Refuse numbers that contradict each other over all presses: scale, depths, places of circles."""
@@ -436,8 +443,8 @@ class _Folder:
             strength = np.abs(force - np.median(force[:before]))
         if not strength.max() > 0.0:
             raise LeftOutError("nothing changes in its video")
-        held = longest_hold(strength, HOLD_SHARE)
-        if held < before or _begins_early(strength, before, 0 if force is None else 1):
+        held = longest_hold(strength)
+        if held < before or begins_early(strength, before, 0 if force is None else 1):
             raise LeftOutError(
                 f"its video shows contact within the first {before} frames, which should be without contact"
             )
@@ -468,6 +475,15 @@ class _Folder:
                 f"{path}: holds {len(values)} forces, the video {frames} frames; one finite number for each is needed"
             )
         return np.asarray(values * source.factor)
+
+    def _picture_force(self, name: str) -> float | None:
+        """Return the force of a press that is a picture, N."""
+        source = self.recipe.force
+        if source is None:
+            return None
+        if source.column is None:
+            raise ImportFormatError(f"recipe '{self.recipe.name}', force.column: missing; name what holds the force")
+        return self._quantity(name, source.file, source.press, source.column) * source.factor
 
     def _pose(self, name: str) -> IndenterPose:
         """Return what was pressed in, how deep and where."""
@@ -570,17 +586,15 @@ class _Folder:
         return np.asarray(cv2.convexHull(points)[:, 0], dtype=np.float32)
 
     def _quantity(self, name: str, file: str | None, press: str | None, value: Quantity) -> float:
-        """Return a number of a press: as it stands in the recipe, or in a table or npz file."""
+        """Return a number of a press: as it stands in the recipe, or in a table, npz or JSON file."""
         if isinstance(value, float):
             return value
         if file is None:
-            raise ImportFormatError(
-                f"recipe '{self.recipe.name}': '{value}' is a column, but no file is named that holds it; name its file"
-            )
+            raise ImportFormatError(f"recipe '{self.recipe.name}': no file is named that holds '{value}'; name it")
         path = named_file(self.folder, file, name)
         if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
-        if path.suffix.lower() == ".npz":
+        if path.suffix.lower() in (".npz", ".json"):
             if not has_file(path):
                 raise LeftOutError(f"the file {file}, which should hold its contact, is missing")
             self._made_of.add(path)
@@ -588,7 +602,7 @@ class _Folder:
         if press is None:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}': 'press' is missing next to file = \"{file}\"; name "
-                "the column that holds the press of each line"
+                "the column that holds the press of each line (a file for each press must be npz or JSON)"
             )
         table = self._tables.get((path, press)) or read_label_table(path, press)
         self._tables[path, press] = table
@@ -626,19 +640,7 @@ class _Folder:
             (capture.encoding == "unknown", "exposure and tone curve", "values are not proportional to light"),
         )
         told = [MissingPart(what=what, lost=lost) for is_missing, what, lost in lacks if is_missing]
-        return (*told, *self.recipe.lacks)
-
-
-def _begins_early(strength: Floats, before: int, outliers: int) -> bool:
-    """Return whether contact begins within the first frames of a video, by how much they differ from the first one.
-
-    Noise makes all later frames differ from it alike; so many readings may be wrong.
-    """
-    rest = np.sort(strength[1:before])
-    if rest.size <= 2 * outliers:
-        return False
-    rises = rest[-1 - outliers] - rest[0]
-    return bool(rises > REST_SHARE * (strength.max() - rest[0]))
+        return (*told, *self.recipe.lacks, *misplaced_circle(capture))
 
 
 def _ball_px(capture: TactileCapture) -> float | None:
@@ -661,9 +663,7 @@ def _with_far_surface(capture: TactileCapture) -> TactileCapture:
     values = np.log(np.maximum(capture.contact.astype(np.float64), 0.5))
     far = (distance > FAR_HALF_WIDTHS) & (capture.contact < 2**capture.bit_depth - 1).all(axis=-1)
     if far.mean() < 0.1:
-        raise LeftOutError(
-            "less than a tenth of the picture is far from its contact; an image without contact is needed"
-        )
+        raise LeftOutError("less than a tenth of the picture is far from its contact: give an image without contact")
     surface = np.exp(terms @ np.linalg.lstsq(terms[far], values[far], rcond=None)[0])
     limited = np.clip(np.rint(surface), 0.0, 2**capture.bit_depth - 1).astype(np.uint16)
     return capture.model_copy(update={"no_contact": limited, "no_contact_from": "pixels far from the contact"})

@@ -9,8 +9,7 @@ npy says nothing by itself.
 """
 
 import json
-import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -465,47 +464,6 @@ def _counts_png(counts: NDArray[np.uint16], capture: TactileCapture) -> bytes:
     return cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1].tobytes()
 
 
-LARGEST_VIDEO_BYTES = 512 << 20
-MOST_FRAMES = 20_000
-_HEADER_BYTES = 8
-_DEEPEST_LIST = 6
-CONVERT_VIDEO: Final = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
-
-
-def motion_jpeg_frames(path: Path) -> list[bytes]:
-    """Return the JPEG bytes of every frame of an AVI file, in order.
-
-    Raises
-    ------
-    ImportFormatError
-        The file is missing, no AVI, its frames are no JPEG pictures, or there are too many.
-    """
-    content = read_bytes(path, "a Motion-JPEG video (AVI)", ImportFormatError, LARGEST_VIDEO_BYTES)
-    if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
-        raise ImportFormatError(f"{path}: is not an AVI video; {CONVERT_VIDEO}")
-    frames: list[bytes] = []
-    for part in _video_parts(content, 0, len(content), 0):
-        # a frame without content is one that was dropped: the one before it is shown again
-        frames += [part] if part else frames[-1:]
-    if not frames or len(frames) > MOST_FRAMES:
-        raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
-    if not all(frame.startswith(b"\xff\xd8") for frame in frames):
-        raise ImportFormatError(f"{path}: its frames are not JPEG pictures (Motion JPEG); {CONVERT_VIDEO}")
-    return frames
-
-
-def _video_parts(content: bytes, at: int, end: int, depth: int) -> Iterator[bytes]:
-    """Return the video chunks between two places; lists are entered, what is cut off is left out."""
-    while at + _HEADER_BYTES <= end:
-        name, size = content[at : at + 4], struct.unpack("<I", content[at + 4 : at + 8])[0]
-        start, stop = at + _HEADER_BYTES, at + _HEADER_BYTES + size
-        if name in (b"RIFF", b"LIST") and depth < _DEEPEST_LIST:
-            yield from _video_parts(content, start + 4, min(stop, end), depth + 1)
-        elif name[2:] in (b"dc", b"db") and stop <= end:
-            yield content[start:stop]
-        at = stop + size % 2
-
-
 _BITS: Final = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
 _PICTURE: Final = "a picture (PNG, JPEG, npy) or OpenEXR image"
 _UPRIGHT = 1
@@ -530,8 +488,7 @@ def pixels_of(path: Path) -> NDArray[Any]:
     if not content.startswith((b"\x89PNG", b"\xff\xd8")):
         raise ImportFormatError(
             f"{path}: is neither PNG nor JPEG, and neither its name nor its content is that of another kind that is "
-            "read (npy, OpenEXR); convert all pictures without loss, such as with 'mogrify -format png *.tif', and "
-            "name these"
+            f"read (npy, OpenEXR); {_conversion(path)}"
         )
     if (turned := orientation(content)) != _UPRIGHT:
         raise ImportFormatError(
@@ -540,6 +497,27 @@ def pixels_of(path: Path) -> NDArray[Any]:
             "stand. Turn all pictures for good, as 'mogrify -auto-orient' does, and label these"
         )
     return _in_rgb(decoded_picture(content, path, ImportFormatError), path)
+
+
+_OPENED: Final = {
+    ".npz": "numpy.load(FILE)",
+    ".h5": "h5py.File(FILE)",
+    ".hdf5": "h5py.File(FILE)",
+    ".mat": "scipy.io.loadmat(FILE)",
+}
+
+
+def _conversion(path: Path) -> str:
+    """Say how pictures of another kind, or a stack of them, become files that are read, one for each press."""
+    opened = _OPENED.get(path.suffix.lower())
+    if opened is None:
+        kind = path.suffix or ".tif"
+        return f"convert all pictures without loss, such as with 'mogrify -format png *{kind}', and name these"
+    images = f"{opened.replace('FILE', repr(path.name))}['NAME']"
+    return (
+        "it may hold many pictures: save each as a file of its own, as uint8 or uint16, in Python by "
+        f"[numpy.save(f'{{k}}.npy', image) for k, image in enumerate({images})]"
+    )
 
 
 def _counts_array(path: Path) -> NDArray[Any]:

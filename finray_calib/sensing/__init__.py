@@ -12,14 +12,15 @@ from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
     from finray_calib.sensing._contact_place import (
-        CIRCLE_IF,
         ROW_AND_COLUMN,
         FoundCircle,
         changes_elsewhere,
         contact_distance,
         find_contact_circle,
         find_contact_outline,
+        misplaced_circle,
         outline_distance,
+        vote_on_circles,
     )
     from finray_calib.sensing._lens_calibration import (
         BoardView,
@@ -59,7 +60,6 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "CIRCLE_IF",
     "MINIMUM_PRESSES",
     "ROW_AND_COLUMN",
     "BoardUncertainty",
@@ -80,6 +80,7 @@ __all__ = [
     "full_scale_dn",
     "held_out_normal_error_deg",
     "held_out_score",
+    "misplaced_circle",
     "normal_map_of",
     "normal_map_record",
     "normal_sigma_deg",
@@ -97,5 +98,6 @@ __all__ = [
     "sensing_error",
     "surface_triangles",
     "uniformity",
+    "vote_on_circles",
     "with_measured_scale",
 ]

@@ -78,9 +78,11 @@ _UNITS: Final = {"_mm": "mm", "_deg": "deg", "_nm": "nm", "_rel": "1", "_sd": "s
 _AXES: Final = {"x": 0, "y": 1, "z": 2}
 #: Steps over the given half-range that are tried in turn, until the error has grown too much.
 _TRIED: Final = (1.0, 4.0, 8.0, 16.0)
-_REFINED: Final = 2  # further steps within the bracket
-_CLOSE_REL: Final = 0.1  # of what is allowed: near enough to it
-_EDGE_REL: Final = 0.05  # of a bracket: a further step stays so far from its ends
+_REFINED: Final = 5  # further steps within the bracket, at most
+_NARROW_REL: Final = 0.2  # of its upper end: a bracket so narrow is not searched further
+_ASIDE_REL: Final = (
+    0.16  # of it: how far beyond an end of the bracket the next step goes where the limit is near that end
+)
 #: The narrowest number may leave its limit at the ends of the box: there all together exceed what is allowed.
 _BOX_OVER_NARROWEST: Final = 1.25
 #: A box of which a finger cannot be built is made smaller by this, down to this share of the given half-ranges.
@@ -284,7 +286,18 @@ class _Side:
     ended_by: str
 
     def limit(self, allowed: float, noise: float) -> Limit:
-        return limit_of_curve(self.steps, self.losses, allowed, noise) if self.steps else Limit(None, None, None)
+        """Return the limit, within the noise of a loss and within the steps between which the loss exceeds it."""
+        if not self.steps:
+            return Limit(None, None, None)
+        found = limit_of_curve(self.steps, self.losses, allowed, noise)
+        if found.value is None:
+            return found
+        low, high = _bracket(self.steps, self.losses, allowed)
+        return Limit(
+            found.value,
+            low if found.low is None else min(found.low, low),
+            None if found.high is None else max(found.high, high),
+        )
 
 
 def _spread(numbers: int, settings: ToleranceSettings) -> Floats:
@@ -454,7 +467,10 @@ def _search(growth: _Growth, number: int, sign: float, allowed: float) -> _Side:
         if losses[-1] > allowed:
             break
     for _ in range(_REFINED):
-        if max(losses, default=0.0) <= allowed or min(abs(loss - allowed) for loss in losses) < _CLOSE_REL * allowed:
+        if max(losses, default=0.0) <= allowed:
+            break
+        low, high = _bracket(steps, losses, allowed)
+        if high - low <= _NARROW_REL * high:
             break
         step = _between(steps, losses, allowed)
         losses.append(growth.alone(number, sign * step))
@@ -462,20 +478,40 @@ def _search(growth: _Growth, number: int, sign: float, allowed: float) -> _Side:
     return _Side(number, sign, tuple(steps), tuple(losses), ended_by)
 
 
-def _between(steps: Sequence[float], losses: Sequence[float], allowed: float) -> float:
-    """Return the step to try next: on the power law through both ends of the bracket.
-
-    Near the best value of a number a loss grows with the square of the step, and a line through the ends would state a
-    limit far too narrow. A square is also assumed where the lower end is no step or has no loss above zero.
-    """
+def _ordered(steps: Sequence[float], losses: Sequence[float], allowed: float) -> tuple[Floats, Floats, int]:
+    """Return steps and losses in order from 0 on, and the number of the first that exceeds what is allowed."""
     order = np.argsort(steps)
-    above = int(np.flatnonzero(np.asarray(losses)[order] > allowed)[0])
-    high, high_loss = steps[order[above]], losses[order[above]]
-    low, low_loss = (steps[order[above - 1]], losses[order[above - 1]]) if above else (0.0, 0.0)
-    power = np.log(high_loss / low_loss) / np.log(high / low) if low > 0.0 and low_loss > 0.0 else 2.0
-    wanted = high * (allowed / high_loss) ** (1.0 / power)
-    edge = _EDGE_REL * (high - low)
-    return float(np.clip(wanted, low + edge, high - edge))
+    step, loss = (np.concatenate([[0.0], np.asarray(values)[order]]) for values in (steps, losses))
+    return step, loss, int(np.flatnonzero(loss > allowed)[0])
+
+
+def _bracket(steps: Sequence[float], losses: Sequence[float], allowed: float) -> tuple[float, float]:
+    """Return the last step within what is allowed and the first beyond it, where there is one."""
+    step, _, above = _ordered(steps, losses, allowed)
+    return float(step[above - 1]), float(step[above])
+
+
+def _between(steps: Sequence[float], losses: Sequence[float], allowed: float) -> float:
+    """Return the step to try next: where a power law meets what is allowed, or a little beyond it.
+
+    The law runs through both ends of the bracket, or through the two steps above it; near the best value of a number a
+    loss grows with the square of the step, which is assumed where neither tells. No law holds for a loss that flattens
+    or turns steep, so that a loss near what is allowed proves nothing: the limit is between two steps, and where the
+    law puts it beside one of them, the next step goes to its other side.
+    """
+    step, loss, above = _ordered(steps, losses, allowed)
+    low, high = float(step[above - 1]), float(step[above])
+    first, second, power = above - 1, above, 2.0
+    if not (low > 0.0 and loss[first] > 0.0) and above + 1 < len(step):
+        first, second = above, above + 1
+    if step[first] > 0.0 and 0.0 < loss[first] < loss[second]:
+        # flatter than this the law would go to zero
+        power = max(float(np.log(loss[second] / loss[first]) / np.log(step[second] / step[first])), 0.2)
+    wanted = high * (allowed / float(loss[above])) ** (1.0 / power)
+    aside = min(_ASIDE_REL * high, (high - low) / 2.0)
+    if len(steps) > len(_TRIED) and low > 0.0 and high > low / 0.6:
+        return float(np.sqrt(low * high))  # the law has failed
+    return float(np.clip(wanted, low + aside, high - aside))
 
 
 def _checked(check: _Growth, side: _Side, allowed: float) -> float | None:

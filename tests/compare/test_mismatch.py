@@ -1,5 +1,7 @@
 """Made-up pairs of a render and a capture, right and spoilt in known ways; real and rendered pairs where they exist."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from data_schemas import CompareError, IndenterPose, SimulatedPress, TactileCapt
 from finray_calib.compare import find_mismatches
 from finray_calib.compare._mismatch import Finding, better_order, require_no_mismatch, tone_curve
 from finray_calib.exchange import nine_dtact_capture, nine_dtact_prediction
+from tests.compare.three_lights import dent_slopes, shaded
 
 BLACK_DN, DN_PER_UNIT, BITS = 64.0, 900.0, 12
 
@@ -198,3 +201,74 @@ def test_real_pairs_raise_no_alarm_and_their_exposure_is_watched(shared_data, nu
         contact = np.rint(factor * capture.contact).clip(0, 254).astype(np.uint16)
         findings = find_mismatches(press, capture.model_copy(update={"contact": contact}))
         assert [(f.severity, f.about) for f in findings if f.about == "exposure"] == [(severity, "exposure")]
+
+
+def one_colour(image, channel=slice(None)):
+    return np.repeat(image[..., channel].reshape(*image.shape[:2], -1).mean(axis=-1, keepdims=True), 3, axis=-1)
+
+
+def opaque_blue(image):
+    return np.concatenate([image[..., :2], np.full_like(image[..., :1], image.mean())], axis=-1)
+
+
+SHADED_CENTRE_PX, SHADED_RADIUS_PX = (60.0, 80.0), 18.0
+#: What a render holds in place of colour -> change of both images, severity and words of the finding.
+NO_COLOUR = {
+    "mean": (one_colour, "refuse", r"the render ball is grey where .* the capture capture has colours there \(9\d %\)"),
+    "red alone": (lambda image: one_colour(image, slice(0, 1)), "refuse", r"is grey where it is pressed"),
+    "tinted": (lambda image: one_colour(image) * [1.0, 0.8, 0.6], "refuse", r"is grey where it is pressed"),
+    "BGR": (lambda image: image[..., ::-1], "refuse", r"are read as BGR \(correlation [01]\.\d\d; as RGB 0\.[01]"),
+    "transparency": (opaque_blue, "warn", r"blue of the render ball hardly changes .* transparency or depth"),
+}  # fmt: skip
+
+
+def shaded_pair(values, change=lambda image: image, rest_moved_px=0):
+    """A ball under three coloured lights that are white together, so that only the touch shows colours."""
+    slopes = dent_slopes(*SHADED_CENTRE_PX, SHADED_RADIUS_PX, 46.0, (120, 160))
+    texture = 1.0 + 0.15 * np.cos(np.arange(160) / 3.0)[None, :, None]
+    light = [texture * shaded(of) for of in (slopes, np.zeros_like(slopes))]
+    rows, columns = np.indices((120, 160))
+    rng = np.random.default_rng(1)
+    linear = values == ("linear", "linear")
+    counted = [12.0 * image if linear else 255.0 * (image / 160.0) ** 0.45 for image in light]
+    counted = [np.rint(image + rng.normal(0.0, 1.0, image.shape)).clip(0).astype(np.uint16) for image in counted]
+    capture = TactileCapture(
+        name="capture", contact=counted[0], no_contact=counted[1], repeat_no_contact=None, layout="RGB",
+        encoding=values[1], bit_depth=12 if linear else 8, black_level_dn=0.0, exposure_s=None, light_angle_deg=None,
+        indenter=IndenterPose(shape="ball", radius_mm=4.6, depth_mm=None, position_mm=None), contact_circle=None,
+        mm_per_px=None, source="test",
+    )  # fmt: skip
+    rendered = [255.0 * (image / 160.0) ** 0.45 for image in light] if values[0] == "unknown" else light
+    rendered = [change(image).astype(np.float32) for image in rendered]
+    away = np.hypot(rows - SHADED_CENTRE_PX[0], columns - SHADED_CENTRE_PX[1]) / SHADED_RADIUS_PX
+    press = SimulatedPress(
+        name="ball", label="made up", method="rendered", encoding=values[0], contact=rendered[0],
+        no_contact=np.roll(rendered[1], rest_moved_px, axis=1), distance=away, variance=None, light_angle_deg=None,
+        design=None,
+    )  # fmt: skip
+    return press, capture
+
+
+VALUES = [("linear", "unknown"), ("linear", "linear"), ("unknown", "unknown")]
+
+
+@pytest.mark.parametrize("values", VALUES)
+@pytest.mark.parametrize("held", NO_COLOUR)
+def test_what_a_render_holds_in_place_of_colour_is_told_by_its_change(values, held):
+    assert find_mismatches(*shaded_pair(values)) == ()
+    change, severity, text = NO_COLOUR[held]
+    (finding,) = find_mismatches(*shaded_pair(values, change))
+    assert finding.severity == severity
+    assert re.search(text, finding.text)
+
+
+@pytest.mark.parametrize("values", VALUES)
+def test_a_rest_of_another_pose_is_told_and_a_grey_sensor_has_no_colours_to_miss(values):
+    (finding,) = find_mismatches(*shaded_pair(values, rest_moved_px=8))
+    assert finding.severity == "warn"
+    assert re.search(r"the two images of the render ball differ unevenly, by \d+\.\d % .* one pose", finding.text)
+    press, capture = shaded_pair(values, one_colour)
+    grey = edited(capture, lambda dn: one_colour(dn).astype(np.uint16), "contact", "no_contact")
+    assert find_mismatches(press, grey) == ()
+    blank = press.model_copy(update={"contact": press.no_contact})
+    assert find_mismatches(blank, capture) == ()

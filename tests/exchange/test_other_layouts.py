@@ -2,6 +2,7 @@
 
 import json
 import re
+import tomllib
 from functools import partial
 
 import cv2
@@ -328,3 +329,81 @@ def test_labels_of_pictures_that_are_arranged_otherwise_are_refused_and_the_reme
     for capture, place in zip(read_by_recipe(folder, turned).captures.values(), of_right, strict=True):
         rows, columns = (slice(None, None, -1 if what in exchanged else 1) for what in ("top", "left"))
         assert_same_picture(capture.contact, eight_bits(dome(*place))[rows, columns], "p.png")
+
+
+RIGHT_PLACES = [(40.0, 50.0), (35.0, 110.0), (90.0, 120.0), (85.0, 30.0), (30.0, 58.0)]
+
+
+def labelled_set(folder, mirrored):
+    """Five presses, those of these numbers with labels that are mirrored left and right."""
+    set_of(folder, "p{}.png", "rest.png")
+    lines = ["file,x,y,r"]
+    for k, (row, column) in enumerate(RIGHT_PLACES, start=1):
+        put(folder / f"p{k}.png", eight_bits(dome(row, column)))
+        lines.append(f"p{k},{159 - column if k in mirrored else column},{row},{CONTACT_PX}")
+    (folder / "labels.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_the_majority_of_the_presses_decides_whether_labels_are_mirrored(tmp_path):
+    recipe = recipe_of("p{press}.png", "rest.png")
+    with pytest.raises(ImportFormatError, match=r"4 of 5 presses .* with left and right exchanged, 1 where they are"):
+        read_by_recipe(labelled_set(tmp_path / "four", {1, 2, 3, 4}), recipe)
+    # the median of three presses, two of them with wrong labels of their own, does not refuse a set that may be right
+    found = read_by_recipe(labelled_set(tmp_path / "two", {1, 2}), recipe).captures
+    odd = {name for name, c in found.items() if any(part.what == "a circle on the contact" for part in c.missing)}
+    assert odd == {"1", "2"}
+    assert any(
+        re.search(r"1 changes \d.* with left and right exchanged: correct", part.lost) for part in found["1"].missing
+    )
+
+
+LABELLED = """
+[contact]
+file = "{press}.json"
+circle = { column_px = "contact.x", row_px = "contact.y", radius_px = "r[0]" }
+
+[force]
+file = "FORCE"
+column = "Fz"
+factor = 1e-3
+"""
+
+
+@pytest.mark.parametrize("of", ["table", "json", "no column", "no press"])
+def test_a_json_file_for_each_picture_and_a_table_of_forces_are_read(tmp_path, of):
+    folder = set_of(tmp_path / "set", "p{}.png", "rest.png")
+    for k, (row, column) in enumerate(RIGHT_PLACES, start=1):
+        put(folder / f"p{k}.png", eight_bits(dome(row, column)))
+        said = {"contact": {"x": column, "y": row, "by": "hand"}, "r": [CONTACT_PX], "Fz": 100.0 * k, "id": "a"}
+        (folder / f"{k}.json").write_text(json.dumps(said))
+    (folder / "force.csv").write_text("name,Fz\n" + "".join(f"p{k}.png,{100 * k}\n" for k in range(1, 6)))
+    text = LABELLED.replace("FORCE", "{press}.json" if of == "json" else "force.csv")
+    text = text.replace('column = "Fz"\n', "") if of == "no column" else text
+    text += 'press = "name"\n' if of == "table" else ""
+    recipe = recipe_of("p{press}.png", "rest.png").model_dump(exclude_defaults=True)
+    recipe = Recipe.model_validate({**recipe, **tomllib.loads(text)})
+    if of.startswith("no "):
+        missing = r"force\.column: missing" if of == "no column" else r"'press' is missing .* must be npz or JSON"
+        with pytest.raises(ImportFormatError, match=missing):
+            read_by_recipe(folder, recipe)
+        return
+    captures = read_by_recipe(folder, recipe).captures
+    for k, (row, column) in enumerate(RIGHT_PLACES, start=1):
+        assert captures[f"{k}"].force_n == pytest.approx(0.1 * k)
+        circle = captures[f"{k}"].contact_circle
+        assert (circle.row_px, circle.column_px, circle.radius_px) == (row, column, CONTACT_PX)
+
+
+@pytest.mark.parametrize(
+    ("ending", "message"),
+    [
+        (".h5", r"numpy\.save\(f'\{k\}\.npy', image\) for k, image in enumerate\(h5py\.File\('1\.h5'\)\['NAME'\]\)\]$"),
+        (".webp", r"such as with 'mogrify -format png \*\.webp'"),
+    ],
+)
+def test_stacks_and_other_pictures_are_refused_with_what_converts_them(tmp_path, ending, message):
+    folder = set_of(tmp_path / "set", "p{}.png", "rest.png")
+    (folder / f"1{ending}").write_bytes(b"\x89HDF\r\n\x1a\n")
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(folder, recipe_of(f"{{press}}{ending}", "rest.png"))
