@@ -145,7 +145,8 @@ def add_paints_as_given(parser: argparse._ActionsContainer) -> None:
     """Add the option that accepts paints which :func:`sim.experiments.require_paints_in_order` takes to be swapped."""
     parser.add_argument(
         "--paints-as-given", action="store_true",
-        help="the paint of the red wall emits at shorter wavelengths than that of the green one, and this is intended",
+        help="confirm that the paint of the red wall is meant to emit at shorter wavelengths than that of the green "
+            "wall",
     )  # fmt: skip
 
 

@@ -72,7 +72,8 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )
     parser.add_argument(
         "--coat-behind-mm", type=float, default=0.0, metavar="MM",
-        help="how far the coat is behind the printed face, from the camera; negative: in front of it (default: 0)",
+        help="how far the coat lies behind the printed face, as seen from the camera; negative: in front of it "
+            "(default: 0)",
     )  # fmt: skip
     parser.add_argument(
         "--coat-behind-u-mm",

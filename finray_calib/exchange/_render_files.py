@@ -529,15 +529,14 @@ def pixels_of(path: Path) -> NDArray[Any]:
     content = read_bytes(path, _PICTURE, ImportFormatError)
     if not content.startswith((b"\x89PNG", b"\xff\xd8")):
         raise ImportFormatError(
-            f"{path}: is neither PNG nor JPEG, and neither its name nor its content is that of another kind that is "
-            "read (npy, OpenEXR); convert all pictures without loss, such as with 'mogrify -format png *.tif', and "
-            "name these"
+            f"{path}: is not a picture of a kind that is read (PNG, JPEG, npy, OpenEXR); convert all pictures "
+            "without loss, such as with 'mogrify -format png *.tif', and name the converted files"
         )
     if (turned := orientation(content)) != _UPRIGHT:
         raise ImportFormatError(
-            f"{path}: carries the mark of a camera that it is to be shown turned or mirrored (EXIF orientation "
-            f"{turned}), which some programs follow and others do not, so that it is not known which way its labels "
-            "stand. Turn all pictures for good, as 'mogrify -auto-orient' does, and label these"
+            f"{path}: states that it is to be shown turned or mirrored (EXIF orientation {turned}). Some programs "
+            "follow this and others do not, so that the orientation of its labels is not known. Turn the pixels "
+            "themselves, as 'mogrify -auto-orient' does, and label the result"
         )
     return _in_rgb(decoded_picture(content, path, ImportFormatError), path)
 

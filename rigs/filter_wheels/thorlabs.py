@@ -265,7 +265,7 @@ class ThorlabsWheel:
 
     def _overdue(self, slot: int, deadline_s: float, why: str) -> TimedOutError:
         return TimedOutError(
-            f"{self._name}: is not at slot {slot} within {deadline_s:g} s ({why}); check whether something "
+            f"{self._name}: did not reach slot {slot} within {deadline_s:g} s ({why}); check whether something "
             "blocks the wheel, and check its power supply"
         )
 

@@ -450,7 +450,7 @@ CASES = (
     Case(
         "one coat for two tins",
         "check equivalence --first {paints}/red/paint.json --second {paints}/green/paint.json --margin mode_nm=4",
-        r"red/paint\.json and \S+green/paint\.json: are one calibration; give each coat once",
+        r"red/paint\.json and \S+green/paint\.json: are the same calibration; give each coat once",
     ),
     Case(
         "day in words",

@@ -546,7 +546,7 @@ def test_an_outline_outside_the_image_has_no_distance(tmp_path):
     far = tuple(PlaceInImage(row_px=900.0 + k, column_px=900.0 - k * k) for k in range(3))
     moved = capture.model_copy(update={"contact_circle": None, "contact_outline": far})
     with pytest.raises(
-        Exception, match="encloses no pixel of the image of 160 x 120 px; are rows and columns exchanged"
+        Exception, match="encloses no pixel of the image of 160 x 120 px; check whether rows and columns are exchanged"
     ):
         contact_distance(moved)
     assert contact_distance(capture.model_copy(update={"contact_circle": None})) is None
