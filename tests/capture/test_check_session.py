@@ -573,7 +573,7 @@ class TestKilled:
         monkeypatch.setattr("rigs.capture.light_off_time._MOST_TRIES", 2)
         with firmware_board(build(tmp_path)) as board:
             laser = nobody(board.address)
-            with pytest.raises(CaptureError, match="could not be stopped at once in 2 tries"):
+            with pytest.raises(CaptureError, match="could not be stopped at the same time in 2 tries"):
                 after_kill(laser, "dead-man", ConnectionWatch(laser, quiet_s=0.95), 1)
             assert not board.state()
 

@@ -43,7 +43,8 @@ def test_a_cell_that_does_not_feel_the_mass_moves_no_stage(practice: Path, monke
     report, status = checked(practice)
     assert status == 1
     assert (
-        "N of the known mass, which weighs 1.96 N; a stage must not press by it" in named(report, "load cell").evidence
+        "N of the known mass, which weighs 1.96 N; a stage must not press with such a load cell"
+        in named(report, "load cell").evidence
     )
     assert "not tried" in named(report, "stage moves").evidence
     assert named(report, "calibration holds").verdict == "UNDECIDED"

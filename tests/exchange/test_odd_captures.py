@@ -124,7 +124,7 @@ def test_columns_may_be_in_other_units(tmp_path, unit, value):
 def test_depth_and_diameter_may_be_in_different_units(tmp_path):
     folder = write_lab(tmp_path / "f", columns={"depth": 0.00045, "d": 9.2})
     text = BALLS.replace("diameter_mm = 9.2\n", 'diameter_mm = "d"\ndepth_mm = "depth"\n')
-    with pytest.raises(ImportFormatError, match=r'say columns_in = \{ depth_mm = "m" \} below'):
+    with pytest.raises(ImportFormatError, match=r'write columns_in = \{ depth_mm = "m" \} below'):
         read(folder, text)
     pose = read(folder, f'{text}columns_in = {{ depth_mm = "m" }}\n').captures["p0"].indenter
     assert (pose.depth_mm, pose.radius_mm) == pytest.approx((0.45, 4.6))

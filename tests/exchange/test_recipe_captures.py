@@ -309,7 +309,11 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         (("[indenter]\n", CIRCLE), ('= "x"', '= "y"'), "t.csv: has no column 'y'; it has n, x, r: correct the recipe"),
         (("[indenter]\n", CIRCLE), ('"n"', '"m"'), "has no column 'm' that names the press"),
         (("[indenter]\n", CIRCLE), ('= "x"', '= "r"'), "r of a must be a number, got 'wide'"),
-        (("[indenter]\n", CIRCLE), ("row_px = 9", "row_px = 999"), "outside the picture of 160 x 120 px; are row and"),
+        (
+            ("[indenter]\n", CIRCLE),
+            ("row_px = 9", "row_px = 999"),
+            "outside the picture of 160 x 120 px; check whether row and",
+        ),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
         (('file = "rest.png"', "frames_before = 3"), None, r"for Motion-JPEG videos \(\.avi\), and a\.png is none"),
         (
