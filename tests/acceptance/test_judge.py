@@ -129,7 +129,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
          "sent from slot 1 to slot 2 and reported slot 3"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=9.0),)}, "wheel moves in time", "FAIL",
          "mean 9 s of 1 moves"),
-        ({"darks": (dark(0.001, 19.0, 19.01), dark(1.0, 19.1, 19.11))}, "dark level", "FAIL", "says 16 DN"),
+        ({"darks": (dark(0.001, 19.0, 19.01), dark(1.0, 19.1, 19.11))}, "dark level", "FAIL", "states 16 DN"),
         ({"darks": (dark(0.001, 16.0, 16.01), dark(1.0, 21.0, 21.01))}, "dark rate", "FAIL", "lamp and laser off"),
         ({"darks": (dark(1.0, 16.0, 16.01),)}, "dark rate", "UNDECIDED", "2 frames of 1 s"),
         ({"darks": (dark(0.001, 16.0, 16.01, noise_dn=2.5), *GOOD.darks[1:])}, "read noise", "FAIL", "2.5 DN at"),
