@@ -207,8 +207,8 @@ def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float
     lacking = [name for name in ("sample", "session") if name not in columns]
     if lacking or value is None:
         raise RecordError(
-            f"{path}: the header names {', '.join(columns)}; it must name sample, session, and paint or value, and may "
-            "name mount"
+            f"{path}: the header names {', '.join(columns) or 'nothing'}; it must name sample, session, and "
+            "paint or value, and may name mount"
         )
     found = []
     for line, cells in rows:

@@ -108,7 +108,7 @@ def _whole_number(text: str) -> int:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
     if not 0 <= seed < 2**63:
-        raise argparse.ArgumentTypeError(f"{seed} is out of range; give 0 or more")
+        raise argparse.ArgumentTypeError(f"{seed} is out of range; give 0 to 2^63 - 1")
     return seed
 
 

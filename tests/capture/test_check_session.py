@@ -614,7 +614,7 @@ def test_a_hazardous_laser_that_went_out_is_not_lit_by_the_next_layer(
     )
     assert facts.errors["stray light"].startswith("laser: did not come on")
     assert facts.errors["light off"].startswith(
-        "laser: did not come on" if goes_on else "not tried: the laser went out"
+        "laser: did not come on" if goes_on else "not tried: the laser went off without a command"
     )
     assert bool(facts.light_off) == goes_on  # what the layers without the rig recorded
 

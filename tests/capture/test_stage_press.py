@@ -734,7 +734,7 @@ def test_the_search_of_the_touch_stays_below_the_limit(monkeypatch, stiffness_n_
         assert why == ""
         assert max(felt_n) < 4.0
     else:  # nothing can stop the stage in time: what to do is said
-        assert "search of the touch met" in why
+        assert "search for the touch met" in why
         assert "shorten step_mm or lower press_speed_mm_per_s" in why
         assert max(felt_n) < 1.0 + stiffness_n_per_mm * beyond_mm
 

@@ -1010,7 +1010,9 @@ USAGE = (
     Case("places backwards", SWEEP + " --angles 0:90:30 --positions 64:8:4", r"'64:8:4' must be FIRST:LAST:STEP in mm"),
     Case("weights in words", "decide {lab}/sweep.json --weights often", r"'often' must be numbers above 0 with commas"),
     Case("no samples", BOTH + " --samples 0", "'0' must be an even whole number from 2 to 1000000"),
-    Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
+    Case(
+        "negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 to 2\^63 - 1"
+    ),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
     Case("no seed", "decide {lab}/sweep.json --seed", r"--seed: a value must follow it; .*; 'finray decide --help'"),
     Case("a weight below 0", "decide {lab}/sweep.json --weights -1,2", r"joined by '=': --weights=-VALUE; 'finray"),

@@ -95,7 +95,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("set --teach 7", "--teach 7: must be 1 to 4: there are 5 presses, and those"),
+        ("set --teach 7", "--teach 7: must be 1 to 4: there are 5 presses, and it is judged on those"),
         ("set --teach 2 --simulator mine", "--simulator NAME and --command WORDS go together; give both"),
         ("nowhere", "nowhere: no such folder; give the folder"),
         (
