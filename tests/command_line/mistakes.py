@@ -967,6 +967,47 @@ CASES = (
         r"error: /proc/x\.toml: No such file .*; check the path",
     ),
     Case(
+        "name that is too long",
+        "capture {lab}/plan.toml --rig {lab}/rig.toml --out " + 300 * "a",
+        r"File name too long; give a shorter name",
+    ),
+    Case(
+        "a second place to write to",
+        "fit {lab}/bands.json --out {tmp}/paint.json --out {lab}/sweep.json",
+        r"lab\S*/sweep\.json: exists already and is not overwritten",
+    ),
+    Case(
+        "empty record",
+        "fit {tmp}/empty.json",
+        r"cannot be read as JSON .*; it is empty; give the path of a stored record",
+        file("empty.json", ""),
+    ),
+    Case(
+        "empty study of a gauge",
+        "check gauge-rr {tmp}/study.csv",
+        r"the header names nothing; it must name sample, session, and paint or value",
+        file("study.csv", ""),
+    ),
+    Case(
+        "text with the name of an archive",
+        "import captures {tmp}/set.zip --recipe fots-gelsight",
+        r"set\.zip: cannot be read as a zip archive .*; copy it again",
+        file("set.zip", "no archive"),
+    ),
+    Case(
+        "parts of a classic sensor",
+        "design export digit",
+        r"digit: is a ready-made classic sensor, but a finger is needed",
+    ),
+    Case(
+        "folder without pictures of a board", "sense scale {lab}", r": holds no tactile session \(session\.json\); give"
+    ),
+    Case(
+        "finger for a rig",
+        "rig show {lab}/finger.toml",
+        r"holds the design of a finger or sensor, where a rig file is needed; give that file",
+    ),
+    Case(
         "captures of a folder that is not there",
         "bench tactile {lab}/nosuch",
         r"nosuch: no such folder; give the folder that 'finray import captures' wrote",
