@@ -564,7 +564,7 @@ def require_possible_scale(recipe: Recipe) -> None:
         number = scale.mm_per_px if scale.mm_per_px is not None else scale.px_per_mm
         raise ImportFormatError(
             f"recipe '{recipe.name}', scale: with {given} = {number:g} a pixel is {scale.side_mm:.4g} mm wide, and at "
-            f"most {LARGEST_PIXEL_MM:g} mm are allowed; perhaps it should be {other} = {number:g}?"
+            f"most {LARGEST_PIXEL_MM:g} mm are allowed; perhaps it should be {other} = {number:g}"
         )
 
 

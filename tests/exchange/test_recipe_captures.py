@@ -315,7 +315,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
             "outside the picture of 160 x 120 px; check whether row and",
         ),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
-        (('file = "rest.png"', "frames_before = 3"), None, r"for Motion-JPEG videos \(\.avi\), and a\.png is none"),
+        (('file = "rest.png"', "frames_before = 3"), None, r"for Motion-JPEG videos \(\.avi\), and a\.png is not one"),
         (
             ("[indenter]\n", CIRCLE),
             ("t.csv", "{press}.npz"),
