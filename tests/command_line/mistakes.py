@@ -1004,8 +1004,9 @@ CASES = (
     ),
     Case(
         "finger for a rig",
-        "rig show {lab}/finger.toml",
+        "rig show {tmp}/finger.toml",
         r"holds the design of a finger or sensor, where a rig file is needed; give that file",
+        design("[pad]\nthickness_mm = 5.0"),
     ),
     Case(
         "captures of a folder that is not there",
