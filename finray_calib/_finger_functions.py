@@ -145,7 +145,7 @@ def _design(given_design: FingerDesign | PathLike) -> _Design:
     path = given_path(given_design, "design")
     if path.name.endswith(SURFACES_SUFFIX):
         return _design_of_surfaces(path)
-    if not path.exists() and (os.fspath(given_design) in PRESETS or path.suffix != ".toml"):
+    if not path.exists() and (os.fspath(given_design) in PRESETS or not path.suffix):
         return _Design(preset_design(os.fspath(given_design)), Path(), [])
     design = read_design(path)
     return _Design(design, path.parent, design_inputs(design, path))
@@ -571,7 +571,7 @@ def _scene(
     if not options.get("paints_as_given", False):
         modes_nm = {colour: paint.mode_nm.estimate for colour, paint in calibrations.items()}
         names = {colour: str(paint[1][0]) if paint[1] else paint[0].paint_name for colour, paint in read.items()}
-        require_paints_in_order(modes_nm, names, "paints_as_given=True (--paints-as-given of a command)")
+        require_paints_in_order(modes_nm, names, "--paints-as-given (from Python paints_as_given=True)")
     meshes, mesh_files = (None, []) if surfaces is None else given(surfaces, FingerSurfaces)
     with naming(SimulateError, *found.files[:1]):
         renderer = _renderer(options.get("engine", "auto"))

@@ -261,7 +261,7 @@ CLOSE_BEAM: Final = (
     "The laser is off. Close its beam with a cap or a shutter that no program moves, so that none of its light reaches "
     "the photodiode; do not cover the photodiode. Close the box: the laser will be lit. Is that done?"
 )
-OPEN_BEAM: Final = "The laser is off. Take the cap away, or open the shutter, and close the box again. Is that done?"
+OPEN_BEAM: Final = "The laser is off. Take the cap off, or open the shutter, and close the box again. Is that done?"
 
 
 @contextmanager
@@ -523,9 +523,9 @@ def _stage(rig: TactileRig, folder: Path) -> Lines:
             yield f"{says.model}{f', firmware {says.firmware}' if says.firmware else ''}"
             yield "its position is unknown until a session homes it"
             yield (
-                f"the rig file states: {rig.stage.press_axis} presses and is clear at {rig.stage.clear_mm:g} mm, "
-                "travel "
-                f"{rig.stage.press_travel_mm[0]:g} to {rig.stage.press_travel_mm[1]:g} mm"
+                f"the rig file states: {rig.stage.press_axis} moves into the pad and clears it at "
+                f"{rig.stage.clear_mm:g} mm, travel {rig.stage.press_travel_mm[0]:g} to "
+                f"{rig.stage.press_travel_mm[1]:g} mm"
             )
 
 

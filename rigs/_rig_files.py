@@ -314,7 +314,7 @@ def rig_toml(rig: RigFile) -> str:
     """Return a rig as commented TOML."""
     wheel = rig.filter_wheel
     first, *others = wheel.filters
-    of_lasers = f"{_driver_names('light', 'manual')}; arduino has a dead-man"
+    of_lasers = f"{_driver_names('light', 'manual')}; arduino has a dead-man switch"
     of_lamps = f"{_driver_names('light')}; manual: the operator switches it"
     filters = [_filter_toml(first, _FILTER), *(_filter_toml(band, {}) for band in others)]
     return f"""# A calibration rig. Every value has its unit in its name: _nm, _s, _mw, _dn (counts), _e (electrons).

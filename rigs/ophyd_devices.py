@@ -226,7 +226,7 @@ class RigLight(StandardReadable):
             if not self.state():
                 self.off()
                 raise LightLostError(
-                    f"{self.name}: went off without a command and is off; find out why, then switch it on again"
+                    f"{self.name}: went off without a command and stays off; find out why, then switch it on again"
                 )
             return
         if self._was_lost:

@@ -164,12 +164,8 @@ def given_design(path: Path) -> tuple[FingerDesign, list[Path], Path]:
     RecordError, SimulateError
         When it cannot be read, or describes no finger.
     """
-    if not path.is_file() and str(path) in PRESETS:
+    if not path.is_file() and (str(path) in PRESETS or not (path.exists() or path.suffix or str(path) in SENSORS)):
         return preset_design(str(path)), [], Path()
-    if not path.is_file() and str(path) in SENSORS:
-        raise SimulateError(
-            f"{path}: is a ready-made classic sensor, but a finger is needed: {', '.join(PRESETS)}, or a design file"
-        )
     return read_design(path), [path], path.parent
 
 
@@ -337,6 +333,10 @@ def read_design(path: Path) -> FingerDesign:
             return written
         return _onto_preset(path, preset, preset_design, written)
 
+    if not path.exists() and str(path) in SENSORS:
+        raise SimulateError(
+            f"{path}: is a ready-made classic sensor, but a finger is needed: {', '.join(PRESETS)}, or a design file"
+        )
     if path.name == str(path) and path.name in PRESETS and not path.exists():
         raise RecordError(f"{path}: no such file; write it first: finray design init {path}, then give {path}.toml")
     return read_toml(path, FingerDesign, complete)

@@ -374,7 +374,7 @@ def tiff_image(content: bytes, where: object, error: type[FinrayError]) -> NDArr
             if page.compression == _UNCOMPRESSED:
                 return np.asarray(page.asarray())
     except Exception as fault:  # of a broken file the TIFF reader raises nearly anything
-        raise error(f"{where}: cannot be read as TIFF ({brief_fault(fault)}); is the file complete?") from None
+        raise error(f"{where}: cannot be read as TIFF ({brief_fault(fault)}); copy it again") from None
     return parse_in_child(f"{__name__}:unpacked_tiff", content, where, "TIFF", error)[1]["image"]
 
 
@@ -386,9 +386,7 @@ def unpacked_tiff(content: bytes, where: str) -> tuple[None, dict[str, NDArray[A
         with tifffile.TiffFile(io.BytesIO(content)) as file:
             return None, {"image": np.asarray(file.pages[0].asarray())}
     except Exception as fault:
-        raise ImportFormatError(
-            f"{where}: cannot be read as TIFF ({brief_fault(fault)}); is the file complete?"
-        ) from None
+        raise ImportFormatError(f"{where}: cannot be read as TIFF ({brief_fault(fault)}); copy it again") from None
 
 
 def require_decoded_size(page: Any) -> None:

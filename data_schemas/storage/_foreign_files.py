@@ -387,7 +387,7 @@ def parse_json(
         mend = (
             "it was edited or cut off: restore it, or make it again"
             if is_json
-            else f"it does not begin with {{ or [{give}"
+            else f"it {'does not begin with { or [' if content.strip() else 'is empty'}{give}"
         )
         raise error(f"{where}: cannot be read as JSON ({fault}); {mend}") from None
     return parsed

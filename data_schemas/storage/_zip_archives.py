@@ -54,7 +54,7 @@ class ZipArchive:
         try:
             self._archive = zipfile.ZipFile(self._file)
         except _DAMAGED as fault:
-            raise ValueError(f"cannot be read as a zip archive ({brief_fault(fault)}); is the file complete?") from None
+            raise ValueError(f"cannot be read as a zip archive ({brief_fault(fault)}); copy it again") from None
         entries = self._archive.infolist()
         self._entries = dict(_accepted(entries))
         _require_apart(entries)

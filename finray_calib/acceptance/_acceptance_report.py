@@ -159,10 +159,10 @@ LEAST_NOISE_DN: Final = 0.4
 """Below it, rounding hides what the noise is."""
 MOST_AT_ZERO: Final = 1e-3  # share of counts at 0: beyond it, the noise is cut off
 NOT_SEEN_TO_TURN: Final = (
-    "nobody but the wheel says that it turned, because the frames do not show every filter in its slot (see there)"
+    "only the wheel reports that it turned, because the frames do not show every filter in its slot (see there)"
 )
 LIT_IN_THE_DARK: Final = (
-    "the lamp was hardly seen beside the dark frames: it was off all the while, or on in the dark frames too"
+    "the white frames are hardly brighter than the dark frames: the lamp was always off, or also on in the dark frames"
 )
 SATURATED_SHARE: Final = 0.95
 """Of full scale, mean of the region: from there on more light adds nothing."""
@@ -264,7 +264,7 @@ def judge_dark_frames(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings
     return (
         measured(
             "dark frames", "dark level", "dark level at exposure zero", level_dn, level_sd_dn, "DN",
-            f"{evidence}; the rig file says {camera.black_level_dn:g} DN",
+            f"{evidence}; the rig file states {camera.black_level_dn:g} DN",
             limits=ToleranceInterval(camera.black_level_dn - apart_dn, camera.black_level_dn + apart_dn),
         ),
         _dark_rate(rate, rate_sd, f"{evidence}, lamp and laser off", plan.limits.dark_rate_dn_per_s),
@@ -415,9 +415,8 @@ def _settling(warm: WarmUp, plan: CheckPlan, camera: CameraSettings, words: tupl
     least_dn = max(LEAST_WHITE_SHARE * (2**camera.bit_depth - 1), 5.0 * float(dark_dn.std(ddof=1)))
     if levels.size < 2 * last or levels[-last:].mean() < least_dn:
         reason = (
-            f"the lamp was hardly seen: {levels[-last:].mean():.3g} DN above the dark frames in {levels.size} "
-            f"readings, {least_dn:.3g} DN in {2 * last} readings are needed; check lamp, tile and lens cap, or raise "
-            "warm_up_s"
+            f"the lamp was too dim: {levels[-last:].mean():.3g} DN above the dark frames in {levels.size} readings, "
+            f"{least_dn:.3g} DN in {2 * last} readings are needed; check lamp, tile and lens cap, or raise warm_up_s"
         )
         return unmeasured("warm-up", name, what, "UNDECIDED", reason, limit)
     away = levels / levels[-last:].mean() - 1.0

@@ -139,15 +139,15 @@ def _words_of(said: DeviceIdentity | PressDevice) -> tuple[str, ...]:
 
 
 NO_DARK_REFERENCE: Final = (
-    "the photodiode learned what dark is from the controller's report alone, so a laser that is only dimmed would look "
-    "off; run the check in a terminal, and close the beam by hand when it asks"
+    "the dark level of the photodiode was taken while only the controller reported the laser off, so a laser that is "
+    "only dimmed would look off; run the check in a terminal, and close the beam by hand when it asks"
 )
 NO_BLOCKED_REFERENCE: Final = (
-    "the camera learned what dark is from the controller's report alone, so a laser that is only dimmed would look "
-    "off; give the wheel a filter that blocks the laser"
+    "the dark level of the camera was taken while only the controller reported the laser off, so a laser that is "
+    "only dimmed would look off; give the wheel a filter that blocks the laser"
 )
 NOT_LIT_CLOSED: Final = (
-    "nobody proved that the laser was lit while its beam was closed by hand, so the cap may let light through: its "
+    "it was not shown that the laser was on while its beam was closed by hand, so the cap may let light through: its "
     "controller must report it on before and after, and its light must be back when the beam is open; check again"
 )
 LEAST_BACK_SHARE: Final = 0.5
@@ -156,8 +156,8 @@ NO_PULSES: Final = (
     "the photodiode's firmware looks for 0.1 ms in each 10 ms only, so a pulsed laser may look off; flash version 1.1"
 )
 UNSEEN_LASER: Final = (
-    "nobody saw the laser go off: behind the filter that passes it, the camera saw no difference between on and off, "
-    "or more than dark when it was reported off (see stray light); let a camera or photodiode see it"
+    "no instrument saw the laser go off: behind the filter that passes it, the camera saw no difference between on "
+    "and off, or more than dark when it was reported off (see stray light); let a camera or photodiode see it"
 )
 DARK_SD: Final = 6.0
 """Standard deviations of the mean of a dark frame: by noise one is beyond once in 10^9."""
@@ -168,8 +168,8 @@ LEAST_ABOVE_SHARE: Final = 2e-4
 LEAST_SEEN: Final = 10.0
 """Of that margin: a laser that is seen by less is no proof."""
 OTHER_DARK: Final = (
-    "the witness read another level with the laser off than where it learned what dark is, so other light changed or "
-    "the laser is only dimmed; keep the box shut and the room as it is, and check again"
+    "the witness read another level with the laser off than its dark level, so other light changed or the laser is "
+    "only dimmed; keep the box shut and the room as it is, and check again"
 )
 BETWEEN_PULSES: Final = (
     "the frames are exposed for less than 20 ms, so the pulses of a laser that is only dimmed may lie between them; "
@@ -184,8 +184,8 @@ CLASS_1_NM: Final = (400.0, 1400.0)
 MOST_BLOCKED_SHARE: Final = 0.1
 """Of the laser's light that the camera sees: a filter that lets more through does not block it."""
 _BY: Final[dict[Witness, str]] = {
-    "its own connection": "reported by the laser's controller only; nobody saw its light",
-    "a new connection": "reported by the laser's controller only, over a new connection; nobody saw its light",
+    "its own connection": "reported by the laser's controller only; its light was not observed",
+    "a new connection": "reported by the laser's controller only, over a new connection; its light was not observed",
     "the camera": "measured by the camera",
     "a photodiode": "measured by a photodiode",
 }
@@ -268,7 +268,7 @@ def _by_photodiode(found: CheckResult, diode: DiodeLevels | None, laser: LaserSe
     if abs(diode.closed_rel - diode.off_rel) > diode.threshold_rel - diode.closed_rel:
         return not_proven(found, OTHER_DARK)
     unseen_rel = (diode.threshold_rel - diode.closed_rel) / (diode.on_rel - diode.closed_rel)
-    dark = f"dark is what it read with the beam closed by hand, {diode.readings} times in a row"
+    dark = f"its dark level is what it read with the beam closed by hand, {diode.readings} times in a row"
     found = _with_unseen(found, unseen_rel, dark, laser)
     back_rel = (diode.on_again_rel or 0.0) - diode.closed_rel
     if not diode.reported_lit_closed or back_rel < LEAST_BACK_SHARE * (diode.on_rel - diode.closed_rel):
@@ -286,7 +286,7 @@ def _by_camera(found: CheckResult, sight: SightLevels | None, laser: LaserSettin
     seen_dn = sight.on_dn - sight.blocked_off_dn
     if sight.blocked_on_dn - sight.blocked_off_dn > MOST_BLOCKED_SHARE * seen_dn:
         return not_proven(found, f"the laser is seen behind filter {sight.blocked_filter} too; {NO_BLOCKED_REFERENCE}")
-    dark = f"dark is what it saw behind filter {sight.blocked_filter}, which blocks the laser"
+    dark = f"its dark level is what it saw behind filter {sight.blocked_filter}, which blocks the laser"
     found = _with_unseen(found, (sight.threshold_dn - sight.blocked_off_dn) / seen_dn, dark, laser)
     return not_proven(found, BETWEEN_PULSES) if sight.exposure_s < SLOWEST_PULSES_S else found
 

@@ -69,8 +69,8 @@ FEWEST_DENTS: Final = 6
 DENT_LIGHT_PX: Final = 0.25
 """Standard uncertainty of the centre of a contact by light that falls unevenly: stated, an eighth of a Bayer cell."""
 ONLY_COUNTED: Final = (
-    "only the controller says that the stage stopped: the cell could not detect whether it moved on; press harder, or "
-    "watch it with a dial gauge"
+    "only the controller reports that the stage stopped: the cell could not detect whether it moved on; press "
+    "harder, or watch it with a dial gauge"
 )
 NO_MASS: Final = (
     "no known mass was laid on the cell in this check, so that a wrong factor would not show, and the true force can "
@@ -82,8 +82,8 @@ LAID_SHARE: Final = 0.05
 LEAST_WEIGHT_SHARE: Final = 0.2
 """Of the rig's force limit: a factor that a lighter mass shows need not hold for the forces of presses."""
 ONE_OF_THEM: Final = (
-    "it may be one of the masses that calibrated the cell, whose wrong value would not show; lay another one, or give "
-    "its certificate"
+    "it may be one of the masses that calibrated the cell, and then an error of its value would not show; place "
+    "another one, or give its certificate"
 )
 ONE_STEP: Final = (
     "no move was long enough to be stopped within it, so that this shows only that no further step was begun, not that "
@@ -96,7 +96,7 @@ UNKNOWN_AFTER_A_STOP: Final = "after a stop within a move the position of the st
 LEAST_LEFT_SHARE: Final = 0.05
 """Of a move with its limit halfway: one that a force stops ends well before."""
 NO_FACTOR: Final = (
-    "the cell that saw it is not proven to be right in this check ('calibration holds'), so the true force is not known"
+    "this check did not confirm the cell that measured it ('calibration holds'), so the true force is not known"
 )
 DENT_MOVED_PX: Final = 5.0
 LOST_BITS: Final = (
@@ -161,7 +161,7 @@ def unfelt(facts: PressFacts) -> str | None:
         if not (grew and gone and one.from_above_n > FELT_SD * one.noise_n):
             return (
                 f"a touch gave {one.from_above_n:.3g} N, {one.deeper_n:.3g} N deeper and {one.zero_shift_n:.3g} N "
-                "after the stage had left, which is not how a pad presses: stage and cell do not confirm each other"
+                "after the stage had left, which no pad would give: stage and cell do not confirm each other"
             )
     return None
 
@@ -238,7 +238,7 @@ def _factor(
     )
     evidence += f"by the calibration, {weight_n:.4g} N by its mass; {known.certificate or UNCERTIFIED}"
     if abs(force_n) < LAID_SHARE * weight_n:
-        why = f"{evidence}; hardly any force was felt: was the mass laid on the cell? Check again"
+        why = f"{evidence}; hardly any force was felt: place the mass on the cell, and check again"
         return unmeasured("load cell", name, what, "UNDECIDED", why, limit_text(-most, most, "%"))
     found = measured(
         "load cell", name, what, 100 * (force_n / weight_n - 1.0), 100 * sd_n / weight_n, "%", evidence, limits=limits
@@ -269,7 +269,9 @@ def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
         f"{1e3 * drift_n:+.2g} mN within {rest.span_s:.3g} s", limits=ToleranceInterval(-most, most),
     )  # fmt: skip
     if plan.rest_s < MINUTE_S:
-        zero = not_proven(zero, f"{plan.rest_s:g} s show too little of a minute; set rest_s = {MINUTE_S:g} or more")
+        zero = not_proven(
+            zero, f"{plan.rest_s:g} s are too short for the drift in a minute; set rest_s = {MINUTE_S:g} or more"
+        )
     quiet = measured(
         "load cell", "load cell is quiet", "noise of one reading, relative to force_limit_n of the rig file",
         100 * rest.noise_n / full_n, 100 * rest.noise_n / full_n / math.sqrt(2.0 * free), "%",
@@ -285,7 +287,7 @@ def _at_rest(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettings) 
         measured(
             "load cell", "readings a second", "mean number of readings a second", rate_hz,
             rate_hz * CLOCK_SD_S / max(rest.span_s, CLOCK_SD_S), "1/s",
-            f"{spent}; the rig file says {cell.rate_hz}", limits=ToleranceInterval(low_hz, high_hz),
+            f"{spent}; the rig file states {cell.rate_hz}", limits=ToleranceInterval(low_hz, high_hz),
         ),
         measured(
             "load cell", "readings in time", "longest time between two readings", rest.longest_gap_s, CLOCK_SD_S, "s",
@@ -353,7 +355,7 @@ def _by_camera(axis: str, facts: PressFacts, plan: TactileCheckPlan) -> CheckRes
     if plan.mm_per_px is None or plan.mm_per_px_u_rel is None:
         return unmeasured("stage", name, what, "UNDECIDED", f"{seen}; {NO_PICTURE_SCALE}", words)
     if dents.size < FEWEST_DENTS:
-        return unmeasured("stage", name, what, "UNDECIDED", f"{seen}, too seldom to tell its scatter", words)
+        return unmeasured("stage", name, what, "UNDECIDED", f"{seen}, too few times to give its scatter", words)
     number = base_px.size
     scatter_px = math.sqrt(0.5 * (base_px.var(ddof=1) + tip_px.var(ddof=1)))
     free = 2 * (number - 1)
@@ -381,7 +383,7 @@ def _by_block(stage: StageSettings, facts: PressFacts, plan: TactileCheckPlan) -
         f"pad, by {axis}, {pad.size} times each"
     )
     if abs(way_mm) < LAID_SHARE * known.thickness_mm + 2.0 * block.touch_uncertainty_mm:
-        why = f"{evidence}; was it laid on the pad? Check again"
+        why = f"{evidence}; place it on the pad, and check again"
         return unmeasured("stage", name, what, "UNDECIDED", why, words)
     scatter_mm = math.sqrt((pad.var(ddof=1) + on_block.var(ddof=1)) / pad.size)
     sd_mm = math.hypot(math.sqrt(2.0) * max(block.touch_uncertainty_mm, scatter_mm), known.uncertainty_mm)

@@ -23,18 +23,20 @@ if TYPE_CHECKING:
 
 BENCH_HELP = "score a simulator on captures that it has not seen, by one protocol"
 TACTILE_DESCRIPTION = """\
-Score a simulator on a set of tactile captures. At most six presses, spread over the set, may train it; all others
-judge it. Your command is run once, with these words replaced by folders:
+Score a simulator on a set of tactile captures. At most six presses, spread over the set, may train it, and it is
+judged on all others. Your command is run once, with these words replaced by folders:
 
   {teach}    a folder for each training press: contact.png, no_contact.png, press.json
   {judge}    a folder for each judged press: no_contact.png and press.json, without the contact
-  {renders}  where it writes a folder of the same name for each judged press, as 'finray import render' reads it
+  {renders}  where your command writes a folder for each judged press, under the name of the press, with the files that
+             'finray import render' reads
 
-It is scored beside a table trained on the same presses, and beside doing nothing, which scores 0; with --elastic-gel
-also beside a physical model that is fitted to these presses: a ball in an elastic layer under three lights. A press
-whose image was used for training is never judged. OUT gets the page of the comparison (scores/summary.html), row.json
-and row.csv: skill with its interval, digests of all captures, what the command was and how long it took. A run that was
-interrupted or failed starts from the beginning when the same OUT is given again."""
+Your simulator is scored beside a table trained on the same presses, and beside doing nothing, which scores 0; with
+--elastic-gel also beside a physical model that is fitted to these presses: a ball in an elastic layer under three
+lights. A press whose image was used for training is never judged. OUT will hold the page of the comparison
+(scores/summary.html), and row.json and row.csv with the skill and its interval, the digests of all captures, the
+command and the time that it took. A run that was interrupted or failed starts from the beginning when the same OUT is
+given again."""
 TABLE, BLANK = "table of the training presses", "doing nothing"
 GEL = "elastic gel under three lights"
 MOST_TEACHING = 6
@@ -53,7 +55,7 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     tactile.add_argument(
         "captures", type=Path, metavar="CAPTURES", help="folder of NAME.capture.json, or a zip archive of it"
     )
-    tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the row; with --command")
+    tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the table; goes with --command")
     tactile.add_argument(
         "--command", dest="simulator_command", metavar="WORDS",
         help="command that runs your simulator, as one string; without it, only the table is scored",
@@ -64,7 +66,7 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         help="also fit our physical model of a gel to the training presses (balls with circles)",
     )  # fmt: skip
     tactile.add_argument(
-        "--limit-s", type=float, default=3600.0, metavar="S", help="longest time of the command (default: 3600)"
+        "--limit-s", type=float, default=3600.0, metavar="S", help="time limit of the command in s (default: 3600)"
     )
     add_out(tactile, "CAPTURES.bench, a folder")
     add_seed(tactile)
@@ -172,16 +174,16 @@ def _split(captures: "Mapping[str, TactileCapture]", count: int) -> tuple[list[s
     most = min(MOST_TEACHING, len(names) - 1)
     if not 1 <= count <= most:
         raise CompareError(
-            f"--teach {count}: must be 1 to {most}: there are {len(names)} presses, and those that are not used for "
-            "training judge"
+            f"--teach {count}: must be 1 to {most}: there are {len(names)} presses, and it is judged on those that "
+            f"are not used for training"
         )
     taught = [names[i] for i in spread_over(len(names), count)]
     seen = {contact_sha256(captures[name]) for name in taught}
     judged = [name for name in names if contact_sha256(captures[name]) not in seen]
     if not judged:
         raise CompareError(
-            "no press is left to judge: every contact image is one of those used for training; give a set "
-            "with more presses, or a smaller --teach"
+            "no press is left to judge the simulator on: every contact image is one of those used for training; give "
+            "a set with more presses, or a smaller --teach"
         )
     return taught, judged
 
@@ -219,8 +221,8 @@ def _presses(
     missing = sorted(set(judged) - rendered.keys())
     if missing:
         raise CompareError(
-            f"{renders}: {len(missing)} of {len(judged)} judged presses are missing ({', '.join(missing[:5])}): a "
-            "simulator is scored on all of them or on none"
+            f"{renders}: {len(missing)} of {len(judged)} judged presses are missing ({', '.join(missing[:5])}); "
+            f"render all of them, because the score needs every press"
         )
     return seconds, {arguments.simulator: rendered, **presses}
 
@@ -270,7 +272,9 @@ def _run_simulator(arguments: argparse.Namespace, protocol: Path, renders: Path)
             f"--command: ran longer than {arguments.limit_s:g} s; raise --limit-s, or give fewer presses"
         ) from None
     except (OSError, ValueError) as error:
-        raise CompareError(f"--command: {words[0] if words else 'nothing'} cannot be run ({error})") from None
+        raise CompareError(
+            f"--command: {words[0] if words else 'nothing'} cannot be run ({error}); correct the program's name"
+        ) from None
     if done.returncode:
         raise CompareError(f"--command: ended with status {done.returncode}; its own output, above, gives the reason")
     return time.monotonic() - start

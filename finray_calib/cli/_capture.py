@@ -39,15 +39,15 @@ if TYPE_CHECKING:
 
 CAPTURE_HELP = "capture a paint sample through filters, the frames that characterise a camera, or presses on a finger"
 CAPTURE_DESCRIPTION = """\
-Run a capture plan; its 'kind' says which.
+Run a capture plan of one of three kinds, which the plan states as 'kind'.
 
 "paint": dark frames before and after, the white reference, the sample
 under lamp and laser through every filter, and a room-light frame, at exposures at which nothing saturates.
 
 "camera": flat frames of the white tile from dark to beyond saturation and dark frames of the same exposures.
 
-"tactile": presses on a finger, each between images of no contact. Its rig file describes a camera, and a person
-presses; or also a stage and a load cell, which press by themselves and stop at a force.
+"tactile": presses on a finger, each between images of no contact. Its rig file describes a camera alone, where a
+person presses, or also a stage and a load cell, which press without a person and stop at a force.
 
 Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json. An interrupted session
 continues where it stopped with --resume."""
@@ -166,7 +166,7 @@ def resume_tactile(folder: Path, attend: "Attend") -> None:
     from rigs.capture import capture_tactile_session, read_interrupted_presses
 
     interrupted = read_interrupted_presses(folder)
-    say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
+    say(f"{folder}: {len(interrupted.frames)} frames are stored and unchanged")
     with attend(interrupted.rig, interrupted.plan, folder) as attended:
         session = capture_tactile_session(
             interrupted.rig,
@@ -331,10 +331,10 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
         return
     if interrupted.kind not in ("paint", "camera"):
         raise CaptureError(f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; capture it again")
-    say(f"{folder}: {len(interrupted.frames)} frames are there and unchanged")
+    say(f"{folder}: {len(interrupted.frames)} frames are stored and unchanged")
     if interrupted.doubt:
-        say("  all steps are metered again, because a frame differed from its metering; frames that the repaired rig")
-        say("  does not repeat are set aside and taken again")
+        say("  all steps are metered again, because a frame was not as bright as at its metering;")
+        say("  frames that the repaired rig does not repeat are set aside and taken again")
     if interrupted.kind == "camera":
         _resume_camera(folder, interrupted, attend)
     else:

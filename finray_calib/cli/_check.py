@@ -33,13 +33,13 @@ CHECK_HELP = "check a rig with its hardware in the loop (acceptance), or two tin
 CHECK_RUN_HELP = "try every device of a rig and judge it against limits"
 CHECK_RUN_DESCRIPTION = """\
 Try every device of a rig: handshakes, moves of the wheel, filters in their slots, shift of the picture, dark level,
-exposure ratios, warm-up, stray light, trigger latency, and how long the laser stays on after a mishap. Every check has
+exposure ratios, warm-up, stray light, trigger latency, and how long the laser stays on after a fault. Every check has
 a value, its standard uncertainty, a limit and a verdict: PASS, FAIL, UNDECIDED, or ERROR when a device ended it early.
-Writes a folder with check.json, junit.xml and report.html. The white tile must be in view, the box closed.
+Writes a folder with check.json, junit.xml and report.html. The white tile must be in view, and the box closed.
 
 A plan of kind "tactile check" tries a rig whose stage presses: noise, drift and zero of the load cell, moves of the
-stage, the position of the touch over many returns, play, and stops on request, at a force and at a silent cell. The
-stage moves after you have typed yes.
+stage, the position of the touch over many returns, play, and whether the stage stops on request, at a force, and when
+the load cell sends nothing. The stage moves after you have typed yes.
 
 Exit status: 0 when nothing failed (also with undecided checks, which are named), 1 after FAIL or ERROR, 2 after a
 mistake in plan, rig file or arguments."""
@@ -60,7 +60,9 @@ def add_check(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.add_argument(
         "plan", type=Path, metavar="PLAN", help='plan file (TOML): kind = "check" or "tactile check", name, limits'
     )
-    parser.add_argument("--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML) of the plan's kind")
+    parser.add_argument(
+        "--rig", type=Path, required=True, metavar="RIG", help="rig file (TOML) that fits the kind of the plan"
+    )
     add_out(parser, "NAME-check/")
     parser.set_defaults(run=run_check)
     add_gauge_rr(acts)
@@ -205,8 +207,8 @@ def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float
     lacking = [name for name in ("sample", "session") if name not in columns]
     if lacking or value is None:
         raise RecordError(
-            f"{path}: the header names {', '.join(columns)}; it must name sample, session, and paint or value, and may "
-            "name mount"
+            f"{path}: the header names {', '.join(columns) or 'nothing'}; it must name sample, session, and "
+            "paint or value, and may name mount"
         )
     found = []
     for line, cells in rows:
@@ -250,7 +252,7 @@ def _say_study(study: "GaugeStudy") -> None:
     give(study=study)
 
 
-EQUIVALENCE_HELP = "are two tins of a paint equivalent within margins"
+EQUIVALENCE_HELP = "test whether two tins of a paint are equivalent within margins"
 EQUIVALENCE_DESCRIPTION = """\
 Compare two tins of a paint by the calibrations of their coats, each fitted from a session of its own on one rig,
 against margins that you state: two one-sided tests with 5 % risk.
@@ -305,7 +307,7 @@ def _require_different(paths: list[Path]) -> None:
     first: dict[str, Path] = {}
     for path in paths:
         if (other := first.setdefault(digest_of_input(path), path)) is not path:
-            raise FinrayError(f"{other} and {path}: are one calibration; give each coat once, by its own session")
+            raise FinrayError(f"{other} and {path}: are the same calibration; give each coat once, by its own session")
 
 
 def run_equivalence(arguments: argparse.Namespace) -> int:
@@ -342,7 +344,8 @@ When you have found the cause of an alarm, give --cleared SESSION: the charts th
 the same reference. After a change of the rig (a new lamp), move the older sessions to another folder: the rig then
 needs a new reference.
 
-The ledger sums the laser light that fell on each sample, and how much of the emission it cost, where that was measured.
+The command also reports how much laser light fell on each sample and, where it was measured, how much of the emission
+this light cost.
 Exit status: 0 in control or undecided (too few sessions), 1 out of control, 2 after a mistake."""
 OUT_OF_CONTROL = 1
 DEPTHS = ("session.json", "*/session.json", "*/*/session.json")
@@ -432,14 +435,17 @@ def _say_history(found: "History", sessions: int) -> None:
             newest = f"{last:+7.1f} sd" if len(one.sessions) > (chart.rules.reference or 0) else ""
             say(f"    {one.quantity:46s}{one.told_mean():>10s} {chart.sd:9.2g}{newest}")
             if chart.outlier is not None:
-                say(f"      note: {one.sessions[chart.outlier]} stands out from the reference; was it a good session?")
+                say(
+                    f"      note: {one.sessions[chart.outlier]} differs from the rest of the reference; check that "
+                    f"it was a good session"
+                )
     if found.watched:
         say(f"  limits: {_limit(found.watched[0].chart.rules)}")
     for row in found.ledger:
         lost = "" if row.lost is None else f", which cost {100 * row.lost:.2g} % of the emission"
         say(f"  light on '{row.paint_name}': {row.dose_j:.3g} J in {row.sessions} sessions{lost}")
     share, each = 100 * found.false_alarm_share, 100 * found.false_alarm_share_each
-    say(f"  false alarms: {share:g} % of good sessions in all, {each:.2g} % a chart")
+    say(f"  false alarms: {share:g} % of good sessions with all charts together, {each:.2g} % with each chart")
 
 
 def _limit(rules: "ChartRules") -> str:

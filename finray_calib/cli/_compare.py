@@ -19,16 +19,17 @@ DESCRIPTION = """\
 Compare a simulated press with a tactile capture over the contact patch and over the patch dilated to twice
 its half-width. Every number is printed beside that of doing nothing (the no-contact image as the simulation) and
 the floor (a repeat of the no-contact image). The headline is the skill score: 0 is doing nothing, 1 is perfect.
-The noise of linear captures with a repeat is taken out of the simulation's score but not of the floor, so that the
-score may lie above it; with encoded values both hold the noise, and scores above the floor row are not meaningful.
+The noise of linear captures with a repeat is taken out of the simulation's score but not out of the floor, so that the
+score may lie above the floor; with encoded values both contain the noise, and scores above the floor row are not
+meaningful.
 
 With folders, one.press.json is compared with one.capture.json and so on (or the pairs of --pairs): a report for
 each, and a page over all presses with an interval over presses, from three presses on. Several folders of simulated
 presses, one of each simulator, are ranked: 'finray compare MINE TABLE CAPTURES'.
 
-Another light angle, indenter, depth or position than the capture states is refused, and so are images that do not
-belong together (channel order, exposure, encoding, bit depth, black level). A camera that stands elsewhere than in the
-render is reported; --register moves the render accordingly.
+The command refuses a press whose light angle, indenter, depth or position is not that of the capture, and images that
+do not belong together (channel order, exposure, encoding, bit depth, black level). It reports where the camera is not
+at the place that the render assumes; --register moves the render accordingly.
 
 With --force, the force of a press by finite elements is compared with a measured one instead."""
 
@@ -104,8 +105,8 @@ def run(arguments: argparse.Namespace) -> None:
         )
     if len(records) > 2 and not any(folders):
         raise CompareError(
-            f"{records[2]}: is a third record, and two are compared; give one record of a press and "
-            f"one of a capture, or folders"
+            f"{records[2]}: is a third record, but only two are compared; give one record of a press and one of a "
+            "capture, or folders"
         )
     if records:
         records = [folder or path for folder, path in zip(inside, records, strict=True)]

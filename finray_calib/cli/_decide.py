@@ -57,7 +57,7 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     parser.add_argument(
         "--narrow-sweep",
         action="store_true",
-        help="the sweep's angles span less than 4 deg and are meant in degrees, not in radians",
+        help="confirm that the angles of the sweep, which span less than 4 deg, are in degrees and not in radians",
     )
     add_out(parser, "light-angle-decision.json")
     add_seed(parser)

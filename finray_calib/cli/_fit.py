@@ -54,11 +54,12 @@ if TYPE_CHECKING:
 HELP = "fit the emission spectrum of a paint, with uncertainty"
 DESCRIPTION = """\
 Fit the emission spectrum of a paint to band signals. The spectrum rests on a prior learned from measured spectra, which
-averages over shapes. Four families of curves are fitted as well, each with a Gaussian process for how a real paint
-departs from its family, and so is the paper's skew-Cauchy alone; --family reports one of them instead. For a sample
-without emission beyond reflected laser, leak and stray light, the record holds an upper limit of its yield in place of
-a spectrum. Writes posterior draws, the spectrum with its 95 % bands (pointwise and of the whole curve), how much of
-each number comes from the prior, how well each filter is explained, and whether the draws can be trusted."""
+averages over shapes. For comparison the command also fits four families of curves, each with a Gaussian process that
+describes how a real paint departs from its family, and the paper's skew-Cauchy curve alone; --family reports one of
+the families instead. For a sample without emission beyond reflected laser, leak and stray light, the record holds an
+upper limit of its yield in place of a spectrum. Writes posterior draws, the spectrum with its 95 % bands (pointwise
+and of the whole curve), how much of each number comes from the prior, how well each filter is explained, and whether
+the draws can be trusted."""
 FAMILY_NAMES = ("auto", "log_normal_wavenumber", "zheng2014", "skew_t", "gaussian_mixture")
 
 
@@ -388,7 +389,7 @@ def add_sensor_fit(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     )
     parser.add_argument(
         "--free", nargs="+", default=[], metavar="NAME",
-        help="numbers of the design to fit besides, such as pad.thickness_mm or coating.roughness_alpha; each takes "
+        help="further numbers of the design to fit, such as pad.thickness_mm or coating.roughness_alpha; each takes "
         "two renders of every press",
     )  # fmt: skip
     add_paint(parser)

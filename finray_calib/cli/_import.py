@@ -416,7 +416,7 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
     parser.add_argument(
         "folder", type=Path, nargs="?", metavar="FOLDER", help="folder of the set, or a zip archive of it"
     )
-    parser.add_argument("--recipe", metavar="NAME|FILE", help="how the folder is read; required")
+    parser.add_argument("--recipe", metavar="NAME|FILE", help="recipe by which the folder is read; required")
     parser.add_argument("--list", action="store_true", help="list the recipes that come with finray, and stop")
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",

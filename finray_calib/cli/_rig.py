@@ -57,7 +57,7 @@ Ask every driver what it can find, and print driver and address as a rig file na
 opened for a moment; most Arduino boards restart then."""
 SHOW_HELP = "show what each device of a rig reports"
 SHOW_DESCRIPTION = """\
-Open each device of a rig on its own and print what it is, where the wheel stands, whether the lights are off, what
+Open each device of a rig on its own and print what it is, the position of the wheel, whether the lights are off, what
 switches them off when a process or the computer fails, one dark exposure of the camera, and the filters. Nothing moves
 and the lights stay off. A device that cannot be reached does not hide the others; the exit status is 2 then."""
 
@@ -65,8 +65,8 @@ and the lights stay off. A device that cannot be reached does not hide the other
 CALIBRATE_HELP = "calibrate the load cell of a rig with known masses"
 CALIBRATE_DESCRIPTION = """\
 Ask for one mass after another on the load cell, up and down again, and store the slope in newtons per count with its
-uncertainty, linearity, hysteresis, noise and drift. The rig file names the record (calibration of [load_cell]). Lay
-the masses so that they press as the finger does. The stage is not opened."""
+uncertainty, linearity, hysteresis, noise and drift. The rig file names the record (calibration of [load_cell]). Place
+the masses so that they load the cell in the direction in which the finger presses. The stage is not opened."""
 READINGS_OF_A_MASS = 40
 SETTLES_WITHIN_S = 1.0
 FINGER_PRESETS = ("finger", "simulated-finger")
@@ -138,7 +138,7 @@ def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentPa
         metavar="TEXT",
         help=("certificate of the masses; without it, the calibration is not traceable"),
     )
-    add_out(parser, "as the rig file names it")
+    add_out(parser, "the file that the rig file names")
     parser.set_defaults(run=run_calibrate_cell)
 
 
@@ -191,7 +191,9 @@ def _require_masses(arguments: argparse.Namespace, capacity_n: float) -> None:
     from data_schemas import CurveError
 
     if not 9.7 <= arguments.gravity <= 9.9:
-        raise CurveError(f"--gravity {arguments.gravity:g}: 9.78 m/s^2 (equator) to 9.83 (poles) are possible")
+        raise CurveError(
+            f"--gravity {arguments.gravity:g}: must be 9.78 m/s^2 (at the equator) to 9.83 m/s^2 (at the poles)"
+        )
     for name in ("gravity_uncertainty", "mass_uncertainty"):
         if not 0.0 <= getattr(arguments, name) <= 0.1:
             raise CurveError(f"--{name.replace('_', '-')} {getattr(arguments, name):g}: 0 to 0.1 are allowed")

@@ -108,7 +108,7 @@ def _whole_number(text: str) -> int:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
     if not 0 <= seed < 2**63:
-        raise argparse.ArgumentTypeError(f"{seed} is out of range; give 0 or more")
+        raise argparse.ArgumentTypeError(f"{seed} is out of range; give 0 to 2^63 - 1")
     return seed
 
 
@@ -145,7 +145,8 @@ def add_paints_as_given(parser: argparse._ActionsContainer) -> None:
     """Add the option that accepts paints which :func:`sim.experiments.require_paints_in_order` takes to be swapped."""
     parser.add_argument(
         "--paints-as-given", action="store_true",
-        help="the paint of the red wall emits at shorter wavelengths than that of the green one, and this is intended",
+        help="confirm that the paint of the red wall is meant to emit at shorter wavelengths than that of the green "
+            "wall",
     )  # fmt: skip
 
 

@@ -72,7 +72,8 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )
     parser.add_argument(
         "--coat-behind-mm", type=float, default=0.0, metavar="MM",
-        help="how far the coat is behind the printed face, from the camera; negative: in front of it (default: 0)",
+        help="how far the coat lies behind the printed face, as seen from the camera; negative: in front of it "
+            "(default: 0)",
     )  # fmt: skip
     parser.add_argument(
         "--coat-behind-u-mm",
@@ -186,6 +187,11 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
     from data_schemas.storage import read_frame, read_record
     from rigs.capture import MOST_SATURATED_FRACTION
 
+    if not (folder / "session.json").exists():
+        raise CompareError(
+            f"{folder}: holds no tactile session (session.json); give the folder that 'finray capture' wrote, or "
+            "pictures of the board, and with --pad that of the board on the pad"
+        )
     session = read_record(folder / "session.json", TactileSession)
     board = session.plan.board
     if board is None or not board.on_pad:

@@ -87,11 +87,11 @@ def add_simulate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 
 TEACH_HELP = "train a surrogate of a finger, which presses in milliseconds with error bars"
 TEACH_DESCRIPTION = """\
-Teach a surrogate that answers presses of the design's finger in milliseconds, each with error bars, for 'finray
-simulate press --surrogate': by a cylinder or a ball of 6 to 20 mm radius, along the middle of the pad, off its middle
-line, turned, 0.5 to 4 mm deep, without friction. The finger is condensed to its coat once; the rest is
-learned from presses by finite elements, each where least is known. They are kept: the same command continues after the
-last one."""
+Train a surrogate of the design's finger, which computes a press in milliseconds, with error bars, for 'finray simulate
+press --surrogate'. It covers presses by a cylinder or a ball of 6 to 20 mm radius, 0.5 to 4 mm deep, without friction,
+on the middle line of the pad or beside it, also turned. The finger is condensed to its coat once; the rest is learned
+from presses by finite elements, each where the surrogate is least certain. Finished presses are kept: the same command
+continues after the last one."""
 
 
 def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -155,7 +155,7 @@ def _report_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():
-        share = f"{100 * taught.level_share:.0f} % of up to {100 * most:.2f} %"
+        share = f"{100 * taught.level_share:.0f} % of them one of up to {100 * most:.2f} %"
         say(f"  {name}: of the presses kept for testing, half have an error of up to {100 * half:.2f} %, {share}")
     if taught.crossed_features is not None:
         say(
@@ -228,7 +228,7 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--narrow-sweep",
         action="store_true",
-        help="the angles span less than 4 deg and are meant in degrees, not in radians",
+        help="confirm that the angles, which span less than 4 deg, are in degrees and not in radians",
     )
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",

@@ -448,8 +448,8 @@ def _report_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     for depth, force, bar, surface in rows:
         say(f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat +- {1e3 * surface:.0f} um")
     say(
-        f"  computed by a surrogate: in {100 * bars.level_share:.0f} % of presses its bars contain its "
-        "difference from finite elements, whose own error adds to it"
+        f"  computed by a surrogate: in {100 * bars.level_share:.0f} % of presses its error bars contain its "
+        f"difference from finite elements; the error of the finite elements comes on top"
     )
 
 

@@ -49,7 +49,7 @@ STUDY_HELP = "run a ready-made study of the paper: paints, fluorescent rendering
 WIDTH = 80
 PAPER_PAINTS_HELP = "the paper's statements on its red and green paint beside measured stand-ins"
 PAPER_PAINTS_DESCRIPTION = """\
-Compare what the paper says about its two fluorescent paints (Stokes shifts of 100 and 50 nm, 2 to 5 %
+Compare what the paper states about its two fluorescent paints (Stokes shifts of 100 and 50 nm, 2 to 5 %
 reradiation, its four-parameter curve, the ColorChecker match) with measured materials of the same
 colours, and say which statements hold and why the others do not. The materials are also seen through
 the paper's eight filters, with errors of 1 % and 0.3 %, and fitted twice: by the paper's curve alone,

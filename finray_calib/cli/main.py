@@ -333,7 +333,9 @@ def _one_line(error: Exception) -> str:
     """Return the message in one line; errors of the operating system name the file and what to check."""
     text = str(error)
     if isinstance(error, OSError) and error.filename is not None:
-        text = f"{error.filename}: {error.strerror}; check the path, its permissions and the space on the disk"
+        is_long = error.errno == errno.ENAMETOOLONG
+        todo = "give a shorter name" if is_long else "check the path, its permissions and the space on the disk"
+        text = f"{error.filename}: {error.strerror}; {todo}"
     elif isinstance(error, OSError):
         todo = TO_DO.get(error.errno or 0, "'finray doctor' lists what this computer lacks")
         text = f"this computer: {system_words(error)}; {todo}"

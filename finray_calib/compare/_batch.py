@@ -86,7 +86,7 @@ def train_table(captures: Sequence[TactileCapture]) -> PressTable:
         There is none, one does not tell where its contact is, or images differ in size.
     """
     if not captures:
-        raise CompareError("a table needs at least one press to learn from")
+        raise CompareError("a table needs at least one press to train on")
     distances = [_distance(capture) for capture in captures]
     shape = distances[0].shape
     width_px = float(np.mean([_half_width_px(d) for d in distances]))

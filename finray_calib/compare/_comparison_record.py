@@ -312,10 +312,9 @@ def _packaged(
 
 
 OWN_NOISE: Final = (
-    "render: the capture has the same noise as this render, so it was made from it; the noise is not taken out, "
-    "because the score would exceed 1, and a score of 1 shows that the comparison works, not that the simulation is "
-    "right: "
-    "compare with a capture, or with one made from a render of another seed"
+    "render: the capture has the same noise as this render, so it was made from this render. The noise is not taken "
+    "out, because the score would exceed 1. A score of 1 then shows that the comparison works, not that the "
+    "simulation is right: compare with a capture, or with one made from a render of another seed"
 )
 ENCODED: Final = "encoded values, encoding unknown"
 THROUGH_A_CURVE: Final = "encoded values, through a fitted tone curve"

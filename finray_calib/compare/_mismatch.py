@@ -401,9 +401,9 @@ def dark_findings(press: SimulatedPress, capture: TactileCapture) -> list[Findin
     if not told:
         return []
     text = (
-        f"{press.name} has no light where the capture has some ({', '.join(told)} of the {name}): these pixels count "
-        "as doing nothing, because a change of no light has no ratio. Check the lights, the paint and the camera's "
-        "response of the design in these channels, or render with more samples"
+        f"{press.name} has no light where the capture has some ({', '.join(told)} of the {name}): these pixels are "
+        "scored as an unchanged image, because a change relative to no light is not defined. Check the lights, the "
+        "paint and the camera's response of the design in these channels, or render with more samples"
     )
     return [Finding("warn", "levels", text)]
 
@@ -627,7 +627,7 @@ def _depth_findings(name: str, counts: Counts, full_scale_dn: int, bits: int) ->
         findings.append(
             (
                 True,
-                f"{pixels[-1]} values of {name} stand at exactly {highest} DN{smaller}, none above, and full scale is "
+                f"{pixels[-1]} values of {name} are exactly {highest} DN{smaller}, none is above, and full scale is "
                 f"recorded as {full_scale_dn} DN ({bits} bit): they are clipped and would count as light; {_MEND}",
             )
         )

@@ -391,8 +391,8 @@ def _note_on_error(captures: CaptureErrors) -> str:
     if not captures.names:
         return (
             "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
-            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The odds are the mean over such errors: for a "
-            f"finger with only one kind of error they are mostly too low, and only captures can show it"
+            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The stated probabilities are means over such "
+            "errors. For a finger with only one kind of error they are mostly too low, which only captures can show"
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that both images share is not seen; "

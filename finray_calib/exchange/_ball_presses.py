@@ -114,7 +114,7 @@ def _check(press: BallPress, no_contact_rgb: Bytes, mm_per_px: float, source: st
     if not (0.0 <= press.row_px < rows and 0.0 <= press.column_px < columns):
         raise ImportFormatError(
             f"{where}: the circle's centre, row {press.row_px:g}, column {press.column_px:g}, lies outside the picture "
-            f"of {columns} x {rows} px; are x (column) and y (row) exchanged?"
+            f"of {columns} x {rows} px; check whether x (column) and y (row) are exchanged"
         )
     ball_px = press.ball_diameter_mm / 2.0 / mm_per_px
     if not 0.0 < press.radius_px < ball_px:

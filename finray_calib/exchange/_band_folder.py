@@ -408,7 +408,9 @@ def wheel_of(folder: Path, description: BandFolder, curves: Mapping[str, Spectra
         return FilterWheelSettings(filters=filters)
     except FieldError as error:
         fault = error.without_field
-        raise CurveError(f"{folder / DESCRIPTION_NAME}, filters: {fault}; are all wavelengths in nm?") from None
+        raise CurveError(
+            f"{folder / DESCRIPTION_NAME}, filters: {fault}; check that all wavelengths are in nm"
+        ) from None
 
 
 def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> BandPassFilter:

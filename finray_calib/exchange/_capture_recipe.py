@@ -507,7 +507,7 @@ def press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
     if not found:
         raise ImportFormatError(
             f"{folder}: no file in it matches presses.files of the recipe '{recipe.name}' ({pattern}); give the folder "
-            f"above, or correct presses.files, whose letters are matched small or large as written{_seen(folder)}"
+            f"above, or correct presses.files, where upper and lower case differ{_seen(folder)}"
         )
     ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
     if len(ordered) > MOST_PRESSES:
@@ -581,7 +581,7 @@ def require_possible_scale(recipe: Recipe) -> None:
         number = scale.mm_per_px if scale.mm_per_px is not None else scale.px_per_mm
         raise ImportFormatError(
             f"recipe '{recipe.name}', scale: with {given} = {number:g} a pixel is {scale.side_mm:.4g} mm wide, and at "
-            f"most {LARGEST_PIXEL_MM:g} mm are allowed; is it {other} = {number:g}?"
+            f"most {LARGEST_PIXEL_MM:g} mm are allowed; perhaps it should be {other} = {number:g}"
         )
 
 
@@ -620,8 +620,8 @@ def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, fl
         unit = f"{{ depth_mm = {unit} }}"
     raise ImportFormatError(
         f"recipe '{recipe.name}', indenter.depth_mm: the median depth of {len(depths)} presses is {middle_mm:.3g} mm, "
-        f"{why}. If the column is in another unit, say columns_in = {unit} below [indenter]; else correct the depths, "
-        "the scale or the ball's diameter"
+        f"{why}. If the column is in another unit, write columns_in = {unit} below [indenter]; else correct the "
+        "depths, the scale or the ball's diameter"
     )
 
 

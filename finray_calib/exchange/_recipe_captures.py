@@ -230,7 +230,7 @@ class _Folder:
             if self.recipe.no_contact.frames_before is not None:
                 raise ImportFormatError(
                     f"recipe '{self.recipe.name}': no_contact.frames_before is for Motion-JPEG videos (.avi), and "
-                    f"{self.files[name].name} is none; {CONVERT_VIDEO}; or name the image without contact of a "
+                    f"{self.files[name].name} is not one; {CONVERT_VIDEO}; or name the image without contact of a "
                     "picture as no_contact.file"
                 )
             force_n = self._picture_force(name)
@@ -320,8 +320,8 @@ class _Folder:
             right = scale.check_length_mm / shown_px
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}', scale: {scale.check_length_mm:g} mm are {shown_px:.4g} px in the "
-                f"labels, so a pixel is {right:.4g} mm, not {scale.side_mm:.4g} mm; are mm per px and px per mm "
-                "exchanged?"
+                f"labels, so a pixel is {right:.4g} mm, not {scale.side_mm:.4g} mm; check whether mm per px and px "
+                "per mm are exchanged"
             )
 
     def _is_deep(self, name: str) -> bool:
@@ -339,13 +339,13 @@ class _Folder:
         if path.suffix.lower() == ".exr" or not self._is_deep(name):
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}': picture.bit_depth = {bits} belongs to pictures of 16 bits, and "
-                f"{path.name} is none; leave it out"
+                f"{path.name} is not one; leave it out"
             )
         largest, file = max((int(picture.max()), file) for file, picture in self._pictures.items())
         if largest >= 2**bits:
             raise ImportFormatError(
                 f"{file}: its largest value is {largest}, and counts of picture.bit_depth = {bits} end at "
-                f"{2**bits - 1}; they must stand right-aligned: divide those of a left-aligned camera by "
+                f"{2**bits - 1}; they must be right-aligned: divide those of a left-aligned camera by "
                 f"{2 ** (16 - bits)}, or correct bit_depth"
             )
         return bits
@@ -364,8 +364,8 @@ class _Folder:
             return self._arranged(self._pictures[path])
         if self.recipe.picture.full_scale is not None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': picture.full_scale belongs to OpenEXR images, and {path.name} is none; "
-                "leave it out"
+                f"recipe '{self.recipe.name}': picture.full_scale belongs to OpenEXR images, and {path.name} is not "
+                "one; leave it out"
             )
         if path.suffix.lower() == ".npy" and "channels" not in self.recipe.picture.model_fields_set:
             raise ImportFormatError(
@@ -557,7 +557,7 @@ class _Folder:
         if not (0.0 <= circle.row_px < rows and 0.0 <= circle.column_px < columns):
             raise LeftOutError(
                 f"its circle's centre, row {circle.row_px:g}, column {circle.column_px:g}, lies outside the picture of "
-                f"{columns} x {rows} px; are row and column exchanged?"
+                f"{columns} x {rows} px; check whether row and column are exchanged"
             )
         ball_px = _ball_px(capture)
         if ball_px is not None and circle.radius_px > ball_px:

@@ -492,9 +492,9 @@ def pixels_of(path: Path) -> NDArray[Any]:
         )
     if (turned := orientation(content)) != _UPRIGHT:
         raise ImportFormatError(
-            f"{path}: carries the mark of a camera that it is to be shown turned or mirrored (EXIF orientation "
-            f"{turned}), which some programs follow and others do not, so that it is not known which way its labels "
-            "stand. Turn all pictures for good, as 'mogrify -auto-orient' does, and label these"
+            f"{path}: states that it is to be shown turned or mirrored (EXIF orientation {turned}). Some programs "
+            "follow this and others do not, so that the orientation of its labels is not known. Turn the pixels "
+            "themselves, as 'mogrify -auto-orient' does, and label the result"
         )
     return _in_rgb(decoded_picture(content, path, ImportFormatError), path)
 

@@ -257,7 +257,7 @@ def choose_family(scores: Mapping[str, FamilyScore]) -> tuple[str, str]:
     left_out = f"log score of left-out bands: {best} {gain:+.1f} +- {scores[best].difference_sd:.1f} nats"
     if scores[DEFAULT_FAMILY].probability < SMALLEST_DEFAULT_PROBABILITY:
         return DEFAULT_FAMILY, (
-            f"{DEFAULT_FAMILY}: the default stays although the bands make it improbable (probabilities {told}), "
+            f"{DEFAULT_FAMILY}: the default is kept although the bands make it improbable (probabilities {told}), "
             f"because {best} does not predict left-out bands clearly better ({left_out})"
         )
     return DEFAULT_FAMILY, (

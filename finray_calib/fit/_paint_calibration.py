@@ -500,7 +500,7 @@ def energy_warnings(reported: ReportedSpectrum) -> tuple[str, ...]:
     """Say where the level of the signals contradicts the conservation of energy."""
     if reported.excess_share <= LARGEST_EXCESS_SHARE:
         return ()
-    kept = " and were left out" if reported.conserving else ", and too few draws do not, so that all were kept"
+    kept = " and were left out" if reported.conserving else "; too few other draws remain, so that all were kept"
     return (
         f"{100 * reported.excess_share:.0f} % of the draws emit more photons than are absorbed at the laser{kept}: the "
         "signals are brighter than energy allows; check the white reference and the laser's level",

@@ -201,5 +201,5 @@ class MeasuredForce:
             if not 1.0 / _UNITS_APART < own / other < _UNITS_APART:
                 raise CompareError(
                     f"{self.name}: the largest {what} is {own:.3g} {unit}, that of the simulated press {other:.3g} "
-                    f"{unit}; is it in another unit? Give {unit}"
+                    f"{unit}; it may be in another unit: give {unit}"
                 )

@@ -369,9 +369,8 @@ def _maxima(problem: _Problem) -> Maxima:
         if not (kept.any() and off < _UNEXPLAINED_REL):
             raise CompareError(
                 f"{curve.name}: no modulus explains this curve; the nearest fit differs by {100 * off:.0f} % of its "
-                f"largest "
-                f"force (rms, {100 * _UNEXPLAINED_REL:.0f} % allowed). Are displacements in mm and forces in N, and "
-                f"was this specimen pressed?"
+                f"largest force (rms, {100 * _UNEXPLAINED_REL:.0f} % allowed). Check that displacements are in mm and "
+                "forces in N, and that this specimen was pressed"
             )
     # the components share what K/mu leaves open between them
     apart = float(bulks[1] - bulks[0])

@@ -190,7 +190,7 @@ def _warnings(channels: list[ChannelCharacterisation], empty_fraction: float) ->
         warnings.append(
             "the channels differ in gain ("
             + ", ".join(f"{c.channel} {c.gain_e_per_dn.estimate:.3f} e/DN" for c in channels)
-            + "): is white balance applied to the raw frames?"
+            + "): check that no white balance is applied to the raw frames"
         )
     return tuple(warnings)
 

@@ -68,10 +68,10 @@ def numbers(values: Any, name: str, shape: tuple[int, ...]) -> Floats:
         array = np.array(values, dtype=np.float64).reshape(shape)
     except (TypeError, ValueError):
         raise ImportFormatError(
-            f"tuning: {name} is not an array of numbers of shape {shape}; is the file complete?"
+            f"tuning: {name} is not an array of numbers of shape {shape}; check that the file is complete"
         ) from None
     if not np.isfinite(array).all():
-        raise ImportFormatError(f"tuning: {name} holds NaN or infinite numbers; is the file complete?")
+        raise ImportFormatError(f"tuning: {name} holds NaN or infinite numbers; check that the file is complete")
     return array
 
 

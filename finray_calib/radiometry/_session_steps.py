@@ -220,8 +220,8 @@ def channel_weights(steps: SessionSteps) -> Floats:
     weight = np.where(good, 1 / np.where(good, variance, 1.0), 0.0)
     if weight.sum() == 0:
         raise RadiometryError(
-            "the white reference under the laser gives no signal through the excitation filter: is the laser on the "
-            "tile, and does plan.excitation_filter name the filter of the laser line?"
+            "the white reference under the laser gives no signal through the excitation filter: check that the laser "
+            "is on the tile, and that plan.excitation_filter names the filter of the laser line"
         )
     return np.asarray(weight / weight.sum())
 
@@ -340,8 +340,8 @@ def refuse_other_repeat(trend: BleachingTrend, steps: SessionSteps) -> None:
     faded = -float(np.expm1(-record.loss_per_j * record.dose_span_j))
     if z < -DISAGREEING_SD:
         why = (
-            f"the repeat is {-z:.0f} standard deviations brighter ({-100 * faded:.1f} %), and light never brightens a "
-            "paint"
+            f"the repeat is {-z:.0f} standard deviations brighter ({-100 * faded:.1f} %), but light does not "
+            "brighten a paint"
         )
     elif apart_sd.max() > DISAGREEING_SD:
         why = (
@@ -356,8 +356,8 @@ def refuse_other_repeat(trend: BleachingTrend, steps: SessionSteps) -> None:
     else:
         return
     raise RadiometryError(
-        f"filter {record.filter_name} and its own repeat disagree: {why}. Did sample, region or laser change "
-        "during the session? Capture again, or give --accept-repeat to treat the difference as fading"
+        f"filter {record.filter_name} and its own repeat disagree: {why}. The sample, the region or the laser may "
+        "have changed during the session: capture again, or give --accept-repeat to treat the difference as fading"
     )
 
 

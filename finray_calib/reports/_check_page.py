@@ -118,8 +118,8 @@ def _checks_picture(report: AcceptanceReport) -> Picture:
     return drawing(
         checks_figure(report.results),
         f"Every check as a mark in the row of its section. {told or 'All passed'}.",
-        "One mark for each check, in the row of its section. What to see: everything except filled circles needs a "
-        "look.",
+        "One mark for each check, in the row of its section. What to see: every mark that is not a filled circle "
+        "needs attention.",
     )
 
 
@@ -237,7 +237,7 @@ def history_page(history: History, folder: str, reference: int) -> str:
         ReportPage(
             verb="finray history",
             title=folder,
-            lead="What the rig and its samples were in every session, against the first ones.",
+            lead="How the rig and its samples were in every session, compared with the first sessions.",
             verdict=history.verdict,
             light=_LIGHTS[history.verdict],
             sentence=_HISTORY_SENTENCES[history.verdict],

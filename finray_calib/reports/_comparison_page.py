@@ -386,9 +386,8 @@ def _scores(report: PhotometricErrorReport) -> Picture:
         score_figure(report),
         words.simulation_sentence(report),
         f"Skill by region; bars: {_BRACKETS[interval_name(report)]}. What to see: the nearer the circle is to 1, the "
-        f"less can be improved; the diamond is a repeated capture, with its noise; at 0 the simulation is worth as "
-        f"much "
-        "as an image of the untouched pad.",
+        f"less can be improved; the diamond is a repeated capture, with its noise; at 0 the simulation is only as "
+        "good as an image of the untouched pad.",
     )
 
 

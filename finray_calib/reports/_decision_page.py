@@ -427,7 +427,7 @@ def verdict_title(decision: LightAngleDecision) -> str:
     if decision.verdict == "decided":
         return f"Mount the light at {angle}"
     if decision.verdict == "tie":
-        return f"Several angles are equally good; take {angle} if nothing speaks against it"
+        return f"Several angles are equally good; take {angle} unless you have a reason for another"
     if decision.verdict == "undecided":
         return f"Not decided yet; {angle} is the best guess so far"
     if not decision.validated:

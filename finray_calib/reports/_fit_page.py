@@ -297,11 +297,10 @@ def _emission_picture(paint: FittedPaint) -> Picture:
 def _families(paints: Paints) -> Content:
     """Show what each family makes of the same bands."""
     return Content(
-        lead="Each family is a different idea of what an emission curve looks like. Evidence and probability show "
-        "how well a family predicts the bands before seeing them, if all families are equally likely. The score "
-        "of the left-out bands says how well each band is predicted from the others: higher is better, "
-        "\u00b1 is the standard error of the difference to the default family, and scores with \u2248 are "
-        "only indicative (Pareto k above 0.7).",
+        lead="Each family assumes another shape of an emission curve. Evidence and probability show how well a "
+        "family predicts the bands before seeing them, if all families are equally likely. The score of the left-out "
+        "bands says how well each band is predicted from the others: higher is better, \u00b1 is the standard error "
+        "of the difference to the default family, and scores with \u2248 are only indicative (Pareto k above 0.7).",
         picture_rows=_row(paints, _families_picture),
         remarks=tuple(said.family_statement(paint) for paint in paints),
         tables=tuple(families_table(paint) for paint in paints),

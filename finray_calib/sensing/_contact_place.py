@@ -87,7 +87,7 @@ def contact_distance(capture: TactileCapture) -> Floats | None:
     if not inside.any():
         raise CompareError(
             f"{capture.name}: the outline of its contact encloses no pixel of the image of {raw_columns} x {raw_rows} "
-            "px; are rows and columns exchanged?"
+            "px; check whether rows and columns are exchanged"
         )
     return outline_distance(inside)
 
@@ -322,7 +322,9 @@ def find_contact_outline(capture: TactileCapture) -> tuple[PlaceInImage, ...]:
     size = cv2.GaussianBlur(np.sqrt((signal**2).sum(axis=-1)), (0, 0), 3.0)
     level = float(np.percentile(size, 99.0))
     if not level > _LEAST_CHANGE:
-        raise CompareError(f"{capture.name}: the picture hardly changes with contact; is it the right frame or file?")
+        raise CompareError(
+            f"{capture.name}: the picture hardly changes with contact; check that it is the right frame or file"
+        )
     changed = (size > _CHANGED_SHARE * level).astype(np.uint8)
     parts, _ = cv2.findContours(changed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     hull = cv2.approxPolyDP(cv2.convexHull(max(parts, key=cv2.contourArea)), 1.0, True)[:, 0]

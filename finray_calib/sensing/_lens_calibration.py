@@ -227,8 +227,8 @@ def calibrate_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: 
         raise CompareError(
             f"the {model} model leaves {rms:.1f} px between the corners and where they should be "
             f"({views[worst].name}: {found.view_rms_px[worst]:.1f} px), but at most {LARGEST_RMS_PX:g} px are "
-            "allowed: is the board flat, are squares and dictionary those that were printed, was the focus "
-            "the same in all pictures?"
+            "allowed: check that the board is flat, that squares and dictionary are those that were printed, and "
+            "that the focus was the same in all pictures"
         )
     if not found.focal_u_rel <= LARGEST_FOCAL_U_REL:
         raise CompareError(

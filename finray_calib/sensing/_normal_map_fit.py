@@ -515,9 +515,9 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
     u_mm, deepest_u_mm = _uncertainties(record, depth, deepest)
     if not deepest > LEAST_DEPTH_TO_U * (u_mm or 0.0):
         raise CompareError(
-            f"{capture.name}: the map '{record.name}' senses no depth beyond its uncertainty (largest "
-            f"{deepest:.3g} mm, u = {u_mm or 0.0:.2g} mm): is the press in view, and are contact and no-contact image "
-            "of one session?"
+            f"{capture.name}: the map '{record.name}' senses no depth beyond its uncertainty (largest {deepest:.3g} "
+            f"mm, u = {u_mm or 0.0:.2g} mm): check that the press is in view, and that contact and no-contact image "
+            "are of one session"
         )
     chosen = _contact_level_mm(contact_depth_mm, deepest, u_mm or 0.0)
     touched: NDArray[np.bool_] = np.asarray(depth > chosen, dtype=np.bool_)

@@ -194,7 +194,7 @@ def _require_facing(found: LensCalibration, pad: BoardView) -> None:
     if angle_deg > MOST_OBLIQUE_DEG:
         raise CompareError(
             f"{pad.name}: the board on the pad is seen at {angle_deg:.0f} deg from its normal, and at most "
-            f"{MOST_OBLIQUE_DEG:g} deg is allowed: is it flat on the pad, and is this the picture of it?"
+            f"{MOST_OBLIQUE_DEG:g} deg is allowed: check that it lies flat on the pad, and that this is its picture"
         )
 
 
@@ -217,15 +217,16 @@ def _notes(
     notes = []
     if widened > 1.0:
         notes.append(
-            f"resampling the pictures gives a scatter of the scale of {100 * resampled_u:.2f} %, "
-            f"{widened:.1f} times that of independent corners, so the corners of one picture have common "
-            "errors (is the board flat, are the pictures sharp?). Uncertainties are widened by this factor"
+            f"resampling the pictures gives a scatter of the scale of {100 * resampled_u:.2f} %, {widened:.1f} times "
+            "that of independent corners, so the corners of one picture have common errors (check that the board is "
+            "flat and the pictures are sharp). Uncertainties are widened by this factor"
         )
     others = float(np.sqrt(np.mean([r.rms_px**2 for r in residuals[1:]])))
     if residuals[0].rms_px > _WORSE_FACTOR * others:
         notes.append(
             f"{residuals[0].file}: the board on the pad fits to {residuals[0].rms_px:.2f} px, in the other pictures to "
-            f"{others:.2f} px: was it taken through the gel or a mirror that is not flat, or with another focus?"
+            f"{others:.2f} px: it may have been taken through the gel or a mirror that is not flat, or with another "
+            "focus"
         )
     if len({r.mirrored for r in residuals}) > 1:
         notes.append("some pictures show the board mirrored, others do not; a flat mirror changes no length")
@@ -271,8 +272,8 @@ def patch_scale(
     patch, pad = _thinned(_raw_pixels(distance <= 1.0, cell)), _thinned(_raw_pixels(np.isfinite(distance), cell))
     if not len(patch):
         raise CompareError(
-            f"{capture.name}: no pixel of the render lies within 1 half-width of the contact, so that the patch has no "
-            "size: is the contact in the picture?"
+            f"{capture.name}: no pixel of the render lies within 1 half-width of the contact, so that the patch has "
+            "no size: check that the contact is in the picture"
         )
     middle_px = patch.mean(axis=0)
     at_middle = plane_scale(plane, middle_px[None])

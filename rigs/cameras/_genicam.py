@@ -231,8 +231,8 @@ def set_exposure(features: Features, exposure_s: float, camera: str) -> float:
     actual_s = 1e-6 * features.number(name)
     if abs(actual_s - exposure_s) > LINE_S + CLOCK_REL * exposure_s:
         raise RefusedError(
-            f"{camera}: an exposure of {exposure_s:g} s was requested, but it uses {actual_s:g} s; is an "
-            "automatic exposure or a frame rate limit on?"
+            f"{camera}: an exposure of {exposure_s:g} s was requested, but it uses {actual_s:g} s; switch automatic "
+            f"exposure and frame rate limits off"
         )
     return actual_s
 
@@ -248,7 +248,10 @@ def require_new(label: tuple[int, float], last: tuple[int, float] | None, camera
         Both are those of the last frame.
     """
     if label[1] > 0.0 and label == last:
-        raise BadFrameError(f"{camera}: delivered frame {label[0]} twice; has its stream stopped?")
+        raise BadFrameError(
+            f"{camera}: delivered frame {label[0]} twice, so its stream may have stopped; check cable and power, then "
+            "run the command again"
+        )
 
 
 def _whole_frame(features: Features, settings: CameraSettings, camera: str) -> None:
@@ -274,8 +277,8 @@ def _switch_off(features: Features, name: str, camera: str) -> None:
         features.switch(name, False)
         if features.is_on(name):
             raise RefusedError(
-                f"{camera}: {name} stays on, which changes raw counts or limits the exposure; switch it off in the "
-                "camera maker's program"
+                f"{camera}: {name} cannot be switched off here, and it changes raw counts or limits the exposure; "
+                "switch it off in the camera maker's program"
             )
 
 
@@ -471,7 +474,7 @@ class GenicamCamera:
             # A camera keeps the connection that broke for some seconds, and refuses another.
             kind = RefusedError if self._identity is None else LostError
             raise kind(
-                f"{self._where}: cannot be opened or configured ({error}); does another program use it?"
+                f"{self._where}: cannot be opened or configured ({error}); close other programs that use it"
             ) from error
         self._identity, self._exposure_s = self._connection.identity, None
         self._pixels = self._connection.pixels

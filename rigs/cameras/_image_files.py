@@ -72,9 +72,9 @@ def read_dng(content: bytes, path: Path) -> DngImage:
             pattern = b"" if tags is None else bytes(tags.valueof("CFAPattern", b""))
             white_dn = 0 if tags is None else int(np.ravel(tags.valueof("WhiteLevel", 0))[0])
     except Exception as error:  # of a broken file the TIFF reader raises nearly anything
-        raise BadFrameError(f"{path}: cannot be read as DNG ({error}); is the file complete?") from error
+        raise BadFrameError(f"{path}: cannot be read as DNG ({error}); check that the file is complete") from error
     if tags is None:
-        raise BadFrameError(f"{path}: holds no colour filter array (Bayer) image; is it a raw DNG?")
+        raise BadFrameError(f"{path}: holds no colour filter array (Bayer) image; give a raw DNG")
     counts, sites = (plain, list(pattern)) if plain is not None else _by_libraw(content, path)
     order = ORDER_OF_PATTERN.get("".join(map(str, sites)))
     if order is None or counts.ndim != 2:
@@ -119,7 +119,7 @@ def unpacked_dng(content: bytes, where: str) -> tuple[list[int], dict[str, NDArr
             colours = raw.color_desc.decode()  # "RGBG": LibRaw tells the two greens apart
             sites = ["RGB".find(colours[site]) for site in np.ravel(raw.raw_colors_visible[:2, :2])]
     except (rawpy.LibRawError, ValueError, TypeError) as error:
-        raise BadFrameError(f"{where}: cannot be read as DNG ({error}); is the file complete?") from error
+        raise BadFrameError(f"{where}: cannot be read as DNG ({error}); check that the file is complete") from error
     return sites, {"counts": counts}
 
 

@@ -64,8 +64,8 @@ class MicroManagerCamera:
             self._load,
             OPEN_DEADLINE_S,
             RefusedError,
-            "is the camera switched on, and are its device adapters beside the .cfg file or in the folder that "
-            f"{ADAPTERS_VARIABLE} names?",
+            "check that the camera is switched on, and that its device adapters are beside the .cfg file or in the "
+            f"folder that {ADAPTERS_VARIABLE} names",
         )
 
     def close(self) -> None:

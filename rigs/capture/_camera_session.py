@@ -288,7 +288,7 @@ class _Recorder:
         try:
             self._store.take(shot, lambda raw: self._require_as_metered(shot.step, raw))
         except SignalChangedError as error:
-            self._journal.append("refused", text=f"{error}; one more was taken")
+            self._journal.append("refused", text=f"{error}; another frame was taken")
             if shot.step.light == "off":
                 self._store.take(shot)
             else:

@@ -218,10 +218,10 @@ class CameraInUseError(CaptureError):
 def _why_not(rig: RigFile, plan: CheckPlan) -> str | None:
     """Return why no light can be switched on in the middle of an exposure."""
     if rig.is_simulated:
-        return "the clock of a simulated rig stands still between its actions: nothing happens within an exposure"
+        return "the clock of a simulated rig advances only with its actions: nothing switches within an exposure"
     if rig.lamp.driver == "manual":
         return "not possible on this rig: its lamp is switched by hand; it needs a lamp or LED that finray switches"
-    return "the plan asks for no tries" if plan.latency_tries == 0 else None
+    return "the plan states 0 tries (latency_tries)" if plan.latency_tries == 0 else None
 
 
 def _switched_on_within(opened: OpenRig, exposure_s: float, delay_s: float) -> tuple[float, float, RawFrame]:
@@ -259,7 +259,7 @@ def _switched_on_within(opened: OpenRig, exposure_s: float, delay_s: float) -> t
         if not ended and not isinstance(sys.exception(), UnsafeError):
             raise CameraInUseError(
                 f"camera: an exposure of {exposure_s:g} s has not ended {2 * limit_s:g} s after its request, so the "
-                "check ends; switch the camera off and on, then check its cable and driver"
+                f"check ends; switch the camera off and on, then check its cable and driver"
             )
     return told_s - requested[0], confirmed_s - requested[0], raw
 
@@ -545,8 +545,8 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
     off = np.concatenate([before, after])
     if lit.max() * FULL_SCALE_LEVEL >= FULL_SCALE_LEVEL:
         raise CaptureError(
-            "photodiode: reads its full scale with the laser on, so it is saturated and no witness; take a smaller "
-            "resistor, or move it away from the spot"
+            "photodiode: reads its full scale with the laser on, so it is saturated and cannot show whether the "
+            "laser is off; take a smaller resistor, or move it away from the spot"
         )
     seen = Contrast(float(off.mean()), float(lit.mean()), float(off.std(ddof=1)), sees_pulses=diode.sees_pulses)
     contrast = _with_closed_beam(opened, diode, seen)
@@ -555,20 +555,20 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
     is_seen = rises_rel > max(LEAST_CONTRAST, CONTRAST_SD * scatter_rel) and contrast.threshold_rel < float(lit.min())
     if not is_seen or contrast.threshold_rel > contrast.off_rel + MOST_SHARE * rises_rel:
         raise CaptureError(
-            "photodiode: does not see the difference between laser on and off, so it is no witness; point it at the "
-            "spot, check its wires and cover it from room light"
+            "photodiode: reads the same with the laser on and off, so it cannot show whether the laser is off; point "
+            "it at the spot, check its wires and cover it from room light"
         )
     if contrast.closed_rel is not None and 2.0 * contrast.closed_rel - contrast.off_rel > contrast.threshold_rel:
         raise CaptureError(
             f"photodiode: reads {100 * contrast.closed_rel:.2g} % of its scale with the beam closed, and only "
-            f"{100 * contrast.off_rel:.2g} % with the laser off: other light came in while the beam was closed, so it "
-            "does not show what dark is; keep the box shut and the room as it is, and check again"
+            f"{100 * contrast.off_rel:.2g} % with the laser off: other light came in while the beam was closed, so "
+            f"the dark level is unknown; keep the box shut, leave the room light as it is, and check again"
         )
     if float(off.max()) >= contrast.threshold_rel:
         raise CaptureError(
             f"photodiode: reads {100 * off.max():.2g} % of its scale with the laser off, and less than "
-            f"{100 * contrast.threshold_rel:.2g} % with its beam closed: the laser is not off but dimmed, or something "
-            "else than its beam was covered; find out which before anybody opens the box"
+            f"{100 * contrast.threshold_rel:.2g} % with its beam closed: the laser is not off but dimmed, or "
+            f"something other than its beam was covered; find out which before anybody opens the box"
         )
     return contrast
 
@@ -665,6 +665,6 @@ def require_seen(watch: LaserWatch, now_s: Callable[[], float] = time.monotonic)
         if reading.start_s > begun_s and reading.on:
             return
     raise CaptureError(
-        f'laser: is on, and {watch.witness} does not see it (any more), so it cannot prove "off"; check what it '
-        "looks at, and its cable"
+        f"laser: is on, and {watch.witness} does not see it, so it cannot confirm that the laser is off; check where "
+        "it points, and its cable"
     )

@@ -55,7 +55,9 @@ def check_press_plan(plan: TactileCheckPlan, rig: TactileRig, folder: Path) -> L
     """
     require_named("plan.check_name", plan.check_name)
     if rig.stage is None or rig.load_cell is None:
-        raise CaptureError(f"rig '{rig.name}': has no [stage] and [load_cell]; there is nothing to check that presses")
+        raise CaptureError(
+            f"rig '{rig.name}': has no [stage] and [load_cell]; this check needs both; describe them in the rig file"
+        )
     stage, most_n = rig.stage, rig.load_cell.force_limit_n
     low_mm, high_mm = stage.pad_travel_mm
     for away_mm in (-plan.beside_mm, plan.beside_mm):
@@ -177,7 +179,7 @@ class _Recorder(CheckRecorder[PressFacts]):
             self._attempt("stage", checks.along_the_pad)
         self._ended = self._ended or ("the stage could not be made ready" if "stage" in self._errors else None)
         self._attempt("touch", lambda: checks.touch(self._keep))
-        self._ended = self._ended or ("the pad was not touched as it should" if "touch" in self._errors else None)
+        self._ended = self._ended or ("the touch of the pad failed" if "touch" in self._errors else None)
         self._attempt("force limit", lambda: checks.force_stops(self._keep))
         self._attempt("stops", lambda: checks.stops(self._keep))
         if self._plan.gauge_block is not None:
@@ -188,7 +190,7 @@ class _Recorder(CheckRecorder[PressFacts]):
         """Read the cell while nothing moves."""
         settings, cell = self._rig.load_cell, opened.load_cell
         if settings is None or cell is None:
-            raise RefusedError("load cell: there is none")
+            raise RefusedError("load cell: the rig has none")
         return at_rest(cell, settings, self._calibration, opened.clock, self._plan.rest_s)
 
     def _laid(self, opened: OpenTactileRig) -> LaidMass | None:
@@ -202,8 +204,8 @@ class _Recorder(CheckRecorder[PressFacts]):
             if not LEAST_FELT <= force_n / weight_n <= MOST_FELT:
                 raise RefusedError(
                     f"load cell: feels {force_n:.3g} N of the known mass, which weighs {weight_n:.3g} N; a stage must "
-                    "not press by it. Lay the mass that the plan names, or calibrate the cell again ('finray rig "
-                    "calibrate-cell')"
+                    "not press with such a load cell. Place the mass that the plan names on it, or calibrate the "
+                    "cell again ('finray rig calibrate-cell')"
                 )
         return laid
 
@@ -233,7 +235,7 @@ class _Recorder(CheckRecorder[PressFacts]):
         if self._presser is not None and str(error).startswith("load cell"):
             return "the load cell failed, so nothing would stop the stage"
         if isinstance(error, NotAllowedError):
-            return "nobody allowed the stage to move"
+            return "nobody confirmed that the stage may move"
         return None
 
     def _note(self, event: str, **what: object) -> None:
@@ -252,7 +254,7 @@ def _require_allowed(opened: OpenTactileRig, question: str) -> None:
     """
     if not opened.operator.allows(question):
         raise NotAllowedError(
-            "stage: nobody has allowed it to move; run the check in a terminal, look at the rig, and type yes"
+            "stage: nobody has confirmed that it may move; run the check in a terminal, look at the rig, and type yes"
         )
 
 

@@ -188,8 +188,8 @@ class CheckFrames:
                 raise CaptureError(
                     f"camera: the white tile behind filter {band.name} differs by more than "
                     f"{100 * AS_METERED_REL:.0f} % from its metering at the same exposure: the camera does not expose "
-                    "for as long as it says, or the lamp changed; switch the camera off and on, let the lamp warm up, "
-                    "then check again"
+                    "for as long as it reports, or the lamp changed; switch the camera off and on, let the lamp warm "
+                    "up, then check again"
                 )
 
     def brightest_filter(self) -> BandPassFilter:
@@ -333,9 +333,9 @@ class CheckFrames:
             is_clocked = raw.exposure_s >= CLOCKED_S and self._settings.driver != REPLAY_DRIVER
             if is_clocked and took_s < LEAST_TAKEN * raw.exposure_s:
                 raise CaptureError(
-                    f"camera: reads back an exposure of {raw.exposure_s:g} s, but its frame was there {took_s:.3g} s "
-                    "after it was asked for: it exposes for less than it says, or delivers a frame from before; "
-                    "switch it off and on, then check its driver and trigger mode"
+                    f"camera: reads back an exposure of {raw.exposure_s:g} s, but its frame arrived {took_s:.3g} s "
+                    "after the request: it exposes for less than it reports, or delivers an earlier frame; switch it "
+                    "off and on, then check its driver and trigger mode"
                 )
             frames.append(raw.counts[self._region].astype(np.int32))
             read_back_s = raw.exposure_s
@@ -520,7 +520,7 @@ class _Recorder(CheckRecorder[CheckFacts]):
         if isinstance(error, CameraInUseError):
             return "the camera is still in use by an exposure that has not ended"
         if isinstance(error, LightLostError) and section in WITH_LASER and is_hazardous(self._rig.laser):
-            return "the laser went out, and is not lit again until a person has found out why"
+            return "the laser went off without a command, and is not lit again until a person has found the cause"
         return None
 
     def _lights_are_off(self, opened: OpenRig, section: Section) -> None:
@@ -556,7 +556,7 @@ class _Recorder(CheckRecorder[CheckFacts]):
     def _without_rig(self) -> tuple[LightOff, ...]:
         """Try guard and dead-man, the rig being closed."""
         if self._has_dead_man is None:
-            reason = "no guard on the simulated rig" if self._rig.is_simulated else "this laser has no guard process"
+            reason = f"{'the simulated rig' if self._rig.is_simulated else 'this laser'} has no guard process"
             return LightOff(layer="guard", missing=reason), LightOff(layer="dead-man", missing=reason)
         if (why := self._errors.get("light off")) is not None and is_hazardous(self._rig.laser):
             return LightOff(layer="guard", error=_not_lit(why)), LightOff(layer="dead-man", error=_not_lit(why))
@@ -588,14 +588,15 @@ class _Recorder(CheckRecorder[CheckFacts]):
             return LightOff(layer=layer, error=str(error))
         return LightOff(
             layer=layer,
-            missing="nobody can watch: the camera does not see the laser, and opening the laser's serial port a second "
-            "time resets most boards, which switches it off; let a photodiode look at it (photodiode in the plan)",
+            missing="this cannot be observed: the camera does not see the laser, and opening the laser's serial port "
+            "a second time resets most boards, which switches it off; point a photodiode at it (photodiode in the "
+            "plan)",
         )
 
 
 def _not_lit(why: str) -> str:
     """Say that a laser that harms eyes is not lit after an error: it may be that somebody opened the box."""
-    return f"not tried: the laser is not lit again until a person has found out why: {why}"
+    return f"not tried: the laser is not lit again until a person has found the cause: {why}"
 
 
 def handshakes(opened: OpenRig, rig: RigFile, asked: int = HANDSHAKES) -> tuple[Handshake, ...]:
@@ -645,6 +646,6 @@ def make_moves(
             moves[k] = moves[k].model_copy(update={"arrived_slot": moves[k].to_slot})
         raise CaptureError(
             f"lamp: the white tile is {factor:.2f} times as bright as at its metering, behind every filter that the "
-            "wheel turned to: the lamp changed, or the camera does not expose for as long as it says; let the lamp "
-            "warm up, switch the camera off and on, then check again"
+            "wheel turned to: the lamp changed, or the camera does not expose for as long as it reports; let the "
+            "lamp warm up, switch the camera off and on, then check again"
         )

@@ -331,8 +331,8 @@ class NewFrames:
         if self._was_last(raw) or (digest in self._delivered and _is_noisy(raw.counts)):
             self._may_be_late = not self._is_replay
             raise BadFrameError(
-                "camera: delivered the same frame twice; its stream has stopped or is late, or a still picture is "
-                "served in place of the camera; until it is seen to be in time, each exposure is made twice"
+                "camera: delivered the same frame twice; its stream has stopped or is late, or a server sends a "
+                "still picture in place of the camera's; until frames arrive in time, each exposure is made twice"
             )
         # after a call that failed, a late camera shows what that one asked for
         if self._last is not None and self._calls == 1 and self._is_in_time(raw, self._last):
@@ -373,8 +373,8 @@ def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
     position = opened.wheel.position()
     if position is None:
         raise LostError(
-            f"filter wheel: reads no slot {when} the exposure of {step.label}, but slot {step.slot} is "
-            "needed; it moves or was reconnected: check whether it turns, and check its cable"
+            f"filter wheel: reads no slot {when} the exposure of {step.label}, but slot {step.slot} is needed; the "
+            "wheel is moving or was reconnected: check whether it turns, and check its cable"
         )
     if position != step.slot:
         raise WrongPositionError(
@@ -390,8 +390,8 @@ def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ..
     for name, on in states.items():
         if on != (name == planned):
             raise (CaptureError if on else LightLostError)(
-                f"{name}: reads back {'on' if on else 'off'} where the step needs light '{planned}'; check its "
-                "connection, switch and interlock"
+                f"{name}: reads back {'on' if on else 'off'} where the step needs the light state '{planned}'; check "
+                "its connection, switch and interlock"
             )
     return tuple(name for name, on in states.items() if on)
 

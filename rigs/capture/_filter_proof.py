@@ -110,7 +110,7 @@ def judge_filters(
     if measured.max() < LEAST_RATE_DN_PER_S:
         return FilterProof(
             verdict="cannot tell",
-            text="the white tile is dark through every filter: the lamp is off, or this camera sees nothing",
+            text="the white tile is dark through every filter: the lamp is off, or no light reaches the camera",
         )
     if len(names) < 2:
         return FilterProof(
@@ -188,8 +188,8 @@ def _alike_at_every_slot(name: str, still_lit: bool) -> FilterProof:
         )
     return FilterProof(
         verdict="contradicted",
-        text=f"the frames show filter {name} at every slot: the wheel reports new slots but does not turn; look at "
-        f"its motor, belt and filters",
+        text=f"the frames show filter {name} at every slot: the wheel reports new slots but does not turn; check its "
+        f"motor, belt and filters",
     )
 
 
@@ -379,7 +379,7 @@ class LaserLine:
             conviction: a camera that shows a picture of its own does not see the laser.
         """
         if not self._others:
-            return FilterProof(verdict="cannot tell", text="there is no other filter that the laser's line could pass")
+            return FilterProof(verdict="cannot tell", text="no other filter of the rig could pass the laser's line")
         most = int(np.where(self._signals, self._rates / self._most, -np.inf).argmax())
         name, rate = self._others[most], float(self._rates[most])
         if self._signals[most] and rate > CLEAR_FACTOR * self._most[most] * self._white:
@@ -388,9 +388,9 @@ class LaserLine:
             return FilterProof(
                 verdict="contradicted",
                 text=f"under the laser the sample behind filter {name} is {rate / self._white:.3g} times as bright as "
-                f"the laser's line on the white tile behind filter {self._excitation}, which no paint can be: "
-                f"{self._excitation} and {name} are exchanged, or the laser did not reach the tile; look into the "
-                "wheel and correct the slots of the rig file, or correct the places of filters and tile",
+                f"the laser's line on the white tile behind filter {self._excitation}, which is not possible for a "
+                f"paint: {self._excitation} and {name} are exchanged, or the laser did not reach the tile; look into "
+                "the wheel and correct the slots of the rig file, or correct the places of filters and tile",
             )
         if not self._is_seen():
             return FilterProof(verdict="cannot tell", text="the camera does not see the laser's line")
@@ -400,9 +400,7 @@ class LaserLine:
                 verdict="cannot tell",
                 text=f"the laser's line comes through {self._excitation} or {' or '.join(unclear)}",
             )
-        return FilterProof(
-            verdict="confirmed", text=f"the laser's line comes through filter {self._excitation} and no other"
-        )
+        return FilterProof(verdict="confirmed", text=f"only filter {self._excitation} passes the laser's line")
 
     def not_exchanged(self) -> frozenset[str]:
         """Return the names of the filters that the line shows not to be in the excitation filter's place."""

@@ -163,13 +163,14 @@ def calibration_notes(rig: TactileRig, calibration: LoadCellCalibration) -> tupl
     _, _, address = calibration.cell.rpartition(", ")[2].partition(" ")
     if address != settings.address:
         notes.append(
-            f"load cell: was calibrated at '{address}' and is at '{settings.address}' now; if it is another cell, "
-            "calibrate it"
+            f"load cell: was calibrated at '{address}' and is at '{settings.address}' now; if this is another cell, "
+            f"calibrate it"
         )
     if settings.force_limit_n > heaviest_n:
         notes.append(
             f"load cell: forces above {heaviest_n:.3g} N, the heaviest mass of its calibration, are extrapolated "
-            f"(force_limit_n is {settings.force_limit_n:g} N); their uncertainty holds for a cell that stays straight"
+            f"(force_limit_n is {settings.force_limit_n:g} N); their uncertainty is valid only where the cell is "
+            f"linear beyond that mass"
         )
     return tuple(notes)
 
@@ -468,8 +469,8 @@ def weigh(
         moved_n = zeros[-1][0] - zeros[0][0]
         if abs(moved_n) > ZERO_MOVED_SHARE * settings.force_limit_n:
             raise CaptureError(
-                f"load cell: reads {moved_n:+.3g} N after the mass was taken off, where it read 0 before; take "
-                "everything off it, and fasten it, then check again"
+                f"load cell: reads {moved_n:+.3g} N after the mass was taken off, but 0 before; take everything off "
+                f"the cell, fasten it, then check again"
             )
     empty = [0.5 * (before[0] + after[0]) for before, after in pairwise(zeros)]
     return LaidMass(
@@ -543,10 +544,10 @@ def open_tactile_rig(
     hands = operator or TerminalOperator()
 
     def lay(mass_kg: float) -> None:
-        hands.do(f"Lay {1e3 * mass_kg:g} g on the load cell, gently." if mass_kg else "Take everything off the cell.")
+        hands.do(f"Place {1e3 * mass_kg:g} g gently on the load cell." if mass_kg else "Take everything off the cell.")
 
     def lay_block(thickness_mm: float) -> bool:
-        what = f"Lay the block of {thickness_mm:g} mm flat on the pad under the indenter"
+        what = f"Place the block of {thickness_mm:g} mm flat on the pad under the indenter"
         what = what if thickness_mm else "Take the block off the pad"
         return hands.allows(f"The stage is at rest. {what}, and take your hands away. Is that done?")
 

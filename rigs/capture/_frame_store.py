@@ -246,10 +246,9 @@ class FrameStore:
             # a channel that was too dim for a ratio is compared by its difference
             if not is_alike if before > visible_dn_per_s else rate - before > visible_dn_per_s:
                 raise SignalChangedError(
-                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at "
-                    f"metering (a factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light "
-                    "changed or something moved; put it right, then continue or resume: all steps are "
-                    "metered again"
+                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at metering (a "
+                    f"factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light changed or something "
+                    "moved; find and correct the cause, then continue or resume: all steps are metered again"
                 )
 
     def require_same_colour(self, step: Step, raw: RawFrame, metered: Metered) -> None:
@@ -273,8 +272,8 @@ class FrameStore:
         changed = self.other_colour(step, now, metered)
         if changed is not None:
             raise SignalChangedError(
-                f"camera: {step.label} shows another colour than at metering: two of its channels stand in a ratio "
-                f"that changed by {changed}, which no light that only dims does: the wheel stopped between two "
+                f"camera: {step.label} shows another colour than at metering: the ratio of two of its channels "
+                f"changed by {changed}, which a light that only dims does not cause: the wheel stopped between two "
                 "filters, or other light came in, or the dark level drifted: home the wheel, close the box, let the "
                 "camera warm up, then continue or resume: all steps are metered again"
             )

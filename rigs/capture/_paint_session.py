@@ -89,8 +89,8 @@ MOST_REPAIRS = 5
 MOST_OLD_FRAMES = 1
 """In a session, delivered as new ones: a second one tells of a camera that is late for good."""
 UNPROVEN_NOTE = (
-    "no lamp or laser step gives a good signal at the exposures of the session, so nothing after the last dark frames "
-    "shows that the camera was still exposing as asked"
+    "no lamp or laser step gives a good signal at the exposures of the session, so it is not shown that the camera "
+    "exposed as requested after the last dark frames"
 )
 
 
@@ -166,7 +166,7 @@ class PaintRecorder:
         unlike = self._unlike_before(steps)
         if unlike is None:
             self._remember(steps)
-            text = f"all steps and frames agree with those after the repair, within {100 * SAME_SHARE:.0f} %"
+            text = f"all steps and frames from before the repair agree with it, within {100 * SAME_SHARE:.0f} %"
             self._journal.append(AS_BEFORE_EVENT, frames=len(self._store.frames), text=text)
         else:
             self._set_aside(unlike)
@@ -196,7 +196,7 @@ class PaintRecorder:
                 continue
             stored = self._store.rates(read_frame_of(self._out, frame), frame.exposure_s)
             if not self._store.are_same(self._rates[place], stored, frame.exposure_s):
-                return f"{frame.file} does not agree with {place.label} as it is now"
+                return f"{frame.file} does not agree with {place.label} after the repair"
         return None
 
     def _store_frames(self, steps: tuple[Step, ...]) -> None:
@@ -263,7 +263,7 @@ class PaintRecorder:
                     raise
                 self._journal.append("repair", text=str(error))
                 if self._store.frames:
-                    self._set_aside("they were taken before the filters were put right")
+                    self._set_aside("they were taken before the filters were corrected")
                 self._in_doubt = False
                 self._forget()
             else:
@@ -370,15 +370,15 @@ class PaintRecorder:
         try:
             self._store.take(shot, lambda raw: self._require_as_metered(shot.step, raw))
         except SignalChangedError as error:
-            self._journal.append("refused", text=f"{error}; one more was taken")
+            self._journal.append("refused", text=f"{error}; another frame was taken")
             leaks = self._take_again(shot)
             self._healed += not leaks
             if self._healed <= MOST_OLD_FRAMES:
                 return
-            self._set_aside("frames were twice unlike their metering, and the ones after them were not")
+            self._set_aside("two frames differed from their metering, and the frames after them did not")
             raise SignalChangedError(
-                f"{error}; the frame after it was as metered, for the second time: the camera delivers earlier frames "
-                "as new ones, or the light flickers; restart the camera, check the light, then resume"
+                f"{error}; the frame after it agreed with the metering, for the second time: the camera delivers "
+                "earlier frames as new ones, or the light flickers; restart the camera, check the light, then resume"
             ) from error
 
     def _take_again(self, shot: Shot) -> bool:

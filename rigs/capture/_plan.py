@@ -298,8 +298,8 @@ def instruction(shot: TactileShot, plan: TactilePlan, presses: tuple[PlannedPres
                 f"{plan.board.images}."
             )
         return (
-            f"Hold the ChArUco board in view, still; place {shot.place} of {plan.board.images}, each turned and "
-            f"tilted in a different way."
+            f"Hold the ChArUco board still and in view; place {shot.place} of {plan.board.images}, each with another "
+            f"turn and tilt."
         )
     if shot.frame_type == "no contact":
         if shot.place == 0:

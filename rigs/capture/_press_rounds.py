@@ -101,7 +101,9 @@ class TappedCell:
         """Return the next reading, unless the cell was made silent."""
         if self.is_silent:
             self.feel(deadline_s)
-            raise _SilencedError(f"load cell: made silent by the check; no reading came within {deadline_s:g} s")
+            raise _SilencedError(
+                f"load cell: the check stops its readings here; no reading came within {deadline_s:g} s"
+            )
         reading = self._read(deadline_s)
         self.last_s = reading.at_s
         if self.heard is not None:
@@ -298,7 +300,9 @@ class PressRounds:
         """Go some steps deeper and back to the same position: forces before, deepest and after, and how deep (mm)."""
         stage, gauge, watch = self._settings, self._presser.gauge, self._presser.guard(self._limit_n)
         start_mm, before = self._at_mm(), gauge.settled()
-        self._require_room(before.mean_n, self._rise_n(number), "go deeper from the turning force")
+        self._require_room(
+            before.mean_n, self._rise_n(number), "press deeper from the force at which the stage turns back"
+        )
         wanted = math.ceil(2.0 * self._plan.limits.backlash_mm / stage.step_mm)
         force, deeper_mm = before, 0.0
         for steps, at_mm in enumerate(self._presser.steps(start_mm, stage.step_mm), 1):
@@ -311,8 +315,8 @@ class PressRounds:
                 break
         if deeper_mm == 0.0:
             raise RefusedError(
-                f"stage: one step of {stage.step_mm:g} mm from the turning force leads deeper than deepest_mm = "
-                f"{self._plan.deepest_mm:g} mm; raise deepest_mm, or lower force_limit_n of the plan"
+                f"stage: one step of {stage.step_mm:g} mm beyond the force at which the stage turns back leads deeper "
+                f"than deepest_mm = {self._plan.deepest_mm:g} mm; raise deepest_mm, or lower force_limit_n of the plan"
             )
         self._presser.press_to(start_mm, watch)
         return before, force, gauge.settled(), deeper_mm
@@ -417,7 +421,7 @@ class PressRounds:
         points = list(zip(pressed.point_depths_mm, pressed.point_forces_n, strict=True))
         if len(points) < 2:
             raise RefusedError(
-                f"stage: {points[0][1]:.3g} N at the first touch already, so nobody knows what one step of "
+                f"stage: {points[0][1]:.3g} N at the first touch already, so it is not known how much one step of "
                 f"{step_mm:g} mm adds; raise force_limit_n of the plan, or shorten touch_step_mm of the rig file"
             )
         end_mm, end_n = points[-1]
@@ -476,8 +480,8 @@ class PressRounds:
         keep(block=touched)
         if not lay_block(0.0):
             raise NotAllowedError(
-                "stage: nobody has confirmed that the block was taken off the pad, so nothing moves any more; take it "
-                "away, and check again"
+                "stage: nobody has confirmed that the block was taken off the pad, so the stage does not move any "
+                "more; take the block away, and check again"
             )
 
     def _touch(self) -> tuple[float, float]:

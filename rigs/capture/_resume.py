@@ -298,7 +298,7 @@ def take_over(folder: Path, interrupted: Interrupted) -> None:
     """
     if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
         raise CaptureError(
-            f"{folder}: another capture has continued this session in the meantime; check what it stored"
+            f"{folder}: another capture has continued this session in the meantime; check what that capture stored"
         )
     clear_session(folder)
     set_aside(folder, {frame.file for frame in interrupted.frames.values()})
@@ -400,8 +400,8 @@ def require_same_camera(interrupted: Interrupted, camera: DeviceIdentity) -> Non
     before = interrupted.start.get("camera")
     if before is not None and _named(before) != _named(camera.model_dump()):
         raise CaptureError(
-            f"camera: {_named(camera.model_dump())} answers now, but the session began with {_named(before)}: "
-            "connect that one, or capture the session again"
+            f"camera: {_named(camera.model_dump())} is connected now, but the session began with {_named(before)}: "
+            f"connect that camera, or capture the session again"
         )
 
 

@@ -352,7 +352,7 @@ class StagePress:
         stage = self._settings
         self.gauge.tare()
         share_n = min(max(SEARCH_SHARE * limit_n, SEARCH_SD * self.gauge.noise_n), limit_n)
-        careful = self.guard(share_n, f"the search of a touch stops there, below the force limit of {limit_n:g} N")
+        careful = self.guard(share_n, f"the search for the touch stops there, below the force limit of {limit_n:g} N")
         for number, at_mm in enumerate(self.steps(stage.clear_mm, stage.step_mm), 1):
             try:
                 self.step_to(at_mm, careful)
@@ -362,7 +362,7 @@ class StagePress:
                     raise
                 if strongest_n > limit_n:
                     raise ForceLimitError(
-                        f"stage: the search of the touch met {strongest_n:.3g} N, beyond the limit of {limit_n:g} N, "
+                        f"stage: the search for the touch met {strongest_n:.3g} N, beyond the limit of {limit_n:g} N, "
                         f"by one step of {stage.step_mm:g} mm; shorten step_mm or lower press_speed_mm_per_s of the "
                         "rig file",
                         strongest_n,
@@ -456,8 +456,8 @@ class StagePress:
         if stiffness * step_mm > room_n or min(most_mm, step_mm) < 0.5 * LEAST_STEP_MM:
             raise RefusedError(
                 f"stage: after {abs(at_mm - touched.points[0][0]):.2g} mm of steps it feels {now.mean_n:.3g} N, and "
-                f"the next one of {step_mm:.2g} mm adds {stiffness * step_mm:.3g} N, which leaves no room below the "
-                f"limit of {limit_n:g} N; shorten step_mm of the rig file, or {PRESS_LESS}"
+                f"the next one of {step_mm:.2g} mm adds {stiffness * step_mm:.3g} N, which would exceed or nearly "
+                f"reach the limit of {limit_n:g} N; shorten step_mm of the rig file, or {PRESS_LESS}"
             )
         return min(step_mm, most_mm)
 
@@ -506,9 +506,9 @@ class StagePress:
             moved_mm = touched.touch_mm - before_mm
             if abs(moved_mm) > allowed_mm:
                 raise CaptureError(
-                    f"stage: at {place_mm:g} mm along the pad, the touch came {moved_mm:+.3f} mm away from "
-                    f"the earlier one ({allowed_mm:.2f} mm are allowed): the stage lost steps, or the finger "
-                    "moved; drive slower, fasten both, then resume"
+                    f"stage: at {place_mm:g} mm along the pad, the touch is {moved_mm:+.3f} mm away from the earlier "
+                    f"touch ({allowed_mm:.2f} mm are allowed): the stage lost steps, or the finger moved; drive "
+                    "slower, fasten both, then resume"
                 )
         self.touches.setdefault(place_mm, (touched.touch_mm, touched.touch_uncertainty_mm))
 

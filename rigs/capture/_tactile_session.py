@@ -320,8 +320,8 @@ def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdent
         )
     if interrupted.device not in (None, device):
         raise CaptureError(
-            f"camera: {device.model} (serial '{device.serial}') answers now, but the session began with "
-            f"{interrupted.device}: connect that one, or capture the session again"
+            f"camera: {device.model} (serial '{device.serial}') is connected now, but the session began with "
+            f"{interrupted.device}: connect that camera, or capture the session again"
         )
     clear_session(folder)
     known = {folder / frame.file for frame in interrupted.frames.values()}
@@ -622,9 +622,9 @@ class _Recorder:
         text = (
             f"camera: {shot.label} gives {self._level_dn(raw.counts):.4g} DN on average, but the first image of no "
             f"contact gave {self._levels_dn[shot.exposure_s]:.4g} DN at the same exposure (a factor of "
-            f"{LARGEST_CHANGE:g} is allowed): the light, the camera's exposure or the room changed, or something still "
-            "touches; restart the camera, check the light, then resume: the contact before it is made again. Where the "
-            "first images are the wrong ones, capture into another folder"
+            f"{LARGEST_CHANGE:g} is allowed): the light, the camera's exposure or the room changed, or something "
+            f"still touches the pad; restart the camera, check the light, then resume: the contact before this image "
+            f"is repeated. If the first images are the wrong ones, capture into another folder"
         )
         self._journal.append(CHANGED_EVENT, text=text)
         raise SignalChangedError(text)
@@ -635,7 +635,7 @@ class _Recorder:
         # a camera that does not say how long it exposes may choose it by itself
         is_compared = shot.frame_type == "no contact" and math.isfinite(raw.exposure_s)
         if is_compared and self._is_changed(shot.exposure_s, raw.counts):
-            self._journal.append("refused", text=f"{shot.label}: not as bright as the first one; one more was taken")
+            self._journal.append("refused", text=f"{shot.label}: not as bright as the first one; another was taken")
             raw, attempts = self._camera.expose(shot.exposure_s)
             if self._is_changed(shot.exposure_s, raw.counts):
                 self._refuse(shot, raw)

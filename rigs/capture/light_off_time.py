@@ -195,8 +195,9 @@ def after_kill(laser: LaserSettings, layer: LightLayer, watch: LaserWatch, repea
                 break
         else:
             raise CaptureError(
-                f"laser at {laser.address}: its three processes could not be stopped at once in {_MOST_TRIES} tries, "
-                f"so one of them may switch off before the dead-man does; close other programs and run the check again"
+                f"laser at {laser.address}: its three processes could not be stopped at the same time in "
+                f"{_MOST_TRIES} tries, so one of them may switch the laser off before the dead-man does; close other "
+                f"programs and run the check again"
             )
         if latest is not None:
             earliest_s.append(earliest)

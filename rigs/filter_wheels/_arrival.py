@@ -48,8 +48,8 @@ class Arrival:
             self._elsewhere, self._elsewhere_since_s = at, now_s
         if now_s - self._elsewhere_since_s > self._elsewhere_s:
             raise WrongPositionError(
-                f"{self._name}: was sent to slot {self._slot} and rests at slot {at}; check whether a filter "
-                "or cable drags, switch the wheel off and on, and capture again"
+                f"{self._name}: was sent to slot {self._slot} and stopped at slot {at}; check whether a filter or "
+                f"cable rubs, switch the wheel off and on, and capture again"
             )
         return False
 

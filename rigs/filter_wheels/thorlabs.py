@@ -254,8 +254,8 @@ class ThorlabsWheel:
                 return True, slot
             if seen not in (slot, start) and time.monotonic() - since_s > REST_S:
                 raise WrongPositionError(
-                    f"{self._name}: was sent from slot {start} to slot {slot} and rests at slot {seen}; check "
-                    "whether a filter or cable drags, switch the wheel off and on, and capture again"
+                    f"{self._name}: was sent from slot {start} to slot {slot} and stopped at slot {seen}; check "
+                    "whether a filter or cable rubs, switch the wheel off and on, and capture again"
                 )
             if end_s - time.monotonic() < 2.0 * POLL_S:
                 # What is left is too short for an answer.
@@ -265,7 +265,7 @@ class ThorlabsWheel:
 
     def _overdue(self, slot: int, deadline_s: float, why: str) -> TimedOutError:
         return TimedOutError(
-            f"{self._name}: is not at slot {slot} within {deadline_s:g} s ({why}); check whether something "
+            f"{self._name}: did not reach slot {slot} within {deadline_s:g} s ({why}); check whether something "
             "blocks the wheel, and check its power supply"
         )
 

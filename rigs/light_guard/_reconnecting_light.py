@@ -103,7 +103,7 @@ class ReconnectingLight:
     def switch(self) -> "GuardedSwitch":
         """The open switch."""
         if self._switch is None:
-            raise LostError(f"{self._name}: the connection is closed; start again")
+            raise LostError(f"{self._name}: the connection is closed; run the command again")
         return self._switch
 
     def expect_late_on(self) -> None:

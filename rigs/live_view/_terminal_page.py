@@ -177,7 +177,7 @@ def require_terminal() -> None:
     CaptureError
         They are not.
     """
-    without = "; leave out --terminal to look through the rig in a browser"
+    without = "; leave out --terminal to see the rig's picture in a browser"
     for stream, name in ((sys.stdin, "input"), (sys.stdout, "output")):
         if not stream.isatty():
             raise CaptureError(f"live --terminal: standard {name} is not a terminal{without}")

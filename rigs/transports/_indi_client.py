@@ -460,21 +460,21 @@ class IndiClient(IndiDevice):
 
     def _send(self, data: bytes, end_s: float) -> None:
         if self._socket is None:
-            raise LostError(f"{self.name}: the connection is closed; start again")
+            raise LostError(f"{self.name}: the connection is closed; run the command again")
         try:
             self._socket.settimeout(max(end_s - time.monotonic(), 1e-3))
             self._socket.sendall(data)
         except TimeoutError as error:
             # Part of a message may be out: nothing can follow it.
             self.close()
-            raise TimedOutError(f"{self.name}: the server takes no more messages; restart indiserver") from error
+            raise TimedOutError(f"{self.name}: the server accepts no more messages; restart indiserver") from error
         except OSError as error:
             raise self._lost(system_words(error)) from error
 
     def _receive(self, end_s: float) -> bool:
         """Take in what comes until `end_s` at the longest; return whether anything came."""
         if self._socket is None:
-            raise LostError(f"{self.name}: the connection is closed; start again")
+            raise LostError(f"{self.name}: the connection is closed; run the command again")
         try:
             self._socket.settimeout(max(end_s - time.monotonic(), 0.0))
             data = self._socket.recv(_RECEIVE_BYTES)

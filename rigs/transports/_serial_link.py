@@ -155,7 +155,7 @@ class SerialLink:
             self._port.write(data)
         except serial.SerialTimeoutException as error:
             raise TimedOutError(
-                f"{self._name}: takes no more bytes ({data!r} was to be sent); switch the device off and on"
+                f"{self._name}: accepts no more bytes ({data!r} was to be sent); switch the device off and on"
             ) from error
         except _PORT_ERRORS as error:
             raise self._lost(error) from error

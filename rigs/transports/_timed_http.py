@@ -189,7 +189,7 @@ class MultipartStream:
         except TimeoutError:
             self.close()
             raise TimedOutError(
-                f"{self._name}: did not answer in time; is the camera server running, and is the network up?"
+                f"{self._name}: did not answer in time; check that the camera server runs and that the network works"
             ) from None
         except (OSError, UnicodeError, http.client.HTTPException) as error:  # UnicodeError: no host can have that name
             self.close()
@@ -293,7 +293,10 @@ class MultipartStream:
             name, _, value = line.decode("latin-1").partition(":")
             headers[name.strip().lower()] = value.strip()
             if len(headers) > MOST_HEADERS:
-                raise LostError(f"{self._name}: sends a part with more than {MOST_HEADERS} headers; is it a camera?")
+                raise LostError(
+                    f"{self._name}: sends a part with more than {MOST_HEADERS} headers; check that a camera server is "
+                    "at this address"
+                )
         return headers
 
     def _body(self, headers: Mapping[str, str]) -> bytes:
@@ -312,7 +315,10 @@ class MultipartStream:
         while (at := self._unread.find(ending, max(seen - len(ending), 0))) < 0:
             seen = len(self._unread)
             if seen > LONGEST_PART_BYTES:
-                raise BadFrameError(f"{self._name}: a part is longer than {LONGEST_PART_BYTES} bytes; is it a camera?")
+                raise BadFrameError(
+                    f"{self._name}: a part is longer than {LONGEST_PART_BYTES} bytes; check that a camera server is "
+                    "at this address"
+                )
             self._read_more()
         body = self._take(at)
         del self._unread[:1]

@@ -375,7 +375,7 @@ def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) ->
         told = (
             "it touches no node, or has passed between them, so that the force comes from the mesh, not from the finger"
         )
-    return (f"between nodes the coat cuts into the indenter: {told}",)
+    return (f"between nodes the coat passes into the indenter: {told}",)
 
 
 def _torques(design: FingerDesign, pressed: PressedFinger) -> tuple[float | None, float | None]:

@@ -351,7 +351,7 @@ def _emission(matrix: DonaldsonMatrix) -> SpectralCurve:
     shape = np.where(seen, matrix.radiance_factor_per_nm[:, averaged].mean(axis=1), 0.0)
     total = matrix.emission_at(LASER_NM).values[seen].sum()
     if not (total > 0 and shape.sum() > 0):
-        raise SimulateError(f"{matrix.source}: no emission above the laser at {LASER_NM:g} nm; is it fluorescent?")
+        raise SimulateError(f"{matrix.source}: no emission above the laser at {LASER_NM:g} nm; give a fluorescent one")
     return SpectralCurve(
         name=f"{matrix.name}, emission", wavelength_nm=rows, values=shape * (total / shape.sum()), source=matrix.source
     )
@@ -368,7 +368,8 @@ def _stand_in_absorption(matrix: DonaldsonMatrix, emission: SpectralCurve) -> Sp
     if not (known.any() and np.interp(LASER_NM, columns, np.where(known, light, 0.0)) > 0):
         raise SimulateError(
             f"{matrix.source}: no emission {STRIP_NM[0]:g} to {STRIP_NM[1]:g} nm above the peak at {peak_nm:g} nm "
-            f"under the laser at {LASER_NM:g} nm, so the absorption cannot be read from the matrix; is it fluorescent?"
+            f"under the laser at {LASER_NM:g} nm, so the absorption cannot be read from the matrix; give "
+            "a fluorescent material"
         )
     photons = light[known] / expected[known] / columns[known]
     return SpectralCurve(

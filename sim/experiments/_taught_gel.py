@@ -501,8 +501,8 @@ def _fitted(presses: Sequence[_Press], start: _Start, theta: Floats, error: floa
     found = least_squares(misfit, theta, max_nfev=_MOST_EVALUATIONS)
     if found.status < 1:
         raise SimulateError(
-            f"the model of an elastic gel was not fitted in {_MOST_EVALUATIONS} steps; are circles, ball and scale "
-            "those of the presses?"
+            f"the model of an elastic gel was not fitted in {_MOST_EVALUATIONS} steps; check that circles, ball "
+            "and scale are those of the presses"
         )
     slopes = np.asarray(found.jac, dtype=np.float64)
     return np.asarray(found.x), slopes.T @ slopes

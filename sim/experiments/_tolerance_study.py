@@ -598,14 +598,15 @@ def _sentence(
     if together is None:
         told = f"All numbers together may vary by more than {factor:.2g} times the given half-ranges before {grown}"
     elif together == 0.0:
-        told = f"{len(rows)} numbers need more runs (--runs): the emulator predicts too little to find where {grown}"
+        little = "the emulator explains too little of the variance to find where"
+        told = f"{len(rows)} numbers need more runs (--runs): {little} {grown}"
     else:
         told = (
             f"When all numbers vary together by {together:.2g} times the given half-ranges, {grown} in 5 % of fingers"
         )
     if sides:
         row, limit = min(sides, key=lambda pair: (pair[1] or 0.0) / pair[0].given)
-        told += f"; of the limits of single numbers, that of {row.field} is the narrowest, {limit:.3g} {row.unit}"
+        told += f"; the narrowest limit of a single number is that of {row.field}, {limit:.3g} {row.unit}"
     most = max(rows, key=lambda row: row.total.estimate)
     if not most.is_distinguishable:
         return f"{told}; no number's share of the variance can be distinguished from 0."

@@ -585,7 +585,7 @@ def contact_forces_n(pressed: PressedFinger) -> tuple[FloatArray, FloatArray]:
     touching = pushes > 0.0
     whole = float(pushes.sum())
     if whole <= 0.0:
-        raise SimulateError("nothing touches, and without pressure there is no torque to compute; press deeper")
+        raise SimulateError("the coat touches nothing: without pressure there is no torque to compute; press deeper")
     return pressed.touch_mm[touching], pushes[touching] * float(np.linalg.norm(pressed.force_n[-1])) / whole
 
 

@@ -63,7 +63,7 @@ class Ogden:
         if self.shear_modulus_mpa <= 0.0:
             raise SimulateError(
                 f"the Ogden constants give an initial shear modulus of {self.shear_modulus_mpa:.4g} MPa, which must be "
-                "positive; are they of the form mu/alpha? Then convert them with ogden_from_printed_form"
+                "positive; if they have the form mu/alpha, convert them with ogden_from_printed_form"
             )
         if not 2.0 / 3.0 < self.bulk_over_shear <= 1e5:
             raise SimulateError(

@@ -245,7 +245,7 @@ class _Search:
         before, lately = counted[:-_WANDERS_AFTER], counted[-_WANDERS_AFTER:]
         near = max(_NEARER * min(before, default=math.inf), _FAR * self.residuals[0])
         if self.options.stalled_after and len(before) >= _WANDERS_AFTER - 1 and min(lately) > near:
-            return f"after {self.solved} iterations {min(lately):.2g} N out of balance, no nearer than before"
+            return f"after {self.solved} iterations {min(lately):.2g} N out of balance, no closer than before"
         return ""
 
     def _tell(self) -> None:

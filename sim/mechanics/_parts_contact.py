@@ -93,8 +93,8 @@ class PartsContact:
             When surfaces of the finger pass through each other there, after a push of `pushed_mm`.
         """
         self._continued = (
-            ", from which it was continued, and its record does not say that contact between them acted: of a version "
-            "before 7 none does. Press from the start where it may have"
+            ", from which it was continued, and its record does not state that contact between them acted: no record "
+            "of a version before 7 does. Press from the start if it may have acted"
         )
         if found := self.surfaces.crossing(self._clean_mm):
             raise SimulateError(

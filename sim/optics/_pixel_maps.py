@@ -112,7 +112,7 @@ def pixel_maps(
         raise ImpossibleFingerError(
             f"the camera does not see the coated face ({shape.label}): check camera.field_of_view_deg"
             + ("" if calibration is None else f", camera.calibration ({calibration.source})")
-            + ", mirror.radius_mm and whether light.position_mm stands in its way"
+            + ", mirror.radius_mm and whether the panel at light.position_mm blocks its view"
         )
 
     def spread(values: Floats, where: NDArray[np.bool_]) -> Floats:

@@ -129,7 +129,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
          "sent from slot 1 to slot 2 and reported slot 3"),
         ({"moves": (WheelMove(from_slot=1, to_slot=2, arrived_slot=2, duration_s=9.0),)}, "wheel moves in time", "FAIL",
          "mean 9 s of 1 moves"),
-        ({"darks": (dark(0.001, 19.0, 19.01), dark(1.0, 19.1, 19.11))}, "dark level", "FAIL", "says 16 DN"),
+        ({"darks": (dark(0.001, 19.0, 19.01), dark(1.0, 19.1, 19.11))}, "dark level", "FAIL", "states 16 DN"),
         ({"darks": (dark(0.001, 16.0, 16.01), dark(1.0, 21.0, 21.01))}, "dark rate", "FAIL", "lamp and laser off"),
         ({"darks": (dark(1.0, 16.0, 16.01),)}, "dark rate", "UNDECIDED", "2 frames of 1 s"),
         ({"darks": (dark(0.001, 16.0, 16.01, noise_dn=2.5), *GOOD.darks[1:])}, "read noise", "FAIL", "2.5 DN at"),
@@ -158,7 +158,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
         ({"warm_up": slower(60, 0.5)}, "lamp settles", "FAIL", "it still changes by +"),
         # the lens cap is on: a bias of 3 DN above the rig file's black level, which the dark frames have too
         ({"warm_up": {**WARM, "white_dn": (3.0, 3.01) * 20, "dark_before_dn": (19.0, 19.01) * 3,
-          "dark_after_dn": (19.0, 19.01) * 3}}, "lamp settles", "UNDECIDED", "the lamp was hardly seen: "),
+          "dark_after_dn": (19.0, 19.01) * 3}}, "lamp settles", "UNDECIDED", "the lamp was too dim: "),
         ({"warm_up": {**WARM, "white_dn": (30.0, 30.1) * 20}}, "lamp settles",
          "UNDECIDED", "DN in 16 readings are needed"),
         ({"warm_up": {**WARM, "white_dn": (1000.0, 1000.1) * 2, "times_s": (0.0, 60.0, 120.0, 180.0)}}, "lamp settles",
@@ -213,7 +213,7 @@ def test_one_fault_changes_one_verdict(rig, changed, name, verdict, evidence):
         also = {"laser off after an exception", "laser off by the guard"}  # nobody proves their controller's word then
     if name == "filters in their slots":  # nobody else tells that the wheel turns
         also = {"wheel arrives", "wheel moves in time", "wheel repeats optically", "picture stays in place"}
-    if name == "lamp settles" and evidence in ("the lamp was hardly seen: ", "DN in 16 readings are needed"):
+    if name == "lamp settles" and evidence in ("the lamp was too dim: ", "DN in 16 readings are needed"):
         also = {"dark level stays"}
     of_one = {"wheel repeats optically": {"picture stays in place"}, "lamp settles": {"dark level stays"}}
     missing = of_one.get(name, set()) if None in changed.values() or () in changed.values() else set()
@@ -320,10 +320,10 @@ def test_results_in_words(rig):
     assert "as position and, where bright enough, frame after each one show" in found["wheel arrives"].evidence
     assert value_text(found["filters in their slots"]) == ""
     assert result_line(found["laser off by the guard"]) == (
-        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps, "
-        "reported by the laser's controller only, over a new connection; nobody saw its light; before, the camera saw "
-        "it dark behind filter 450 whenever it was reported off; light below 0.14 % of the laser's, 0.0062 mW at most, "
-        "would not be seen"
+        "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps, reported "
+        "by the laser's controller only, over a new connection; its light was not observed; before, the camera saw "
+        "it dark behind filter 450 whenever it was reported off; light below 0.14 % of the laser's, 0.0062 mW at "
+        "most, would not be seen"
     )
     line = result_line(found["filters in their slots"])
     assert line == "PASS      filters in their slots: the frames show every filter in its slot"
@@ -360,11 +360,11 @@ def moved(blocked_dn: float, passed_dn: float) -> StrayLight:
          r"below 10 % of the laser's, 0.45 mW at most, would not be seen; that is more than the 0.039 mW"),
         ({"light_off": BY_DIODE, "diode": DIODE}, 100.0, "UNDECIDED", "more than the 0.039 mW of a class 1 laser"),
         ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"reported_lit_closed": False})}, 4.5, "UNDECIDED",
-         "nobody proved that the laser was lit while its beam was closed"),
+         "it was not shown that the laser was on while its beam was closed"),
         ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"on_again_rel": 0.3})}, 4.5, "UNDECIDED",
-         "nobody proved that the laser was lit while its beam was closed"),
+         "it was not shown that the laser was on while its beam was closed"),
         ({"light_off": BY_CAMERA}, 4.5, "PASS", "which blocks the laser; light below 0.05 % of the laser's, 0.0023 mW"),
-        ({"light_off": BY_CAMERA, "sight": None}, 4.5, "UNDECIDED", "from the controller's report"),
+        ({"light_off": BY_CAMERA, "sight": None}, 4.5, "UNDECIDED", "while only the controller reported"),
         # off by its controller, and still a tenth of the light
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"off_dn": 218.0, "threshold_dn": 219.0})}, 4.5,
          "UNDECIDED", "read another level with the laser off"),
@@ -377,13 +377,13 @@ def moved(blocked_dn: float, passed_dn: float) -> StrayLight:
          "may lie between them"),
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"blocked_on_dn": 1000.0})}, 4.5, "UNDECIDED",
          "is seen behind filter 550 too"),
-        ({"light_off": BY_WORD}, 4.5, "PASS", "reported by the laser's controller only.*; nobody saw its light"),
+        ({"light_off": BY_WORD}, 4.5, "PASS", "reported by the laser's controller only.*; its light was not observed"),
         # the word of a controller alone proves nothing; the camera must have seen the laser, and dark without it
         ({"light_off": BY_WORD}, 100.0, "UNDECIDED", "more than the 0.039 mW of a class 1 laser"),
         # the dark level has drifted by 1.5 DN since the dark frames; in the other part alone it would be light
-        ({"light_off": BY_WORD, "stray_light": moved(1.5, 1.5)}, 4.5, "PASS", "nobody saw its light"),
+        ({"light_off": BY_WORD, "stray_light": moved(1.5, 1.5)}, 4.5, "PASS", "its light was not observed"),
         ({"light_off": BY_WORD, "stray_light": moved(0.0, 1.5)}, 4.5, "UNDECIDED", "more than dark when it was"),
-        ({"light_off": BY_WORD, "stray_light": None}, 4.5, "UNDECIDED", "nobody saw the laser go off"),
+        ({"light_off": BY_WORD, "stray_light": None}, 4.5, "UNDECIDED", "no instrument saw the laser go off"),
         ({"light_off": BY_WORD, "stray_light": GOOD.stray_light.model_copy(update={"passed": BlockedLight(
             filter_name="450", level=level(0.01, 800.0).model_copy(update={"dark_dn": (16.0,) * 5 + (18.0,)}))})},
          4.5, "UNDECIDED", "more than dark when it was reported off"),

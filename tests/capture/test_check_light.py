@@ -350,7 +350,10 @@ def test_exposure_that_does_not_end_ends_the_check(rig, real, plan, monkeypatch)
 def test_latency_is_not_possible_with_a_lamp_switched_by_hand(rig, real, plan):
     by_hand = real.model_copy(update={"lamp": real.lamp.model_copy(update={"driver": "manual", "address": ""})})
     with frames_of(rig, plan, lambda opened: opened) as (opened, _, plan, frames):
-        for each, word in ((rig, "simulated rig stands still"), (by_hand, "not possible on this rig")):
+        for each, word in (
+            (rig, "simulated rig advances only with its actions"),
+            (by_hand, "not possible on this rig"),
+        ):
             found = trigger_latency(opened, each, plan, frames, check_filters(plan, rig)[0])
             row = verdicts(rig, plan, {"latency": found})["trigger latency"]
             assert (row.verdict, word in row.evidence) == ("UNDECIDED", True)

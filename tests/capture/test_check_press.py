@@ -279,7 +279,8 @@ def test_readings_that_are_never_fresh_end_the_press(practice: Path, monkeypatch
             "28.0",
             "0.02",
             "touches",
-            "one step of 0.05 mm adds 1.4. N, which is too much to go deeper from the turning force",
+            "one step of 0.05 mm adds 1.4. N, which is too much to press deeper from the force at which the stage "
+            "turns back",
         ),
         (
             "17.5",
@@ -287,7 +288,12 @@ def test_readings_that_are_never_fresh_end_the_press(practice: Path, monkeypatch
             "force limit holds",
             "one step of 0.05 mm adds 0.9.* N, which is too much to try a stop at 1.25 N",
         ),
-        ("18.0", "0.05", "touches", "N at the first touch already, so nobody knows what one step of 0.05 mm adds"),
+        (
+            "18.0",
+            "0.05",
+            "touches",
+            "N at the first touch already, so it is not known how much one step of 0.05 mm adds",
+        ),
     ],
 )
 def test_a_first_step_without_room_is_refused(
@@ -306,7 +312,7 @@ def test_a_first_step_without_room_is_refused(
 @pytest.mark.parametrize(
     ("deepest_mm", "title", "words"),
     [
-        (0.36, "touches", "one step of 0.05 mm from the turning force leads deeper than deepest_mm = 0.36 mm"),
+        (0.36, "touches", "beyond the force at which the stage turns back leads deeper than deepest_mm = 0.36 mm"),
         (0.5, "force limit holds", "N at deepest_mm = 0.5 mm, but the stop is tried at 1.25 N; raise deepest_mm"),
     ],
 )
@@ -393,7 +399,7 @@ def test_nobody_who_says_yes_is_nothing_that_moves(practice: Path, monkeypatch) 
     lying(monkeypatch, watched)
     report, status = checked(practice)
     assert (moved, status) == ([], 1)
-    assert "nobody has allowed it to move" in named(report, "stage moves").evidence
+    assert "nobody has confirmed that it may move" in named(report, "stage moves").evidence
 
 
 @pytest.mark.parametrize(("homing", "answers"), [("switches", 0), ("by hand", 0), ("by hand", 1)])

@@ -112,7 +112,7 @@ def test_facts_of_the_simulated_rig(rig: RigFile, plan: CheckPlan) -> None:
     assert (second, third) == pytest.approx((2 * first, 4 * first))
     block, guard, dead_man = facts.light_off
     assert (block.layer, block.latest_s, block.still_on) == ("block", (0.0, 0.0, 0.0), 0)
-    assert {guard.missing, dead_man.missing} == {"no guard on the simulated rig"}
+    assert {guard.missing, dead_man.missing} == {"the simulated rig has no guard process"}
     assert [done for done, total, _ in calls] == list(range(14))
     assert {total for _, total, _ in calls} == {14}
 
@@ -278,7 +278,7 @@ def test_a_frame_that_is_there_too_soon_is_an_error_but_from_a_folder(
 
         at_once = replace(opened, camera=Device(opened.camera, {"expose": expose}))
         frames = CheckFrames(at_once, as_driven, plan, [band])
-        soon = pytest.raises(CaptureError, match="but its frame was there") if driver == "simulated" else nullcontext()
+        soon = pytest.raises(CaptureError, match="but its frame arrived") if driver == "simulated" else nullcontext()
         with soon:
             frames.dark_frames()
 
@@ -573,7 +573,7 @@ class TestKilled:
         monkeypatch.setattr("rigs.capture.light_off_time._MOST_TRIES", 2)
         with firmware_board(build(tmp_path)) as board:
             laser = nobody(board.address)
-            with pytest.raises(CaptureError, match="could not be stopped at once in 2 tries"):
+            with pytest.raises(CaptureError, match="could not be stopped at the same time in 2 tries"):
                 after_kill(laser, "dead-man", ConnectionWatch(laser, quiet_s=0.95), 1)
             assert not board.state()
 
@@ -614,7 +614,7 @@ def test_a_hazardous_laser_that_went_out_is_not_lit_by_the_next_layer(
     )
     assert facts.errors["stray light"].startswith("laser: did not come on")
     assert facts.errors["light off"].startswith(
-        "laser: did not come on" if goes_on else "not tried: the laser went out"
+        "laser: did not come on" if goes_on else "not tried: the laser went off without a command"
     )
     assert bool(facts.light_off) == goes_on  # what the layers without the rig recorded
 
@@ -638,4 +638,4 @@ def test_a_hazardous_laser_that_failed_in_a_layer_is_not_lit_by_the_next_one(
     guard, dead_man = recorder._without_rig()  # noqa: SLF001 - the bench has no guard that could be lost
     assert begun == tried
     assert "the guard process has ended" in str(guard.error)
-    assert ("not lit again until a person has found out why" in str(dead_man.error)) == (hazard == "3R")
+    assert ("not lit again until a person has found the cause" in str(dead_man.error)) == (hazard == "3R")

@@ -43,7 +43,8 @@ def test_a_cell_that_does_not_feel_the_mass_moves_no_stage(practice: Path, monke
     report, status = checked(practice)
     assert status == 1
     assert (
-        "N of the known mass, which weighs 1.96 N; a stage must not press by it" in named(report, "load cell").evidence
+        "N of the known mass, which weighs 1.96 N; a stage must not press with such a load cell"
+        in named(report, "load cell").evidence
     )
     assert "not tried" in named(report, "stage moves").evidence
     assert named(report, "calibration holds").verdict == "UNDECIDED"
@@ -174,7 +175,7 @@ def test_a_move_that_no_force_stops_fails(practice: Path, monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("mass_kg = 0.2", "mass_kg = 0.3", "the cell that saw it is not proven to be right in this check"),
+        ("mass_kg = 0.2", "mass_kg = 0.3", "this check did not confirm the cell that measured it"),
         ("stops = 3", "stops = 1", "1 stops are too few"),
         ("stops = 3", "stops = 3\nforce_limit_n = 0.6", "no move was long enough to be stopped within it"),
     ],
@@ -294,7 +295,7 @@ def test_a_block_that_nobody_takes_away_ends_all_moves(practice: Path, monkeypat
     report, status = checked(practice)
     assert (len(refused), moved_after, status) == (1, [], 1)
     assert "nobody has confirmed that the block was taken off" in named(report, "touches").evidence
-    assert "nobody allowed the stage to move" in named(report, "devices come back").evidence
+    assert "nobody confirmed that the stage may move" in named(report, "devices come back").evidence
     assert named(report, "Z goes as far as sent").verdict == "PASS"  # what was measured before stays
 
 

@@ -61,7 +61,7 @@ def test_filter_in_place_is_confirmed(rig: RigFile, opened, metered, captured) -
     assert line.not_exchanged() == set(OTHERS)
     _, session, _ = captured
     assert session.filter_proof is not None
-    assert session.filter_proof.text.endswith("the laser's line comes through filter 450 and no other")
+    assert session.filter_proof.text.endswith("only filter 450 passes the laser's line")
 
 
 def test_pair_that_the_lamp_cannot_tell_apart_is_told_by_the_laser() -> None:

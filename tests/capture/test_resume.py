@@ -217,7 +217,7 @@ def test_another_camera_is_refused(rig: RigFile, small: PaintPlan, stopped: Path
     text = (stopped / "journal.jsonl").read_text()
     (stopped / "journal.jsonl").write_text(text.replace('"model": "simulated bench"', '"model": "another"', 1))
     before = sorted(stopped.rglob("*"))
-    with pytest.raises(CaptureError, match=r"simulated bench .* answers now, but the session began with another "):
+    with pytest.raises(CaptureError, match=r"simulated bench .* is connected now, but the session began with another "):
         resumed(rig, small, stopped)
     assert sorted(stopped.rglob("*")) == before
 

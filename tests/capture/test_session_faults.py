@@ -103,7 +103,7 @@ def device() -> Iterator[EmulatedWheel]:
 @pytest.mark.parametrize(
     ("fault", "error", "message"),
     [
-        ({"stuck": True}, TimedOutError, "is not at slot . within 3 s"),
+        ({"stuck": True}, TimedOutError, "did not reach slot . within 3 s"),
         ({"slip": 1}, TimedOutError, "its last report is slot"),  # sent again, it falls back to where it rests
         ({"mute": True}, TimedOutError, "did not answer within"),
         ({"garble": True}, LostError, "attempts at"),
@@ -169,7 +169,9 @@ def test_frame_unlike_its_metering_is_not_stored_and_is_taken_again(
 
     with open_rig(rig, Path()) as opened:
         failing = replace(opened, camera=ChangedCamera(opened.camera, dimmed))
-        with pytest.raises(CaptureError, match=r"DN/s in .* at metering .* put it right, then continue or resume"):
+        with pytest.raises(
+            CaptureError, match=r"DN/s in .* at metering .* find and correct the cause, then continue or resume"
+        ):
             capture(failing, rig, small, tmp_path)
         assert dark(opened)
     before = set(read_interrupted(tmp_path).frames)

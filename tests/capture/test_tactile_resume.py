@@ -99,7 +99,7 @@ def test_session_does_not_go_on_with_another_camera(sensor, tmp_path, monkeypatc
     with pytest.raises(KeyboardInterrupt):
         capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), Hands(interrupt_at_press_2))
     monkeypatch.setattr(picamera2_stand_in.Picamera2, "camera_properties", {"Model": "imx708"})
-    with pytest.raises(CaptureError, match=r"imx708 .* answers now, but the session began with .*imx219"):
+    with pytest.raises(CaptureError, match=r"imx708 .* is connected now, but the session began with .*imx219"):
         resumed(tmp_path, Hands())
 
 
@@ -145,7 +145,7 @@ def test_resume_through_the_command_line(sensor, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n" * 9))
     resumed = finray(f"capture --resume {out}")
     assert resumed.status == 0, resumed.err
-    assert "3 frames are there and unchanged" in resumed.out
+    assert "3 frames are stored and unchanged" in resumed.out
     assert "8 frames of 'finger 3, ball', 2 tactile captures" in resumed.out
 
 

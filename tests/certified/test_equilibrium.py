@@ -206,7 +206,7 @@ def test_a_search_that_comes_no_nearer_is_given_up(residuals, wanders):
     search.solved = len(residuals)
     assert bool(search.given_up()) == wanders
     if wanders:
-        assert search.given_up() == "after 15 iterations 40 N out of balance, no nearer than before"
+        assert search.given_up() == "after 15 iterations 40 N out of balance, no closer than before"
     patient = _Search(assembly, loading(1.0), linear_solver(), NewtonOptions(stalled_after=0))
     patient.residuals, patient.removals = residuals, [0.0] * len(residuals)
     patient.solved = len(residuals)

@@ -450,7 +450,7 @@ CASES = (
     Case(
         "one coat for two tins",
         "check equivalence --first {paints}/red/paint.json --second {paints}/green/paint.json --margin mode_nm=4",
-        r"red/paint\.json and \S+green/paint\.json: are one calibration; give each coat once",
+        r"red/paint\.json and \S+green/paint\.json: are the same calibration; give each coat once",
     ),
     Case(
         "day in words",
@@ -967,6 +967,48 @@ CASES = (
         r"error: /proc/x\.toml: No such file .*; check the path",
     ),
     Case(
+        "name that is too long",
+        "capture {lab}/plan.toml --rig {lab}/rig.toml --out " + 300 * "a",
+        r"File name too long; give a shorter name",
+    ),
+    Case(
+        "a second place to write to",
+        "fit {lab}/bands.json --out {tmp}/paint.json --out {lab}/sweep.json",
+        r"lab\S*/sweep\.json: exists already and is not overwritten",
+    ),
+    Case(
+        "empty record",
+        "fit {tmp}/empty.json",
+        r"cannot be read as JSON .*; it is empty; give the path of a stored record",
+        file("empty.json", ""),
+    ),
+    Case(
+        "empty study of a gauge",
+        "check gauge-rr {tmp}/study.csv",
+        r"the header names nothing; it must name sample, session, and paint or value",
+        file("study.csv", ""),
+    ),
+    Case(
+        "text with the name of an archive",
+        "import captures {tmp}/set.zip --recipe fots-gelsight",
+        r"set\.zip: cannot be read as a zip archive .*; copy it again",
+        file("set.zip", "no archive"),
+    ),
+    Case(
+        "parts of a classic sensor",
+        "design export digit",
+        r"digit: is a ready-made classic sensor, but a finger is needed",
+    ),
+    Case(
+        "folder without pictures of a board", "sense scale {lab}", r": holds no tactile session \(session\.json\); give"
+    ),
+    Case(
+        "finger for a rig",
+        "rig show {tmp}/finger.toml",
+        r"holds the design of a finger or sensor, where a rig file is needed; give that file",
+        design("[pad]\nthickness_mm = 5.0"),
+    ),
+    Case(
         "captures of a folder that is not there",
         "bench tactile {lab}/nosuch",
         r"nosuch: no such folder; give the folder that 'finray import captures' wrote",
@@ -1010,7 +1052,9 @@ USAGE = (
     Case("places backwards", SWEEP + " --angles 0:90:30 --positions 64:8:4", r"'64:8:4' must be FIRST:LAST:STEP in mm"),
     Case("weights in words", "decide {lab}/sweep.json --weights often", r"'often' must be numbers above 0 with commas"),
     Case("no samples", BOTH + " --samples 0", "'0' must be an even whole number from 2 to 1000000"),
-    Case("negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 or more"),
+    Case(
+        "negative seed", "fit {lab}/bands.json --seed -1", r"argument --seed: -1 is out of range; give 0 to 2\^63 - 1"
+    ),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
     Case("no seed", "decide {lab}/sweep.json --seed", r"--seed: a value must follow it; .*; 'finray decide --help'"),
     Case("a weight below 0", "decide {lab}/sweep.json --weights -1,2", r"joined by '=': --weights=-VALUE; 'finray"),

@@ -95,7 +95,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("set --teach 7", "--teach 7: must be 1 to 4: there are 5 presses, and those"),
+        ("set --teach 7", "--teach 7: must be 1 to 4: there are 5 presses, and it is judged on those"),
         ("set --teach 2 --simulator mine", "--simulator NAME and --command WORDS go together; give both"),
         ("nowhere", "nowhere: no such folder; give the folder"),
         (
@@ -131,7 +131,10 @@ def test_a_simulator_is_scored_on_all_judged_presses_or_none(captures: Path) -> 
     )
     outcome = finray(f"bench tactile set --teach 2 --simulator lazy --command {command()} --out out")
     assert outcome.status == 2
-    assert "1 of 3 judged presses are missing (0002): a simulator is scored on all of them or on none" in outcome.err
+    assert (
+        "1 of 3 judged presses are missing (0002); render all of them, because the score needs every press"
+        in outcome.err
+    )
     Path("simulator.py").write_text(script.replace("renders / press.name", 'renders / ("x" + press.name)'))
     outcome = finray(f"bench tactile set --teach 2 --simulator other --command {command()} --out again")
     assert outcome.status == 2
@@ -167,7 +170,10 @@ def test_presses_that_are_all_one_image_cannot_be_judged(captures: Path) -> None
         (Path("set") / f"000{k}.capture.json").write_bytes(first.read_bytes())
     outcome = finray("bench tactile set --teach 1 --out out")
     assert outcome.status == 2
-    assert "no press is left to judge: every contact image is one of those used for training; give a set" in outcome.err
+    assert (
+        "no press is left to judge the simulator on: every contact image is one of those used for training; give a set"
+        in outcome.err
+    )
 
 
 def test_our_physics_beside_the_table(captures: Path) -> None:

@@ -94,7 +94,7 @@ def test_signal_ends_the_capture_cleanly_and_resume_finishes_it(lab: Path, tmp_p
     assert f"finray capture --resume {out}" in said
     assert '"outcome": "KeyboardInterrupt' in (out / "journal.jsonl").read_text().splitlines()[-1]
     before = {path.name: path.stat().st_mtime_ns for path in (out / "frames").iterdir()}
-    kept = re.search(r"(\d+) frames are there and unchanged", succeed(f"capture --resume {out}"))
+    kept = re.search(r"(\d+) frames are stored and unchanged", succeed(f"capture --resume {out}"))
     unchanged = [name for name, time_ns in before.items() if (out / "frames" / name).stat().st_mtime_ns == time_ns]
     assert kept is not None
     assert int(kept[1]) == len(unchanged) >= 5

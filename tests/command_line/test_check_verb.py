@@ -51,7 +51,7 @@ def test_a_good_rig_is_accepted_and_every_file_is_there(lab: Path, plan: Path, t
         "laser off by the dead-man",
     }
     assert all(result.name in said for result in report.results)
-    assert "no guard on the simulated rig" in said
+    assert "the simulated rig has no guard process" in said
     origin = require_valid(tmp_path / "out/check.json")
     assert origin["input_sha256"] == {f"{p}": sha256_of(p) for p in (plan, lab / "rig.toml")}
     assert origin["seed"] == 1

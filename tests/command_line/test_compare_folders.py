@@ -157,7 +157,10 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
         ("", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
         ("{0}/simulated", "the CAPTURE to compare it with is missing; add a record"),
         ("{0}/simulated {0}/captured/one.capture.json", "some are folders, others are not; give two records or"),
-        ("{0}/none.json {0}/none.json {0}/none.json", "none.json: is a third record, and two are compared; give one"),
+        (
+            "{0}/none.json {0}/none.json {0}/none.json",
+            "none.json: is a third record, but only two are compared; give one",
+        ),
         ("{0}/simulated --pairs {0}/pairs.csv", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
         ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated and captured"),
         ("--pairs {0}/none.csv", "none.csv: no such file; give the path of a CSV file"),
@@ -179,7 +182,7 @@ def test_mistakes_are_told_and_nothing_is_written(folders: Path, arguments: str,
 def test_the_help_says_where_a_score_may_lie_above_the_floor() -> None:
     """The noise of linear captures is taken out of the score, not of the floor."""
     told = " ".join(finray("compare --help").out.split())
-    assert "so that the score may lie above it; with encoded values both hold the noise" in told
+    assert "so that the score may lie above the floor; with encoded values both contain the noise" in told
 
 
 def test_what_fails_for_all_simulators_is_said_once_and_no_interval_has_equal_ends(folders: Path) -> None:

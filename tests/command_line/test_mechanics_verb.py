@@ -298,7 +298,7 @@ def test_a_force_that_rests_on_few_nodes_is_told(tmp_path, radius_mm, depth_mm, 
     assert outcome.status == (2 if "no node" in message else 0)
     assert message in outcome.err
     stored = read_record(tmp_path / "ball.mechanics.json", PressMechanics)
-    assert any("the coat cuts into the indenter" in note for note in stored.notes)
+    assert any("the coat passes into the indenter" in note for note in stored.notes)
 
 
 def small_ball(tmp_path: Path, radius_mm: float, depth_mm: float) -> Path:

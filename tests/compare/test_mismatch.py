@@ -93,7 +93,7 @@ SPOILT = {
     ),
     "clipped below full scale": (
         lambda c: edited(c, lambda dn: np.minimum(dn, 1023)), "refuse", "levels",
-        r"stand at exactly 1023 DN, which suggests data of 10 bit, .* full scale is recorded as 4095 DN \(12 bit\)",
+        r"are exactly 1023 DN, which suggests data of 10 bit, .* full scale is recorded as 4095 DN \(12 bit\)",
     ),
     "counts above full scale": (
         lambda c: c.model_copy(update={"bit_depth": 10}),

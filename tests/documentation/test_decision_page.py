@@ -69,7 +69,11 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
     ("verdict", "title", "meaning"),
     [
         ("decided", "Mount the light at 32 deg", "only nearby angles are equally good"),
-        ("tie", "Several angles are equally good; take 32 deg if nothing speaks against it", "easiest to build"),
+        (
+            "tie",
+            "Several angles are equally good; take 32 deg unless you have a reason",
+            "easiest to build",
+        ),
         ("undecided", "Not decided yet; 32 deg is the best guess so far", "More angles or more repeats would help"),
         (
             "needs captures",

@@ -124,7 +124,7 @@ def test_columns_may_be_in_other_units(tmp_path, unit, value):
 def test_depth_and_diameter_may_be_in_different_units(tmp_path):
     folder = write_lab(tmp_path / "f", columns={"depth": 0.00045, "d": 9.2})
     text = BALLS.replace("diameter_mm = 9.2\n", 'diameter_mm = "d"\ndepth_mm = "depth"\n')
-    with pytest.raises(ImportFormatError, match=r'say columns_in = \{ depth_mm = "m" \} below'):
+    with pytest.raises(ImportFormatError, match=r'write columns_in = \{ depth_mm = "m" \} below'):
         read(folder, text)
     pose = read(folder, f'{text}columns_in = {{ depth_mm = "m" }}\n').captures["p0"].indenter
     assert (pose.depth_mm, pose.radius_mm) == pytest.approx((0.45, 4.6))
@@ -143,8 +143,12 @@ def test_depths_without_a_circle_are_held_against_what_gels_can_be(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("px_per_mm = 10.0", "mm_per_px = 10.0", r"a pixel is 10 mm wide, .* at most 1 mm .*is it px_per_mm = 10\?"),
-        ("px_per_mm = 10.0", "px_per_mm = 0.1", r"a pixel is 10 mm wide, .*is it mm_per_px = 0\.1\?"),
+        (
+            "px_per_mm = 10.0",
+            "mm_per_px = 10.0",
+            r"a pixel is 10 mm wide, .* 1 mm .*perhaps it should be px_per_mm = 10",
+        ),
+        ("px_per_mm = 10.0", "px_per_mm = 0.1", r"a pixel is 10 mm wide, .*perhaps it should be mm_per_px = 0\.1"),
         ("9.2", "0.0092", r"larger than the ball's 0\.046 px"),
         ('"x", row_px = "y"', '"y", row_px = "x"', r"presses change .* times as much .* with row and column exchanged"),
         ('"rest.png"', '"rest.png"\nrepeat_file = "rest.png"', r"are one picture, pixel by pixel"),
@@ -185,7 +189,7 @@ def test_half_floats_are_read_by_a_full_scale_that_suits_them(tmp_path, full_sca
     np.testing.assert_allclose(capture.contact / 65535.0, light["p1"].astype(float), atol=0.5 / 65535.0 + 1e-9)
     (folder / "rest.exr").unlink()
     save(folder / "rest.png", flat())
-    with pytest.raises(ImportFormatError, match=r"full_scale belongs to OpenEXR images, and rest\.png is none"):
+    with pytest.raises(ImportFormatError, match=r"full_scale belongs to OpenEXR images, and rest\.png is not one"):
         read(folder, text.replace("rest.exr", "rest.png"))
 
 
@@ -235,7 +239,7 @@ def test_frames_that_already_show_contact_are_no_rest(tmp_path):
     with pytest.raises(ImportFormatError, match="shows contact within the first 16 frames"):
         read(tmp_path, text)
     (tmp_path / "g.mp4").write_bytes((tmp_path / "g.avi").read_bytes())
-    with pytest.raises(ImportFormatError, match=r"is for Motion-JPEG videos \(\.avi\), and g\.mp4 is none"):
+    with pytest.raises(ImportFormatError, match=r"is for Motion-JPEG videos \(\.avi\), and g\.mp4 is not one"):
         read(tmp_path, VIDEO.replace(".avi", ".mp4"))
 
 

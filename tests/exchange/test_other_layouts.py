@@ -108,7 +108,7 @@ def test_layouts_that_are_read(tmp_path, files, rest, change, picture, names, bi
             "p{}.PNG",
             "p{press}.png",
             "rest.PNG",
-            r"small or large as written; the folder holds, for example, .*p[1-5]\.PNG",
+            r"where upper and lower case differ; the folder holds, for example, .*p[1-5]\.PNG",
         ),
         ("p{}.tif", "p{press}.tif", "rest.tif", r"convert all pictures without loss, such as with 'mogrify"),
         ("p{}.npy", "p{press}.npy", "rest.npy", r'does not state the order of its channels; write channels = "RGB"'),
@@ -275,7 +275,7 @@ def test_a_line_that_calls_by_what_all_presses_have_in_common_names_none(tmp_pat
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (same, r"picture.bit_depth = 12 belongs to pictures of 16 bits, and p1.png is none; leave it"),
+        (same, r"picture.bit_depth = 12 belongs to pictures of 16 bits, and p1.png is not one; leave it"),
         (
             lambda image: image * SIXTEEN,
             r"png: its largest value is \d{5}, and counts of .* = 12 end at 4095; .* by 16,",

@@ -210,7 +210,7 @@ def spoil(folder, kind):
         ("mixed", r"mixes raw and processed images"),
         ("sizes differ", r"differ in Bayer order, bits or size"),
         ("no raw page", r"holds no colour filter array \(Bayer\) image"),
-        ("not a DNG", r"cannot be read as DNG .*; is the file complete"),
+        ("not a DNG", r"cannot be read as DNG .*; check that the file is complete"),
         ("odd pattern", r"Bayer pattern \[0, 0, 1, 2\] of an image .* is not supported"),
         ("odd white level", r"white level 1000 DN is not supported; it must be 2\^bits - 1"),
         ("no black level", r"neither metadata \(SensorBlackLevels\) nor a tuning file states the black level"),

@@ -309,9 +309,13 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         (("[indenter]\n", CIRCLE), ('= "x"', '= "y"'), "t.csv: has no column 'y'; it has n, x, r: correct the recipe"),
         (("[indenter]\n", CIRCLE), ('"n"', '"m"'), "has no column 'm' that names the press"),
         (("[indenter]\n", CIRCLE), ('= "x"', '= "r"'), "r of a must be a number, got 'wide'"),
-        (("[indenter]\n", CIRCLE), ("row_px = 9", "row_px = 999"), "outside the picture of 160 x 120 px; are row and"),
+        (
+            ("[indenter]\n", CIRCLE),
+            ("row_px = 9", "row_px = 999"),
+            "outside the picture of 160 x 120 px; check whether row and",
+        ),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
-        (('file = "rest.png"', "frames_before = 3"), None, r"for Motion-JPEG videos \(\.avi\), and a\.png is none"),
+        (('file = "rest.png"', "frames_before = 3"), None, r"for Motion-JPEG videos \(\.avi\), and a\.png is not one"),
         (
             ("[indenter]\n", CIRCLE),
             ("t.csv", "{press}.npz"),
@@ -363,7 +367,7 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
         with_sizes(recipe(PICTURES), -1.0, None)
     (tmp_path / "rest.png").write_bytes(b"no picture")
     save(tmp_path / "a.png", flat())
-    with pytest.raises(ImportFormatError, match=r"rest\.png: is neither PNG nor JPEG"):
+    with pytest.raises(ImportFormatError, match=r"rest\.png: is not a picture of a kind that is read"):
         read_by_recipe(tmp_path, recipe(PICTURES))
     save(tmp_path / "rest.png", flat((60, 80)))
     with pytest.raises(ImportFormatError, match=r"different sizes \(160 x 120, 80 x 60 px\)"):
@@ -546,7 +550,7 @@ def test_an_outline_outside_the_image_has_no_distance(tmp_path):
     far = tuple(PlaceInImage(row_px=900.0 + k, column_px=900.0 - k * k) for k in range(3))
     moved = capture.model_copy(update={"contact_circle": None, "contact_outline": far})
     with pytest.raises(
-        Exception, match="encloses no pixel of the image of 160 x 120 px; are rows and columns exchanged"
+        Exception, match="encloses no pixel of the image of 160 x 120 px; check whether rows and columns are exchanged"
     ):
         contact_distance(moved)
     assert contact_distance(capture.model_copy(update={"contact_circle": None})) is None

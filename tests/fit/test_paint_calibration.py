@@ -188,7 +188,7 @@ def test_a_level_that_contradicts_energy_is_told():
     assert energy_warnings(SimpleNamespace(excess_share=0.6, conserving=True)) == ()
     told = energy_warnings(SimpleNamespace(excess_share=0.99, conserving=False))[0]
     assert told.startswith("99 % of the draws emit more photons than are absorbed at the laser")
-    assert "too few draws do not, so that all were kept" in told
+    assert "too few other draws remain, so that all were kept" in told
 
 
 def test_the_spectrum_rests_on_measured_spectra_unless_a_family_is_asked_for(bands, paint):

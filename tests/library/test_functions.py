@@ -135,7 +135,10 @@ def test_the_verb_renders_the_same_press(lab, paint, rendered, tmp_path):
 def test_swapped_paints_are_refused_unless_meant(lab, paint):
     shifted = paint.parameters["mode_nm"].model_copy(update={"estimate": paint.mode_nm.estimate - 80.0})
     bluer = paint.model_copy(update={"parameters": {**paint.parameters, "mode_nm": shifted}})
-    with pytest.raises(SimulateError, match=r"look swapped\. Exchange them, or give paints_as_given=True"):
+    with pytest.raises(
+        SimulateError,
+        match=r"look swapped\. Exchange them, or give --paints-as-given \(from Python paints_as_given=True\)",
+    ):
         finray.render_press(lab / "finger.toml", red=bluer, green=paint)
     press = finray.render_press(
         lab / "finger.toml", red=bluer, green=paint, engine="scalar", samples=2, paints_as_given=True

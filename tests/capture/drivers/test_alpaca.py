@@ -81,7 +81,7 @@ def test_a_wheel_that_moves_for_ever_is_late_and_its_position_unknown() -> None:
 
 def test_a_wheel_that_rests_elsewhere_is_at_the_wrong_position(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(alpaca, "ELSEWHERE_S", 0.1)
-    with pytest.raises(WrongPositionError, match="was sent to slot 5 and rests at slot 6"):
+    with pytest.raises(WrongPositionError, match="was sent to slot 5 and stopped at slot 6"):
         moved(WheelScript(0, -1, 5), 5)
 
 

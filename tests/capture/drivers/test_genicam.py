@@ -108,7 +108,7 @@ def test_everything_automatic_is_off_and_recorded() -> None:
     [
         ("PixelFormat", "PixelFormat was set to BayerRG16 and reads back BayerRG8"),
         ("ExposureAuto", "ExposureAuto was set to Off and reads back Continuous"),
-        ("GammaEnable", "GammaEnable stays on, which changes raw counts"),
+        ("GammaEnable", "GammaEnable cannot be switched off here, and it changes raw counts"),
         ("Gamma", r"Gamma was set to 1 and reads back 2\.2; gamma is fixed at 1"),
         ("OffsetX", "OffsetX was set to 0 and reads back 8"),
         ("Width", "Width was set to 64 and reads back 32; correct width_px"),

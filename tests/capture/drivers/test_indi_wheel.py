@@ -74,7 +74,7 @@ def test_an_ok_at_another_slot_is_no_arrival(monkeypatch: pytest.MonkeyPatch) ->
     with (
         replayed([*RECORDED[:at], *elsewhere]) as address,
         open_wheel(wheel_settings(replayed_wheel(address)), OPERATOR) as wheel,
-        pytest.raises(WrongPositionError, match="was sent to slot 3 and rests at slot 1"),
+        pytest.raises(WrongPositionError, match="was sent to slot 3 and stopped at slot 1"),
     ):
         wheel.go_to(3, 5.0)
 
@@ -84,7 +84,7 @@ def test_arrival_is_two_polls_in_a_row_or_rest_elsewhere() -> None:
     assert [arrival.sees(at) for at in (4, None, 4, 3, 4, 4)] == [False, False, False, False, False, True]
     assert not arrival.sees(3)
     time.sleep(0.04)
-    with pytest.raises(WrongPositionError, match="wheel: was sent to slot 4 and rests at slot 3"):
+    with pytest.raises(WrongPositionError, match="wheel: was sent to slot 4 and stopped at slot 3"):
         arrival.sees(3)
 
 

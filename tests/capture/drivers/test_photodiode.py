@@ -145,15 +145,18 @@ PULSES = itertools.cycle([700, 3])
 @pytest.mark.parametrize(
     ("level", "words"),
     [
-        (lambda on, shut: 3, "does not see the difference"),  # unplugged
-        (lambda on, shut: 900, "does not see the difference"),  # room light, or constant
-        (lambda on, shut: 30 if on and not shut else 3, "does not see the difference"),  # too faint
-        (lambda on, shut: 1023 if on and not shut else 3, "is saturated and no witness"),
-        (lambda on, shut: next(PULSES) if on and not shut else 3, "does not see the difference"),  # pulses half missed
+        (lambda on, shut: 3, "reads the same with the laser on"),  # unplugged
+        (lambda on, shut: 900, "reads the same with the laser on"),  # room light, or constant
+        (lambda on, shut: 30 if on and not shut else 3, "reads the same with the laser on"),  # too faint
+        (lambda on, shut: 1023 if on and not shut else 3, "is saturated and cannot show"),
+        (
+            lambda on, shut: next(PULSES) if on and not shut else 3,
+            "reads the same with the laser on",
+        ),  # pulses half missed
         (lambda on, shut: 3 if shut else 700 if on else 40, "the laser is not off but dimmed"),
         (lambda on, shut: 700 if on else 3, "lets light of the laser through"),  # nothing was closed
         (lambda on, shut: 60 if on and shut else 700 if on else 3, "lets light of the laser through"),
-        (lambda on, shut: 0 if shut else 700 if on else 30, "or something else than its beam was covered"),
+        (lambda on, shut: 0 if shut else 700 if on else 30, "or something other than its beam was covered"),
     ],
     ids=["dark", "bright", "faint", "saturated", "pulsed", "dimmed", "not closed", "half closed", "diode covered"],
 )
@@ -236,7 +239,7 @@ def test_firmware_that_misses_pulses_does_not_pass(tmp_path: Path) -> None:
     ("closes", "sees_pulses", "verdict", "words"),
     [
         (True, True, "PASS", "light below 0.19 % of the laser's, 0.0086 mW at most, would not be seen"),
-        (False, True, "UNDECIDED", "learned what dark is from the controller's report alone"),
+        (False, True, "UNDECIDED", "was taken while only the controller reported the laser off"),
         (True, False, "UNDECIDED", "a pulsed laser may look off"),
     ],
 )

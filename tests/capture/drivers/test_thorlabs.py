@@ -119,7 +119,9 @@ def test_a_stuck_wheel_is_late(device: EmulatedWheel, prompt_after_move: bool) -
         device.control.put(stuck=True)
         began_s = time.monotonic()
         why = "it does not confirm the move" if prompt_after_move else "its last report is slot 1"
-        with pytest.raises(TimedOutError, match=rf"is not at slot 3 within 0.5 s \({why}\); check whether something"):
+        with pytest.raises(
+            TimedOutError, match=rf"did not reach slot 3 within 0.5 s \({why}\); check whether something"
+        ):
             wheel.go_to(3, 0.5)
         assert time.monotonic() - began_s < 0.5 + LATE_S
         device.control.put(stuck=False)
@@ -133,7 +135,7 @@ def test_a_stuck_wheel_is_late(device: EmulatedWheel, prompt_after_move: bool) -
 def test_a_lost_step_is_a_wrong_position(device: EmulatedWheel, prompt_after_move: bool, slip: int) -> None:
     device.control.put(prompt_after_move=prompt_after_move, slip=slip)
     with opened(device.address) as wheel:
-        with pytest.raises(WrongPositionError, match=f"sent from slot 1 to slot 5 and rests at slot {5 + slip};"):
+        with pytest.raises(WrongPositionError, match=f"sent from slot 1 to slot 5 and stopped at slot {5 + slip};"):
             wheel.go_to(5, MOVE_S)
         assert wheel.position() == 5 + slip
 
