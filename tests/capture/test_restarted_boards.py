@@ -26,7 +26,7 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from data_schemas import CaptureError, CaptureSession, LampSettings, RefusedError
-from rigs import RawFrame, driver_notes, open_rig, paint_plan, paper_rig, simulated_rig
+from rigs import RawFrame, driver_notes, inspect_rig, open_rig, paint_plan, paper_rig, simulated_rig
 from rigs.capture import SessionRequest, paint_steps, read_interrupted
 from rigs.capture._paint_session import capture_with
 from rigs.light_guard import guarded_light
@@ -337,8 +337,12 @@ class TestTwoBoardsOfOneKind:
             assert bool(port_advice(str(tmp_path / "by-id" / "two"))) == (folder == "by-path")
             lamp = LampSettings(driver="arduino", address=port)
             rig = paper_rig({})
-            rig = rig.model_copy(update={"lamp": lamp, "camera": rig.camera.model_copy(update={"driver": "folder"})})
+            laser = rig.laser.model_copy(update={"address": os.path.realpath(tmp_path / "ttyACM0")})
+            camera = rig.camera.model_copy(update={"driver": "folder"})
+            rig = rig.model_copy(update={"lamp": lamp, "laser": laser, "camera": camera})
             assert any(re.search(text, note) for note in driver_notes(rig))
+            shown = next(part for part in inspect_rig(rig, tmp_path) if part.title.startswith("lamp"))
+            assert any(re.search(text, warning) for warning in shown.warnings)
 
     def test_a_new_guard_lights_no_other_board(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """In the dark the guard is killed, and the connection lost; each time another board is there."""
