@@ -197,9 +197,9 @@ def rig_drivers(rig: RigFile | TactileRig) -> tuple[Driver, ...]:
 
 
 def driver_notes(rig: RigFile | TactileRig) -> tuple[str, ...]:
-    """Return a line, for the record of a session, on each driver of another package, with its version, and each port.
+    """Return lines, for the record of a session, on drivers of other packages and on ports whose names may change.
 
-    Of a port whose name may lead to another device after a replug: which name to write.
+    Drivers with their version; of a port whose name may lead to another device after a replug, which name to write.
 
     Raises
     ------
