@@ -51,7 +51,7 @@ from rigs._protocols import (
 )
 from rigs.light_guard import LEASE_S, GuardedLight, guarded_light
 from rigs.lights.manual import plain_light
-from rigs.transports import indi_address
+from rigs.transports import indi_address, port_advice
 
 Kind = Literal["camera", "filter wheel", "light", "stage", "load cell"]
 _FOLDERS: Final[dict[Kind, str]] = {
@@ -197,15 +197,22 @@ def rig_drivers(rig: RigFile | TactileRig) -> tuple[Driver, ...]:
 
 
 def driver_notes(rig: RigFile | TactileRig) -> tuple[str, ...]:
-    """Return a line, for the record of a session, on each driver of another package, with its version.
+    """Return lines, for the record of a session, on drivers of other packages and on ports whose names may change.
+
+    Drivers with their version; of a port whose name may lead to another device after a replug, which name to write.
 
     Raises
     ------
     RefusedError
         As :func:`rig_drivers` does.
     """
-    others = [f"{driver.kind}: driver {driver.label}" for driver in rig_drivers(rig) if not driver.is_ours]
-    return tuple(dict.fromkeys(others))
+    drivers = rig_drivers(rig)
+    others = [f"{driver.kind}: driver {driver.label}" for driver in drivers if not driver.is_ours]
+    if not drivers:
+        return ()
+    held = (rig.filter_wheel, rig.laser, rig.lamp) if isinstance(rig, RigFile) else (rig.stage, rig.load_cell)
+    ports = [port_advice(device.address) for device in held if device is not None and device.address]
+    return tuple(dict.fromkeys([*others, *filter(None, ports)]))
 
 
 Device = TypeVar("Device")
@@ -340,6 +347,12 @@ def detect(limit_s: float = LOOK_WITHIN_S) -> Detection:
                 notes.append(f"{name}: the search for a {kind} did not end within {limit_s:g} s")
             except Exception as error:  # whatever one driver runs into must not hide what the others find
                 notes.append(f"{name}: {error}")
+    boards = [device.address for device in devices if (device.kind, device.driver) == ("light", "arduino")]
+    if len(boards) > 1:
+        notes.append(
+            f"{len(boards)} lights run the same firmware ({', '.join(boards)}); to learn which one is the laser, "
+            "unplug its board and search again"
+        )
     return Detection(tuple(devices), tuple(dict.fromkeys(notes)), tuple(dict.fromkeys(not_searched)))
 
 

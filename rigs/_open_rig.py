@@ -20,7 +20,7 @@ import stat
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
@@ -50,7 +50,7 @@ from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
 from rigs._drivers import Kind, driver_notes, offered, open_camera, open_lamp, open_laser, open_wheel
 from rigs._protocols import Camera, Clock, FilterWheel, Light, Operator, SystemClock, TerminalOperator
 from rigs.light_guard import GuardedLight, LightMeter, off_lines, open_photodiode
-from rigs.transports import indi_address
+from rigs.transports import indi_address, port_advice
 
 if TYPE_CHECKING:
     from rigs.simulated import BenchState
@@ -479,10 +479,10 @@ def inspect_rig(rig: RigFile, folder: Path) -> Iterator[PartReport]:
     folder
         Where relative paths in it start.
     """
-    yield _report(device_title("laser", rig.laser), lambda: _laser(rig, folder))
-    yield _report(device_title("lamp", rig.lamp), lambda: _lamp(rig, folder))
-    yield _report(device_title("filter wheel", rig.filter_wheel), lambda: _wheel(rig, folder))
-    yield _report(device_title("camera", rig.camera), lambda: _camera(open_rig_camera(rig, folder), rig.camera))
+    yield _device("laser", rig.laser, lambda: _laser(rig, folder))
+    yield _device("lamp", rig.lamp, lambda: _lamp(rig, folder))
+    yield _device("filter wheel", rig.filter_wheel, lambda: _wheel(rig, folder))
+    yield _device("camera", rig.camera, lambda: _camera(open_rig_camera(rig, folder), rig.camera))
     yield _report("filters and curves", lambda: _curves(rig, folder))
 
 
@@ -498,11 +498,11 @@ def inspect_tactile_rig(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
     """
     camera, stage, cell = rig.camera, rig.stage, rig.load_cell
     if not rig.is_simulated:
-        yield _report(device_title("camera", camera), lambda: _camera(open_rig_camera(rig, folder), camera))
+        yield _device("camera", camera, lambda: _camera(open_rig_camera(rig, folder), camera))
     if stage is not None:
-        yield _report(device_title("stage", stage), lambda: _stage(rig, folder))
+        yield _device("stage", stage, lambda: _stage(rig, folder))
     if cell is not None:
-        yield _report(device_title("load cell", cell), lambda: _cell(rig, folder))
+        yield _device("load cell", cell, lambda: _cell(rig, folder))
         yield _report("calibration of the load cell", lambda: _calibration(rig, cell, folder))
 
 
@@ -548,6 +548,13 @@ def device_title(role: str, settings: Settings) -> str:
     labels = [driver.label for driver in offered(kind).get(settings.driver, ())]
     driver = labels[0] if len(labels) == 1 else settings.driver
     return f"{role}: {driver}{f' at {settings.address}' if settings.address else ''}"
+
+
+def _device(role: str, settings: Settings, look: Callable[[], Lines]) -> PartReport:
+    """Collect what a device says, with what is wrong with the name of its port."""
+    found = _report(device_title(role, settings), look)
+    advice = port_advice(settings.address) if settings.address else ""
+    return replace(found, warnings=(*found.warnings, advice)) if advice else found
 
 
 def _report(title: str, look: Callable[[], Lines]) -> PartReport:

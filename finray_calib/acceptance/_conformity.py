@@ -26,7 +26,7 @@ so that k follows from the draws and is not taken from a normal distribution.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from itertools import pairwise
 from typing import Final, Literal
@@ -404,6 +404,7 @@ def _quadrature(
 
 _EMISSION_REFERENCES: Final[tuple[Reference, ...]] = ("white reference", "filters", "lamp")
 NO_REFERENCE: Final = "not traceable: no reference certificate recorded"
+NOTHING_MEASURED: Final = "not traceable: no paint was measured"
 CONFORMS_FROM: Final = 0.95
 _QUANTILES_SD: Final = tuple(float(norm.ppf(level)) for level in (0.025, 0.16, 0.5, 0.84, 0.975))
 """Of a normal distribution, where a record holds those of the draws."""
@@ -454,7 +455,7 @@ class CertifiedResult:
 
 
 def certified_results(
-    paint: PaintCalibration, details: CertificateDetails, measured_on: date | None
+    paint: PaintCalibration, details: CertificateDetails, measured_on: date | None, *, is_simulated: bool = False
 ) -> tuple[CertifiedResult, ...]:
     """Return the results of a certificate.
 
@@ -466,6 +467,8 @@ def certified_results(
         References and limits of the laboratory.
     measured_on
         Day of the capture, on which a reference must have been valid; None where it is not known.
+    is_simulated
+        Whether the rig was simulated: then nothing is traceable, whatever the laboratory holds.
 
     Raises
     ------
@@ -478,7 +481,12 @@ def certified_results(
             "at its page ('finray fit --report') and measure or fit again"
         )
     references = valid_references(details, measured_on)
-    return tuple(_result(paint, details, name, references) for name in CERTIFIED)
+    found = tuple(_result(paint, details, name, references) for name in CERTIFIED)
+    if not is_simulated:
+        return found
+    return tuple(
+        one if one.traceability.startswith("not") else replace(one, traceability=NOTHING_MEASURED) for one in found
+    )
 
 
 def _result(

@@ -47,13 +47,46 @@ UNASKED: Final = ("manual",)
 """Drivers behind which a person stands: nobody names itself and no time is kept."""
 
 
+REMEDIES: Final = {
+    " answers": "check cable, supply and address, and that the driver is that of the device",
+    "wheel arrives": "tighten the wheel's belt or motor, see what drags, and home the wheel",
+    "wheel moves in time": "see what drags, check the wheel's supply",
+    "wheel repeats optically": "tighten the wheel's belt or motor and the filters in their slots",
+    "picture stays in place": "tighten filters, lens, camera and tile",
+    "dark level": "correct black_level_dn of the rig file (a camera session measures it)",
+    "dark rate": "close the box and cover what glows in it; if a cap on the lens changes nothing, cool the camera",
+    "read noise": "correct gain_e_per_dn and read_noise_e of the rig file (a camera session measures them)",
+    "exposure ratio": "switch off gamma and automatic exposure; raise shortest_exposure_s of the rig file",
+    "exposure ratios": "check lamp, tile and lens cap",
+    "frames in time": "close other programs that use the camera, its cable or the disk",
+    "trigger latency": "see the page of the camera's driver; each request must begin a new exposure",
+    "devices come back": "check cables and supplies, and the names of the ports",
+    "lamp is steady": "let the lamp warm up for longer, check its supply",
+    "lamp settles": "check the lamp's supply, or wait for longer before every session",
+    "dark level stays": "let the camera warm up before every session",
+    "stray light": "close gaps beside the filters, cover what reflects; replace a filter that blocks too little",
+    "laser off": "do not use this laser before what should have switched it off is repaired",
+    "load cell keeps its zero": "let cell and amplifier warm up, keep draughts and cables away",
+    "touch repeats": "tighten stage, finger and indenter; a stage that loses steps must go more slowly",
+}
+"""What to do about a check that failed, by a part of its name; the longest part counts."""
+
+
+def _with_remedy(result: CheckResult) -> CheckResult:
+    """Let a check that failed say what to do."""
+    name = max((name for name in REMEDIES if name in result.name), key=len, default=None)
+    if result.verdict != "FAIL" or name is None:
+        return result
+    return result.model_copy(update={"evidence": f"{result.evidence}. What to do: {REMEDIES[name]}"})
+
+
 def results_of(
     sections: dict[Section, str], judged: Mapping[Section, tuple[CheckResult, ...]], errors: Mapping[Section, str]
 ) -> tuple[CheckResult, ...]:
     """Return the results in the order of their sections, each with the error that ended its section."""
     results: list[CheckResult] = []
     for section, title in sections.items():
-        results += judged.get(section, ())
+        results += map(_with_remedy, judged.get(section, ()))
         if section in errors:
             what = "the error that ended this part of the check"
             results.append(unmeasured(section, title, what, "ERROR", errors[section]))

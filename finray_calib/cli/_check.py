@@ -420,9 +420,13 @@ def _facts(folder: Path) -> "list[SessionFacts]":
     return facts
 
 
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def _say_history(found: "History", sessions: int) -> None:
     """Print the verdict, its reasons, every quantity at its last session, and the ledger."""
-    say(f"{found.verdict}: {sessions} sessions, {len(found.watched)} charts")
+    say(f"{found.verdict}: {_counted(sessions, 'session')}, {_counted(len(found.watched), 'chart')}")
     for reason in found.reasons:
         say(f"  {reason}")
     for waiting in found.waiting:
@@ -443,7 +447,7 @@ def _say_history(found: "History", sessions: int) -> None:
         say(f"  limits: {_limit(found.watched[0].chart.rules)}")
     for row in found.ledger:
         lost = "" if row.lost is None else f", which cost {100 * row.lost:.2g} % of the emission"
-        say(f"  light on '{row.paint_name}': {row.dose_j:.3g} J in {row.sessions} sessions{lost}")
+        say(f"  light on '{row.paint_name}': {row.dose_j:.3g} J in {_counted(row.sessions, 'session')}{lost}")
     share, each = 100 * found.false_alarm_share, 100 * found.false_alarm_share_each
     say(f"  false alarms: {share:g} % of good sessions with all charts together, {each:.2g} % with each chart")
 
@@ -521,7 +525,8 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     session, lineage = _found(path)
     measured_on = None if session is None else datetime.fromisoformat(session.frames[-1].captured_utc).date()
     with naming(FinrayError, path):
-        results = certified_results(paint, details, measured_on)
+        is_simulated = session is not None and session.rig.is_simulated
+        results = certified_results(paint, details, measured_on, is_simulated=is_simulated)
     budget = () if arguments.budget is None else _budget(arguments.budget, paint)
     today = datetime.now(UTC).date()
     certificate = paint_certificate(paint, results, details, digest_of_input(path), today, session, budget, lineage)

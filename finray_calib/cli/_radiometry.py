@@ -173,9 +173,11 @@ def _report_camera(camera: "CameraCharacterisation", out: Path) -> None:
         gain, read, full = channel.gain_e_per_dn, channel.read_noise_e, channel.full_well_e
         noise = f"{read.estimate:.3g} +- {read.sd:.2g} e" if read.resolved else f"below {read.high95:.3g} e"
         well = "not reached" if full is None else f"{full.estimate:.4g} e"
+        bend = channel.linearity_error_rel
+        most = 100 * (bend.estimate if bend.resolved else bend.high95)  # one that is not resolved is below its limit
         say(
             f"  {channel.channel}: gain {gain.estimate:.4g} +- {gain.sd:.2g} e/DN, read noise {noise}, "
-            f"full well {well}, linear within {100 * channel.linearity_error_rel.estimate:.2g} %"
+            f"full well {well}, linear within {most:.2g} %"
         )
     for label, texts in (("warning", camera.warnings), ("note", camera.notes)):
         for text in texts:

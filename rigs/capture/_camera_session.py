@@ -31,7 +31,7 @@ from rigs.capture._plan import Step, require_named, require_region_inside
 from rigs.capture._resume import (
     SET_ASIDE_EVENT,
     Interrupted,
-    require_same_camera,
+    require_same_devices,
     require_same_inputs,
     resume_notes,
     rig_as_it_is,
@@ -127,14 +127,14 @@ def capture_camera_with(
         require_same_inputs(interrupted, inputs)
     opened, out, watch = request.watch.devices(opened), request.out, request.watch
     out.mkdir(parents=True, exist_ok=True)
-    camera = opened.camera.identity()
+    devices = opened.identities()
     if interrupted is not None:
-        require_same_camera(interrupted, camera)
+        require_same_devices(interrupted, devices)
         opened = replace(opened, clock=interrupted.clock_after(opened.clock))
     whole_cells = RegionOfInterest.model_validate({k: v & ~1 for k, v in plan.region.model_dump().items()})
     with Journal(out, opened.clock, resumed=interrupted is not None, told=watch.noted) as journal:
         if interrupted is None:
-            write_start(journal, plan, rig, request, inputs, camera)
+            write_start(journal, plan, rig, request, inputs, devices)
         else:
             take_over(out, interrupted)
             journal.append("resume", frames=len(interrupted.frames))

@@ -5,6 +5,7 @@ removed or moved breaks the chain. This detects accidents and edits, not forgery
 can compute all links anew.
 """
 
+import contextlib
 import fcntl
 import hashlib
 import json
@@ -203,8 +204,8 @@ class HealingTime:
         if self.lost_s > self._most_s:
             raise HealingTimeError(
                 f"{self._folder}: recovery from faults has delayed the session by {self.lost_s:.0f} s, and at "
-                f"most {self._most_s:.0f} s are allowed; {JOURNAL_NAME} lists each fault: repair the device "
-                f"that it names most often, then finray capture --resume {self._folder}"
+                f"most {self._most_s:.0f} s are allowed; {JOURNAL_NAME} lists the faults: repair the "
+                f"device that it names most often, then finray capture --resume {self._folder}"
             )
 
 
@@ -238,29 +239,63 @@ def lost_since(began: Began) -> None:
 
 @contextmanager
 def faults_noted(journal: Journal, folder: Path, most_s: float = LEAST_HEALING_S) -> Iterator[None]:
-    """Note every fault after which an exchange is repeated, for a ``with`` block; end it when they cost too much."""
-    healing = HealingTime(most_s, folder)
+    """Note the faults after which an exchange is repeated, for a ``with`` block; end it when they cost too much."""
+    healing, lines = HealingTime(most_s, folder), _FaultLines(journal)
 
     def note(fault: Fault) -> None:
-        journal.append("fault", **fault._asdict())
+        lines.note(fault)
         healing.lose(fault.spent_s)
 
     token = _HEALING.set(healing)
     try:
         with fault_listener(note):
             yield
+    except BaseException:
+        with contextlib.suppress(CaptureError):  # what ended the capture says more than a line that finds no space
+            lines.write()
+        raise
     finally:
         _HEALING.reset(token)
+    lines.write()
+
+
+class _FaultLines:
+    """Lines of the journal about faults: of one exchange the first, second, fourth, eighth and so on, and the last.
+
+    A port that stays away fails five times a second. Each line says how many faults it stands for (``times``).
+    """
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal, self._last, self._times, self._spent_s = journal, Fault("", "", 0, 0.0), 0, 0.0
+
+    def note(self, fault: Fault) -> None:
+        """Count a fault, and write a line where one is due."""
+        if fault.attempt == 1 or fault.device != self._last.device:
+            self.write()
+        self._last, self._times, self._spent_s = fault, self._times + 1, self._spent_s + fault.spent_s
+        if fault.attempt & (fault.attempt - 1) == 0:  # a power of two
+            self.write()
+
+    def write(self) -> None:
+        """Write what was counted since the last line, if anything was."""
+        if not self._times:
+            return
+        told = self._last._replace(spent_s=round(self._spent_s, 3))._asdict() | {"times": self._times}
+        self._times, self._spent_s = 0, 0.0
+        self._journal.append("fault", **told)
 
 
 def fault_notes(folder: Path) -> tuple[str, ...]:
     """Return what the journal of a session says about faults that did not stop it; nothing where there were none."""
     lines = read_journal(folder)
     faults = [line for line in lines if line["event"] == "fault"]
-    counted = [f"{name} {number}" for name, number in Counter(str(line["device"]) for line in faults).items()]
+    times = Counter[str]()
+    for line in faults:
+        times[str(line["device"])] += int(line.get("times", 1))
+    counted = [f"{name} {number}" for name, number in times.items()]
     retaken = sum(line["event"] == "refused" for line in lines)
     lost = sum(line["event"] == "light lost" for line in lines)
-    said = [f"{len(faults)} exchanges were repeated ({', '.join(counted)})"] if faults else []
+    said = [f"{times.total()} exchanges were repeated ({', '.join(counted)})"] if faults else []
     said += [f"{retaken} frames were taken again"] if retaken else []
     said += [f"a light was lost {lost} times"] if lost else []
     aside = sum(int(line["frames"]) for line in lines if line["event"] == "set aside")
@@ -271,7 +306,7 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
     spent_s = sum(float(line["spent_s"]) for line in faults)
     return (
         *notes,
-        f"faults that did not stop the session: {', '.join(said)}; {JOURNAL_NAME} lists each ({spent_s:.1f} s lost)",
+        f"faults that did not stop the session: {', '.join(said)}; {JOURNAL_NAME} lists them ({spent_s:.1f} s lost)",
     )
 
 

@@ -563,14 +563,14 @@ def capture_with(
     """Capture the `steps` of a paint session with devices that are open already."""
     inputs = curve_digests(curve_files(rig, request.rig_folder), request.rig_folder)
     opened, out = request.watch.devices(opened), request.out
-    camera = opened.camera.identity()
+    devices = opened.identities()
     if interrupted is not None:
         require_same_inputs(interrupted, inputs)
-        opened = as_before(opened, rig, camera, interrupted)
+        opened = as_before(opened, rig, devices, interrupted)
     out.mkdir(parents=True, exist_ok=True)
     with Journal(out, opened.clock, resumed=interrupted is not None, told=request.watch.noted) as journal:
         if interrupted is None:
-            write_start(journal, plan, rig, request, inputs, camera)
+            write_start(journal, plan, rig, request, inputs, devices)
         else:
             _go_on(journal, out, interrupted)
         for note in opened.notes:

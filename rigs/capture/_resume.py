@@ -3,7 +3,7 @@
 Curve files and camera must be as they were when the session began.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,6 +27,7 @@ from rigs import Clock, OpenRig
 from rigs.capture._journal import JOURNAL_NAME, read_journal
 from rigs.capture._session_folder import SESSION_NAME, clear_session
 from rigs.light_guard import LightLostError, is_hazardous
+from rigs.transports import require_same_board
 
 ORPHANS = "set-aside"
 CHANGED_EVENT: Final = "signal changed"
@@ -389,20 +390,26 @@ def require_same_inputs(interrupted: Interrupted, inputs: dict[str, str]) -> Non
         )
 
 
-def require_same_camera(interrupted: Interrupted, camera: DeviceIdentity) -> None:
-    """Refuse to go on with another camera than the session began with: an address may have another behind it now.
+def require_same_devices(interrupted: Interrupted, devices: Sequence[DeviceIdentity]) -> None:
+    """Refuse to go on with other devices than the session began with: an address may have another behind it now.
+
+    Of wheel, laser and lamp only a serial number tells it.
 
     Raises
     ------
     CaptureError
-        Another camera answers; sessions of old versions do not say which it was.
+        Another camera or board answers; sessions of old versions do not say which it was.
     """
+    camera, *others = devices
     before = interrupted.start.get("camera")
     if before is not None and _named(before) != _named(camera.model_dump()):
         raise CaptureError(
             f"camera: {_named(camera.model_dump())} is connected now, but the session began with {_named(before)}: "
             f"connect that camera, or capture the session again"
         )
+    serials: dict[str, str] = interrupted.start.get("serials", {})
+    for device in others:
+        require_same_board(f"{device.role} at {device.address}", serials.get(device.role, ""), device.serial)
 
 
 def _named(camera: Any) -> str:
@@ -411,9 +418,9 @@ def _named(camera: Any) -> str:
     return f"{said.get('vendor', '')} {said.get('model', '')} (serial '{said.get('serial', '')}')".strip()
 
 
-def as_before(opened: OpenRig, rig: RigFile, camera: DeviceIdentity, interrupted: Interrupted) -> OpenRig:
+def as_before(opened: OpenRig, rig: RigFile, devices: Sequence[DeviceIdentity], interrupted: Interrupted) -> OpenRig:
     """Return the rig with the clock of an interrupted session, after asking for a laser that was lost in it."""
-    require_same_camera(interrupted, camera)
+    require_same_devices(interrupted, devices)
     _require_permission(interrupted, rig, opened)
     return replace(opened, clock=interrupted.clock_after(opened.clock))
 

@@ -182,12 +182,12 @@ def write_start(
     rig: RigFile,
     request: SessionRequest,
     inputs: dict[str, str],
-    camera: DeviceIdentity,
+    devices: Sequence[DeviceIdentity],
 ) -> None:
     """Write the first line of a journal: everything that a resumed session needs.
 
-    `inputs` are curve files, which must be the same when the session goes on; the request's sources are the plan and
-    rig file, which need not be there any more.
+    `inputs` are curve files and `devices` those of the rig, the camera first, which must be the same when the session
+    goes on; the request's sources are the plan and rig file, which need not be there any more.
     """
     journal.append(
         "start",
@@ -199,7 +199,8 @@ def write_start(
         inputs=inputs,
         sources=dict(request.sources),
         schema_versions={"plan": plan.schema_version, "rig": rig.schema_version},
-        camera=camera.model_dump(mode="json"),
+        camera=devices[0].model_dump(mode="json"),
+        serials={device.role: device.serial for device in devices[1:] if device.serial},
     )
 
 

@@ -80,13 +80,17 @@ class GuardClient:
         What the light is, the module of its driver and where its controller is.
     lease_s
         An owner that asks nothing for so long hangs, though its process runs: a lit light goes off.
+    serial
+        Serial number of the light's board, where an earlier guard has learned it: no other is lit.
     """
 
-    def __init__(self, role: Literal["laser", "lamp"], module: str, address: str, lease_s: float) -> None:
+    def __init__(
+        self, role: Literal["laser", "lamp"], module: str, address: str, lease_s: float, serial: str = ""
+    ) -> None:
         self.name = f"{role} at {address}"
         self.has_dead_man = False
         self.watch_pid = 0
-        self._role, self._module, self._address = role, module, address
+        self._role, self._module, self._address, self.serial = role, module, address, serial
         self._number, self._lease_s = 0, lease_s
         self._may_be_lit = self._is_on_unanswered = False
         self._ending: FinrayError | None = None
@@ -182,11 +186,12 @@ class GuardClient:
             self._is_on_unanswered = self._may_be_lit = True
             with contextlib.suppress(OSError):  # nobody looks after a guard that has ended
                 self._close_it.send(b"\n")  # it looks more often from now on, not after its long pause in the dark
-        self._say(number=number, ask=ask, deadline_s=deadline_s, lease_s=self._lease_s)
+        self._say(number=number, ask=ask, deadline_s=deadline_s, lease_s=self._lease_s, serial=self.serial)
         while True:
             message = self._listen(max(deadline_s + ANSWER_MARGIN_S, GUARD_SILENT_S))
             if message.get("number") != number:
                 continue  # it tries again, or an interrupted question is answered now
+            self.serial = str(message.get("serial", self.serial))
             if "error" not in message and ask in ("on", "off", "prove the dead-man"):
                 self._is_on_unanswered = False
                 self._may_be_lit = ask == "on" or message["value"] is not None
@@ -455,7 +460,7 @@ class GuardedLight:
         if not self._guard.has_ended or self._must_be_reported:
             return
         self._guard.close()
-        self._guard, self._is_dead_man_proven = self._start(), False
+        self._guard, self._is_dead_man_proven = self._start(serial=self._guard.serial), False
         self._guard.open()
 
     @contextmanager

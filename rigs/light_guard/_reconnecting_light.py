@@ -23,6 +23,7 @@ from data_schemas import (
     TimedOutError,
     UnsafeError,
 )
+from rigs.transports import require_same_board
 
 if TYPE_CHECKING:
     from rigs import GuardedSwitch
@@ -52,6 +53,11 @@ class ReconnectingLight:
         What the light is and where, for messages.
     before_opening
         Called before every opening: whoever else has a hand on the line lets go.
+
+    Attributes
+    ----------
+    serial
+        Serial number of the board; empty until it is known, and where there is none.
     """
 
     def __init__(
@@ -64,6 +70,8 @@ class ReconnectingLight:
         self._connection = ExitStack()
         self._switch: GuardedSwitch | None = None
         self._late_on_until_s = 0.0
+        self.serial = ""
+        self._is_same = False
 
     def open(self) -> None:
         """Open the connection; raises what the driver does.
@@ -84,7 +92,7 @@ class ReconnectingLight:
                 f"{', '.join(lacking)}; update the package that provides it, or tell its author "
                 "(docs/how-to/write-a-driver.md)"
             )
-        self._switch = switch
+        self._switch, self._is_same = switch, False
 
     def close(self) -> None:
         """Close the connection, also one that is lost."""
@@ -98,6 +106,21 @@ class ReconnectingLight:
         if self._switch is None:
             self.open()
         return self.switch
+
+    def same(self) -> "GuardedSwitch":
+        """Return the switch of the board that was opened first; "off" may reach another one, nothing else may.
+
+        Raises
+        ------
+        RefusedError
+            Another board answers, known by its serial number.
+        """
+        switch = self.reopened()
+        if not self._is_same:
+            serial = switch.identity().serial
+            require_same_board(self._name, self.serial, serial)
+            self.serial, self._is_same = serial, True
+        return switch
 
     @property
     def switch(self) -> "GuardedSwitch":

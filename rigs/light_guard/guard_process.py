@@ -377,6 +377,7 @@ class Guard:
     def _answer(self, message: dict[str, Any]) -> None:
         """Do what one message asks and answer it."""
         faults: list[Fault] = []
+        self._light.serial = self._light.serial or str(message.get("serial", ""))
         try:
             with fault_listener(faults.append):
                 answer: dict[str, object] = {"value": self._do(message["ask"], float(message["deadline_s"]))}
@@ -389,13 +390,13 @@ class Guard:
                     self._doubt = f"it is on, and its state cannot be read ({error})"
                 else:
                     self._light.close()  # the next question opens it anew
-        self._tell(number=message["number"], faults=faults[-MOST_FAULTS:], **answer)
+        self._tell(number=message["number"], serial=self._light.serial, faults=faults[-MOST_FAULTS:], **answer)
 
     def _do(self, ask: str, deadline_s: float) -> object:
         if ask == "off":
             return self._make_off()
         with self._wait.for_the_light():
-            switch = self._light.reopened()
+            switch = self._light.same()
             if ask == "identity":
                 return switch.identity().model_dump()
             if ask == "state":

@@ -111,7 +111,12 @@ class ArduinoSwitch:
         """Ask the controller who it is."""
         said = self._asked("I", IDENTITY_WITHIN_S, wanted="LASER")
         return DeviceIdentity(
-            role=self._role, driver="arduino", address=self._address, model="light with dead-man", firmware=said.version
+            role=self._role,
+            driver="arduino",
+            address=self._address,
+            model="light with dead-man",
+            serial=self._link.board_serial,
+            firmware=said.version,
         )
 
     def switch(self, on: bool, deadline_s: float) -> None:

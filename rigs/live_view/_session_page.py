@@ -57,6 +57,7 @@ HELP: Final = (
     "Ctrl-C         end the session at once, with the lights off",
     "Ctrl-L         draw the screen again",
     "",
+    "Drift: \u00b1 is the noise of the pixels; the light's own flicker is not in it.",
     "The session continues if this terminal is closed. Its address, for a browser",
     "of this computer:",
 )

@@ -361,7 +361,8 @@ class WatchedSession(SessionWatch):
                 case "resume":
                     self._publish(stored=now.stored + int(what["frames"]))
                 case "fault":
-                    self._publish(repeated=now.repeated + 1, told=f"repeated: {what['device']}: {what['what']}")
+                    times = now.repeated + int(what["times"])
+                    self._publish(repeated=times, told=f"repeated: {what['device']}: {what['what']}")
                 case "refused":
                     self._publish(retaken=now.retaken + 1, told=f"taken again: {what['text']}")
                 case "light lost":

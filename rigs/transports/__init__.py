@@ -27,8 +27,15 @@ if TYPE_CHECKING:
         local_indi_devices,
     )
     from rigs.transports._indi_messages import blob_bytes, new_vector
-    from rigs.transports._repeated_exchange import RECOVERS_WITHIN_S, Fault, fault_listener, repeated, report_fault
-    from rigs.transports._serial_link import LATENCY_S, BoardClock, SerialLink, line_crc8, usb_serial_ports
+    from rigs.transports._repeated_exchange import (
+        RECOVERS_WITHIN_S,
+        Fault,
+        fault_listener,
+        repeated,
+        report_fault,
+        require_same_board,
+    )
+    from rigs.transports._serial_link import LATENCY_S, BoardClock, SerialLink, line_crc8, port_advice, usb_serial_ports
     from rigs.transports._timed_http import MultipartStream, NewestPart, Part, TimedConnection
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -60,7 +67,9 @@ __all__ = [
     "line_crc8",
     "local_indi_devices",
     "new_vector",
+    "port_advice",
     "repeated",
     "report_fault",
+    "require_same_board",
     "usb_serial_ports",
 ]

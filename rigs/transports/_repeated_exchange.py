@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Final, NamedTuple, TypeVar
 
-from data_schemas import LostError, TimedOutError
+from data_schemas import LostError, RefusedError, TimedOutError
 
 T = TypeVar("T")
 PAUSE_S: Final = 0.02
@@ -113,3 +113,26 @@ def repeated(
             report_fault(Fault(device, str(error), number, round(spent_s, 3)))
         time.sleep(pause_s)
         pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+
+
+def require_same_board(name: str, before: str, now: str) -> None:
+    """Refuse a board that has taken the name of another.
+
+    Parameters
+    ----------
+    name
+        What the device is and where, for the message.
+    before, now
+        Serial numbers; where the one before is empty, nothing is known and nothing is refused.
+
+    Raises
+    ------
+    RefusedError
+        They differ.
+    """
+    if before and now != before:
+        raise RefusedError(
+            f"{name}: another board answers now (serial number '{now}', before '{before}'), because the names of ports "
+            "change with a replug; write its link under /dev/serial/by-id/ into the rig file, or plug the boards in "
+            "again in the order that gives each its name"
+        )

@@ -6,20 +6,28 @@ And what boards with our firmware say unasked: lines with a check byte and the t
 import contextlib
 import errno
 import math
+import os
 import termios
 import time
+from collections.abc import Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Self, TextIO
 
 import serial
 from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
 from data_schemas import LostError, RefusedError, TimedOutError, system_words
+from rigs.transports._repeated_exchange import require_same_board
 
 POLL_S: Final = 0.02
 LONGEST_ANSWER_BYTES: Final = 4096
 """No device here says this much without a terminator: it is another device, or another speed."""
 LASTING_NAMES: Final = "/dev/serial/by-id/"
+"""Links by maker, product and serial number: they stay in whichever socket a device is plugged."""
+SOCKET_NAMES: Final = "/dev/serial/by-path/"
+"""Links by the USB socket that a device is plugged into."""
 # termios.error is no OSError, although a pulled plug can raise either.
 _PORT_ERRORS: Final = (OSError, termios.error)
 
@@ -33,12 +41,56 @@ class UsbSerialPort(NamedTuple):
 
 
 def usb_serial_ports() -> list[UsbSerialPort]:
-    """Return the serial ports behind USB; ports of the main board are left out, asking there can hang a console."""
+    """Return the serial ports behind USB, by the name that stays after a replug where there is one.
+
+    Ports of the main board are left out: asking there can hang a console.
+    """
+    ports = _usb_ports()
     return [
-        UsbSerialPort(port.device, port.description or "serial port", f"{port.vid:04x}:{port.pid:04x}")
-        for port in sorted(list_ports.comports())
-        if port.vid is not None
+        UsbSerialPort(_lasting_name(port, ports), port.description or "serial port", f"{port.vid:04x}:{port.pid:04x}")
+        for port in ports
     ]
+
+
+def port_advice(address: str) -> str:
+    """Return what to write in place of the name of a port that may lead to another device; empty where it stays."""
+    ports = _usb_ports()
+    port = next((port for port in ports if os.path.realpath(port.device) == os.path.realpath(address)), None)
+    if port is None:
+        return ""
+    alike, lasting = len(_alike(port, ports)), _lasting_name(port, ports)
+    if address == lasting or not (address == port.device or (alike > 1 and address.startswith(LASTING_NAMES))):
+        return ""
+    link = lasting if lasting != port.device else f"its link under {SOCKET_NAMES if alike > 1 else LASTING_NAMES}"
+    if alike > 1:
+        return (
+            f"{address} may lead to another device after a replug or a restart, and {alike} boards here "
+            f"({port.description or port.device}) have no serial numbers that tell them apart; write {link} into the "
+            "rig file, and leave each board in its USB socket"
+        )
+    return f"{address} may lead to another device after a replug or a restart; write {link} into the rig file"
+
+
+def _usb_ports() -> list[ListPortInfo]:
+    return [port for port in sorted(list_ports.comports()) if port.vid is not None]
+
+
+def _alike(port: ListPortInfo, ports: Sequence[ListPortInfo]) -> list[ListPortInfo]:
+    """Return those of the ports that say the same of themselves: maker, product and serial number."""
+    said = (port.vid, port.pid, port.serial_number)
+    return [other for other in ports if (other.vid, other.pid, other.serial_number) == said]
+
+
+def _lasting_name(port: ListPortInfo, ports: Sequence[ListPortInfo]) -> str:
+    """Return the link that leads to the same device after a replug, or the port's own name where there is none."""
+    folder = Path(SOCKET_NAMES if len(_alike(port, ports)) > 1 else LASTING_NAMES)
+    there = os.path.realpath(port.device)
+    links = sorted(folder.iterdir()) if folder.is_dir() else []
+    return next((str(link) for link in links if os.path.realpath(link) == there), port.device)
+
+
+def _is_port(port: ListPortInfo, name: object) -> bool:
+    return isinstance(name, str) and os.path.realpath(port.device) == os.path.realpath(name)
 
 
 class SerialLink:
@@ -61,6 +113,8 @@ class SerialLink:
     ----------
     is_broken
         Whether the connection broke since it was opened.
+    board_serial
+        Serial number of the USB device behind the port; empty where there is none, or no USB.
 
     Raises
     ------
@@ -85,14 +139,18 @@ class SerialLink:
         ------
         LostError
             It cannot be opened now. A port that has just come back may not be ours yet, or be probed by the system.
+        RefusedError
+            The address leads to another device now.
         """
         # An open descriptor would keep the name of the port that was pulled.
         self.close()
         self._unread.clear()
+        before = self.board_serial
         try:
             self._open()
         except RefusedError as error:
             raise LostError(str(error)) from error
+        require_same_board(self._name, before, self.board_serial)
         self.is_broken = False
 
     def _open(self) -> None:
@@ -106,6 +164,8 @@ class SerialLink:
             ) from error
         except _PORT_ERRORS as error:
             raise self._not_opened(error) from error
+        opened = getattr(self._port, "port", None)  # the device's name, also where it was looked for
+        self.board_serial = next((port.serial_number or "" for port in _usb_ports() if _is_port(port, opened)), "")
 
     def __enter__(self) -> Self:
         return self

@@ -55,6 +55,7 @@ def test_certificate_of_a_session(measured, tmp_path, capsys):
     text = page.read_text()
     assert "not traceable: no certificate valid on the day" in text
     assert "no paint was measured, because the rig is simulated" in text.lower()
+    assert "reflectance: not traceable: no paint was measured" in text  # though the laboratory holds its certificate
     assert "The calibration and the 2 files behind it were hashed again" in text
     assert "laser dose on the sample" in text
     tags = _Tags()

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import CaptureError, UnsafeError
+from data_schemas import CaptureError, LostError, UnsafeError
 from rigs import SystemClock
 from rigs.capture import JOURNAL_NAME, read_journal
 from rigs.capture import _journal as journal_module
-from rigs.capture._journal import Journal
+from rigs.capture._journal import Journal, fault_notes, faults_noted
+from rigs.transports import Fault, repeated, report_fault
 
 
 def full_disk(handle: object) -> None:
@@ -97,3 +98,35 @@ def test_every_line_is_on_the_disk_before_the_next_step(tmp_path: Path, monkeypa
         journal.append("frame", number=1)
         assert len(synced) == first + 1
         assert synced[-1] == len((tmp_path / JOURNAL_NAME).read_text())
+
+
+def test_port_that_stays_away_leaves_few_lines_that_count_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an exchange the first, second, fourth, eighth fault and so on, and the last; the next one begins anew."""
+    monkeypatch.setattr("rigs.transports._repeated_exchange.PAUSE_S", 0.0)
+    tries = 0
+
+    def lost(end_s: float) -> None:
+        nonlocal tries
+        tries += 1
+        if tries not in (101, 104):
+            raise LostError("wheel at /dev/ttyUSB0: cannot be opened")
+
+    with Journal(tmp_path, SystemClock()) as journal, faults_noted(journal, tmp_path):
+        for _ in range(2):
+            repeated(lost, time.monotonic() + 60.0, "wheel at /dev/ttyUSB0")
+    faults = [line for line in read_journal(tmp_path) if line["event"] == "fault"]
+    assert [(line["attempt"], line["times"]) for line in faults] == [
+        (1, 1), (2, 1), (4, 2), (8, 4), (16, 8), (32, 16), (64, 32), (100, 36), (1, 1), (2, 1),
+    ]  # fmt: skip
+    assert "102 exchanges were repeated (wheel at /dev/ttyUSB0 102)" in fault_notes(tmp_path)[0]
+
+
+def test_faults_before_an_error_are_counted_too(tmp_path: Path) -> None:
+    def capture() -> None:
+        with Journal(tmp_path, SystemClock()) as journal, faults_noted(journal, tmp_path):
+            report_fault(Fault("lamp at /dev/ttyACM0", "does not answer", 3, 0.5))
+            raise UnsafeError("NOT CONFIRMED OFF")
+
+    with pytest.raises(UnsafeError):
+        capture()
+    assert [line["event"] for line in read_journal(tmp_path)] == ["fault", "stop"]

@@ -6,7 +6,7 @@ Each frame carries what was true while it was exposed: slot, lights, exposure. I
 import errno
 import random
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,28 +26,38 @@ from rigs.capture import SessionRequest, Step, _frame_store, paint_steps, read_i
 from rigs.capture._frame_store import FrameStore, Metered
 from rigs.capture._journal import Journal
 from rigs.capture._paint_session import capture_with
+from rigs.simulated import BenchState
 
 METERED = 35
 """Exposures before the first frame that is stored."""
 
 
 @dataclass
-class LyingCamera:
-    """From one exposure on, or once, it delivers the frame before as a new one; or it halves exposures unsaid."""
+class BenchCamera:
+    """The camera of the bench, whose exposures are counted."""
 
     opened: OpenRig
-    kind: str
-    begins: int
-    taken: int = 0
-    before: RawFrame | None = None
+    taken: int = field(default=0, init=False)
 
     def identity(self) -> DeviceIdentity:
         return self.opened.camera.identity()
 
-    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+    def exposed(self, exposure_s: float, deadline_s: float) -> tuple[RawFrame, BenchState]:
         self.taken += 1
-        truly_s = 0.5 * exposure_s if self.kind == "brown-out" and self.taken >= self.begins else exposure_s
-        raw, state = self.opened.camera.expose(truly_s, deadline_s), self.opened.camera.state
+        return self.opened.camera.expose(exposure_s, deadline_s), self.opened.camera.state
+
+
+@dataclass
+class LyingCamera(BenchCamera):
+    """From one exposure on, or once, it delivers the frame before as a new one; or it halves exposures unsaid."""
+
+    kind: str
+    begins: int
+    before: RawFrame | None = None
+
+    def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+        truly_s = 0.5 * exposure_s if self.kind == "brown-out" and self.taken + 1 >= self.begins else exposure_s
+        raw, state = self.exposed(truly_s, deadline_s)
         truth = {"slot": state.slot, "exposure_s": truly_s, "lamp": state.lamp, "laser": state.laser}
         true = {f"true_{name}": float(value or 0.0) for name, value in truth.items()}
         said = {"frame_id": self.taken, "device_time_s": float(self.taken), "exposure_s": exposure_s}
@@ -184,23 +194,17 @@ SHARE, SLOT, NEIGHBOUR, BLACK_DN = 0.2, 6, 5, 16.0
 
 
 @dataclass
-class LeakingCamera:
+class LeakingCamera(BenchCamera):
     """Behind one filter, a fifth of the beam passes the neighbouring one: at the sample, so many times from a frame on.
 
     It stands for a wheel that stops between two slots and reports one of them.
     """
 
-    opened: OpenRig
     times: int
     leaks: int = 0
-    taken: int = 0
-
-    def identity(self) -> DeviceIdentity:
-        return self.opened.camera.identity()
 
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
-        self.taken += 1
-        raw, state = self.opened.camera.expose(exposure_s, deadline_s), self.opened.camera.state
+        raw, state = self.exposed(exposure_s, deadline_s)
         is_there = state.slot == SLOT and state.target == "sample" and (state.lamp or state.laser)
         if self.taken < METERED or not is_there or self.leaks == self.times:
             return replace(raw, settings={**raw.settings, "leaks": 0.0})
@@ -234,19 +238,13 @@ def test_a_wheel_that_stops_between_two_slots_leaves_no_frame(tmp_path: Path, ti
 
 
 @dataclass
-class TintedCamera:
+class TintedCamera(BenchCamera):
     """Under the lamp, red rises by 2 % for good from a frame on: it is another lamp, but no other level."""
 
-    opened: OpenRig
     begins: int
-    taken: int = 0
-
-    def identity(self) -> DeviceIdentity:
-        return self.opened.camera.identity()
 
     def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
-        self.taken += 1
-        raw, state = self.opened.camera.expose(exposure_s, deadline_s), self.opened.camera.state
+        raw, state = self.exposed(exposure_s, deadline_s)
         tinted = state.lamp and self.taken >= self.begins
         signal = raw.counts.astype(np.float64)
         if tinted:

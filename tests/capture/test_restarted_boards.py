@@ -9,7 +9,9 @@ import contextlib
 import math
 import os
 import pty
+import re
 import select
+import signal
 import threading
 import time
 import tty
@@ -20,13 +22,18 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
-from data_schemas import CaptureError, CaptureSession
-from rigs import RawFrame, open_rig, paint_plan, simulated_rig
+from data_schemas import CaptureError, CaptureSession, LampSettings, RefusedError
+from rigs import RawFrame, driver_notes, inspect_rig, open_rig, paint_plan, paper_rig, simulated_rig
 from rigs.capture import SessionRequest, paint_steps, read_interrupted
 from rigs.capture._paint_session import capture_with
 from rigs.light_guard import guarded_light
+from rigs.light_guard._reconnecting_light import ReconnectingLight
 from rigs.lights.arduino import open_switch
+from rigs.transports import SerialLink, port_advice, usb_serial_ports
+from tests.capture.drivers import file_switch
 from tests.capture.test_lying_devices import LyingCamera, wrong
 
 DEAD_MAN_S = 0.4
@@ -248,6 +255,116 @@ def test_a_port_that_comes_back_under_another_name_is_found_by_its_link(tmp_path
     assert not (tmp_path / "ttyACM0").exists()
     assert wrong(session) == []
     assert bench.resumes == []
+
+
+class TestTwoBoardsOfOneKind:
+    """Laser and lamp run the same firmware, and after a replug each has the name of the other's port."""
+
+    @staticmethod
+    def boards(folder: Path, monkeypatch: pytest.MonkeyPatch, numbers: tuple[str | None, ...]) -> list[LightBoard]:
+        """Plug in boards with serial numbers, as ttyACM0 and so on."""
+        boards, ports = list[LightBoard](), list[ListPortInfo]()
+        for number, serial in enumerate(numbers):
+            place = folder / f"board{number}"
+            place.mkdir()
+            boards.append(LightBoard(place, lambda on: None, 0.0))
+            (folder / f"ttyACM{number}").symlink_to(boards[-1].port)
+            usb = ListPortInfo(os.path.realpath(boards[-1].port))
+            usb.description, usb.vid, usb.pid, usb.serial_number = "Arduino Uno", 0x2341, 0x0043, serial
+            ports.append(usb)
+        monkeypatch.setattr(list_ports, "comports", lambda *_: list(ports))
+        return boards
+
+    @staticmethod
+    def swap(folder: Path) -> None:
+        """Exchange the names of the ports."""
+        first, second = folder / "ttyACM0", folder / "ttyACM1"
+        first.rename(folder / "away")
+        second.rename(first)
+        (folder / "away").rename(second)
+
+    def test_the_other_one_is_never_lit(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        lamp, laser = self.boards(tmp_path, monkeypatch, ("L-1", "L-2"))
+        light = ReconnectingLight(partial(open_switch, str(tmp_path / "ttyACM0"), "lamp"), "lamp")
+        with closing(lamp), closing(laser), closing(light):
+            light.same().switch(True, 1.0)
+            assert lamp.is_on
+            light.close()
+            self.swap(tmp_path)
+            with pytest.raises(RefusedError, match=r"lamp: another board answers now .*'L-2', before 'L-1'.*by-id/"):
+                light.same().switch(True, 1.0)
+            assert not laser.is_on
+            assert b"L1" not in laser.heard
+            light.close()
+            self.swap(tmp_path)
+            light.same().switch(True, 1.0)
+            assert lamp.is_on
+
+    def test_a_link_opens_no_other_board_again(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        boards = self.boards(tmp_path, monkeypatch, ("L-1", "L-2"))
+        with closing(boards[0]), closing(boards[1]), SerialLink(str(tmp_path / "ttyACM0"), 9600, "wheel") as link:
+            link.reopen()
+            self.swap(tmp_path)
+            with pytest.raises(RefusedError, match=r"wheel at .*ttyACM0: another board answers now"):
+                link.reopen()
+
+    @pytest.mark.parametrize(
+        ("numbers", "folder", "text"),
+        [
+            (("L-1", "L-2"), "by-id", r"replug or a restart; write .*/by-id/two into the rig file$"),
+            ((None, None), "by-path", r"2 boards here \(Arduino Uno\) have no serial .*; write .*/by-path/two into"),
+            (("0001", "0001"), "by-path", r"2 boards here .* tell them apart; write .*/by-path/two into"),
+        ],
+    )
+    def test_what_tells_them_apart_is_found_and_advised(
+        self,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        numbers: tuple[str | None, ...],
+        folder: str,
+        text: str,
+    ) -> None:
+        boards = self.boards(tmp_path, monkeypatch, numbers)
+        port = os.path.realpath(tmp_path / "ttyACM1")
+        for name, constant in (("by-id", "LASTING_NAMES"), ("by-path", "SOCKET_NAMES")):
+            (tmp_path / name).mkdir()
+            (tmp_path / name / "two").symlink_to(port)
+            monkeypatch.setattr(f"rigs.transports._serial_link.{constant}", f"{tmp_path / name}/")
+        with closing(boards[0]), closing(boards[1]):
+            assert [one.address for one in usb_serial_ports()][-1] == str(tmp_path / folder / "two")
+            assert re.search(text, port_advice(port))
+            assert not port_advice(str(tmp_path / folder / "two"))
+            assert bool(port_advice(str(tmp_path / "by-id" / "two"))) == (folder == "by-path")
+            lamp = LampSettings(driver="arduino", address=port)
+            rig = paper_rig({})
+            laser = rig.laser.model_copy(update={"address": os.path.realpath(tmp_path / "ttyACM0")})
+            camera = rig.camera.model_copy(update={"driver": "folder"})
+            rig = rig.model_copy(update={"lamp": lamp, "laser": laser, "camera": camera})
+            assert any(re.search(text, note) for note in driver_notes(rig))
+            shown = next(part for part in inspect_rig(rig, tmp_path) if part.title.startswith("lamp"))
+            assert any(re.search(text, warning) for warning in shown.warnings)
+
+    def test_a_new_guard_lights_no_other_board(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """In the dark the guard is killed, and the connection lost; each time another board is there."""
+        file_switch.install(monkeypatch)
+        for what in ("guard", "connection"):
+            address = tmp_path / what
+            address.mkdir()
+            (address / "serial").write_text("L-1")
+            with guarded_light("lamp", "indi", str(address)) as light:
+                assert not light.state()
+                (address / "serial").write_text("L-2")
+                if what == "guard":
+                    os.kill(light.guard_pid, signal.SIGKILL)
+                else:
+                    (address / "refuse_state").touch()
+                    threading.Timer(1.0, (address / "refuse_state").unlink).start()
+                with pytest.raises(RefusedError, match="another board answers now"), light.lit():
+                    pytest.fail("lit")
+                assert not (address / "on").exists()
+                (address / "serial").write_text("L-1")
+                with light.lit():
+                    assert (address / "on").exists()
 
 
 @pytest.mark.parametrize("held_s", [0.4, 0.7])

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import CaptureError, CaptureSession, Frame, PaintPlan, RigFile
+from data_schemas import CaptureError, CaptureSession, Frame, PaintPlan, RefusedError, RigFile
 from data_schemas.storage import sha256_of
 from rigs import open_rig
 from rigs.capture import (
@@ -24,6 +24,7 @@ from rigs.capture import (
 )
 from rigs.capture._paint_session import capture_with
 from rigs.capture._resume import ORPHANS
+from rigs.simulated import SimulatedLight
 
 KILLS = 25
 CHILD = """
@@ -110,8 +111,12 @@ def stored_frames(folder: Path) -> list[Frame]:
 
 @pytest.fixture
 def stopped(rig: RigFile, small: PaintPlan, tmp_path: Path) -> Path:
-    """A session that ended before its last frames: a finished one without record, manifest and last lines."""
-    out = tmp_path / "stopped"
+    """A session that ended before its last frames."""
+    return captured_in_part(rig, small, tmp_path / "stopped")
+
+
+def captured_in_part(rig: RigFile, small: PaintPlan, out: Path) -> Path:
+    """Return a finished session without record, manifest and last lines."""
     with open_rig(rig, Path()) as opened:
         capture_with(opened, rig, small, paint_steps(small, rig), SessionRequest(out, "finray capture"))
     for name in ("session.json", "manifest-sha256.txt"):
@@ -220,6 +225,21 @@ def test_another_camera_is_refused(rig: RigFile, small: PaintPlan, stopped: Path
     with pytest.raises(CaptureError, match=r"simulated bench .* is connected now, but the session began with another "):
         resumed(rig, small, stopped)
     assert sorted(stopped.rglob("*")) == before
+
+
+def test_another_board_of_the_lamp_is_refused(
+    rig: RigFile, small: PaintPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its port's name may lead to the laser's board by now, which runs the same firmware."""
+    said = {"serial": "L-1"}
+    asked = SimulatedLight.identity
+    monkeypatch.setattr(SimulatedLight, "identity", lambda light: asked(light).model_copy(update=said))
+    out = captured_in_part(rig, small, tmp_path / "stopped")
+    said["serial"] = "L-2"
+    with pytest.raises(RefusedError, match=r"laser at .*another board answers now \(serial number 'L-2', before 'L-1'"):
+        resumed(rig, small, out)
+    said["serial"] = "L-1"
+    assert resumed(rig, small, out).frames
 
 
 def test_session_that_does_not_name_its_camera_goes_on(rig: RigFile, small: PaintPlan, stopped: Path) -> None:

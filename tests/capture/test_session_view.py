@@ -721,6 +721,7 @@ def test_every_number_has_its_place_at_80_by_24(small, short):
                   "a torn frame", "l LIGHT OFF"):  # fmt: skip
         assert shown in text
     assert len(HELP) + 6 <= 24
+    assert any("flicker is not in it" in text for text in HELP)  # as on the page in the browser
     assert max(map(len, HELP)) <= LEAST_COLUMNS - 2
 
 

@@ -4,8 +4,8 @@ The address is a folder. ``on`` exists while the light is on; ``refuse_off`` hol
 makes them return without effect, ``refuse_keep_alive`` makes keep-alives fail, ``refuse_state`` the state and
 ``refuse_opening`` the opening; ``slow_on`` makes the confirmation of "on" wait, ``late_on`` lets it fail and happen
 later, after the seconds that it holds, ``slow_state`` holds back the state, and ``hang`` makes a keep-alive hang where
-no alarm wakes it; ``line_port`` holds a port of this computer for the words of "off". Without it the watch's line is
-a pipe to a shell that removes ``on``.
+no alarm wakes it; ``serial`` holds the serial number of its board; ``line_port`` holds a port of this computer for the
+words of "off". Without it the watch's line is a pipe to a shell that removes ``on``.
 """
 
 import os
@@ -47,7 +47,9 @@ class FileSwitch:
         self.folder, self._line = folder, line
 
     def identity(self) -> DeviceIdentity:
-        return DeviceIdentity(role="laser", driver="indi", address=str(self.folder), model="file")
+        number = self.folder / "serial"
+        serial = number.read_text() if number.exists() else ""
+        return DeviceIdentity(role="laser", driver="indi", address=str(self.folder), model="file", serial=serial)
 
     def switch(self, on: bool, deadline_s: float) -> None:
         if on:

@@ -336,6 +336,8 @@ SILENCE = "nothing more came"
 class LineOf:
     """A link at which some bytes wait and then nothing comes."""
 
+    board_serial = ""
+
     def __init__(self, data: bytes) -> None:
         self.data = data
 

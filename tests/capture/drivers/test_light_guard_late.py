@@ -134,12 +134,16 @@ def test_on_that_is_carried_out_later_still_is_seen(folder):
             process.kill()
 
 
+# On a busy computer the guard takes more than a second to end, and its owner confirms "off" without it.
+CAME_ON = r"on although nothing had switched it on.*(confirmed that the light is off|is confirmed off)"
+
+
 def test_light_that_comes_on_in_the_dark_is_switched_off_and_told(folder):
     with guarded_light("laser", "indi", str(folder)) as light:
         assert not light.state()
         (folder / "on").touch()
         wait_until(lambda: not (folder / "on").exists(), "the light to be off", AT_ONCE_S)
-        with pytest.raises(LostError, match=r"on although nothing had switched it on.*confirmed that the light is off"):
+        with pytest.raises(LostError, match=CAME_ON):
             light.state()
 
 
