@@ -80,8 +80,7 @@ def light_angle_sweep(
     """
     if further_objectives:
         require_compiled(finger)
-    shape = None if shapes is None else shapes[1]
-    further = None
+    shape, further = None if shapes is None else shapes[1], None
     # matrices of some hundred rows: threads that wait for each other cost more than they do, on a busy machine far more
     with threadpool_limits(limits=1, user_api="blas"):
         sweep = sweep_light_angle(
@@ -105,8 +104,8 @@ def light_angle_sweep(
         basis=basis,
         bands=BAND_NAMES,
         probe_points_mm=sweep.probe_points_mm,
-        other_objectives=() if further is None else further[0],
-        constraints=None if further is None else further[1],
+        other_objectives=further[0] if further else (),
+        constraints=further[1] if further else None,
         design=finger.design,
         paints=dict(paint_sha256),
         notes=(
