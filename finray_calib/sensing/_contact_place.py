@@ -161,7 +161,7 @@ class CircleVote:
         Of `CIRCLE_IF`.
     presses, against, right
         That can tell; that change more where their circle would be; that change more where it is.
-    median
+    median_ratio
         Of how much denser the change is elsewhere, see :func:`changes_elsewhere`.
     """
 
@@ -169,7 +169,7 @@ class CircleVote:
     presses: int
     against: int
     right: int
-    median: float
+    median_ratio: float
 
 
 def vote_on_circles(changes: Sequence[Mapping[str, float]]) -> CircleVote | None:
@@ -186,7 +186,7 @@ def vote_on_circles(changes: Sequence[Mapping[str, float]]) -> CircleVote | None
         least = min(_LEAST_PRESSES, len(changes)) if said == ROW_AND_COLUMN else _LEAST_PRESSES
         if of and against >= least and against > _MAJORITY * right:
             votes.append(CircleVote(said, len(of), against, right, float(np.median(of))))
-    return max(votes, key=lambda vote: (vote.against - vote.right, vote.median), default=None)
+    return max(votes, key=lambda vote: (vote.against - vote.right, vote.median_ratio), default=None)
 
 
 def misplaced_circle(capture: TactileCapture) -> tuple[MissingPart, ...]:

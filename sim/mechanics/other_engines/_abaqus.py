@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from data_schemas import FingerDesign, ImportFormatError, Preset
 from data_schemas.storage import read_bytes
 from sim.mechanics import Body, PenaltyContact, PressedFinger, finger_mesh, rigid_indenter
-from sim.mechanics.other_engines._calculix import NodalField
-from sim.mechanics.other_engines._deck import finger_push
+from sim.mechanics.other_engines._deck import NodalField, finger_push
 
 FloatArray = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from data_schemas import FingerDesign, ImportFormatError, MissingExtraError, Preset, SimulateError
 from data_schemas.storage import read_bytes
 from sim.mechanics import QUAD_CORNERS, FingerMesh, PressedFinger, finger_materials, finger_mesh, quad_shapes
-from sim.mechanics.other_engines._deck import deck_materials, finger_deck
+from sim.mechanics.other_engines._deck import NodalField, deck_materials, finger_deck
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,16 +36,6 @@ _STA_COLUMNS = 7
 _FIELD = re.compile(rb"^ -4  (\S+) +(\d+) +\d+", re.MULTILINE)
 _FRAME = re.compile(rb"^ +100CL\s*\S+ *([-+.\dEe]+)", re.MULTILINE)
 _TOTAL = re.compile(r"^ (?:total )?([a-z ]+?)(?: \(.*\))? for set (\S+) and time +(\S+)$")
-
-
-@dataclass(frozen=True, slots=True)
-class NodalField:
-    """Values (n, components) at the nodes (n,), which count from 1, at a time of the step, whose period is 1."""
-
-    step_fraction: float
-    name: str
-    nodes: IntArray
-    values: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,10 +37,19 @@ from sim.surface_meshes import HEXAHEDRON_FACES
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
 _MODES: Final = {"uniaxial": -0.5, "planar": 0.0, "equibiaxial": 1.0}
 _STRETCHES = 121  # per mode, even in log stretch: the fit changes by under 1e-4 with twice as many
 _UNSTRETCHED = 1e-3  # |log stretch| under which a relative deviation of two vanishing stresses means nothing
+
+
+@dataclass(frozen=True, slots=True)
+class NodalField:
+    """Values (n, components) at the nodes (n,), which count from 1, at a time of the step, whose period is 1."""
+
+    step_fraction: float
+    name: str
+    nodes: IntArray
+    values: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
