@@ -112,13 +112,19 @@ class ReconnectingLight:
 
         Raises
         ------
+        LostError
+            Which board answers cannot be told now.
         RefusedError
-            Another board answers, known by its serial number.
+            Another board answers, known by its serial number; its connection is closed.
         """
         switch = self.reopened()
         if not self._is_same:
             serial = switch.identity().serial
-            require_same_board(self._name, self.serial, serial)
+            try:
+                require_same_board(self._name, self.serial, serial)
+            except CaptureError:
+                self.close()  # the next question looks for the first board again
+                raise
             self.serial, self._is_same = serial, True
         return switch
 

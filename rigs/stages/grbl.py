@@ -274,16 +274,25 @@ class GrblStage:
                 is_asked, asked_s = True, now_s
 
     def _halt(self) -> bool:
-        """Reset without asking, over a new connection if the old one broke; return whether the controller answered."""
+        """Reset without asking, over a new connection if the old one broke; return whether the controller answered.
+
+        Raises
+        ------
+        UnsafeError
+            Another board has the controller's address now: that one is not reset, and nothing can be said of ours.
+        """
         self._is_known = False
         end_s = time.monotonic() + GREET_WITHIN_S
         while time.monotonic() < end_s:
-            with contextlib.suppress(CaptureError):
+            try:
                 if self._link.is_broken:
                     self._link.reopen()
                 self._reset(GREET_WITHIN_S)
                 return True
-            time.sleep(0.05)
+            except RefusedError as error:
+                raise self._unsafe(error) from error
+            except (LostError, TimedOutError):
+                time.sleep(0.05)
         return False
 
     def _reset(self, within_s: float) -> str:

@@ -127,9 +127,16 @@ def require_same_board(name: str, before: str, now: str) -> None:
 
     Raises
     ------
+    LostError
+        The one now is empty: it cannot be read at this moment, as in the first moments after a replug.
     RefusedError
         They differ.
     """
+    if before and not now:
+        raise LostError(
+            f"{name}: the serial number of its board cannot be read now (before '{before}'); check its cable, and that "
+            "the address leads to the same board"
+        )
     if before and now != before:
         raise RefusedError(
             f"{name}: another board answers now (serial number '{now}', before '{before}'), because the names of ports "

@@ -18,7 +18,7 @@ import serial
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from data_schemas import LostError, RefusedError, TimedOutError, system_words
+from data_schemas import CaptureError, LostError, RefusedError, TimedOutError, system_words
 from rigs.transports._repeated_exchange import require_same_board
 
 POLL_S: Final = 0.02
@@ -58,35 +58,48 @@ def port_advice(address: str) -> str:
     port = next((port for port in ports if os.path.realpath(port.device) == os.path.realpath(address)), None)
     if port is None:
         return ""
-    alike, lasting = len(_alike(port, ports)), _lasting_name(port, ports)
-    if address == lasting or not (address == port.device or (alike > 1 and address.startswith(LASTING_NAMES))):
+    alike, lasting = _boards_alike(port, ports), _lasting_name(port, ports)
+    may_change = f"{address} may lead to another device after a replug or a restart"
+    if alike == 1:
+        no_better = address == lasting or address != port.device
+        return "" if no_better else f"{may_change}; write {lasting} into the rig file"
+    if address == lasting != port.device or not (address == port.device or address.startswith(LASTING_NAMES)):
         return ""
-    link = lasting if lasting != port.device else f"its link under {SOCKET_NAMES if alike > 1 else LASTING_NAMES}"
-    if alike > 1:
-        return (
-            f"{address} may lead to another device after a replug or a restart, and {alike} boards here "
-            f"({port.description or port.device}) have no serial numbers that tell them apart; write {link} into the "
-            "rig file, and leave each board in its USB socket"
-        )
-    return f"{address} may lead to another device after a replug or a restart; write {link} into the rig file"
+    remedy = (
+        f"write {lasting} into the rig file, and leave each board in its USB socket"
+        if lasting != port.device
+        else f"there are no links under {SOCKET_NAMES} here, so plug the boards in one by one, always in the same order"
+    )
+    return (
+        f"{may_change}, and {alike} boards here ({port.description or port.device}) have no serial numbers that tell "
+        f"them apart; {remedy}"
+    )
 
 
 def _usb_ports() -> list[ListPortInfo]:
     return [port for port in sorted(list_ports.comports()) if port.vid is not None]
 
 
-def _alike(port: ListPortInfo, ports: Sequence[ListPortInfo]) -> list[ListPortInfo]:
-    """Return those of the ports that say the same of themselves: maker, product and serial number."""
+def _boards_alike(port: ListPortInfo, ports: Sequence[ListPortInfo]) -> int:
+    """Return how many boards have the maker, product and serial number of this one; 1 where its links differ."""
     said = (port.vid, port.pid, port.serial_number)
-    return [other for other in ports if (other.vid, other.pid, other.serial_number) == said]
+    alike = [other for other in ports if (other.vid, other.pid, other.serial_number) == said]
+    if all(_link_to(other, LASTING_NAMES) for other in alike):
+        return 1
+    # "1-1.4:1.0" is an interface of the board in the socket 1-1.4, and a board may have several
+    return len({(other.location or other.device).partition(":")[0] for other in alike})
 
 
 def _lasting_name(port: ListPortInfo, ports: Sequence[ListPortInfo]) -> str:
     """Return the link that leads to the same device after a replug, or the port's own name where there is none."""
-    folder = Path(SOCKET_NAMES if len(_alike(port, ports)) > 1 else LASTING_NAMES)
+    return _link_to(port, SOCKET_NAMES if _boards_alike(port, ports) > 1 else LASTING_NAMES) or port.device
+
+
+def _link_to(port: ListPortInfo, folder: str) -> str:
+    """Return the link to a port in a folder; empty where there is none."""
     there = os.path.realpath(port.device)
-    links = sorted(folder.iterdir()) if folder.is_dir() else []
-    return next((str(link) for link in links if os.path.realpath(link) == there), port.device)
+    links = sorted(Path(folder).iterdir()) if Path(folder).is_dir() else []
+    return next((str(link) for link in links if os.path.realpath(link) == there), "")
 
 
 def _is_port(port: ListPortInfo, name: object) -> bool:
@@ -138,19 +151,26 @@ class SerialLink:
         Raises
         ------
         LostError
-            It cannot be opened now. A port that has just come back may not be ours yet, or be probed by the system.
+            It cannot be opened now, or its serial number is not known yet. A port that has just come back may not be
+            ours yet, or be probed by the system.
         RefusedError
-            The address leads to another device now.
+            The address leads to another device now; the port stays closed, and this one goes on being looked for.
         """
         # An open descriptor would keep the name of the port that was pulled.
         self.close()
+        self.is_broken = True
         self._unread.clear()
         before = self.board_serial
         try:
             self._open()
         except RefusedError as error:
             raise LostError(str(error)) from error
-        require_same_board(self._name, before, self.board_serial)
+        try:
+            require_same_board(self._name, before, self.board_serial)
+        except CaptureError:
+            self.close()
+            self.board_serial = before
+            raise
         self.is_broken = False
 
     def _open(self) -> None:
@@ -265,7 +285,7 @@ class SerialLink:
         self._unread.clear()
         try:
             forgotten = 0
-            while forgotten <= LONGEST_ANSWER_BYTES and (waiting := self._port.in_waiting):
+            while forgotten <= LONGEST_ANSWER_BYTES and (waiting := self._waiting_bytes()):
                 data = bytes(self._port.read(waiting))
                 self._note("device", data)
                 forgotten += max(len(data), 1)
@@ -302,15 +322,21 @@ class SerialLink:
         before = len(self._unread)
         try:
             # A TCP line hands over single bytes.
-            wanted = max(1, self._port.in_waiting)
+            wanted = max(1, self._waiting_bytes())
             while wanted and len(self._unread) <= LONGEST_ANSWER_BYTES and (data := bytes(self._port.read(wanted))):
                 self._unread += data
                 self._note("device", data)
-                wanted = self._port.in_waiting
+                wanted = self._waiting_bytes()
         except _PORT_ERRORS as error:
             if len(self._unread) == before:
                 raise self._lost(error) from error
         return len(self._unread) > before
+
+    def _waiting_bytes(self) -> int:
+        """Return how many bytes have come; pyserial has no error of its own for a port that was closed."""
+        if not self._port.is_open:
+            raise serial.PortNotOpenError
+        return int(self._port.in_waiting)
 
     def _note(self, who: str, data: bytes) -> None:
         if self._transcript is not None:

@@ -25,7 +25,7 @@ import pytest
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from data_schemas import CaptureError, CaptureSession, LampSettings, RefusedError
+from data_schemas import CaptureError, CaptureSession, LampSettings, LostError, RefusedError
 from rigs import RawFrame, driver_notes, inspect_rig, open_rig, paint_plan, paper_rig, simulated_rig
 from rigs.capture import SessionRequest, paint_steps, read_interrupted
 from rigs.capture._paint_session import capture_with
@@ -295,7 +295,6 @@ class TestTwoBoardsOfOneKind:
                 light.same().switch(True, 1.0)
             assert not laser.is_on
             assert b"L1" not in laser.heard
-            light.close()
             self.swap(tmp_path)
             light.same().switch(True, 1.0)
             assert lamp.is_on
@@ -305,8 +304,55 @@ class TestTwoBoardsOfOneKind:
         with closing(boards[0]), closing(boards[1]), SerialLink(str(tmp_path / "ttyACM0"), 9600, "wheel") as link:
             link.reopen()
             self.swap(tmp_path)
-            with pytest.raises(RefusedError, match=r"wheel at .*ttyACM0: another board answers now"):
-                link.reopen()
+            for _ in range(2):
+                with pytest.raises(RefusedError, match=r"wheel at .*ttyACM0: another board .*'L-2', before 'L-1'"):
+                    link.reopen()
+                with pytest.raises(LostError):
+                    link.write(b"?", time.monotonic() + 1.0)
+            assert boards[1].heard == []
+            self.swap(tmp_path)
+            link.reopen()
+            assert link.board_serial == "L-1"
+
+    def test_a_port_whose_serial_number_is_not_known_yet_is_tried_again(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """While the system still learns what was plugged in, it lists no serial number."""
+        (board,) = self.boards(tmp_path, monkeypatch, ("L-1",))
+        with closing(board), SerialLink(str(tmp_path / "ttyACM0"), 9600, "wheel") as link:
+            with monkeypatch.context() as patch:
+                patch.setattr(list_ports, "comports", lambda *_: [])
+                with pytest.raises(LostError, match=r"wheel at .*: the serial number of its board .*before 'L-1'"):
+                    link.reopen()
+            link.reopen()
+            assert link.board_serial == "L-1"
+
+    def test_one_board_with_two_interfaces_is_one_board(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Both ports have its serial number, or none; its links under by-id differ where they are there."""
+        boards = self.boards(tmp_path, monkeypatch, ("L-1", "L-1"))
+        for number, port in enumerate(list_ports.comports()):
+            port.location = f"1-1.4:1.{2 * number}"
+            monkeypatch.setattr("rigs.transports._serial_link.LASTING_NAMES", f"{tmp_path}/by-id/")
+        second = os.path.realpath(tmp_path / "ttyACM1")
+        with closing(boards[0]), closing(boards[1]):
+            (tmp_path / "by-id").mkdir()
+            (tmp_path / "by-id" / "usb-L-1-if02").symlink_to(second)
+            assert re.search(r"or a restart; write .*/by-id/usb-L-1-if02 into the rig file$", port_advice(second))
+            # links that differ tell ports apart, wherever the boards are
+            (tmp_path / "by-id" / "usb-L-1-if00").symlink_to(os.path.realpath(tmp_path / "ttyACM0"))
+            for port in list_ports.comports():
+                port.location = None
+            assert usb_serial_ports()[1].address == str(tmp_path / "by-id" / "usb-L-1-if02")
+
+    def test_two_boards_without_links_are_warned_of(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        boards = self.boards(tmp_path, monkeypatch, (None, None))
+        for constant in ("LASTING_NAMES", "SOCKET_NAMES"):
+            monkeypatch.setattr(f"rigs.transports._serial_link.{constant}", f"{tmp_path}/none/")
+        with closing(boards[0]), closing(boards[1]):
+            advice = port_advice(os.path.realpath(tmp_path / "ttyACM1"))
+            assert re.search(r"2 boards here .* apart; there are no links .* always in the same order$", advice)
 
     @pytest.mark.parametrize(
         ("numbers", "folder", "text"),

@@ -12,6 +12,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
 from data_schemas import (
     CaptureError,
@@ -221,6 +223,33 @@ def test_cable_that_stays_away_says_how_far_it_drives(homed, bench):
     # the whole way, not a step of the rig file
     with pytest.raises(UnsafeError, match=r"may continue to Z = -1.000 mm, the end of its move; switch its motors off"):
         homed.move("Z", -1.0, 1.0, nothing)
+
+
+def test_another_board_at_the_address_of_the_stage_is_not_driven(bench, monkeypatch):
+    """The cable is pulled, and another controller comes back under the port's name: ours may still move."""
+    port, heard = bench.controller.port, list[int]()
+    usb = ListPortInfo(os.path.realpath(port.path))
+    usb.vid, usb.pid, usb.serial_number = 0x2341, 0x0043, "A"
+    monkeypatch.setattr(list_ports, "comports", lambda *_: [usb])
+
+    def replug() -> None:
+        port.pull()
+        time.sleep(0.1)
+        monkeypatch.setattr(bench.controller, "_byte", heard.append)
+        usb.serial_number = "B"
+        port.plug()
+        usb.device = os.path.realpath(port.path)
+
+    with open_stage(stage_settings(str(port.path))) as stage:
+        stage.home(10.0, nothing)
+        threading.Timer(0.3, replug).start()
+        with pytest.raises(UnsafeError, match=r"NOT SEEN TO STOP: .*another board answers now .*'B', before 'A'.*Z = -"):
+            stage.move("Z", -19.0, 1.0, nothing)
+        with pytest.raises(UnsafeError, match="another board answers now"):
+            stage.stop()
+        with pytest.raises(LostError):
+            stage.places_mm()
+    assert heard == []
 
 
 def test_stage_that_rests_elsewhere_is_told(homed, bench, monkeypatch):
