@@ -405,6 +405,7 @@ def _quadrature(
 _EMISSION_REFERENCES: Final[tuple[Reference, ...]] = ("white reference", "filters", "lamp")
 NO_REFERENCE: Final = "not traceable: no reference certificate recorded"
 NOTHING_MEASURED: Final = "not traceable: no paint was measured"
+SESSION_NOT_FOUND: Final = "not traceable: the session that it was measured in was not found"
 CONFORMS_FROM: Final = 0.95
 _QUANTILES_SD: Final = tuple(float(norm.ppf(level)) for level in (0.025, 0.16, 0.5, 0.84, 0.975))
 """Of a normal distribution, where a record holds those of the draws."""
@@ -455,7 +456,7 @@ class CertifiedResult:
 
 
 def certified_results(
-    paint: PaintCalibration, details: CertificateDetails, measured_on: date | None, *, is_simulated: bool = False
+    paint: PaintCalibration, details: CertificateDetails, measured_on: date | None, *, is_simulated: bool | None = False
 ) -> tuple[CertifiedResult, ...]:
     """Return the results of a certificate.
 
@@ -468,7 +469,8 @@ def certified_results(
     measured_on
         Day of the capture, on which a reference must have been valid; None where it is not known.
     is_simulated
-        Whether the rig was simulated: then nothing is traceable, whatever the laboratory holds.
+        Whether the rig was simulated: then nothing is traceable, whatever the laboratory holds, and neither where
+        that is not known (None), because the session was not found.
 
     Raises
     ------
@@ -482,11 +484,10 @@ def certified_results(
         )
     references = valid_references(details, measured_on)
     found = tuple(_result(paint, details, name, references) for name in CERTIFIED)
-    if not is_simulated:
+    if is_simulated is False:
         return found
-    return tuple(
-        one if one.traceability.startswith("not") else replace(one, traceability=NOTHING_MEASURED) for one in found
-    )
+    why = NOTHING_MEASURED if is_simulated else SESSION_NOT_FOUND
+    return tuple(one if one.traceability.startswith("not") else replace(one, traceability=why) for one in found)
 
 
 def _result(

@@ -49,8 +49,8 @@ UNASKED: Final = ("manual",)
 
 REMEDIES: Final = {
     " answers": "check cable, supply and address, and that the driver is that of the device",
-    "wheel arrives": "tighten the wheel's belt or motor, see what drags, and home the wheel",
-    "wheel moves in time": "see what drags, check the wheel's supply",
+    "wheel arrives": "tighten the wheel's belt or motor, see what rubs, and home the wheel",
+    "wheel moves in time": "see what rubs, check the wheel's supply",
     "wheel repeats optically": "tighten the wheel's belt or motor and the filters in their slots",
     "picture stays in place": "tighten filters, lens, camera and tile",
     "dark level": "correct black_level_dn of the rig file (a camera session measures it)",
@@ -67,17 +67,39 @@ REMEDIES: Final = {
     "stray light": "close gaps beside the filters, cover what reflects; replace a filter that blocks too little",
     "laser off": "do not use this laser before what should have switched it off is repaired",
     "load cell keeps its zero": "let cell and amplifier warm up, keep draughts and cables away",
+    "calibration is recent": "calibrate the load cell again (finray rig calibrate-cell)",
+    "load cell is straight": "see what the cell rubs on, tighten its screws and calibrate it again; else replace it",
+    "calibration holds": "lay the mass on nothing but the cell, or calibrate the cell again with masses that you trust",
+    "load cell is quiet": "lead its cable away from motors and mains, tighten its screws, check the amplifier's supply",
+    "load cell returns to zero": "see what rubs on the cell, tighten its screws; replace one that was overloaded",
+    "readings a second": "correct rate_hz of the rig file, or the pin of the amplifier that sets its rate",
+    "readings in time": "close other programs, plug the board straight into the computer, check its cable",
+    "goes as far as sent": "correct the controller's steps per mm ($100 to $102 of GRBL), tighten screw and coupling",
+    " moves in time": "raise the controller's limits of speed and acceleration ($110 to $122 of GRBL), or lower the "
+    "speeds of the rig file",
+    " reports its position": "set finer microsteps, and the controller's steps per mm ($100 to $102 of GRBL) with them",
+    "press axis turns without play": "tighten or preload the nut of the screw, its bearings and its coupling",
+    "force stops the stage": "do not press with this rig before it stops in time: lower press_speed_mm_per_s, and "
+    "check the cell's cable and rate",
+    "stage stops": "do not press with this rig before it stops in time: check the controller's cable, raise its "
+    "acceleration ($120 to $122 of GRBL)",
+    "position survives stops": "the motor loses steps: lower acceleration and speeds, check its current and what rubs",
     "touch repeats": "tighten stage, finger and indenter; a stage that loses steps must go more slowly",
 }
 """What to do about a check that failed, by a part of its name; the longest part counts."""
 
 
+def remedy_of(check_name: str) -> str | None:
+    """Return what to do where a check failed; None where its evidence says it."""
+    name = max((name for name in REMEDIES if name in check_name), key=len, default=None)
+    return None if name is None else REMEDIES[name]
+
+
 def _with_remedy(result: CheckResult) -> CheckResult:
     """Let a check that failed say what to do."""
-    name = max((name for name in REMEDIES if name in result.name), key=len, default=None)
-    if result.verdict != "FAIL" or name is None:
+    if result.verdict != "FAIL" or (remedy := remedy_of(result.name)) is None:
         return result
-    return result.model_copy(update={"evidence": f"{result.evidence}. What to do: {REMEDIES[name]}"})
+    return result.model_copy(update={"evidence": f"{result.evidence}. What to do: {remedy}"})
 
 
 def results_of(

@@ -333,7 +333,7 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
         raise CaptureError(f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; capture it again")
     say(f"{folder}: {len(interrupted.frames)} frames are stored and unchanged")
     if interrupted.doubt:
-        say("  all steps are metered again, because a frame was not as bright as at its metering;")
+        say("  all steps are metered again, because a frame differed from its metering in brightness or colour;")
         say("  frames that the repaired rig does not repeat are set aside and taken again")
     if interrupted.kind == "camera":
         _resume_camera(folder, interrupted, attend)

@@ -522,10 +522,9 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     details = (
         CertificateDetails() if arguments.laboratory is None else read_toml(arguments.laboratory, CertificateDetails)
     )
-    session, lineage = _found(path)
+    session, is_simulated, lineage = _found(path)
     measured_on = None if session is None else datetime.fromisoformat(session.frames[-1].captured_utc).date()
     with naming(FinrayError, path):
-        is_simulated = session is not None and session.rig.is_simulated
         results = certified_results(paint, details, measured_on, is_simulated=is_simulated)
     budget = () if arguments.budget is None else _budget(arguments.budget, paint)
     today = datetime.now(UTC).date()
@@ -552,8 +551,8 @@ def _budget(path: Path, paint: "PaintCalibration") -> "tuple[BudgetRow, ...]":
         return uncertainty_budget(read_record(path, BandSignals), paint, seed)
 
 
-def _found(path: Path) -> "tuple[CaptureSession | None, str]":
-    """Return the session that a calibration was made from, and what was found of its files.
+def _found(path: Path) -> "tuple[CaptureSession | None, bool | None, str]":
+    """Return the session that a calibration was made from, whether its rig was simulated, and what was found of files.
 
     A calibration that is not as it was written is refused where it is read; files that it was made from and that were
     changed since are named.
@@ -577,15 +576,26 @@ def _found(path: Path) -> "tuple[CaptureSession | None, str]":
         if not faults
         else f"Of the files behind the calibration, {len(faults)} were not found and not verified."
     )
-    return _session(tree), told
+    return *_session(tree), told
 
 
-def _session(tree: "Traced") -> "CaptureSession | None":
-    """Return the only paint session of a tree; several lights have several, and none speaks for all."""
+def _session(tree: "Traced") -> "tuple[CaptureSession | None, bool | None]":
+    """Return the only paint session of a tree, and whether any was of a simulated rig.
+
+    Several lights have several sessions, and none speaks for all. Whether the rig was simulated is None where none was
+    and a session, or band signals that would name one, were not found.
+    """
     from rigs.capture import read_session
 
-    places = [part.path for part in tree.all() if part.kind == "CaptureSession" and not part.is_repeated]
-    return read_session(places[0].parent) if len(places) == 1 and places[0] is not None else None
+    parts = [part for part in tree.all() if not part.is_repeated]
+    sessions = [
+        read_session(part.path.parent) for part in parts if part.kind == "CaptureSession" and part.path is not None
+    ]
+    signals = [part for part in parts if part.kind == "BandSignals"]
+    is_whole = bool(signals) and not any(one.path is None and one.name.endswith(".json") for one in tree.inputs)
+    is_whole &= all(any(one.kind == "CaptureSession" for one in part.inputs) for part in signals)
+    is_simulated = any(session.rig.is_simulated for session in sessions)
+    return sessions[0] if len(sessions) == 1 else None, True if is_simulated else False if is_whole else None
 
 
 def _say(results: "tuple[CertifiedResult, ...]", traceability: str) -> None:

@@ -192,7 +192,7 @@ def _require_masses(arguments: argparse.Namespace, capacity_n: float) -> None:
 
     if not 9.7 <= arguments.gravity <= 9.9:
         raise CurveError(
-            f"--gravity {arguments.gravity:g}: must be 9.78 m/s^2 (at the equator) to 9.83 m/s^2 (at the poles)"
+            f"--gravity {arguments.gravity:g}: 9.7 to 9.9 m/s^2 are allowed (9.78 at the equator, 9.83 at the poles)"
         )
     for name in ("gravity_uncertainty", "mass_uncertainty"):
         if not 0.0 <= getattr(arguments, name) <= 0.1:

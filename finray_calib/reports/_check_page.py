@@ -269,8 +269,8 @@ def _findings(history: History) -> tuple[str, ...]:
 def _limits(history: History, reference: int) -> tuple[str, ...]:
     """Say what the charts rest on."""
     outliers = [
-        f"{one.sessions[one.chart.outlier]} stands out from the reference ({one.quantity}): if it was not a good "
-        f"session, the limits are too wide."
+        f"{one.sessions[one.chart.outlier]} differs from the rest of the reference ({one.quantity}): if it was not a "
+        "good session, the limits are too wide."
         for one in history.watched
         if one.chart.outlier is not None
     ]

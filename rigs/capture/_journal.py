@@ -31,7 +31,47 @@ JOURNAL_NAME = "journal.jsonl"
 DISK_WITHIN_S: Final = 60.0
 """A disk that hangs (a network folder whose server is gone) must not keep a capture waiting with its lights on."""
 CLOSE_WITHIN_S: Final = 1.0
+FAULT_EVENT: Final = "fault"
 _LINKED: Final = re.compile(rb'(\{.*), "link": "([0-9a-f]{64})"\}', re.DOTALL)
+
+
+class _Line(NamedTuple):
+    """A line to be written: event, time of day, monotonic time (s) and the rest."""
+
+    event: str
+    utc: str
+    monotonic_s: float
+    what: Mapping[str, Any]
+
+
+class _FaultLines:
+    """Faults that no line of the journal has told yet; all of them are of one exchange. Threads may take them.
+
+    Each line says how many faults it stands for (``times``), and its time is that of the last of them.
+    """
+
+    def __init__(self) -> None:
+        self._turn, self._last, self._times, self._spent_s = threading.Lock(), Fault("", "", 0, 0.0), 0, 0.0
+        self._utc, self._at_s = "", 0.0
+
+    def belongs(self, fault: Fault) -> bool:
+        """Whether a fault is of the exchange whose faults were counted last."""
+        return fault.attempt > 1 and fault.device == self._last.device
+
+    def count(self, fault: Fault, utc: str, at_s: float) -> None:
+        """Count a fault."""
+        with self._turn:
+            self._last, self._times, self._spent_s = fault, self._times + 1, self._spent_s + fault.spent_s
+            self._utc, self._at_s = utc, at_s
+
+    def taken(self) -> tuple[_Line, ...]:
+        """Return the line about them, if there are any; they are told with it."""
+        with self._turn:
+            if not self._times:
+                return ()
+            told = self._last._replace(spent_s=round(self._spent_s, 3))._asdict() | {"times": self._times}
+            self._times, self._spent_s = 0, 0.0
+            return (_Line(FAULT_EVENT, self._utc, self._at_s, told),)
 
 
 class Journal:
@@ -89,10 +129,12 @@ class Journal:
             self._link = next((line.link.encode() for line in reversed(linked_lines(folder))), b"")
             if not _ends_with_newline(self._path):
                 self._file.write("\n")  # an interrupted line stays as it is; readers pass over it
-        self._disk, self._is_closed = CallThread("journal"), False
+        self._disk, self._is_closed, self._faults = CallThread("journal"), False, _FaultLines()
 
     def append(self, event: str, **what: Any) -> None:
         """Write one line (start, step, frame, note or stop) and wait until it is on the disk.
+
+        Faults that wait to be told are written before it.
 
         Raises
         ------
@@ -100,24 +142,60 @@ class Journal:
             The disk does not take it.
         """
         with self._turn:
+            lines = self._put(*self._faults.taken())
+            lines += self._put(_Line(event, *self._now(), what))
+        for line in lines:
+            self._told(line.event, line.what)
+
+    def note_fault(self, fault: Fault) -> None:
+        """Count a fault; of one exchange the first, second, fourth, eighth and so on are written at once.
+
+        A port that stays away fails five times a second. The others are written before the next line of any kind.
+
+        Raises
+        ------
+        CaptureError
+            The disk does not take them.
+        """
+        if not self._faults.belongs(fault):
+            self.write_faults()
+        self._faults.count(fault, *self._now())
+        if fault.attempt & (fault.attempt - 1) == 0:  # a power of two
+            self.write_faults()
+
+    def write_faults(self) -> None:
+        """Write the faults that were counted since the last line, if there are any."""
+        with self._turn:
+            lines = self._put(*self._faults.taken())
+        for line in lines:
+            self._told(line.event, line.what)
+
+    def _now(self) -> tuple[str, float]:
+        return self._clock.utc(), round(self._clock.monotonic_s(), 3)
+
+    def _put(self, *lines: _Line) -> tuple[_Line, ...]:
+        """Have lines on the disk, and return them."""
+        for event, utc, monotonic_s, what in lines:
             if self._is_closed:  # a thread that the disk held back
                 raise CaptureError(f"{self._path}: is closed, because the capture has ended")
-            time_s = round(self._clock.monotonic_s(), 3)
-            line = {"event": event, "utc": self._clock.utc(), "monotonic_s": time_s, **what}
-            text = json.dumps(line, ensure_ascii=False)[:-1]
-            # set before the line is written: one that the disk refuses stays in the buffer, and comes before the next
-            link = self._link = _link_of(self._link, text.encode())
-            try:
-                self._disk.call(lambda: self._write(f'{text}, "link": "{link.decode()}"}}\n'), DISK_WITHIN_S)
-            except NoAnswerError:
-                raise disk_hangs(self._path, self._path.parent) from None
-            except OSError as error:
-                resume = f"finray capture --resume {self._path.parent}"
-                raise CaptureError(
-                    f"{self._path}: cannot be written ({error.strerror}); free space or repair the disk, then "
-                    f"{resume if self._nameless is None else 'begin the capture again: nothing was captured yet'}"
-                ) from None
-        self._told(event, what)
+            line = {"event": event, "utc": utc, "monotonic_s": monotonic_s, **what}
+            self._put_text(json.dumps(line, ensure_ascii=False)[:-1])
+        return lines
+
+    def _put_text(self, text: str) -> None:
+        """Have a line without its closing brace on the disk, with its link."""
+        # set before the line is written: one that the disk refuses stays in the buffer, and comes before the next
+        link = self._link = _link_of(self._link, text.encode())
+        try:
+            self._disk.call(lambda: self._write(f'{text}, "link": "{link.decode()}"}}\n'), DISK_WITHIN_S)
+        except NoAnswerError:
+            raise disk_hangs(self._path, self._path.parent) from None
+        except OSError as error:
+            resume = f"finray capture --resume {self._path.parent}"
+            raise CaptureError(
+                f"{self._path}: cannot be written ({error.strerror}); free space or repair the disk, then "
+                f"{resume if self._nameless is None else 'begin the capture again: nothing was captured yet'}"
+            ) from None
 
     def _write(self, line: str) -> None:
         """Have a line on the disk."""
@@ -240,10 +318,10 @@ def lost_since(began: Began) -> None:
 @contextmanager
 def faults_noted(journal: Journal, folder: Path, most_s: float = LEAST_HEALING_S) -> Iterator[None]:
     """Note the faults after which an exchange is repeated, for a ``with`` block; end it when they cost too much."""
-    healing, lines = HealingTime(most_s, folder), _FaultLines(journal)
+    healing = HealingTime(most_s, folder)
 
     def note(fault: Fault) -> None:
-        lines.note(fault)
+        journal.note_fault(fault)
         healing.lose(fault.spent_s)
 
     token = _HEALING.set(healing)
@@ -252,43 +330,17 @@ def faults_noted(journal: Journal, folder: Path, most_s: float = LEAST_HEALING_S
             yield
     except BaseException:
         with contextlib.suppress(CaptureError):  # what ended the capture says more than a line that finds no space
-            lines.write()
+            journal.write_faults()
         raise
     finally:
         _HEALING.reset(token)
-    lines.write()
-
-
-class _FaultLines:
-    """Lines of the journal about faults: of one exchange the first, second, fourth, eighth and so on, and the last.
-
-    A port that stays away fails five times a second. Each line says how many faults it stands for (``times``).
-    """
-
-    def __init__(self, journal: Journal) -> None:
-        self._journal, self._last, self._times, self._spent_s = journal, Fault("", "", 0, 0.0), 0, 0.0
-
-    def note(self, fault: Fault) -> None:
-        """Count a fault, and write a line where one is due."""
-        if fault.attempt == 1 or fault.device != self._last.device:
-            self.write()
-        self._last, self._times, self._spent_s = fault, self._times + 1, self._spent_s + fault.spent_s
-        if fault.attempt & (fault.attempt - 1) == 0:  # a power of two
-            self.write()
-
-    def write(self) -> None:
-        """Write what was counted since the last line, if anything was."""
-        if not self._times:
-            return
-        told = self._last._replace(spent_s=round(self._spent_s, 3))._asdict() | {"times": self._times}
-        self._times, self._spent_s = 0, 0.0
-        self._journal.append("fault", **told)
+    journal.write_faults()
 
 
 def fault_notes(folder: Path) -> tuple[str, ...]:
     """Return what the journal of a session says about faults that did not stop it; nothing where there were none."""
     lines = read_journal(folder)
-    faults = [line for line in lines if line["event"] == "fault"]
+    faults = [line for line in lines if line["event"] == FAULT_EVENT]
     times = Counter[str]()
     for line in faults:
         times[str(line["device"])] += int(line.get("times", 1))

@@ -27,7 +27,6 @@ from rigs import Clock, OpenRig
 from rigs.capture._journal import JOURNAL_NAME, read_journal
 from rigs.capture._session_folder import SESSION_NAME, clear_session
 from rigs.light_guard import LightLostError, is_hazardous
-from rigs.transports import require_same_board
 
 ORPHANS = "set-aside"
 CHANGED_EVENT: Final = "signal changed"
@@ -299,7 +298,7 @@ def take_over(folder: Path, interrupted: Interrupted) -> None:
     """
     if (folder / SESSION_NAME).exists() or len(read_journal(folder)) != interrupted.lines:
         raise CaptureError(
-            f"{folder}: another capture has continued this session in the meantime; check what that capture stored"
+            f"{folder}: another capture has continued this session in the meantime; check what it stored"
         )
     clear_session(folder)
     set_aside(folder, {frame.file for frame in interrupted.frames.values()})
@@ -393,12 +392,13 @@ def require_same_inputs(interrupted: Interrupted, inputs: dict[str, str]) -> Non
 def require_same_devices(interrupted: Interrupted, devices: Sequence[DeviceIdentity]) -> None:
     """Refuse to go on with other devices than the session began with: an address may have another behind it now.
 
-    Of wheel, laser and lamp only a serial number tells it.
+    Of the others only a serial number tells it, and of wheels none is known.
 
     Raises
     ------
     CaptureError
-        Another camera or board answers; sessions of old versions do not say which it was.
+        Another camera or board answers, or a board's serial number is not known now; sessions of old versions do not
+        say which it was.
     """
     camera, *others = devices
     before = interrupted.start.get("camera")
@@ -409,7 +409,12 @@ def require_same_devices(interrupted: Interrupted, devices: Sequence[DeviceIdent
         )
     serials: dict[str, str] = interrupted.start.get("serials", {})
     for device in others:
-        require_same_board(f"{device.role} at {device.address}", serials.get(device.role, ""), device.serial)
+        began = serials.get(device.role, "")
+        if began and device.serial != began:
+            raise CaptureError(
+                f"{device.role} at {device.address}: the board with serial number '{device.serial}' is connected now, "
+                f"but the session began with '{began}': plug the boards in as before, or capture the session again"
+            )
 
 
 def _named(camera: Any) -> str:

@@ -142,7 +142,7 @@ class SerialLink:
         self._address, self._baud = address, baud
         self._transcript = transcript
         self._unread = bytearray()
-        self.is_broken = False
+        self.is_broken, self.board_serial = False, ""
         self._open()
 
     def reopen(self) -> None:

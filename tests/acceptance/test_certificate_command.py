@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -64,6 +65,36 @@ def test_certificate_of_a_session(measured, tmp_path, capsys):
     assert all(source.startswith("data:") for source in tags.sources)
     assert page.with_suffix(".pdf").read_bytes().startswith(b"%PDF")
     assert main(words) == 2
+
+
+def test_nothing_is_traceable_whose_session_is_away_or_of_a_simulated_rig(measured, tmp_path, capsys):
+    """A calibration does not say of which rig it is: without its session it may be simulated."""
+    laboratory, lab = tmp_path / "laboratory.toml", tmp_path / "lab"
+    held = '[[references]]\nof = "{}"\nnumber = "1"\nissued_by = "I"\ncalibrated_on = 2020-01-02\n'
+    laboratory.write_text("".join(held.format(of) for of in ("white reference", "filters", "lamp")))
+    inputs = {}
+    for name in ("first", "second"):
+        shutil.copytree(measured / "session", lab / name)
+        assert main(["radiometry", str(lab / name), "--out", str(lab / f"{name}.bands.json")]) == 0
+        inputs[f"{name}.bands.json"] = sha256_of(lab / f"{name}.bands.json")
+    write_record(example(), lab / "both.paint.json", provenance("finray fit", inputs, 1))
+    del inputs["second.bands.json"]
+    write_record(example(), lab / "red.paint.json", provenance("finray fit", inputs, 1))
+
+    def told(paint):
+        page = tmp_path / f"{len(list(tmp_path.iterdir()))}.html"
+        assert main(["certificate", str(lab / paint), "--laboratory", str(laboratory), "--out", str(page)]) == 0
+        return capsys.readouterr().out
+
+    for paint in ("red.paint.json", "both.paint.json"):
+        assert "reflectance: not traceable: no paint was measured" in told(paint)
+    shutil.move(lab / "second", tmp_path / "gone-2")
+    assert "reflectance: not traceable: no paint was measured" in told("both.paint.json")
+    shutil.move(lab / "first", tmp_path / "gone-1")
+    for paint in ("red.paint.json", "both.paint.json"):
+        assert "reflectance: not traceable: the session that it was measured in was not found" in told(paint)
+    (lab / "first.bands.json").unlink()
+    assert "reflectance: not traceable: the session that it was measured in was not found" in told("red.paint.json")
 
 
 def test_files_that_were_changed_since_are_refused(measured, tmp_path, capsys):

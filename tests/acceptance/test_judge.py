@@ -32,7 +32,7 @@ from finray_calib.acceptance._acceptance_report import (
     largest_failure_share,
     rate_dn_per_s,
 )
-from finray_calib.acceptance._device_checks import CLASS_1_MW, slowest_off
+from finray_calib.acceptance._device_checks import CLASS_1_MW, remedy_of, slowest_off
 from rigs import simulated_rig
 from rigs.capture._check_light import LEAST_SIGNAL_FRACTION
 from tests.acceptance.facts import GOOD, HANDSHAKES, PLAN, SIGHT, dark, handshake, level, spoilt
@@ -76,6 +76,8 @@ def test_a_steady_lamp_passes_at_the_stated_rate_and_the_uncertainty_of_its_drif
 
 def test_a_flawless_rig_passes_every_check(rig):
     report = judge(GOOD, PLAN, rig)
+    # what the proof of the filters says already holds the remedy
+    assert [one.name for one in report.results if remedy_of(one.name) is None] == ["filters in their slots"]
     assert bad(report) == {}
     assert report.verdict == "PASS"
     assert len(results(report)) == len(report.results) == 24

@@ -19,6 +19,7 @@ from data_schemas import (
 )
 from data_schemas.storage import read_record
 from finray_calib.acceptance import judge_pressing
+from finray_calib.acceptance._device_checks import remedy_of
 from rigs import CellReading
 from rigs.capture import OpenTactileRig, record_press_facts
 from rigs.capture import _check_press as check_press
@@ -70,6 +71,7 @@ def test_the_practice_rig_passes_what_somebody_saw(practice: Path) -> None:
     assert status == 0
     assert {r.name: r.verdict for r in report.results if r.verdict != "PASS"} == dict.fromkeys(NOBODY_SAW, "UNDECIDED")
     assert report.verdict == "UNDECIDED"
+    assert [r.name for r in report.results if remedy_of(r.name) is None] == []
     assert all(r.p_conform is None or r.p_conform > 0.95 for r in report.results)
     assert {r.section for r in report.results} == {
         "handshake", "load cell", "stage", "touch", "force limit", "stops", "reconnect",

@@ -121,6 +121,40 @@ def test_port_that_stays_away_leaves_few_lines_that_count_all(tmp_path: Path, mo
     assert "102 exchanges were repeated (wheel at /dev/ttyUSB0 102)" in fault_notes(tmp_path)[0]
 
 
+def test_counted_faults_stand_before_what_followed_them(tmp_path: Path) -> None:
+    """An hour later a frame is stored: the faults before it must not look like faults of that moment, or after it."""
+
+    class Stepped(SystemClock):
+        at_s = 0.0
+
+        def monotonic_s(self) -> float:
+            return self.at_s
+
+        def utc(self) -> str:
+            return f"{self.at_s:g} s"
+
+    clock, heard = Stepped(), list[str]()
+    with (
+        Journal(tmp_path, clock, told=lambda event, what: heard.append(event)) as journal,
+        faults_noted(journal, tmp_path),
+    ):
+        for attempt in range(1, 8):
+            clock.at_s = float(attempt)
+            report_fault(Fault("lamp at /dev/ttyACM0", "does not answer", attempt, 0.1))
+        clock.at_s = 3600.0
+        journal.append("frame")
+    lines = [(line["event"], line["monotonic_s"], line["utc"], line.get("times")) for line in read_journal(tmp_path)]
+    assert lines == [
+        ("fault", 1.0, "1 s", 1),
+        ("fault", 2.0, "2 s", 1),
+        ("fault", 4.0, "4 s", 2),
+        ("fault", 7.0, "7 s", 3),
+        ("frame", 3600.0, "3600 s", None),
+        ("stop", 3600.0, "3600 s", None),
+    ]
+    assert heard == ["fault", "fault", "fault", "fault", "frame", "stop"]
+
+
 def test_faults_before_an_error_are_counted_too(tmp_path: Path) -> None:
     def capture() -> None:
         with Journal(tmp_path, SystemClock()) as journal, faults_noted(journal, tmp_path):

@@ -327,9 +327,7 @@ class TestTwoBoardsOfOneKind:
             link.reopen()
             assert link.board_serial == "L-1"
 
-    def test_one_board_with_two_interfaces_is_one_board(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_one_board_with_two_interfaces_is_one_board(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """Both ports have its serial number, or none; its links under by-id differ where they are there."""
         boards = self.boards(tmp_path, monkeypatch, ("L-1", "L-1"))
         for number, port in enumerate(list_ports.comports()):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import CaptureError, CaptureSession, Frame, PaintPlan, RefusedError, RigFile
+from data_schemas import CaptureError, CaptureSession, Frame, PaintPlan, RigFile
 from data_schemas.storage import sha256_of
 from rigs import open_rig
 from rigs.capture import (
@@ -236,7 +236,8 @@ def test_another_board_of_the_lamp_is_refused(
     monkeypatch.setattr(SimulatedLight, "identity", lambda light: asked(light).model_copy(update=said))
     out = captured_in_part(rig, small, tmp_path / "stopped")
     said["serial"] = "L-2"
-    with pytest.raises(RefusedError, match=r"laser at .*another board answers now \(serial number 'L-2', before 'L-1'"):
+    message = r"laser at .*'L-2' is connected now, .* began with 'L-1': plug the boards in as before, or capture the"
+    with pytest.raises(CaptureError, match=message):
         resumed(rig, small, out)
     said["serial"] = "L-1"
     assert resumed(rig, small, out).frames
