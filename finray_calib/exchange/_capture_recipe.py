@@ -652,7 +652,7 @@ def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[st
             f"size_px = [{columns}, {rows}] below [picture]"
         )
     raise ImportFormatError(
-        f"recipe '{recipe.name}', contact.circle: {vote.against} of {vote.presses} presses that can tell change "
+        f"recipe '{recipe.name}', contact.circle: {vote.against} of {vote.presses} presses change "
         f"{vote.median_ratio:.2g} times as much (their median) where their circles would be with {said} exchanged, "
         f"{vote.right} where they are; {remedy}"
     )
