@@ -350,6 +350,8 @@ def parse_json(
     where: object,
     error: type[FinrayError] = RecordError,
     what: str = "",
+    *,
+    any_number: bool = False,
 ) -> Any:
     """Parse JSON: no key twice, no NaN and no infinite number, no half characters, at most :data:`DEEPEST_JSON` levels.
 
@@ -363,6 +365,8 @@ def parse_json(
         Class of the error.
     what
         What to give in its place, such as "a stored record (.json)", for the error about a file that is no JSON.
+    any_number
+        NaN and infinite numbers are read: the caller says what they mean in files that others wrote.
 
     Raises
     ------
@@ -375,8 +379,8 @@ def parse_json(
         parsed = json.loads(
             text,
             object_pairs_hook=_object_without_repeats,
-            parse_constant=_refuse_constant,
-            parse_float=_finite,
+            parse_constant=float if any_number else _refuse_constant,
+            parse_float=float if any_number else _finite,
             parse_int=_whole,
         )
         if b"\\u" in content:
@@ -393,9 +397,11 @@ def parse_json(
     return parsed
 
 
-def read_json(path: Path, what: str = "a JSON file", error: type[FinrayError] = RecordError) -> Any:
+def read_json(
+    path: Path, what: str = "a JSON file", error: type[FinrayError] = RecordError, *, any_number: bool = False
+) -> Any:
     """Read a JSON file; see :func:`read_bytes` and :func:`parse_json`."""
-    return parse_json(read_bytes(path, what, error, LARGEST_TEXT_BYTES), path, error, what=what)
+    return parse_json(read_bytes(path, what, error, LARGEST_TEXT_BYTES), path, error, what, any_number=any_number)
 
 
 def parse_toml(content: bytes, where: object, error: type[FinrayError] = RecordError) -> dict[str, Any]:

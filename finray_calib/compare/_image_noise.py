@@ -18,6 +18,7 @@ from finray_calib.compare._regions import every_channel
 from finray_calib.spectra import compiled
 
 Floats = NDArray[np.float64]
+Blocks = NDArray[np.bool_]
 AnyFloats = NDArray[np.floating[Any]]
 LEVELS = 20
 #: Of a level's largest squares this share is left out, with what a normal distribution has there put back.
@@ -239,3 +240,38 @@ def _sum_blocks(image: AnyFloats, side_px: int, sums: AnyFloats) -> None:
                 for j in range(side_px):
                     for channel in range(sums.shape[2]):
                         sums[row, column, channel] += image[row * side_px + i, column * side_px + j, channel]
+
+
+#: Changes and colours must exceed their noise so many times: from far blocks it is known to about a third.
+_CLEARLY = 2.0
+
+
+def noise_of_change(first: Floats, second: Floats, touched: Floats, where: tuple[Blocks, Blocks]) -> Floats:
+    """Return the covariance (3, 3) of what noise adds to ln(touched / first) at some blocks, from others.
+
+    Parameters
+    ----------
+    first, second, touched : ndarray, shape (blocks, 3)
+        Without contact; the same again where only noise and gains differ; with contact.
+    where : tuple of bool ndarray
+        Blocks at which `second` shows the noise, and those at which it is wanted: noise of one size in DN is larger in
+        the logarithm of a darker block.
+    """
+    (shown, wanted), change = where, np.log(second / first)
+    per_dn = [np.hypot(1.0 / image, 1.0 / first) for image in (second, touched)]
+    noise_dn = ((change - np.median(change[shown], axis=0)) / per_dn[0])[shown]
+    near = per_dn[1][wanted]
+    return np.asarray((noise_dn.T @ noise_dn / len(noise_dn)) * (near.T @ near / len(near)))
+
+
+def noise_free(change: Floats, noise: Floats) -> tuple[Floats, float]:
+    """Return the size of a change (blocks, 3) by channel, and how far its channels differ from their mean, over it.
+
+    Noise of the covariance (3, 3) is taken out; what does not exceed it clearly is 0.
+    """
+    total, own = (change**2).mean(axis=0), np.diag(noise)
+    apart = float(((change - change.mean(axis=1, keepdims=True)) ** 2).mean())
+    own_apart = float((np.trace(noise) - noise.sum() / 3.0) / 3.0)
+    squares = np.where(total > _CLEARLY**2 * own, total - own, 0.0)
+    coloured = apart - own_apart if apart > _CLEARLY**2 * own_apart else 0.0
+    return np.sqrt(squares), float(np.sqrt(coloured / max(float((total - own).mean()), coloured, 1e-300)))

@@ -7,7 +7,7 @@ the same rules. Here are also the tables and arrays of labels that a recipe name
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import islice
@@ -429,39 +429,42 @@ def label_array(arrays: Mapping[str, NDArray[Any]], pickled: tuple[str, ...], na
 
 
 def label_entry(path: Path, value: str) -> float:
-    """Return an array of one number, or one entry of it."""
+    """Return an array of one number, or one entry of it; what is no number in a JSON file leaves its press out."""
     member = _MEMBER.match(value)
     name, index = (member["name"], member["index"]) if member is not None else (value, None)
-    arrays, pickled = _json_arrays(path) if path.suffix.lower() == ".json" else read_npz(path)
-    array = label_array(arrays, pickled, name, path).ravel()
     at = 0 if index is None else int(index)
+    if path.suffix.lower() == ".json":
+        return _json_number(path, name, None if index is None else at)
+    arrays, pickled = read_npz(path)
+    array = label_array(arrays, pickled, name, path).ravel()
     if at >= array.size or (index is None and array.size != 1) or not np.isfinite(array[at]):
         raise ImportFormatError(f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers")
     return float(array[at])
 
 
-def _json_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
-    """Return the numbers and lists of numbers of a JSON object by key, those of inner objects as outer.inner."""
-    found: dict[str, NDArray[Any]] = {}
-    inside = list(read_json(path, "labels (JSON)", ImportFormatError).items())
-    for key, value in inside:  # grows while it is read
-        if isinstance(value, dict):
-            inside += [(f"{key}.{inner}", of) for inner, of in value.items()]
-        elif isinstance(value, (int, float)) or (value and isinstance(value, list) and _are_numbers(value)):
-            found[key] = np.asarray(value, dtype=np.float64)
-    return found, ()
-
-
-def _are_numbers(values: Sequence[object]) -> bool:
-    """Return whether all entries of a list are numbers."""
-    return all(isinstance(entry, (int, float)) for entry in values)
+def _json_number(path: Path, name: str, at: int | None) -> float:
+    """Return a number of a JSON object by its key, of inner objects outer.inner, or the entry `at` of a list."""
+    whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)
+    if not isinstance(whole, dict):
+        raise ImportFormatError(f"{path}: must be one object {{ ... }} with the labels of its press")
+    found: dict[str, Any] = {}
+    for key, value in (inside := list(whole.items())):  # grows while it is read
+        found[key] = value
+        inside += [(f"{key}.{inner}", of) for inner, of in value.items()] if isinstance(value, dict) else []
+    if name not in found:
+        raise ImportFormatError(f"{path}: '{name}' is missing; it holds {', '.join(sorted(found)) or 'nothing'}")
+    values = found[name] if found[name] and isinstance(found[name], list) else [found[name]]
+    if (at is None and len(values) != 1) or (at or 0) >= len(values):
+        raise ImportFormatError(f"{path}: '{name}' must be one number, or name[k] an entry; it holds {len(values)}")
+    number = values[at or 0]
+    if isinstance(number, bool) or not isinstance(number, (int, float)) or not np.isfinite(float(number)):
+        raise LeftOutError(f"its '{name}' is not a finite number")
+    return float(number)
 
 
 MOST_FILES = 200_000
 _FORMS: Final = ("NFC", "NFD")
 _FILES_SHOWN: Final = 4
-
-
 _LEAVE_OUT: Final = "presses.leave_out"
 
 

@@ -6,6 +6,7 @@ which that is so of all presses is refused.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -48,13 +49,7 @@ from finray_calib.exchange._capture_recipe import (
     require_possible_depths,
     require_possible_scale,
 )
-from finray_calib.exchange._render_files import (
-    exr_steps,
-    frame_of,
-    in_colour,
-    pixels_of,
-    require_alike,
-)
+from finray_calib.exchange._render_files import exr_steps, frame_of, in_colour, pixels_of, require_alike
 from finray_calib.exchange._video_frames import (
     CONVERT_VIDEO,
     begins_early,
@@ -75,6 +70,7 @@ Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
 VIDEO: Final = ".avi"
+_REASONS_SHOWN: Final = 5
 #: Presses that the median stands on, spread over the set: of more it hardly changes, and they fill the memory.
 MOST_IN_MEDIAN = 51
 #: A scale that its own check length contradicts by more than this is not the scale.
@@ -162,7 +158,7 @@ def read_by_recipe(
     if not read:
         raise ImportFormatError(
             f"{folder}: none of its {len(reader.files)} presses can be read by the recipe '{recipe.name}': "
-            f"{'; '.join(left_out)}"
+            f"{'; '.join(islice(left_out, _REASONS_SHOWN))}"
         )
     reader.check_numbers(read)
     return RecipeCaptures(_ReadAgain(reader, read), left_out)
@@ -279,7 +275,7 @@ class _Folder:
         )
 
     def note_numbers(self, name: str, capture: TactileCapture) -> None:
-        """Keep what is checked over all presses: depths, and where the picture changes."""
+        """Keep the depth, which is checked over all presses."""
         pose, circle = capture.indenter, capture.contact_circle
         if pose.depth_mm is not None:
             cap_mm = None
@@ -287,8 +283,6 @@ class _Folder:
                 touching_mm = min(circle.radius_px * capture.mm_per_px, pose.radius_mm)
                 cap_mm = pose.radius_mm - float(np.sqrt(pose.radius_mm**2 - touching_mm**2))
             self._depths[name] = (pose.depth_mm, cap_mm)
-        if capture.contact_told_by == "label":
-            self._elsewhere[name], self._shape = changes_elsewhere(capture), capture.contact.shape[:2]
 
     def check_numbers(self, names: Sequence[str]) -> None:
         """Refuse numbers that contradict each other over all presses: scale, depths, places of circles."""
@@ -572,7 +566,7 @@ class _Folder:
         contact = self.recipe.contact
         path = named_file(self.folder, (contact.file if contact is not None else None) or "", name)
         if not has_file(path):
-            raise LeftOutError(f"the file {contact.file if contact is not None else ''} with its contact is missing")
+            raise LeftOutError(f"the file {path.name}, which its recipe names, is missing")
         self._made_of.add(path)
         arrays, pickled = read_npz(path)
         corners = [
@@ -596,7 +590,7 @@ class _Folder:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if path.suffix.lower() in (".npz", ".json"):
             if not has_file(path):
-                raise LeftOutError(f"the file {file}, which should hold its contact, is missing")
+                raise LeftOutError(f"the file {path.name}, which its recipe names, is missing")
             self._made_of.add(path)
             return label_entry(path, value)
         if press is None:
@@ -640,7 +634,9 @@ class _Folder:
             (capture.encoding == "unknown", "exposure and tone curve", "values are not proportional to light"),
         )
         told = [MissingPart(what=what, lost=lost) for is_missing, what, lost in lacks if is_missing]
-        return (*told, *self.recipe.lacks, *misplaced_circle(capture))
+        if capture.contact_told_by == "label" and capture.name not in self._elsewhere:
+            self._elsewhere[capture.name], self._shape = changes_elsewhere(capture), capture.contact.shape[:2]
+        return (*told, *self.recipe.lacks, *misplaced_circle(capture.name, self._elsewhere.get(capture.name, {})))
 
 
 def _ball_px(capture: TactileCapture) -> float | None:

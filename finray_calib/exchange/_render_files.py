@@ -21,6 +21,7 @@ from pydantic import Field, ValidationError
 from data_schemas import ContactCircle, ImportFormatError, Model, Provenance, SimulatedPress, TactileCapture, explain
 from data_schemas.storage import ProductSet, has_file, read_bytes, read_json, read_npy, refuse_existing
 from finray_calib.exchange._paint_reradiation import exr_pixels
+from finray_calib.exchange._video_frames import CONVERT_VIDEO
 from finray_calib.sensing import contact_distance, outline_distance, rgb_image
 from rigs.cameras import decoded_picture, read_picture
 from sim.experiments import OpticsProducts
@@ -509,10 +510,17 @@ _OPENED: Final = {
 
 def _conversion(path: Path) -> str:
     """Say how pictures of another kind, or a stack of them, become files that are read, one for each press."""
-    opened = _OPENED.get(path.suffix.lower())
+    kind = path.suffix.lower()
+    if kind in (".png", ".jpg", ".jpeg"):  # a conversion by name would write over the originals
+        return "its content is not that of its name: copy it again from its source"
+    if kind in (".mp4", ".mov", ".mkv", ".webm"):
+        return CONVERT_VIDEO
+    opened = _OPENED.get(kind)
     if opened is None:
-        kind = path.suffix or ".tif"
-        return f"convert all pictures without loss, such as with 'mogrify -format png *{kind}', and name these"
+        return (
+            "convert all pictures without loss, such as with "
+            f"'mogrify -format png *{path.suffix or '.tif'}', and name these"
+        )
     images = f"{opened.replace('FILE', repr(path.name))}['NAME']"
     return (
         "it may hold many pictures: save each as a file of its own, as uint8 or uint16, in Python by "

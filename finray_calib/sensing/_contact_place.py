@@ -116,8 +116,9 @@ def changes_elsewhere(capture: TactileCapture) -> dict[str, float]:
     -------
     dict
         What is exchanged, of `CIRCLE_IF` -> r, below 1 for a circle on its contact and above 1 for one that is not.
-        Pixels of both circles do not count. Circles outside the picture are left out, and those whose centre lies in
-        the own one: many gels change on both sides of an axis.
+        Pixels of both circles do not count. What cannot tell is left out: circles outside the picture, those whose
+        centre lies in the own one or that overlap it and change as much (many gels change on both sides of an axis),
+        and presses that show nothing, c - m <= m in both circles.
     """
     circle, (rows, columns) = capture.contact_circle, capture.contact.shape[:2]
     if circle is None:
@@ -139,14 +140,17 @@ def changes_elsewhere(capture: TactileCapture) -> dict[str, float]:
         apart = np.hypot(column - circle.column_px, row - circle.row_px) / circle.radius_px
         if row < rows and column < columns and apart >= 1.0:
             there = inside(column, row)
-            found[said] = denser(there & ~own) / max(denser(own & ~there), anywhere, 1e-9)
+            of_both = denser(there & ~own), denser(own & ~there)
+            ratio = of_both[0] / max(of_both[1], anywhere, 1e-9)
+            if max(of_both) > anywhere and (apart >= 2.0 or not 1.0 / _DENSER_ELSEWHERE <= ratio <= _DENSER_ELSEWHERE):
+                found[said] = ratio
     return found
 
 
 #: A press speaks against its circle where the change by contact is so much denser elsewhere, and for it where it is so
-#: much less dense; so many must speak against, and more than twice as many as for: right labels of 83 real presses had
-#: at most 3 against and then 9 for, mirrored and exchanged ones the reverse.
-_DENSER_ELSEWHERE, _LEAST_PRESSES, _MAJORITY = 1.5, 3, 2
+#: much less dense; so many must speak against, more than twice as many as for, and a fifth of all that can tell: right
+#: labels of 83 real presses had at most 3 against and then 9 for, mirrored and exchanged ones the reverse, of 42.
+_DENSER_ELSEWHERE, _LEAST_PRESSES, _MAJORITY, _LEAST_SHARE = 1.5, 3, 2, 0.2
 #: A single press speaks against its own circle from here on; right labels of these presses reached 1.8.
 _SURELY_ELSEWHERE = 2.0
 
@@ -160,9 +164,9 @@ class CircleVote:
     exchanged
         Of `CIRCLE_IF`.
     presses, against, right
-        That can tell; that change more where their circle would be; that change more where it is.
+        That can tell: that change clearly more in one of both places; there, where their circle would be; where it is.
     median_ratio
-        Of how much denser the change is elsewhere, see :func:`changes_elsewhere`.
+        Of those against: how much denser the change is elsewhere, see :func:`changes_elsewhere`.
     """
 
     exchanged: str
@@ -175,28 +179,28 @@ class CircleVote:
 def vote_on_circles(changes: Sequence[Mapping[str, float]]) -> CircleVote | None:
     """Return what is exchanged, by what :func:`changes_elsewhere` found of each press; None where nothing is.
 
-    Three presses at least must say so, and more than twice as many as say the contrary, so that neither a few wrong
-    labels nor a gel that changes on both sides of an axis decides. One or two presses show that rows and columns are
-    exchanged, if there are no more.
+    Three presses at least must say so, more than twice as many as say the contrary, and a fifth of all of which
+    something is known, so that neither a few wrong labels nor a gel that changes on both sides of an axis decides. One
+    or two presses show that rows and columns are exchanged, if there are no more.
     """
     votes = []
     for said in CIRCLE_IF:
         of = [found[said] for found in changes if said in found]
-        against, right = sum(r > _DENSER_ELSEWHERE for r in of), sum(r < 1.0 / _DENSER_ELSEWHERE for r in of)
+        ratios, right = [r for r in of if r > _DENSER_ELSEWHERE], sum(r < 1.0 / _DENSER_ELSEWHERE for r in of)
+        against = len(ratios)
         least = min(_LEAST_PRESSES, len(changes)) if said == ROW_AND_COLUMN else _LEAST_PRESSES
-        if of and against >= least and against > _MAJORITY * right:
-            votes.append(CircleVote(said, len(of), against, right, float(np.median(of))))
+        if against >= max(least, _LEAST_SHARE * len(of), 1) and against > _MAJORITY * right:
+            votes.append(CircleVote(said, against + right, against, right, float(np.median(ratios))))
     return max(votes, key=lambda vote: (vote.against - vote.right, vote.median_ratio), default=None)
 
 
-def misplaced_circle(capture: TactileCapture) -> tuple[MissingPart, ...]:
-    """Tell that a press alone changes more where its drawn circle would be if it were arranged otherwise."""
-    elsewhere = changes_elsewhere(capture) if capture.contact_told_by == "label" else {}
+def misplaced_circle(name: str, elsewhere: Mapping[str, float]) -> tuple[MissingPart, ...]:
+    """Tell that a press alone changes more where its drawn circle would be, by what :func:`changes_elsewhere` found."""
     said = max(elsewhere, key=elsewhere.__getitem__, default=None)
     if said is None or elsewhere[said] <= _SURELY_ELSEWHERE:
         return ()
     lost = (
-        f"{capture.name} changes {elsewhere[said]:.2g} times as much where its circle would be with {said} exchanged: "
+        f"{name} changes {elsewhere[said]:.2g} times as much where its circle would be with {said} exchanged: "
         "correct its label, or leave the press out"
     )
     return (MissingPart(what="a circle on the contact", lost=lost),)

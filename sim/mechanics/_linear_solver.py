@@ -273,8 +273,8 @@ class Pardiso:
         wrapped, found, error = self._solver, np.zeros_like(right_side), ctypes.c_int32(0)
         numbers = (1, 1, wrapped.mtype, phase, len(right_side))
         values = (self._matrix.data, *self._places, wrapped.perm)
-        wrapped._mkl_pardiso(  # noqa: SLF001
-            wrapped.pt.ctypes.data_as(ctypes.POINTER(wrapped._pt_type[0])),  # noqa: SLF001
+        wrapped.libmkl.pardiso(
+            wrapped.pt.ctypes.data_as(ctypes.POINTER(ctypes.c_int64)),
             *(ctypes.byref(ctypes.c_int32(number)) for number in numbers),
             *(array.ctypes.data_as(kind) for array, kind in zip(values, (_FLOATS, _INTS, _INTS, _INTS), strict=True)),
             ctypes.byref(ctypes.c_int32(1)),

@@ -228,7 +228,7 @@ def test_a_capture_made_from_the_very_render_scores_1_and_says_so(render_noise, 
     report = compare_press(made.press, own, 1)
     assert report.headline_skill.estimate == pytest.approx(1.0, abs=0.002)
     assert report.headline_skill.low95 <= report.headline_skill.estimate <= report.headline_skill.high95
-    assert "has the same noise as this render, so it was made from it" in report.findings[0]
+    assert "has the same noise as this render, so it was made from this render" in report.findings[0]
 
 
 def test_captures_of_their_own_are_not_taken_for_the_render():

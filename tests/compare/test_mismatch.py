@@ -222,15 +222,18 @@ NO_COLOUR = {
 }  # fmt: skip
 
 
-def shaded_pair(values, change=lambda image: image, rest_moved_px=0):
-    """A ball under three coloured lights that are white together, so that only the touch shows colours."""
-    slopes = dent_slopes(*SHADED_CENTRE_PX, SHADED_RADIUS_PX, 46.0, (120, 160))
+def shaded_pair(values, change=lambda image: image, rest_moved_px=0, *, sensor=lambda light: light, strength=1.0):
+    """A ball under three coloured lights that are white together, so that only the touch shows colours.
+
+    `change` is what the render holds of them, `sensor` what the camera sees before its noise.
+    """
+    slopes = strength * dent_slopes(*SHADED_CENTRE_PX, SHADED_RADIUS_PX, 46.0, (120, 160))
     texture = 1.0 + 0.15 * np.cos(np.arange(160) / 3.0)[None, :, None]
     light = [texture * shaded(of) for of in (slopes, np.zeros_like(slopes))]
     rows, columns = np.indices((120, 160))
     rng = np.random.default_rng(1)
     linear = values == ("linear", "linear")
-    counted = [12.0 * image if linear else 255.0 * (image / 160.0) ** 0.45 for image in light]
+    counted = [sensor(12.0 * image if linear else 255.0 * (image / 160.0) ** 0.45) for image in light]
     counted = [np.rint(image + rng.normal(0.0, 1.0, image.shape)).clip(0).astype(np.uint16) for image in counted]
     capture = TactileCapture(
         name="capture", contact=counted[0], no_contact=counted[1], repeat_no_contact=None, layout="RGB",
@@ -263,12 +266,50 @@ def test_what_a_render_holds_in_place_of_colour_is_told_by_its_change(values, he
 
 
 @pytest.mark.parametrize("values", VALUES)
-def test_a_rest_of_another_pose_is_told_and_a_grey_sensor_has_no_colours_to_miss(values):
+def test_a_rest_of_another_pose_is_told_and_an_idle_render_is_not(values):
     (finding,) = find_mismatches(*shaded_pair(values, rest_moved_px=8))
     assert finding.severity == "warn"
     assert re.search(r"the two images of the render ball differ unevenly, by \d+\.\d % .* one pose", finding.text)
-    press, capture = shaded_pair(values, one_colour)
-    grey = edited(capture, lambda dn: one_colour(dn).astype(np.uint16), "contact", "no_contact")
-    assert find_mismatches(press, grey) == ()
+    press, capture = shaded_pair(values)
     blank = press.model_copy(update={"contact": press.no_contact})
     assert find_mismatches(blank, capture) == ()
+
+
+def seen_white(image, level_dn):
+    """One white light from the right."""
+    one = one_colour(image, slice(0, 1))
+    return level_dn * one / one.mean()
+
+
+@pytest.mark.parametrize("strength", [0.1, 0.2, 0.4, 1.0])
+@pytest.mark.parametrize("level_dn", [20.0, 40.0, 80.0])
+@pytest.mark.parametrize("values", VALUES)
+def test_a_grey_sensor_has_no_colours_to_miss_however_weak_the_press(values, level_dn, strength):
+    """Noise that each channel has for itself looks like colour; it refused such a render from 2 % of change down."""
+    press, capture = shaded_pair(
+        values, lambda image: one_colour(image, slice(0, 1)),
+        sensor=lambda image: seen_white(image, level_dn), strength=strength,
+    )  # fmt: skip
+    assert find_mismatches(press, capture) == ()
+
+
+@pytest.mark.parametrize("values", VALUES)
+def test_a_channel_that_holds_noise_alone_is_not_missed_in_a_render(values):
+    """A lamp without blue: 2 DN of stray light, whose noise is as large as what others change by."""
+
+    def without_blue(image):
+        return np.concatenate([image[..., :2], np.full_like(image[..., :1], 2.0)], axis=-1)
+
+    press, capture = shaded_pair(values, without_blue, sensor=without_blue)
+    assert [f.text for f in find_mismatches(press, capture) if f.about == "change by contact"] == []
+
+
+def test_where_nothing_shows_the_noise_a_grey_render_is_told_but_not_refused():
+    press, capture = shaded_pair(VALUES[1], one_colour)
+    press = press.model_copy(update={"distance": np.minimum(press.distance, 2.5)})
+    (finding,) = find_mismatches(press, capture)
+    assert (finding.severity, finding.about) == ("warn", "change by contact")
+    # with a repeat it is known again
+    repeated = capture.model_copy(update={"repeat_no_contact": shaded_pair(VALUES[1])[1].no_contact + np.uint16(1)})
+    findings = find_mismatches(press, repeated)
+    assert ("refuse", "change by contact") in [(f.severity, f.about) for f in findings]

@@ -12,6 +12,7 @@ import pytest
 from data_schemas import CompareError, ContactCircle, ImportFormatError
 from finray_calib.compare import compare_press
 from finray_calib.exchange import Recipe, read_by_recipe, read_renders
+from finray_calib.sensing import vote_on_circles
 from tests.exchange.ball_press_folders import eight_bits
 from tests.exchange.recipe_folders import CONTACT_PX, PLACES, dome, flat
 
@@ -358,6 +359,34 @@ def test_the_majority_of_the_presses_decides_whether_labels_are_mirrored(tmp_pat
     )
 
 
+def test_presses_that_show_nothing_do_not_say_that_labels_are_right(tmp_path):
+    """Noise alone has as much in both places, and none more than anywhere: it counted as a change where it is said."""
+    folder = labelled_set(tmp_path / "set", {1, 2, 3, 4, 5})
+    rng = np.random.default_rng(0)
+    for path in sorted(folder.glob("p*.png"))[:2]:
+        put(path, np.clip(np.rint(UNTOUCHED + rng.normal(0.0, 1.0, UNTOUCHED.shape)), 0, 255).astype(np.uint8))
+    with pytest.raises(ImportFormatError, match=r"3 of 3 presses .* with left and right exchanged, 0 where they are"):
+        read_by_recipe(folder, recipe_of("p{press}.png", "rest.png"))
+
+
+@pytest.mark.parametrize(
+    ("ratios", "told"),
+    [
+        # a few odd ones among many that change as much in both places
+        ([3.0] * 3 + [1.0] * 497, None),
+        ([3.0] * 3 + [0.9] * 20, None),
+        # as many as of a real set (9 against, 3 for, of 42), whose labels were mirrored
+        ([3.0] * 9 + [1.0] * 30 + [0.5] * 3, (12, 9, 3, 3.0)),
+        # those near the mirror axis say nothing
+        ([2.0, 3.0, 4.0] + [None] * 497, (3, 3, 0, 3.0)),
+        ([2.0, 3.0, 4.0, 1.0, 1.0, 1.0, 1.0], (3, 3, 0, 3.0)),
+    ],
+)
+def test_a_few_odd_presses_among_many_undecided_do_not_refuse_a_set(ratios, told):
+    vote = vote_on_circles([{} if r is None else {"left and right": r} for r in ratios])
+    assert (vote and (vote.presses, vote.against, vote.right, vote.median_ratio)) == told
+
+
 LABELLED = """
 [contact]
 file = "{press}.json"
@@ -396,10 +425,64 @@ def test_a_json_file_for_each_picture_and_a_table_of_forces_are_read(tmp_path, o
 
 
 @pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        (None, r"^the file 2\.json, which its recipe names, is missing$"),
+        ("null", "^its 'Fz' is not a finite number$"),
+        ('"1.5"', "^its 'Fz' is not a finite number$"),
+        ("true", "^its 'Fz' is not a finite number$"),
+        ("NaN", "^its 'Fz' is not a finite number$"),
+        ("-Infinity", "^its 'Fz' is not a finite number$"),
+        ("1e999", "^its 'Fz' is not a finite number$"),
+        ("[]", "^its 'Fz' is not a finite number$"),
+        ("[[1, 2]]", "^its 'Fz' is not a finite number$"),
+        ('{"mean": 1}', "^its 'Fz' is not a finite number$"),
+    ],
+)
+def test_a_press_whose_json_label_holds_no_number_is_left_out_as_one_without_a_label(tmp_path, said, message):
+    folder = labelled_set(tmp_path / "set", set())
+    for k, (row, column) in enumerate(RIGHT_PLACES, start=1):
+        text = json.dumps({"contact": {"x": column, "y": row}, "r": [CONTACT_PX], "Fz": 1.0})
+        (folder / f"{k}.json").write_text(text.replace("1.0}", f"{said}}}") if k == 2 else text)
+    if said is None:
+        (folder / "2.json").unlink()
+    recipe = recipe_of("p{press}.png", "rest.png").model_dump(exclude_defaults=True)
+    found = read_by_recipe(
+        folder, Recipe.model_validate({**recipe, **tomllib.loads(LABELLED.replace("FORCE", "{press}.json"))})
+    )
+    ((why, names),) = found.left_out.items()
+    assert re.search(message, why)
+    assert names == ["2"]
+    assert list(found.captures) == ["1", "3", "4", "5"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[{"Fz": 1.0}]', r"1\.json: must be one object \{ \.\.\. \} with the labels of its press"),
+        ('{"Fz": 1.0, "r": 5}', r"1\.json: 'contact\.x' is missing; it holds Fz, r$"),
+        ('{"Fz": [1.0, 2.0]}', r"1\.json: 'Fz' must be one number, or name\[k\] an entry; it holds 2$"),
+    ],
+)
+def test_a_json_label_of_another_form_is_refused_with_what_it_holds(tmp_path, text, message):
+    folder = labelled_set(tmp_path / "set", set())
+    (folder / "1.json").write_text(text)
+    recipe = recipe_of("p{press}.png", "rest.png").model_dump(exclude_defaults=True)
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(
+            folder, Recipe.model_validate({**recipe, **tomllib.loads(LABELLED.replace("FORCE", "{press}.json"))})
+        )
+
+
+@pytest.mark.parametrize(
     ("ending", "message"),
     [
         (".h5", r"numpy\.save\(f'\{k\}\.npy', image\) for k, image in enumerate\(h5py\.File\('1\.h5'\)\['NAME'\]\)\]$"),
         (".webp", r"such as with 'mogrify -format png \*\.webp'"),
+        # 'mogrify -format png *.png' would write over the originals
+        (".png", r"1\.png: is neither .*; its content is not that of its name: copy it again from its source$"),
+        (".JPG", r"1\.JPG: is neither .*; its content is not that of its name: copy it again from its source$"),
+        (".mp4", r"1\.mp4: is neither .*; convert the video: ffmpeg -i VIDEO -c:v mjpeg"),
     ],
 )
 def test_stacks_and_other_pictures_are_refused_with_what_converts_them(tmp_path, ending, message):

@@ -319,8 +319,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         (
             ("[indenter]\n", CIRCLE),
             ("t.csv", "{press}.npz"),
-            r"the file \{press\}.npz, which should hold its "
-            r"contact, is missing",
+            r"the file a\.npz, which its recipe names, is missing",
         ),
     ],
 )

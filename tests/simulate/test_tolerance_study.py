@@ -127,8 +127,8 @@ def test_a_limit_alone_is_found_whatever_the_power_of_its_loss(power):
     for limit in np.geomspace(0.3, 15.9, 60):
         growth = SimpleNamespace(alone=lambda number, step, at=limit: 0.1 * (abs(step) / at) ** power)
         side = _search(growth, 0, 1.0, 0.1)
-        # the line between two steps, of which the lower is at least 0.8 of the upper, costs at most this
-        assert side.limit(0.1, 0.0).value == pytest.approx(limit, rel=0.06)
+        # a line between the last two steps; 600 limits of powers 1 to 4 gave 0.018 at most
+        assert side.limit(0.1, 0.0).value == pytest.approx(limit, rel=0.02)
         assert len(side.steps) <= 6
 
 
@@ -146,7 +146,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_limit_alone_is_found_where_a_loss_flattens_or_turns_steep(shape):
-    """A step whose loss was near what is allowed was taken for the limit: up to 2.3 times too wide, 0.7 too narrow."""
+    """A step whose loss was near what is allowed was taken for the limit: up to 3.2 times too wide, 74 % too narrow."""
     of, allowed_rel = SHAPES[shape]
     for limit in np.geomspace(0.3, 15.9, 60):
         growth = SimpleNamespace(alone=lambda number, step, at=limit: 0.1 * of(abs(step) / at))
