@@ -250,6 +250,9 @@ class SlippingWheel:
     def slots(self) -> tuple[int, ...]:
         return self.wheel.slots
 
+    def identity(self) -> DeviceIdentity:
+        return self.wheel.identity()
+
     def position(self) -> int | None:
         self.readings += 1
         position = self.wheel.position()
@@ -262,6 +265,9 @@ class SlippingWheel:
 class StuckLight:
     def __init__(self, on: bool):
         self.on = on
+
+    def identity(self) -> DeviceIdentity:
+        return DeviceIdentity(role="laser", driver="stuck")
 
     def state(self) -> bool:
         return self.on
