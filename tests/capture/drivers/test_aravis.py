@@ -44,7 +44,7 @@ def expose_until(camera: GenicamCamera, within_s: float) -> int:
         attempts += 1
         try:
             camera.expose(EXPOSURE_S, DEADLINE_S)
-        except (LostError, BadFrameError):
+        except (LostError, TimedOutError, BadFrameError):
             if time.monotonic() > end_s:
                 raise
         else:
