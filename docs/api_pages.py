@@ -30,6 +30,7 @@ BESIDE = {
     "scale-of-studies.md": "Studies on many machines, and what a million points cost",
     "frames-for-other-programs.md": "Frames for other programs: OME-TIFF, NeXus, bluesky documents and devices",
     "ros2.md": "Frames in ROS 2, by an example",
+    "keys-of-json-results.md": "Keys of the results that `--json` prints, for scripts",
     "stage-and-load-cell.md": "A stage that presses, and a load cell that stops it: rig file, plan, what stops it",
     "only-hardware-can-show.md": "What only hardware can show, and what shows it on your rig",
 }

@@ -1,4 +1,4 @@
-"""Framed exchange over a serial port, with a deadline for every wait: the only door to pyserial.
+"""Framed exchange over a serial port, with a deadline for every wait: the only module that imports pyserial.
 
 And what boards with our firmware say unasked: lines with a check byte and the time of the board's own clock.
 """

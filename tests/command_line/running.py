@@ -22,7 +22,7 @@ from finray_calib.cli.main import main
 from tests.schemas.stored_files import seal_again
 
 ROOT = Path(__file__).resolve().parents[2]
-SCRIPTS = ROOT / "docs" / "how-to" / "use-finray-in-a-script.md"
+SCRIPTS = ROOT / "docs" / "reference" / "keys-of-json-results.md"
 PROGRESS = re.compile(r"[a-z]+: .+ \(\d+ of \d+\)")
 
 
@@ -98,7 +98,7 @@ def children_of(pid: int) -> list[int]:
 
 
 def documented() -> dict[str, set[str]]:
-    """Return command -> keys that the page on scripts says its result may have; "import", "study": any other of it."""
+    """Return command -> keys that the page says its result may have; "import", "study": any other of it."""
     table = SCRIPTS.read_text(encoding="utf-8").partition("| command | keys")[2]
     found: dict[str, set[str]] = {}
     for row in table.splitlines()[2:]:
