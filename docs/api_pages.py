@@ -17,7 +17,7 @@ BESIDE = {
     "tactile-captures.md": "Tactile captures in one container: a layout that any program can write",
     "files-that-are-read.md": "Files that are read: formats, limits, what is refused, how it was tried",
     "rooms.md": "Packages of the code and what they import",
-    "practice-faults.md": "Faults of the rig without devices, to practise on",
+    "practice-faults.md": "Faults of the simulated rig, to practise on",
     "extend-finray.md": "Extend finray from a package of your own: ten kinds, a protocol and a contract each",
     "checks-of-a-rig.md": "Checks of a rig: what each one measures, and when it passes",
     "faults-that-charts-see.md": "Faults of a rig, and how soon control charts see them",
