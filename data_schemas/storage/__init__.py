@@ -1,4 +1,4 @@
-"""The only reader and writer of records, and the only way in for every other file.
+"""The only reader and writer of records, and the only reader of all other files.
 
 Files are stored atomically (complete or absent, never overwritten), with a seal (SHA-256 of the envelope) and a version
 (files of earlier versions are migrated as they are read). Several files are committed together: a `ProductSet` is valid

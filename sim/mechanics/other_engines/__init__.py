@@ -1,4 +1,4 @@
-"""Other programs for the same press: decks, CalculiX in a process of its own, results of Abaqus.
+"""Other programs for the same press: decks, CalculiX in a separate process, results of Abaqus.
 
 A deck holds the same mesh, materials and push as our own engine, so that the programs differ in contact and elements
 only. `finger_deck` writes one for Abaqus or CalculiX, `press_finger_calculix` runs CalculiX on it, and
