@@ -64,7 +64,7 @@ class Optics(Model):
     white_reference: WhiteReference
     band_uncertainty: BandUncertainty = Field(
         default=BandUncertainty(),
-        description="uncertainties of each band value besides the noise of its frames; the usual ones where an older "
+        description="uncertainties of each band value besides the noise of its frames; the defaults where an older "
         "version did not state them",
     )
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
@@ -261,7 +261,7 @@ class CameraPlan(Record):
     camera_name: str = Field(description="name of the camera, for the session's folder and the characterisation")
     filter_name: str | None = Field(
         default=None,
-        description=("filter in the beam; if it is left out, the wheel must read that no filter is in the beam"),
+        description=("filter in the beam; if it is left out, the wheel must report that no filter is in the beam"),
     )
     region: RegionOfInterest = Field(description="evenly lit part of the white tile")
     levels: Annotated[int, Field(ge=FEWEST_LEVELS, le=200)] = Field(

@@ -101,7 +101,7 @@ def table(rooms: Mapping[str, set[str]]) -> str:
 
 def table_page(rooms: Mapping[str, set[str]]) -> str:
     """Return the page with the table of all rooms."""
-    head = "Made by `make drawing` from the code, with no arrow left out; a test fails when it differs."
+    head = "Made by `make drawing` from the code, with every import. A test fails when it is out of date."
     drawn = "[How the code is built](../explanation/architecture.md#the-drawing) has the drawing."
     return "\n\n".join(["# Packages of the code and what they import", f"{head} {drawn}", table(rooms)]) + "\n"
 

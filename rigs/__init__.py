@@ -1,4 +1,4 @@
-"""Devices and the capture of sessions; of this project it imports data_schemas only.
+"""Devices and the capture of sessions; apart from its own packages it imports only data_schemas of this project.
 
 ``with open_rig(rig, folder) as opened:`` turns a rig file into a camera, a filter wheel, a laser, a lamp, an operator
 and a clock that keep the protocols of this package, whether they are real, behind a server or simulated. Every exchange

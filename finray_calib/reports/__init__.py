@@ -1,4 +1,4 @@
-"""From stored records to figures, tables, sentences and self-contained pages; the only door to matplotlib and jinja2.
+"""From records to figures, tables, sentences and self-contained pages; only this package uses matplotlib and jinja2.
 
 A page is one HTML file with everything inside, the verdict first, readable without scripts; it is made of sections, and
 sections of pictures and tables. Every sentence is computed from the records, no number shows more digits than its

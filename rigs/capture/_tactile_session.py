@@ -502,7 +502,7 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
         if press.depth_mm > most_mm:
             raise CaptureError(
                 f"{where}: depth_mm = {press.depth_mm:g} is more than the {most_mm:g} mm from clear_mm to the end of "
-                "press_travel_mm; press less deep, or correct the rig file"
+                "press_travel_mm; press less deeply, or correct the rig file"
             )
         low_mm, high_mm = rig.stage.pad_travel_mm
         at_mm = rig.stage.base_mm + rig.stage.from_base * press.position_mm

@@ -102,7 +102,7 @@ def test_what_the_renders_alone_say_is_said_of_their_own_angle():
 def test_at_the_end_of_the_sweep_nothing_is_promised():
     html = page_of(example_decision("undecided").model_copy(update={"at_range_end": True}))
     text = plain(html)
-    assert "The optimum may lie outside the sweep: widen it." in text
+    assert "The optimum may lie outside the sweep: widen the sweep." in text
     assert "Next: simulate a sweep that goes beyond 32 deg, and decide again." in text
     for absent in ("On the drawing", "Risk:", "Mounting tolerance", "Next render", "More angles or more repeats"):
         assert absent not in text
