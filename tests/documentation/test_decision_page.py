@@ -348,7 +348,7 @@ def test_a_decision_on_the_normal_shows_its_error_and_what_others_cost():
     html = decision_page(over_places(aim="normal", other_objectives=(normal,)), [SWEEP] * 3, COMMAND, DIGESTS)
     text = plain(html)
     for told in (
-        "How much larger the error of the sensed normal is than at the best angle for its own place",
+        "how much larger the error of the sensed normal is than at the best angle for that place (expected value)",
         "8 mm 33 % 63 deg 28 % 108 %",
         "Marks on the pad: the places that were looked at",
         "brightness 62 deg 25 % 21 % [17 %, 25 %] yes",
