@@ -217,7 +217,7 @@ def places_part(decision: LightAngleDecision) -> Part:
         for contact in decision.contacts
     )
     name, lose = ("touch", "less bright by") if decision.aim == "brightness" else ("place", "error larger by")
-    columns = (name, "weight", "its own best anglef", f"{lose}, expected value", f"{lose}, 95 % bound")
+    columns = (name, "weight", "its own best angle", f"{lose}, expected value", f"{lose}, 95 % bound")
     table = one_group(f"Each {name}, with the light at {decision.angle_deg:.0f} deg", columns, rows, is_words=True)
     lead = "Every place has a best angle of its own, but there is one light for all of them."
     return Part("What each place loses", Content(lead, ((picture,),), tables=(table,)))

@@ -142,7 +142,7 @@ def comparison_methods(report: PhotometricErrorReport) -> tuple[str, ...]:
     others = _other_metrics(report, row is not None and row.ciede2000_mean is not None)
     covers = compared.coverage(report)
     if report.monte_carlo is not None:
-        covers += f" They come from {report.monte_carlo.draws} draws of all inputs together (JCGM 101, 2008)."
+        covers += f" The intervals come from {report.monte_carlo.draws} draws of all inputs together (JCGM 101, 2008)."
     parts = ""
     if report.validation:
         parts = " The level was validated part by part (ASME V&V 20, 2009)."
