@@ -95,8 +95,8 @@ class Bleaching(Model):
     sd_per_j: Annotated[float, Field(ge=0.0)]
     dose_span_j: EnergyJ = Field(description="dose between the first frames and their repeat")
     resolved: bool = Field(
-        description="whether the loss exceeds three standard deviations; if so, it was corrected (to the dose of the "
-        "first laser frame); otherwise nothing was corrected and the trend is part of the covariance"
+        description="whether the loss exceeds three standard deviations. If so, it was corrected (to the dose of the "
+        "first laser frame). Otherwise nothing was corrected and the trend is part of the covariance"
     )
 
 
