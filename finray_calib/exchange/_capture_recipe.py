@@ -234,9 +234,7 @@ class RecipeForce(Model):
 
     file: Pattern = Field(description="path within the folder; for pictures, a table, or an npz or JSON file for each")
     press: str | None = Field(default=None, description="column of the table that names the press; for pictures")
-    column: str | None = Field(
-        default=None, description="column or array that holds the force; leave it out for an npy file"
-    )
+    column: str | None = Field(default=None, description="column or array that holds the force; none for an npy file")
     factor: float = Field(default=1.0, description="newtons per unit of the file")
 
 
